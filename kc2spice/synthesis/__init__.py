@@ -1,1 +1,1 @@
-"""Subcircuits of linear models, and headers of all libraries."""
+"""Generation of subcircuits for linear models, and of headers for all libraries."""

@@ -11,8 +11,8 @@ from kc2spice.netlist.elements import Line
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.network import IDEAL_LEAD, CircuitBranch, ParallelBranches
 
-# Current through the leakage resistor at the lowest frequency of the band, relative to the total
-# current of the part.
+# Current through the leakage resistor at the lower end of the band, relative to the total current
+# of the network.
 LEAK_SHARE = 1e-9
 NETWORK_COMMENT = (
     "* Passive one-port: every branch between the two pins is R, L and C in series.",
@@ -23,7 +23,7 @@ _LEAK_COMMENT = "* Rleak gives a floating pin its operating point; no other dire
 
 
 def branch_cards(network: ParallelBranches, model: LinearModel) -> list[Line]:
-    """Return the cards of a network between the two pins of the port of its model."""
+    """Return the cards of a network between the two pins of the port of ``model``."""
     plus, minus = model.ports[0].terminals
     result: list[Line] = []
     first = plus
@@ -43,9 +43,9 @@ def branch_cards(network: ParallelBranches, model: LinearModel) -> list[Line]:
 
 
 def _series_elements(branch: CircuitBranch, index: int, plus: str, minus: str) -> Iterator[Element]:
-    """Yield the elements of a branch in series from ``plus`` to ``minus``.
+    """Yield the elements of a branch, which are in series from ``plus`` to ``minus``.
 
-    The capacitor is the last element, so that no inner node floats.
+    The capacitor is the last element, so that no node within the branch floats.
     """
     capacitance = 1 / branch.elastance if branch.elastance > 0 else 0.0
     values = {"R": branch.resistance, "L": branch.inductance, "C": capacitance}
@@ -58,7 +58,7 @@ def _series_elements(branch: CircuitBranch, index: int, plus: str, minus: str) -
 
 
 def _describe_branch(branch: CircuitBranch) -> str:
-    """Describe the kind of a branch with its frequency or time constant."""
+    """Return a description of a branch: its kind, with its frequency or time constant."""
     R, L, S = branch.resistance, branch.inductance, branch.elastance
     if L > 0 and S > 0:
         omega = float(np.sqrt(S / L))

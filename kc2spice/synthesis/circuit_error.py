@@ -1,10 +1,9 @@
-"""Error of a written subcircuit: difference of its response from the model's response.
+"""Estimate of the circuit error: the difference between a subcircuit's and its model's response.
 
-The text of the library is parsed, and its circuit is solved by nodal analysis
-(:mod:`kc2spice.netlist.nodal`). The frequencies are the lowest frequency of the model's band, a
-grid over the band, every resonance with its flanks, and further frequencies near the largest
-errors. The error estimate of a library is the error estimate of its model plus this error of the
-circuit.
+The cards of the library are solved by nodal analysis (:mod:`kc2spice.netlist.nodal`). The compared
+frequencies are the lowest frequency of the model's band, a grid over the band, every resonance with
+its flanks, and further frequencies near the largest errors. The error estimate of a library is the
+error estimate of its model plus this circuit error.
 """
 
 from __future__ import annotations
@@ -25,28 +24,31 @@ from kc2spice.rom.linear_model import LinearModel, Norm, Port
 from kc2spice.rom.response import DirectResponse, Response, drop_points_near_poles, sample_band
 from kc2spice.synthesis.heat import is_heat_model
 
-# m for 1 V on a displacement pin, and C for 1 V on a node of a charge
+# displacement [m] for 1 V on a displacement pin, and charge [C] for 1 V on a charge node
 MICRO = TRANSLATION.across.factor
-LOWEST_FREQUENCY_RATIO = 1e-6  # lowest evaluated frequency of a band from zero, relative to its end
-GRID_POINTS = 40  # number of points of each grid, linear and logarithmic
-POINTS_PER_DECADE = 3  # points per decade below both grids
+# lowest compared frequency of a band that begins at zero, relative to the upper end of the band
+LOWEST_FREQUENCY_RATIO = 1e-6
+GRID_POINTS = 40  # number of points of the linear grid, and of the logarithmic grid
+POINTS_PER_DECADE = 3  # number of points per decade below both grids
 FLANK_HALF_WIDTHS = (0.0, 1.0)  # distances of frequencies from a resonance, in half-widths
-# Number of the largest errors near which frequencies are added, and number of frequencies near
-# each.
+# Number of compared frequencies, those with the largest errors, near which frequencies are added.
+# Near each of them, PEAK_FREQUENCIES frequencies are added.
 REFINED_PEAKS = 4
 PEAK_FREQUENCIES = 9
-MAX_WORK = 4e8  # largest product of squared unknowns and frequencies
+# largest product of the squared number of unknowns and the number of frequencies
+MAX_WORK = 4e8
 MIN_FREQUENCIES = 24  # number of frequencies for the largest circuits
-# Errors below this share of a tolerance are negligible, because estimates have two digits.
+# Errors below this share of the tolerance are negligible, because error estimates have two digits.
 NEGLIGIBLE_SHARE = 0.01
-# Number of random roundings of the matrices, and accepted ratio of the extremes of their effects.
+# Number of random roundings of the matrices. A circuit error that exceeds their largest effect by
+# at most PERTURBATION_SPREAD counts as a rounding error of the model.
 PERTURBATION_COUNT = 4
 PERTURBATION_SPREAD = 10.0
 
 
 @dataclass(frozen=True)
 class CircuitError:
-    """Largest relative error of a circuit, and the frequency [Hz] of this error."""
+    """Largest relative error of a circuit, and the ``frequency`` [Hz] at which it occurs."""
 
     error: float
     frequency: float = 0.0
@@ -60,17 +62,17 @@ def estimate_circuit_error(
     norm: Norm = "pointwise",
     values: Mapping[str, float] | None = None,
 ) -> CircuitError:
-    """Estimate the largest difference between a subcircuit and its model.
+    """Estimate the largest relative difference between the responses of a subcircuit and its model.
 
-    The difference of the responses is relative in the ``norm`` of a
+    The ``norm`` defines to what the difference is relative, see
     :class:`kc2spice.rom.linear_model.Certificate`. The ports have the loads of
     :func:`kc2spice.synthesis.realize.apply_unit_load`. The compared response of an acceleration
     port is the force into its pin.
 
     Parameters
     ----------
-    circuit, pins : the tree of the subcircuit and its pins.
-    model : model of the circuit if the netlist's parameters have the values in ``values``.
+    circuit, pins : circuit and pins of the subcircuit.
+    model : linear model that the circuit represents at the parameter values in ``values``.
     band : lowest and highest frequency [Hz].
     """
     circuit_response = CircuitResponse(NodalCircuit(circuit), tuple(pins), model, values or {})
@@ -89,7 +91,7 @@ def estimate_circuit_error(
 
 
 class CircuitResponse:
-    """Response of a subcircuit to unit loads in SI units, by nodal analysis."""
+    """Frequency response of a subcircuit to unit loads in SI units, by nodal analysis."""
 
     def __init__(
         self,
@@ -112,11 +114,11 @@ class CircuitResponse:
 
     @property
     def unknowns(self) -> int:
-        """Number of the circuit's nodal equations."""
+        """Number of nodal equations of the circuit."""
         return len(self.equations.rows)
 
     def transfer(self, frequency: np.ndarray) -> np.ndarray:
-        """Return the responses (frequencies, outputs, inputs) to unit inputs.
+        """Return the frequency responses (frequencies, outputs, inputs) to unit inputs.
 
         Outputs are displacements, charges, forces of accelerated frames, and signals. Inputs are
         forces, voltages, accelerations and signals.
@@ -133,10 +135,10 @@ class CircuitResponse:
         return H
 
     def convert_to_pins(self, H: np.ndarray, frequency: np.ndarray) -> np.ndarray:
-        """Convert the response ``H`` of the model to the quantities at the subcircuit's pins.
+        """Return the response ``H`` of the model, converted to quantities at the pins.
 
-        At an acceleration pin, the quantity is the force ``m a - y''`` with the output y of the
-        model.
+        At an acceleration pin, the quantity is the force ``m a - y''`` with the mass m, the
+        acceleration a and the output y of the model.
         """
         result = H.copy()
         s = 2j * np.pi * frequency[:, None]
@@ -148,32 +150,33 @@ class CircuitResponse:
 
 
 def accelerates_frame(port: Port) -> bool:
-    """Return whether the port is the acceleration of the frame of the body."""
+    """Return whether the input of the port is the acceleration of the body's frame."""
     return port.domain is ACCELERATION
 
 
 def _unit_load(port: Port) -> dict[str, float]:
-    """Return the unit load at a port: the value, keyed by node or by name of a source."""
+    """Return the SI unit load at a port, as a value keyed by its node or its clamp current."""
     node = port.terminals[0].lower()
     unit = port.domain.quantity(port.domain.input_side).per_unit if port.domain else 1.0
     return {node if port.loaded else f"i(held_{node})": unit}
 
 
 def _response_node(port: Port) -> str:
+    """Return the node or the clamp current that is the response of a port."""
     node = port.terminals[0].lower()
     return f"i(held_{node})" if port.conservative and not port.loaded else node
 
 
 def _model_mass(model: LinearModel, port: Port) -> float:
+    """Return the mass [kg] that an acceleration port moves; zero for other ports."""
     return reaction_mass(model, port) if accelerates_frame(port) else 0.0
 
 
 def reaction_mass(model: LinearModel, port: Port) -> float:
     """Return the mass [kg] that an acceleration pin moves.
 
-    The result is the value ``mass_kg`` of the model. If the model does not state its mass, the
-    result follows from the matrices: at high frequencies, ``y'' = C A B a`` with the acceleration
-    a.
+    The mass is the value ``mass_kg`` of the model. If the model does not state this value, the mass
+    is computed from the matrices: at high frequencies, ``y'' = C A B a`` with the acceleration a.
     """
     known = model.facts.get("mass_kg")
     if known is not None:
@@ -184,9 +187,10 @@ def reaction_mass(model: LinearModel, port: Port) -> float:
 
 @dataclass
 class _RelativeError:
-    """Relative errors (frequencies,) of a circuit at frequencies [Hz].
+    """Function that returns the relative errors (frequencies,) of a circuit at frequencies [Hz].
 
-    The first call determines the peaks of the response, to which later errors are relative.
+    The first call determines the peaks of the response, to which the errors of all calls are
+    relative.
     """
 
     circuit_response: CircuitResponse
@@ -214,7 +218,7 @@ class _RelativeError:
 
 
 def _select_frequencies(exact: Response, band: tuple[float, float], unknowns: int) -> np.ndarray:
-    """Return frequencies [Hz] over the whole band, including both ends of the band."""
+    """Return the compared frequencies [Hz], which include both ends of the band."""
     low, high = band[0] or LOWEST_FREQUENCY_RATIO * band[1], band[1]
     start = max(low, 1e-4 * high)
     below = np.geomspace(low, start, max(2, round(POINTS_PER_DECADE * np.log10(start / low)) + 1))
@@ -229,10 +233,10 @@ def _select_frequencies(exact: Response, band: tuple[float, float], unknowns: in
 
 
 def require_circuit(part: Subcircuit, model: LinearModel, tolerance: float) -> None:
-    """Raise an error if the circuit of a part does not have the tolerance of its model.
+    """Raise an error if the error estimate of a part with its circuit exceeds the tolerance.
 
-    If rounding of the matrices changes the response by as much as the error of the circuit, no
-    better circuit is possible, and the function only prints a warning.
+    Rounding of the model's matrices may change the response by as much as the circuit error. A
+    better circuit is then impossible, and the function only prints a warning.
 
     Raises
     ------
@@ -263,16 +267,16 @@ def require_circuit(part: Subcircuit, model: LinearModel, tolerance: float) -> N
 
 
 def rounding_effect(model: LinearModel, frequency: float) -> float:
-    """Return the relative change of a response if the matrices are rounded.
+    """Return the largest relative change of a model's response due to rounding of its matrices.
 
-    The result is the largest change of any entry of the response, over :data:`PERTURBATION_COUNT`
-    random roundings of the matrices.
+    The largest change of all response entries in :data:`PERTURBATION_COUNT` random roundings is
+    returned.
     """
     random = np.random.default_rng(0)
     unit = np.finfo(float).eps
 
     def round_matrix(matrix: np.ndarray) -> np.ndarray:
-        """Return a matrix with randomly rounded entries."""
+        """Return a symmetric matrix with randomly rounded entries."""
         change = random.choice([-unit, unit], size=matrix.shape)
         return np.asarray(matrix * (1 + (change + change.T) / 2))  # remains symmetric
 

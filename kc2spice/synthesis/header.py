@@ -1,4 +1,4 @@
-"""Headers of all libraries, and libraries of parts whose cards are in templates.
+"""Headers of all libraries, and subcircuits that are made from templates.
 
 A header states the origin of a library and the meaning of each pin and parameter.
 """
@@ -42,17 +42,17 @@ OUTWARDS_TEXT = (
 
 
 def wrap_comment(text: str) -> list[str]:
-    """Wrap a text into comment lines; all lines after the first one are indented."""
+    """Return a text as netlist comment lines; all lines after the first line are indented."""
     words: dict[str, Any] = {"break_long_words": False, "break_on_hyphens": False}
     lines = textwrap.wrap(format_comment(text), 96, subsequent_indent="  ", **words)
     return list(map("* {}".format, lines))
 
 
 def rom_comments(reduction: ReductionSummary, certificate: Certificate) -> tuple[str, ...]:
-    """Return comment lines about a reduced model and its error estimate.
+    """Return comment lines that state the error estimate of a reduced model.
 
-    The lines also state the error of the circuit, and the errors above the band. If stability or
-    passivity is not proven, the lines state this too.
+    The lines also state the circuit error and the errors of the compliance above the band. If
+    stability or passivity is not proven, the lines state this too.
     """
     errors = [f"{error:.2g} at {f:g} Hz" for f, error in certificate.above]
     compliance = f"; error of the compliance there: {', '.join(errors)}" if errors else ""
@@ -66,7 +66,7 @@ def rom_comments(reduction: ReductionSummary, certificate: Certificate) -> tuple
 
 
 def mesh_comment(facts: Mapping[str, float]) -> str:
-    """Return a comment with the error estimate of the mesh, or the reason for its absence."""
+    """Return the text of the mesh error estimate, or the note that it is not estimated."""
     text = describe_mesh_errors(facts)
     return f"error estimate of the full model: {text}" if text else NOT_ESTIMATED
 
@@ -84,13 +84,14 @@ def part_header(
     mesh: str = "",
     heat: str = "",
 ) -> tuple[str, ...]:
-    """Return the header of a part: all comment lines above its ``.subckt``.
+    """Return the header of a part: all comment lines above its ``.subckt`` card.
 
     The header consists of the title, an instance card to copy, the origin, and comments about a
-    reduced model (``rom``) and the mesh. Sign convention, validity and rating follow, then one line
-    for each pin and each parameter. ``title`` is ``NAME: DESCRIPTION``. ``mesh`` describes the
-    error estimate of the mesh. ``sign`` is for parts with mechanical pins. ``heat`` describes the
-    heat pins.
+    reduced model (``rom``) and the mesh. After the comment about the mesh, it states sign
+    convention, validity and rating, and has one line for each pin and each parameter. ``title`` is
+    ``NAME: DESCRIPTION``.
+    ``mesh`` is the text of the mesh error estimate. ``sign`` is the sign convention of mechanical
+    pins. ``heat`` describes the heat pins.
     """
     sign = sign if TRANSLATION.flow in map(attrgetter("flow"), pins) else FLOW_TEXT
     ends = map(attrgetter("name"), pins)
@@ -117,7 +118,7 @@ def netlist_pins(port: Port) -> tuple[Pin, ...]:
 
 
 def parameter_defaults_of(params: Iterable[Param]) -> dict[str, str]:
-    """Return the default values of parameters, keyed by name, as on a ``.subckt`` card."""
+    """Return the default values of parameters in the syntax of netlists, keyed by name."""
     return {require_name(p.name): format_number(p.default) for p in params}
 
 
@@ -134,10 +135,11 @@ def render_library(
     mesh: str = "",
     **values: object,
 ) -> Subcircuit:
-    """Return the text of the library from ``templates/TEMPLATE.j2``, with a header.
+    """Return the subcircuit of a part whose cards are in ``templates/TEMPLATE.j2``.
 
-    The header is made by :func:`part_header`. The template can use the ``values``, and the text
-    ``card`` with the name, the pins and the parameters with default values on the ``.subckt`` card.
+    :func:`part_header` makes the header of the subcircuit. The template can use the ``values`` and
+    the text ``card``. This text contains the words of the ``.subckt`` card: the name, the pins, and
+    the parameters with default values.
     """
     pins = tuple(Pin(item.name, item.unit, item.flow) for item in terminals)
     settings = map("=".join, parameter_defaults_of(params).items())

@@ -1,17 +1,17 @@
-"""Subcircuits of heat models: resistors, capacitors and ideal transformers.
+"""Netlist cards of heat models: resistors, capacitors and ideal transformers.
 
 The model is ``E x' + K x = B q``, ``T = B' x + D q``. E and K are symmetric without negative
-eigenvalues. In coordinates h of the modes, the model is
+eigenvalues. In modal coordinates h, the model is
 
     C_j h_j' + h_j / R_j = sum_k a_kj q_k,    T_k = sum_j a_kj h_j + sum_l D_kl q_l
 
-with the heat flows ``q`` [W] into the ports and their temperature rises ``T`` [K] over the pin
-``ambient``. Every mode j is a thermal resistance R_j in parallel with a heat capacity C_j. The
-largest ``|a_kj|`` of a mode is one. For a model with one port, the modes are connected in series
-(Foster's form). The factors a_kj multiply heat flows and temperatures, as in ideal transformers.
-The circuit is therefore passive for all positive R_j and C_j. A model with the matrices of
-:class:`kc2spice.rom.heat_network.HeatLadder` becomes a ladder (Cauer's form). (E. Kuh and R.
-Rohrer, Theory of Linear Active Networks, 1967, chapter 6.)
+with the heat flows ``q`` [W] into the ports and the temperature rises ``T`` [K] of the ports over
+the pin ``ambient``. Every mode j is a thermal resistance R_j in parallel with a heat capacity C_j.
+The modes are scaled so that the largest ``|a_kj|`` of each mode is one. For a model with one port,
+the modes are connected in series (Foster's form). For several ports, the factors a_kj multiply heat
+flows and temperatures as ideal transformers do. The circuit is therefore passive for all positive
+R_j and C_j. A model with the matrices of :class:`kc2spice.rom.heat_network.HeatLadder` becomes a
+ladder (Cauer's form). (E. Kuh and R. Rohrer, Theory of Linear Active Networks, 1967, chapter 6.)
 """
 
 from __future__ import annotations
@@ -31,12 +31,15 @@ from kc2spice.netlist.spelling import LEAK_RATE
 from kc2spice.rom.heat_network import HeatLadder, find_heat_ladder
 from kc2spice.rom.linear_model import LinearModel, Port
 
-# Relative eigenvalue of K that counts as zero. No path conducts the heat of such a mode away.
+# Largest eigenvalue of K that counts as zero, relative to the largest eigenvalue. No path conducts
+# the heat of a mode with a zero eigenvalue away.
 ZERO_EIGENVALUE = 1e-13
-# Time constant, relative to the largest time constant, that counts as zero. Such a mode has no heat
-# capacity.
+# Largest time constant that counts as zero, relative to the largest time constant of all modes. A
+# mode with a zero time constant has no heat capacity.
 ZERO_TIME = 1e-14
-ZERO_SHARE = 1e-9  # share of a mode at all ports, relative to the largest, that counts as 0
+# Largest factor of a mode at a port that counts as zero, relative to the largest of all modes. A
+# mode whose factors at all ports are zero is omitted.
+ZERO_SHARE = 1e-9
 _NETWORK_COMMENT = """\
 * Heat network: 1 V is 1 K of temperature rise over the pin {base}, 1 A is 1 W into the pin.
 * Connect {base} to node 0, or to a source whose voltage is the temperature there.
@@ -57,10 +60,10 @@ _STORED_COMMENT = "no path removes its heat; the leak gives it an operating poin
 class HeatModes:
     """Modes of a heat model.
 
-    ``resistance`` [K/W] and ``capacity`` [J/K] (modes,) are the thermal resistance and the heat
-    capacity of each mode. ``share`` (modes, ports) is the factor from the temperature of a mode to
-    its contribution at a port. ``direct`` (ports, ports) [K/W] is the resistance matrix of the part
-    of the model without heat capacity.
+    ``resistance`` (modes,) [K/W] and ``capacity`` (modes,) [J/K] are the thermal resistance and the
+    heat capacity of each mode. ``share`` (modes, ports) is the ratio of a mode's contribution to
+    the temperature of a port and the temperature of the mode. ``direct`` (ports, ports) [K/W] is
+    the matrix D of the model: the thermal resistances without heat capacity.
     """
 
     resistance: np.ndarray
@@ -71,11 +74,12 @@ class HeatModes:
 
 
 def estimate_leak_share(model: LinearModel) -> float:
-    """Return the relative error of temperatures due to the leak of an insulated body.
+    """Return the relative temperature error that the leak of an insulated body causes.
 
     In the netlist of a body without a heat path, each heat capacity C has the leakage conductance
-    ``C LEAK_RATE``. If one port has a prescribed temperature, and the thermal resistance to another
-    port is R, the leak takes the share ``R C LEAK_RATE`` of the heat flow.
+    ``C LEAK_RATE``. If one port has a prescribed temperature, and the thermal resistance from it to
+    another port is R, the share ``R C LEAK_RATE`` of the heat flow passes through the leak. The
+    function returns the largest share of all pairs of ports.
     """
     K, E = model.pencil.dense().coefficients
     values, vectors = np.linalg.eigh(0.5 * (K + K.T))
@@ -90,20 +94,20 @@ def estimate_leak_share(model: LinearModel) -> float:
 
 
 def is_heat_model(model: LinearModel) -> bool:
-    """Return whether the ports of a model exchange heat."""
+    """Return whether a model has thermal ports."""
     return THERMAL in map(attrgetter("domain"), model.ports)
 
 
 def compute_heat_modes(model: LinearModel) -> HeatModes:
-    """Return those modes of a heat model that a port excites, slowest mode first.
+    """Return the modes of a heat model that at least one port excites, slowest mode first.
 
     The mode shapes x satisfy ``E x = t K x`` with the time constants t. If K is singular, no path
-    conducts the heat of some modes away. The resistance of these modes is then the resistance of a
-    leak.
+    conducts the heat of some modes away. Such modes have the resistance of a leak.
 
     Raises
     ------
-    UsageError : E, K or D is not symmetric and positive semi-definite, or E and K are singular.
+    UsageError : E, K or D is not symmetric and positive semi-definite, or E and K have a common
+        null space.
     """
     times, shapes = decouple_heat(model)
     gain = shapes.T @ model.B
@@ -123,14 +127,14 @@ def compute_heat_modes(model: LinearModel) -> HeatModes:
 
 
 def decouple_heat(model: LinearModel) -> tuple[np.ndarray, np.ndarray]:
-    """Return time constants (modes,) and shapes (states, modes) of all modes.
+    """Return the time constants (modes,) [s] and the shapes (states, modes) of all modes.
 
-    The slowest mode is the first one. The shapes are scaled so that the thermal resistance of each
-    mode is 1 K/W. See :func:`compute_heat_modes`.
+    The slowest mode is the first one. The mode shapes are scaled so that the thermal resistance of
+    each mode is 1 K/W. See :func:`compute_heat_modes`.
 
     Raises
     ------
-    UsageError : as :func:`compute_heat_modes`.
+    UsageError : as in :func:`compute_heat_modes`.
     """
     K, E = model.pencil.dense().coefficients
     if not model.symmetric or np.linalg.eigvalsh(model.D).min(initial=0.0) < 0:
@@ -144,7 +148,7 @@ def decouple_heat(model: LinearModel) -> tuple[np.ndarray, np.ndarray]:
     if capacity.size and capacity[0] <= ZERO_EIGENVALUE * np.abs(E).max():
         raise _make_not_passive_error(model, "a matrix E and a matrix K that are both singular")
     shapes = conducted
-    for _ in range(2):  # twice, for orthonormal shapes even if K is almost singular
+    for _ in range(2):  # twice, so that the shapes are orthonormal even if K is almost singular
         times, turned = scipy.linalg.eigh(shapes.T @ E @ shapes, shapes.T @ K @ shapes)
         shapes = shapes @ turned
     times = np.where(times > ZERO_TIME * times.max(initial=0.0), times, 0.0)
@@ -157,10 +161,10 @@ def decouple_heat(model: LinearModel) -> tuple[np.ndarray, np.ndarray]:
 
 
 def diagonalise_heat_model(model: LinearModel) -> LinearModel:
-    """Return a heat model in the coordinates of its modes, as in its netlist.
+    """Return a heat model in modal coordinates, which its netlist also has.
 
-    In diagonal matrices, rates that differ by many orders of magnitude cause no rounding errors in
-    each other.
+    The matrices E and K are then diagonal. Rates that differ by many orders of magnitude therefore
+    cause no rounding errors in each other.
     """
     modes = compute_heat_modes(model)
     return replace(
@@ -179,10 +183,10 @@ def diagonalise_heat_model(model: LinearModel) -> LinearModel:
 
 
 def _separate_stored_heat(E: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Separate the temperatures without a heat path from all other temperatures.
+    """Return a basis of the temperatures without a heat path, and a basis of all others.
 
-    The results are two bases: the null space of K, and the complement of the null space that is
-    orthogonal with respect to E. The modes in both subspaces are therefore independent.
+    The first basis spans the null space of K. The second basis spans the complement that is
+    E-orthogonal to this null space. The modes in both subspaces are therefore independent.
     """
     scale = np.sqrt(np.maximum(np.diag(K), 0.0))
     scale = 1 / np.where(scale > 0, scale, 1.0)
@@ -199,6 +203,7 @@ def _separate_stored_heat(E: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.
 
 
 def _make_not_passive_error(model: LinearModel, got: str) -> UsageError:
+    """Make the error for a heat model whose matrices are not those of a passive network."""
     return UsageError(
         "this model is not a passive heat model",
         where=model.name,
@@ -210,10 +215,10 @@ def _make_not_passive_error(model: LinearModel, got: str) -> UsageError:
 
 
 def heat_cards(model: LinearModel, base: str) -> tuple[list[str], list[Line]]:
-    """Return the cards of a heat model between its ports and ``base``, with comments.
+    """Return comments and the cards of a heat model between its ports and ``base``.
 
-    The network is a ladder if the model has the matrices of a ladder; otherwise it consists of
-    modes.
+    The network is a ladder if the model has the matrices of a ladder. Otherwise, the network
+    consists of modes.
     """
     about = _NETWORK_COMMENT.format(base=base).split("\n")
     ladder = find_heat_ladder(model)
@@ -243,7 +248,7 @@ def _ladder_cards(ladder: HeatLadder, pin: str, base: str) -> Iterator[Line]:
 
 
 def describe_heat_mode(modes: HeatModes, j: int) -> str:
-    """Return the comment above the elements of a mode."""
+    """Return the netlist comment that precedes the elements of mode ``j``."""
     R, C = modes.resistance[j], modes.capacity[j]
     text = f"time constant {R * C:.4g} s, {R:.4g} K/W, {C:.4g} J/K"
     if R * C * LEAK_RATE >= 1 - ZERO_EIGENVALUE:
@@ -252,13 +257,14 @@ def describe_heat_mode(modes: HeatModes, j: int) -> str:
 
 
 def _mode_elements(modes: HeatModes, j: int, node: str, other: str) -> Iterator[Line]:
+    """Yield the resistor and the capacitor of mode ``j`` between two nodes."""
     yield Element.of(f"R{j + 1}", node, other, float(modes.resistance[j]))
     if modes.capacity[j] > 0:
         yield Element.of(f"C{j + 1}", node, other, float(modes.capacity[j]))
 
 
 def _series_cards(modes: HeatModes, base: str) -> Iterator[Line]:
-    """Yield the cards of modes in series (Foster's form) at the only port."""
+    """Yield the cards of a model with one port: modes in series (Foster's form)."""
     node, count = modes.ports[0].terminals[0], len(modes.resistance)
     if (direct := float(modes.direct[0, 0])) > 0:
         yield f"\n* Resistance without a heat capacity: {direct:.4g} K/W"
@@ -272,7 +278,7 @@ def _series_cards(modes: HeatModes, base: str) -> Iterator[Line]:
 
 
 def _coupled_cards(modes: HeatModes, base: str) -> Iterator[Line]:
-    """Yield the cards of modes that several ports excite."""
+    """Yield the cards of a model with several ports: modes with ideal transformers."""
     yield from heat_port_cards(modes, base)
     for j in range(len(modes.share)):
         yield describe_heat_mode(modes, j)
@@ -281,7 +287,7 @@ def _coupled_cards(modes: HeatModes, base: str) -> Iterator[Line]:
 
 
 def heat_port_cards(modes: HeatModes, base: str) -> Iterator[Line]:
-    """Yield the cards that sum the temperatures of the modes at each port."""
+    """Yield the cards of all ports, which sum the temperatures of the modes."""
     names = [port.terminals[0] for port in modes.ports]
     for k, pin in enumerate(names):
         yield f"\n* Port {pin}: its temperature rise u is the sum of the modes (1 V = 1 K)."
@@ -297,7 +303,7 @@ def heat_port_cards(modes: HeatModes, base: str) -> Iterator[Line]:
 
 
 def heat_flow_cards(modes: HeatModes, j: int, base: str) -> Iterator[Line]:
-    """Yield the sources of the heat flows from each port into a mode."""
+    """Yield the sources of the heat flows from all ports into mode ``j``."""
     for port, share in zip(modes.ports, modes.share[j], strict=True):
         pin = port.terminals[0]
         yield Element.of(f"Gq{pin}_{j + 1}", base, f"h{j + 1}", f"f{pin}", base, float(share))

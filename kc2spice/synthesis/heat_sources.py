@@ -1,10 +1,10 @@
-"""Netlist cards of the heat flow from the losses of a model of resonators.
+"""Netlist cards of the heat flows from the losses of a resonator model.
 
 A mode with the equation ``m z'' + d z' + w^2 z = sum_k g_k u_k`` dissipates the power ``d z'^2``
 [W]. In the netlist, the rate ``z'`` of a mode with inertia is a voltage. A mode without inertia is
 a relaxation, whose rate is ``z' = (sum_k g_k u_k - w^2 z) / d``. The dielectric loss of
-:func:`kc2spice.rom.modal.add_dielectric_loss` consists of relaxations. The input is the modes of
-:mod:`kc2spice.synthesis.mode_cards`, the output are sources of heat flows.
+:func:`kc2spice.rom.modal.add_dielectric_loss` consists of relaxations. The functions of this module
+return a heat source for each mode of :mod:`kc2spice.synthesis.mode_cards`.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from kc2spice.netlist.elements import Line
 from kc2spice.netlist.spelling import format_number
 
 LOSS_NODE = "losses"  # inner node at which all heat flows meet
-METER = "Vheat"  # 0 V source that measures the flow into the heat pin
+METER = "Vheat"  # 0 V source that measures the heat flow into the pin ``heat``
 HEAT_PIN_ROWS = (Pin(HEAT, *THERMAL.units), Pin(AMBIENT, *THERMAL.units))
 _HEAT_COMMENT = (
     "",
     f"* Losses of the modes as heat flows, whose sum leaves by {HEAT}: 1 A is 1 W",
 )
-_LEAST_DAMPING = "1p"  # smallest divisor
+_SMALLEST_DAMPING = "1p"  # smallest value of the parameter ``damping`` as a divisor
 
 
 def meter_cards() -> Iterator[Line]:
-    """Yield the ammeter of the heat pin, through which all heat flows pass."""
+    """Yield the ammeter at the heat pin; all heat flows pass through the ammeter."""
     yield from _HEAT_COMMENT
     yield Element.of(METER, HEAT, LOSS_NODE, "0")
 
@@ -42,7 +42,7 @@ def moving_loss_card(index: int, velocity: tuple[str, str], power: float) -> Ele
     velocity : tuple of str
         Nodes between which the voltage is the velocity of the mode.
     power : float
-        Power [W] at a voltage of 1 V, if the parameter ``damping`` is one.
+        Power [W] for a velocity of 1 V, if the parameter ``damping`` is one.
 
     Examples
     --------
@@ -56,18 +56,19 @@ def moving_loss_card(index: int, velocity: tuple[str, str], power: float) -> Ele
 def relaxing_loss_card(
     index: int, drives: Sequence[tuple[float, str, str]], node: tuple[str, str], power: float
 ) -> Element:
-    """Return the source of the heat flow from a state without inertia.
+    """Return the source of the heat flow from a mode without inertia.
 
     Parameters
     ----------
     index : int
-        Number of the state.
+        Number of the mode.
     drives : sequence of tuple
-        Factor and the two nodes of each voltage that drives the state.
+        Factor and the two nodes of each voltage that drives the mode.
     node : tuple of str
-        Nodes between which the voltage is the state.
+        Nodes between which the voltage is the state of the mode.
     power : float
-        Power [W] at 1 V between the drive and the state, if the parameter ``damping`` is one.
+        Power [W] for a difference of 1 V between the sum of the drives and the state, if the
+        parameter ``damping`` is one.
 
     Examples
     --------
@@ -76,7 +77,7 @@ def relaxing_loss_card(
     """
     sums = "+".join(f"{format_number(factor)}*V({a},{b})" for factor, a, b in drives)
     apart = f"({sums.replace('+-', '-')}-V({node[0]},{node[1]}))"
-    law = f"{format_number(power)}*{apart}*{apart}/max(damping,{_LEAST_DAMPING})"
+    law = f"{format_number(power)}*{apart}*{apart}/max(damping,{_SMALLEST_DAMPING})"
     return heat_source(index, law)
 
 

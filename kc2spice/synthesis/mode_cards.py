@@ -1,4 +1,4 @@
-"""Netlist cards of decoupled resonators, and of the heat from their losses."""
+"""Netlist cards of decoupled resonators, and of the heat flows from their losses."""
 
 from __future__ import annotations
 
@@ -36,27 +36,30 @@ if TYPE_CHECKING:
     pass
 
 
-# F, of a state of a fast mode; converts chgtol to a tolerance of displacement
+# Capacitance [F] for each state of a fast mode. With it, the simulator's charge tolerance chgtol
+# becomes a tolerance of the displacement.
 STATE_CAPACITANCE = 1e-6
-STATE_CONDUCTANCE = 1.0  # S, of a massless mode
+STATE_CONDUCTANCE = 1.0  # conductance [S] for the state of a massless mode
 EQUAL_GAIN_TOLERANCE = 1e-6  # largest relative difference of gains that count as equal
 # Value of 1 / Q of a mode below which the states are q and q + q'/w. With the states q and q'/w,
 # ngspice (pivrel 1e-3) would not choose diagonal pivots at an operating point. For 178 modes, the
-# factors would then have 80 times as many fill-ins, and the solution would take 100 times as long
-# (tests/spice/test_realize.py counts the fill-ins).
+# factorised matrix would then have 80 times as many fill-ins, and the solution would take 100 times
+# as long (tests/spice/test_realize.py counts the fill-ins).
 LIGHT_DAMPING = 1e-3
-NEGLIGIBLE_GAIN = 1e-9  # negligible share of a mode at all ports, relative to the largest
+# Largest share of a mode in the response of a port that counts as zero, relative to the largest
+# share of all modes.
+NEGLIGIBLE_GAIN = 1e-9
 
 
 @dataclass(frozen=True)
 class StepWeights:
-    """Weights of the modes of a body in the simulator's control of time steps.
+    """Weights of the modes of a body in the simulator's time step control.
 
-    Step control limits the error of the charge of each capacitor, which represents an error of
-    motion. A mode at or above ``full`` times the lowest frequency has a capacitor of 1 uF. The
-    capacitance of a slower mode is smaller in proportion to its frequency raised to ``power``.
-    ``share`` is the share of the clamped capacitance that is a capacitor with the charge of the
-    modes.
+    Time step control limits the charge error of each capacitor, which represents an error of the
+    motion. Modes at or above ``full`` times the lowest mode frequency have capacitors of 1 uF. For
+    slower modes, the capacitance is proportional to the frequency raised to ``power``. ``share`` is
+    the share of the clamped capacitance that is represented by a capacitor. The voltage of this
+    capacitor includes the charge of the modes.
     """
 
     full: float
@@ -64,16 +67,20 @@ class StepWeights:
     share: float
 
     def capacitances(self, omega: np.ndarray, slowest: float) -> np.ndarray:
-        """Return the capacitances [F] of modes at the frequencies ``omega`` [rad/s]."""
+        """Return the capacitances [F] of modes at the frequencies ``omega`` [rad/s].
+
+        ``slowest`` is the lowest mode frequency [rad/s] of the body.
+        """
         return STATE_CAPACITANCE * np.minimum(1.0, (omega / (self.full * slowest)) ** self.power)
 
 
 # Weights for scenes in which the ringing of the body is a result.
 RINGING_WEIGHTS = StepWeights(3.0, 2, 0.01)
-# Weights for scenes with a throw. Fewer time points give the same launch velocity.
+# Weights for scenes in which a part is thrown. These weights give the same launch velocity as
+# RINGING_WEIGHTS, with fewer time points.
 THROWING_WEIGHTS = StepWeights(3.0, 6, 0.01)
-# Weights for scenes in which only the motion of thrown parts matters, with half as many time
-# points.
+# Weights for scenes in which only the motion of thrown parts is a result. These weights halve the
+# number of time points.
 COARSE_WEIGHTS = StepWeights(8.0, 6, 1e-6)
 _RESONATORS_COMMENT = """\
 * Each mode of the reduced model has two integrators, q (displacement) and p (q'/omega). Both are
@@ -100,7 +107,7 @@ def write_resonators(
     weights: StepWeights,
     noise: bool,
 ) -> tuple[list[str], list[Line]]:
-    """Return the cards of the resonators in modal coordinates, with comments.
+    """Return comments and the cards of the resonators in modal coordinates.
 
     Mode j has the equation ``z_j'' + d_j z_j' + w_j^2 z_j = sum_k g_jk u_k``. With the largest gain
     ``s_j = max_k |g_jk|`` at the mechanical ports, the states are ``q_j = s_j z_j`` and ``p_j =
@@ -109,19 +116,19 @@ def write_resonators(
 
         C q' = C w p,    C p' = -C w q - C d p + (C s / w) sum_k g_k u_k
 
-    with ``C = 1 uF min(1, (w / 3 w_1)^2)``, or with a capacitance by other ``weights``. Step
-    control limits the error of the charge, which is ``C`` times the error of displacement. The
-    capacitances of slow modes are small, because slow modes have little influence on a contact, but
-    ring long after it. With 1 / Q below :data:`LIGHT_DAMPING`, ``p_j = q_j + q_j' / w_j``, see
-    :func:`_mode_cards`. A mode without inertia has only the state q with ``C q' = -G q + (G s /
-    w^2) sum_k g_k u_k`` and ``C = G d / w^2``.
+    The default ``weights`` give ``C = 1 uF min(1, (w / 3 w_1)^2)``. Time step control limits the
+    charge error, which is ``C`` times the displacement error. The capacitances of slow modes are
+    small, because slow modes have little influence on a contact, but ring long after the contact.
+    If 1 / Q is below :data:`LIGHT_DAMPING`, ``p_j = q_j + q_j' / w_j``, see :func:`_mode_cards`. A
+    mode without inertia has only the state q with ``C q' = -G q + (G s / w^2) sum_k g_k u_k`` and
+    ``C = G d / w^2``.
     """
     order = order_observable_modes(model)
     omega, damp, gain = model.omega[order], model.damp[order], model.gain[order]
     heavy = model.inertia[order] > 0
     scale = scale_modes(gain, terminals)[:, None]
     numbers = range(1, len(order) + 1)
-    turn = omega * heavy  # modes with inertia; other modes have no velocity node
+    turn = omega * heavy  # zero for modes without inertia, which have no velocity node
     light, losses = (damp < LIGHT_DAMPING * omega) * heavy, damp * heavy
     rates = (-turn * light, turn, -turn - (turn - losses) * light, turn * light - losses)
     qq, qp, pq, pp = map(np.diag, rates)
@@ -145,7 +152,8 @@ def write_resonators(
     body: list[Line] = []
     stored = []
     for t in map(laws.connect_output, terminals):
-        stored.append(replace(t, sums=()) if t.clamped else t)  # charge is added below
+        # the sources of the charge of a clamped port are added below
+        stored.append(replace(t, sums=()) if t.clamped else t)
     body += port_lines(stored, base, weights.share)
     for j in range(len(order)):
         node = f"p{j + 1}" if heavy[j] else f"q{j + 1}"
@@ -169,11 +177,11 @@ def write_resonators(
 
 
 def write_losses(model: Resonators, terminals: Sequence[PortTerminal], base: str) -> Iterator[Line]:
-    """Yield the ammeter of the heat pin, and the heat flows of all modes with losses.
+    """Yield the ammeter at the heat pin, and the heat sources of all modes with losses.
 
-    The symbols are defined in :func:`write_resonators`. A mode with inertia has the velocity ``z' =
-    w p / s`` and dissipates ``d z'^2``. A mode without inertia dissipates ``(w^2 / s)^2 (f - q)^2 /
-    d`` with the drive ``f = (s / w^2) sum_k g_k u_k``.
+    :func:`write_resonators` defines the symbols. A mode with inertia has the velocity ``z' = w p /
+    s`` and dissipates the power ``d z'^2``. A mode without inertia dissipates the power ``(w^2 /
+    s)^2 (f - q)^2 / d`` with the drive ``f = (s / w^2) sum_k g_k u_k``.
     """
     order = order_observable_modes(model)
     omega, damp, gain = model.omega[order], model.damp[order], model.gain[order]
@@ -195,7 +203,7 @@ def write_losses(model: Resonators, terminals: Sequence[PortTerminal], base: str
 def _describe_resonators(
     terminals: Sequence[PortTerminal], base: str, weights: StepWeights
 ) -> list[str]:
-    """Return comments about the circuit equations and the reference pin."""
+    """Return netlist comments that explain the circuit equations and the reference pin."""
     words: dict[str, Any] = {
         "full": weights.full,
         "power": weights.power,
@@ -213,10 +221,10 @@ def _describe_resonators(
 
 
 def _mode_cards(j: int, omega: float, damp: float, farad: float, base: str) -> Iterator[Line]:
-    """Yield the two integrators of one mode.
+    """Yield the cards of the two integrators of one mode.
 
-    With 1 / Q below :data:`LIGHT_DAMPING`, the second state is ``p = q + q' / w``, so that the
-    voltage from p to q is the velocity.
+    If 1 / Q is below :data:`LIGHT_DAMPING`, the second state is ``p = q + q' / w``. The voltage
+    from node p to node q is then the velocity.
     """
     q, p, turn, loss = f"q{j}", f"p{j}", farad * omega, farad * damp
     light = damp < LIGHT_DAMPING * omega
@@ -232,7 +240,7 @@ def _mode_cards(j: int, omega: float, damp: float, farad: float, base: str) -> I
 
 
 def describe_mode(omega: float, damp: float) -> str:
-    """Describe the frequency and the Q factor of a mode for a comment.
+    """Return a mode's frequency and Q factor as text for a netlist comment.
 
     ``omega`` is the angular frequency [rad/s] of the mode, ``damp`` its damping [1/s].
 
@@ -254,13 +262,13 @@ def describe_branch(
     gains: np.ndarray,
     terminals: Sequence[PortTerminal],
 ) -> str:
-    """Describe the equivalent circuit elements of a mode at a port; may be empty.
+    """Return a mode's equivalent circuit elements at a port as text for a netlist comment.
 
-    The mode has the equation ``z'' + damp z' + omega^2 z = g v``, and the charge or displacement
-    ``g z`` at the port. At an electrical port, the mode is equivalent to L = 1/g^2, R = damp/g^2
-    and C = g^2/omega^2 in series. At a mechanical port, it is equivalent to the mass m = 1/g^2, the
-    damper c = damp/g^2 and the spring k = omega^2/g^2. The text is empty if the gain is a rounding
-    error, far below the largest of the ``gains`` of all modes.
+    The mode has the equation ``z'' + damp z' + omega^2 z = g v``, and contributes ``g z`` to the
+    charge or displacement of the port. At an electrical port, the mode is equivalent to L = 1/g^2,
+    R = damp/g^2 and C = g^2/omega^2 in series. At a mechanical port, it is equivalent to the mass m
+    = 1/g^2, the damper c = damp/g^2 and the spring k = omega^2/g^2. The text is empty if every gain
+    of the mode is a rounding error, compared with the largest of the ``gains`` of all modes.
     """
     size = np.abs(gain)
     size = np.where(size > NEGLIGIBLE_GAIN * np.abs(gains).max(axis=0), size, 0.0)
@@ -281,7 +289,7 @@ def describe_branch(
 
 
 def _massless_mode_lines(j: int, omega: float, damp: float, base: str) -> Iterator[Line]:
-    """Yield the cards of a massless mode."""
+    """Yield the cards of mode ``j``, which has no mass."""
     hertz, time = omega / (2 * np.pi), damp / omega**2
     yield f"\n* Without inertia, from {hertz:.6g} Hz on: relaxes within {time:.6g} s"
     if time > 0:
@@ -292,7 +300,10 @@ def _massless_mode_lines(j: int, omega: float, damp: float, base: str) -> Iterat
 
 
 def scale_modes(gain: np.ndarray, terminals: Sequence[PortTerminal]) -> np.ndarray:
-    """Return the largest gain (q,) of each mode at displacement ports, or at all ports."""
+    """Return the largest gain (modes,) of each mode at the displacement ports.
+
+    For a mode without gain at these ports, the largest gain at all ports is returned.
+    """
     mechanical = [t.port.domain is TRANSLATION for t in terminals]
     scale = np.abs(gain[:, mechanical]).max(axis=1, initial=0.0)
     scale = np.where(scale > 0, scale, np.abs(gain).max(axis=1))
@@ -305,7 +316,10 @@ def drive_mode(
     terminals: Sequence[PortTerminal],
     base: str,
 ) -> list[Transconductance]:
-    """Return the sources with which forces, voltages and accelerations drive a mode."""
+    """Return the sources by which forces, voltages and accelerations drive a mode.
+
+    ``row`` contains the weights of the port inputs, and ``index`` the number of the mode.
+    """
     result = []
     for t in sorted(terminals, key=lambda t: "fvs".index(t.source_letter)):
         suffix = f"{index}{t.tag}" if t.port.paired else f"{t.pins[0]}_{index}"
@@ -314,9 +328,10 @@ def drive_mode(
 
 
 def order_observable_modes(model: Resonators) -> np.ndarray:
-    """Return the indices of observable modes by frequency; modes without inertia are last.
+    """Return the indices of the observable modes, sorted by frequency.
 
-    Modes that no port drives or observes are rounding errors and are omitted.
+    Modes without inertia are last. Modes that no port drives or observes are omitted, because the
+    gains of such modes are rounding errors.
     """
     share = np.abs(model.gain) / model.omega[:, None]
     share /= share.max(axis=0, initial=0.0, keepdims=True) + np.finfo(float).tiny

@@ -1,4 +1,4 @@
-"""Ranges of the parameters of subcircuits: checks in the netlist, and samples of models."""
+"""Parameter ranges of subcircuits: netlist cards that check them, and sampling points in them."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from kc2spice.netlist.spelling import format_number
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.ranges import ModelOverRanges
 
-# Number of random points of the parameter range at which circuit and model are compared, in
-# addition to the corners of the range.
+# Number of random points in the parameter range at which circuit and model are compared. Circuit
+# and model are also compared at the corners of the range.
 RANDOM_POINT_COUNT = 6
 RANGE_STOPS = """
 * Outside of its range a parameter stops the simulator at these cards: nothing is extrapolated."""
@@ -34,9 +34,9 @@ def list_parameters(model: ModelOverRanges) -> list[Param]:
 def sample_range(
     model: ModelOverRanges, parameters: Sequence[Param]
 ) -> Iterator[tuple[LinearModel, dict[str, float]]]:
-    """Yield the model at the corners of the parameter range and at random inner points.
+    """Yield the linear model at each corner of the parameter range and at random points in it.
 
-    Each model is paired with the values of the netlist's parameters at the point.
+    Each linear model is paired with the values of the netlist parameters at its point.
     """
     corners = product((-1.0, 1.0), repeat=len(model.parameter_axes))
     inner = np.random.default_rng(7).uniform(
@@ -51,17 +51,18 @@ def sample_range(
 
 
 def parameter_card(name: str, expression: str) -> Parameters:
-    """Return the ``.param`` card that gives a name to an expression."""
+    """Return the ``.param`` card that defines the parameter ``name`` by an expression."""
     return Parameters({name: f"{{{expression}}}"})
 
 
 def range_cards(parameters: Sequence[Param]) -> Iterator[Line]:
-    """Yield ``.param`` cards whose value is 1 if each parameter is within its range."""
+    """Yield a ``.param`` card for each parameter: 1 within its range, otherwise -1."""
     yield "* 1 within the range of a parameter, -1 outside of it"
     for k, p in enumerate(parameters, 1):
         room = 1e-9 * (p.high - p.low)
         low, high = format_number(p.low - room), format_number(p.high + room)
-        # Two factors are positive within the range. Other simulators spell || and && differently.
+        # Within the range, the product of both differences is not negative. The operators || and &&
+        # are avoided, because simulators spell them differently.
         yield parameter_card(f"inside{k}", f"(({p.name}-{low})*({high}-{p.name})>=0 ? 1 : -1)")
 
 
@@ -69,7 +70,7 @@ def range_stops(parameters: Sequence[Param], base: str) -> Iterator[Line]:
     """Yield resistors that stop the simulator if a parameter is out of range.
 
     The resistance is 1 Ohm if the parameter is within its range, and otherwise not a number. The
-    name of the resistor is the error message.
+    name of the resistor states the range, because the simulator prints it in the error message.
     """
     for k, p in enumerate(parameters, 1):
         words = f"{p.name}_must_be_{p.low:.6g}_to_{p.high:.6g}"

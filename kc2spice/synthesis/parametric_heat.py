@@ -1,15 +1,15 @@
-"""Subcircuits of heat networks that depend on parameters of the subcircuit.
+"""Subcircuits of heat networks whose elements depend on parameters of the subcircuit.
 
-The coordinates are the modes (:mod:`kc2spice.synthesis.heat`) at the default values p_0 of the
-parameters. With the factors ``f_t(p)`` of :mod:`kc2spice.rom.matrix_terms`, the matrices in these
-coordinates are
+The coordinates are the modes (:mod:`kc2spice.synthesis.heat`) of the model at the default values
+p_0 of the parameters. With the factors ``f_t(p)`` of :mod:`kc2spice.rom.matrix_terms`, the matrices
+in modal coordinates are
 
     K(p) = diag(1 / R) + sum_t (f_t(p) - f_t(p_0)) K_t,    E(p) = diag(C) + sum_t (...) E_t.
 
-Each difference of factors is one ``.param`` card. Diagonal entries of the matrices are resistors
-and capacitors of the modes. All other entries are sources and capacitors between modes. For all
-positive values of the parameters, K and E have no negative eigenvalue, so that the circuit is
-passive.
+Each difference ``f_t(p) - f_t(p_0)`` is one ``.param`` card. The diagonal entries of the matrices
+become resistors and capacitors of the modes. All other entries become sources and capacitors
+between modes. For all positive values of the parameters, K and E have no negative eigenvalue, so
+that the circuit is passive.
 """
 
 from __future__ import annotations
@@ -45,9 +45,11 @@ from kc2spice.synthesis.parameter_ranges import (
 )
 from kc2spice.synthesis.realize import UNRATED, heat_header_texts, heat_pins, make_subcircuit
 
-# Pattern of the names of internal parameters of the subcircuit.
+# Pattern of the parameter names that the subcircuit uses internally.
 RESERVED_BY_HEAT = r"change\d+|inside\d+"
-NEGLIGIBLE_ENTRY = 1e-15  # size of a rounding error in a matrix, relative to row and column
+# Largest matrix entry that counts as a rounding error, relative to the geometric mean of the
+# diagonal entries in its row and column.
+NEGLIGIBLE_ENTRY = 1e-15
 _NETWORK_COMMENTS = """\
 * Heat network over ranges of parameters: 1 V is 1 K of temperature rise over the pin {base}, 1 A is
 * 1 W into the pin. Connect {base} to node 0, or to a source whose voltage is the temperature there.
@@ -79,7 +81,7 @@ def heat_subcircuit_over_ranges(
     Raises
     ------
     UsageError : a parameter has a name that the subcircuit uses internally, or the model is not
-        passive at the defaults.
+        passive at the default values of the parameters.
     """
     names = [item.name for item in parameters]
     for parameter in names:
@@ -108,7 +110,7 @@ def heat_subcircuit_over_ranges(
 
 
 def _make_modal_network(model: HeatOverRanges, parameters: Sequence[Param]) -> _Network:
-    """Return the network of the modes at the defaults and of their parametric couplings."""
+    """Return the modes at the default values, and the changes of K and E with the parameters."""
     values = {key: p.default for key, p in zip(model.parameter_axes, parameters, strict=True)}
     rom = model.at(values)
     times, shapes = decouple_heat(rom)
@@ -128,15 +130,18 @@ def _make_modal_network(model: HeatOverRanges, parameters: Sequence[Param]) -> _
         if not powers.any():
             continue
         changes.append(_write_change(powers, parameters, scales, start[t]))
-        stiff.append(_without_rounding(shapes.T @ (units[t] * model.terms.K[t]) @ shapes))
-        stored.append(_without_rounding(shapes.T @ (units[t] * model.terms.E[t]) @ shapes))
+        stiff.append(_remove_rounding_errors(shapes.T @ (units[t] * model.terms.K[t]) @ shapes))
+        stored.append(_remove_rounding_errors(shapes.T @ (units[t] * model.terms.E[t]) @ shapes))
     return _Network(modes, tuple(changes), np.array(stiff), np.array(stored))
 
 
 def _write_change(
     powers: np.ndarray, parameters: Sequence[Param], scales: np.ndarray, start: float
 ) -> str:
-    """Return the text of ``prod_k (p_k / s_k)^a_k - start`` with parameters p, scales s."""
+    """Return the text of ``prod_k (p_k / s_k)^a_k - start``.
+
+    The symbols are the parameters p, the ``scales`` s and the ``powers`` a, which are -1, 0 or 1.
+    """
     text = ""
     for p, scale, power in zip(parameters, scales, powers, strict=True):
         if power:
@@ -149,15 +154,19 @@ def _write_change(
     return f"{text}-{format_number(start)}" if start else text
 
 
-def _without_rounding(matrix: np.ndarray) -> np.ndarray:
-    """Return a matrix in which entries that are rounding errors are zero."""
+def _remove_rounding_errors(matrix: np.ndarray) -> np.ndarray:
+    """Return a matrix with zero in place of entries that are rounding errors."""
     size = np.sqrt(np.abs(np.diag(matrix)))
     return np.where(np.abs(matrix) > NEGLIGIBLE_ENTRY * np.outer(size, size), matrix, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
 class _Network:
-    """Modes at the defaults, and the changes (changes, modes, modes) of K and E."""
+    """Modes at the default values of the parameters, and changes of K and E.
+
+    ``changes`` are the texts of the differences of factors. ``stiff`` and ``stored`` (changes,
+    modes, modes) are the matrices of K and E by which the changes are multiplied.
+    """
 
     modes: HeatModes
     changes: tuple[str, ...]
@@ -165,7 +174,7 @@ class _Network:
     stored: np.ndarray
 
     def cards(self, base: str) -> Iterator[Line]:
-        """Yield the elements of all modes, then the elements between modes."""
+        """Yield the elements of each mode, followed by the elements between modes."""
         for j in range(len(self.modes.resistance)):
             yield describe_heat_mode(self.modes, j).replace(":", " at the defaults:", 1)
             yield from self._mode_elements(j, base)
@@ -180,12 +189,13 @@ class _Network:
                 yield Element.of(f"C{i + 1}_{j + 1}", f"h{i + 1}", f"h{j + 1}", f"{{{heat}}}")
 
     def _mode_elements(self, j: int, base: str) -> Iterator[Line]:
+        """Yield the resistor and the capacitor of mode ``j``."""
         node, R, C = f"h{j + 1}", self.modes.resistance[j], self.modes.capacity[j]
         flow = self._write_sum(1 / R, self.stiff[:, j, j])
         changed = self.stiff[:, j, j].any()
         yield Element.of(f"R{j + 1}", node, base, f"{{1/({flow})}}" if changed else float(R))
-        # Capacitors between two modes represent the entries outside the diagonal. Their row sum is
-        # added to the diagonal.
+        # Capacitors between two modes represent the off-diagonal entries of E. Such a capacitor
+        # also adds to the diagonal, so that the capacitor of a mode has the row sum of E.
         sums = self.stored[:, j].sum(axis=1)
         if sums.any():
             yield Element.of(f"C{j + 1}", node, base, f"{{{self._write_sum(C, sums)}}}")
@@ -193,7 +203,10 @@ class _Network:
             yield Element.of(f"C{j + 1}", node, base, float(C))
 
     def _write_sum(self, constant: float, coefficients: np.ndarray) -> str:
-        """Return the text of a constant plus weighted changes; empty if all terms are zero."""
+        """Return the text of ``constant`` plus the changes times ``coefficients``.
+
+        The text is empty if all terms are zero.
+        """
         text = format_number(constant) if constant else ""
         for t, value in enumerate(coefficients, 1):
             if value:

@@ -1,7 +1,7 @@
-"""Subcircuits of resonators that depend on parameters of the subcircuit.
+"""Subcircuits of resonators whose elements depend on parameters of the subcircuit.
 
-The values of the elements are ``.param`` expressions. A simulator evaluates the expressions only
-once, when it expands the subcircuit, so that a run takes no longer than with constant values.
+The element values are ``.param`` expressions. A simulator evaluates these expressions only once,
+when it expands the subcircuit. A run therefore takes no longer than with constant values.
 """
 
 from __future__ import annotations
@@ -57,10 +57,10 @@ from kc2spice.synthesis.terminals import (
     subcircuit_pins,
 )
 
-# function that returns the text of a polynomial from its coefficients
+# function that returns the text of a polynomial in the parameters with given coefficients
 Polynomial = Callable[[np.ndarray], str]
 
-# Pattern of the names of internal parameters of the subcircuit.
+# Pattern of the parameter names that the subcircuit uses internally.
 _RESERVED_NAME = r"[xlkgcfbt]_?\d+(_\d+)*|alpha|beta|damping|inside\d+"
 _RESONATOR_COMMENT = """\
 * Resonators whose frequencies, couplings, capacitances and damping are polynomials of the
@@ -89,13 +89,13 @@ def parametric_subcircuit(
 ) -> Subcircuit:
     """Return the subcircuit of a model that depends on parameters.
 
-    The subcircuit has the pins of all ports. The model at the default values of the parameters
-    determines the scales of the states.
+    The subcircuit has pins for all ports. The model at the default values of the parameters
+    determines how the states are scaled.
 
     Parameters
     ----------
     model : ResonatorsOverRanges or HeatOverRanges
-        Reduced model over ranges of parameters, such as :func:`kc2spice.reduce` returns for a
+        Reduced model with parameter ranges, such as :func:`kc2spice.reduce` returns for a
         :class:`kc2spice.AffineModel`.
     name : str
         Name of the subcircuit and of its library file.
@@ -172,7 +172,7 @@ def parametric_subcircuit(
 
 
 def _describe_resonators(ports: Sequence[Port], base: str) -> str:
-    """Return the comment about the circuit equations and the reference pin."""
+    """Return the netlist comment that explains the circuit equations and the reference pin."""
     domains = port_domains(ports)
     if not has_other_reference(domains):
         return _RESONATOR_COMMENT.format(
@@ -186,7 +186,9 @@ def _describe_resonators(ports: Sequence[Port], base: str) -> str:
 
 
 def require_parametric_form(ports: Iterable[Port], parameters: Sequence[str], name: str) -> None:
-    """Check the ports and parameters of the subcircuit ``name`` before a long reduction.
+    """Reject ports and parameter names that the subcircuit ``name`` cannot have.
+
+    The check is fast, so that it can precede a long reduction.
 
     Raises
     ------
@@ -210,7 +212,7 @@ def require_parametric_form(ports: Iterable[Port], parameters: Sequence[str], na
 
 
 def _parameter_lines(model: ResonatorsOverRanges, parameters: Sequence[Param]) -> Iterator[Line]:
-    """Yield the ``.param`` cards of coordinates, polynomials and values of elements."""
+    """Yield the ``.param`` cards of coordinates, of their polynomials, and of element values."""
     axis_parameters = parameters[: len(model.axes)]
     yield from range_cards(parameters)
     yield from _coordinate_cards(model, axis_parameters)
@@ -247,7 +249,7 @@ def _coordinate_cards(
 
 
 def _chebyshev_factors(exponents: np.ndarray) -> list[str]:
-    """Return the names of the Chebyshev polynomials with these degrees."""
+    """Return the names of the Chebyshev polynomials with the degrees ``exponents`` (axes,)."""
     result = []
     for k in np.flatnonzero(exponents):
         result.append(f"x{k + 1}" if exponents[k] == 1 else f"t{k + 1}_{exponents[k]}")
@@ -255,7 +257,7 @@ def _chebyshev_factors(exponents: np.ndarray) -> list[str]:
 
 
 def _write_polynomial(terms: Sequence[str], coefficients: np.ndarray) -> str:
-    """Return the text of a polynomial without terms that are zero."""
+    """Return the text of a polynomial: the sum of ``terms`` times nonzero ``coefficients``."""
     text = ""
     for value, term in zip(coefficients, terms, strict=True):
         if value:
@@ -266,7 +268,10 @@ def _write_polynomial(terms: Sequence[str], coefficients: np.ndarray) -> str:
 def _damping_cards(
     model: ResonatorsOverRanges, loss_parameters: Sequence[Param], polynomial: Polynomial
 ) -> Iterator[Parameters]:
-    """Yield the cards of Rayleigh's coefficients, with factors of parameters of losses."""
+    """Yield the ``.param`` cards of the Rayleigh coefficients ``alpha`` and ``beta``.
+
+    Each coefficient is multiplied by factors that depend on the loss parameters.
+    """
     losses = ["", ""]
     for loss, p in zip(model.losses, loss_parameters, strict=True):
         for k, share in enumerate((loss.alpha, loss.beta)):
@@ -282,7 +287,11 @@ def _damping_cards(
 def _block_cards(
     model: ResonatorsOverRanges, modes: range, polynomial: Polynomial
 ) -> Iterator[Parameters]:
-    """Yield the cards of the Cholesky factor l, stiffness k and gains g of a block of modes."""
+    """Yield the ``.param`` cards for a block of modes.
+
+    The cards define the Cholesky factor ``l`` of the stiffness, the stiffness ``k``, and the gains
+    ``g``.
+    """
     lower, stiff = _nonzero_entries(model)
     for i in modes:
         yield parameter_card(f"l{i + 1}_{i + 1}", f"exp({polynomial(model.diagonal[:, i])})")
@@ -300,7 +309,7 @@ def _block_cards(
 
 
 def _capacitance_cards(model: ResonatorsOverRanges, polynomial: Polynomial) -> Iterator[Parameters]:
-    """Yield the cards of the Cholesky factor f of the capacitances, and of the capacitances c."""
+    """Yield the ``.param`` cards of the capacitances ``c`` and of their Cholesky factor ``f``."""
     electrodes = range(len(model.electrical))
     for k in electrodes:
         yield parameter_card(f"f{k + 1}_{k + 1}", f"exp({polynomial(model.capacitance[:, k])})")
@@ -313,7 +322,11 @@ def _capacitance_cards(model: ResonatorsOverRanges, polynomial: Polynomial) -> I
 
 
 def _write_dot_product(row: str, column: str, indices: Iterable[int]) -> str:
-    """Return the text of the scalar product of two rows of a Cholesky factor."""
+    """Return the text of the scalar product of two rows of a Cholesky factor.
+
+    ``row`` and ``column`` are the beginnings of the entries' parameter names. ``indices`` are the
+    numbers of the entries whose products are summed.
+    """
     return "+".join(f"{row}_{n}*{column}_{n}" for n in indices)
 
 
@@ -324,10 +337,11 @@ def _nonzero_entries(model: ResonatorsOverRanges) -> tuple[np.ndarray, np.ndarra
 
 
 class _PortsAndModes:
-    """Elements of the ports and states of a model with parameters.
+    """Writer of the cards for the ports and modes of a model with parameters.
 
-    ``rom`` is the model at the default values, which determines the scales of the states as in
-    :func:`kc2spice.synthesis.realize.subcircuit`. The equations are::
+    ``rom`` is the model at the default values of the parameters. This model determines how the
+    states are scaled, as in :func:`kc2spice.synthesis.realize.subcircuit`. The equation for the
+    rate of state p_i of mode i is::
 
         C p_i' = -C / w_i sum_j (s_i / s_j) (k_ij q_j + e_ij w_j p_j) + (C s_i / w_i) sum_k g_ik u_k
     """
@@ -347,7 +361,7 @@ class _PortsAndModes:
         self.electrodes = list(filter(attrgetter("port.electrical"), terminals))
 
     def lines(self) -> Iterator[Line]:
-        """Yield the elements of the ports, then the elements of the states."""
+        """Yield the elements of all ports, followed by the elements of all modes."""
         ports = [self._connect_port(k, t) for k, t in enumerate(self.terminals)]
         yield from port_lines(ports, self.base, self.weights.share)
         at = 0
@@ -358,7 +372,7 @@ class _PortsAndModes:
             at += size
 
     def _connect_port(self, k: int, t: PortTerminal) -> PortTerminal:
-        """Return the terminal of port k with the sources of the port's output."""
+        """Return the terminal ``t`` of port k, with the sources that make the port's output."""
         if not t.port.electrical:
             sums = list[Transconductance]()
             for i in range(1, self.model.order + 1):
@@ -376,13 +390,19 @@ class _PortsAndModes:
         return replace(t, capacitance=_name_capacitance(n, n), through=tuple(shared))
 
     def _weigh_state(self, i: int, k: int, label: str) -> Iterator[Transconductance]:
-        """Yield the source that adds the state i to the output of port k, unless its gain is 0."""
+        """Yield the source that adds the state q of mode i to the output of port k.
+
+        Nothing is yielded if the gain of the mode at the port is zero.
+        """
         if self.model.gain[:, i - 1, k].any():
             share = format_number(MICRO / self.terminals[k].unit / self.scale[i - 1])
             yield Transconductance(label, f"q{i}", self.base, f"{share}*g{i}_{k + 1}")
 
     def _weigh_rate(self, i: int, k: int) -> Iterator[Transconductance]:
-        """Yield the source that adds the rate ``w p`` of the state i to the output of port k."""
+        """Yield the source that adds the rate ``w p`` of mode i to the output of port k.
+
+        Nothing is yielded if the gain of the mode at the port is zero.
+        """
         if self.model.gain[:, i - 1, k].any():
             rate = MICRO * self.omega[i - 1] * MICRO / self.terminals[k].unit / self.scale[i - 1]
             yield Transconductance(
@@ -390,7 +410,7 @@ class _PortsAndModes:
             )
 
     def _describe_block(self, at: int, size: int) -> str:
-        """Return the comment above a block of states."""
+        """Return the netlist comment that precedes a block of ``size`` modes."""
         omega = self.omega[at : at + size]
         if size > 1:
             hertz = ", ".join(map("{:.6g}".format, omega / (2 * np.pi)))
@@ -400,7 +420,7 @@ class _PortsAndModes:
         return f"\n* Mode {at + 1}, at the defaults: {describe_mode(omega[0], damp)}{branch}"
 
     def _mode_cards(self, i: int) -> Iterator[Line]:
-        """Yield the elements of the mode i, and the elements that add its charge to ports."""
+        """Yield the elements of mode i, and the sources that add its charge to the electrodes."""
         base, damped = self.base, self.model.damped
         c, w, s = self.farad[i - 1], self.omega[i - 1], self.scale[i - 1]
         yield Element.of(f"Cq{i}", f"q{i}", base, c)

@@ -1,4 +1,7 @@
-"""Linear models as subcircuits of decoupled resonators or of blocks of states."""
+"""Conversion of linear models to subcircuits.
+
+A subcircuit consists of decoupled resonators, of blocks of states, or of a network of R, L and C.
+"""
 
 from __future__ import annotations
 
@@ -58,8 +61,11 @@ _NOISE_COMMENT = """\
 * Every loss has thermal force noise, 4 k T times its damping. A resistor of the same number of ohms
 * provides this noise. No other resistor in this subcircuit has noise."""
 DAMPING_PARAMETER = Param("damping", 1.0, "-", "scale of the damping of all modes")
-NEGLIGIBLE_ERROR = 1e-3  # negligible share of an error estimate with three digits
-NEGLIGIBLE_LOSS = 1e-14  # rounding error, relative to the largest loss of a model
+# share of an error estimate below which an additional error is negligible, because the estimate has
+# three digits
+NEGLIGIBLE_ERROR = 1e-3
+# largest eigenvalue of the damping matrix that counts as zero, relative to the largest eigenvalue
+NEGLIGIBLE_LOSS = 1e-14
 RATED_BY_HEAT = "not known; keep temperatures within the limits of its materials"
 UNRATED = "not known; keep field and stress within the limits of its materials"
 
@@ -77,19 +83,19 @@ def subcircuit(
     noise: bool = False,
     heat: bool = False,
 ) -> Subcircuit:
-    """Return the subcircuit of a linear model, with the pins of every port.
+    """Return the subcircuit of a linear model, with pins for every port.
 
-    Electrical ports are pairs of floating terminals and come first, then the other conservative
-    ports, the signal pins, and the pin ``base`` as the reference. A model with only signals has
+    The order of the pins is: pairs of floating terminals for the electrical ports, pins of other
+    conservative ports, signal pins, and the reference pin ``base``. A model with only signals has
     the reference pin ``ref``. A displacement or rotation pin is conservative: its value is a sum of
     the states, and the force on the pin drives the states. An acceleration pin accelerates the
-    frame, and the current into the pin is the necessary force. The subcircuit has the same
-    equations at its ports as the model, and is passive if the model is passive.
+    frame of the body, and the current into the pin is the necessary force. The subcircuit has the
+    same equations at its ports as the model, and is passive if the model is passive.
 
-    A network fitted to the measured impedance of one port becomes resistors, inductors and
-    capacitors (:mod:`kc2spice.rom.network`). A symmetric definite model with modal damping becomes
-    decoupled resonators. Any other model becomes blocks of coupled states, or one block if
-    ``dense`` is true.
+    A network that was fitted to the measured impedance of one port is written as resistors,
+    inductors and capacitors (:mod:`kc2spice.rom.network`). A symmetric definite model with modal
+    damping is written as decoupled resonators. Any other model is written as blocks of coupled
+    states, or as one block if ``dense`` is true.
 
     Parameters
     ----------
@@ -102,7 +108,7 @@ def subcircuit(
     title : str, optional
         Description of the device, for the header of the library.
     rating : str, optional
-        Largest permitted load of the device, for the head of the library.
+        Largest permitted load of the device, for the header of the library.
     ports : sequence of str, optional
         Names of the ports that get pins, by default all ports. All other ports have no load.
     dense : bool, default False
@@ -110,9 +116,10 @@ def subcircuit(
     weights : StepWeights, optional
         How closely the step control of the simulator follows the modes of the resonator form.
     noise : bool, default False
-        Whether the losses have thermal noise.
+        Whether the subcircuit includes the thermal noise of the losses.
     heat : bool, default False
-        Whether the losses leave by a pin ``heat``, relative to a pin ``ambient``.
+        Whether the losses leave the subcircuit as a heat flow between the additional pins ``heat``
+        and ``ambient``.
 
     Returns
     -------
@@ -121,10 +128,10 @@ def subcircuit(
 
     Raises
     ------
-    UsageError : ``rom`` is no linear model, a port is unknown, the subcircuit uses a name
-        internally, or the model has no state-space form. Also: no passive network has the
-        capacitances between the electrodes. With ``noise``: the matrices are not symmetric. With
-        ``heat``: losses are coupled.
+    UsageError : ``rom`` is not a linear model, a port is unknown, a pin has a name that the
+        subcircuit uses internally, the model has no state-space form, or no passive network has
+        the capacitances between the electrodes. With ``noise``, also if the matrices are not
+        symmetric. With ``heat``, also if the damping couples the modes.
 
     Examples
     --------
@@ -155,7 +162,9 @@ def subcircuit(
         rom = rom.select(list(ports))
     network = None if dense else parallel_branches(rom)
     if heat and (network is not None or is_heat_model(rom)):
-        raise _unknown_losses_error(name, "a heat model, or the network of a measured response")
+        raise _make_unknown_losses_error(
+            name, "a heat model, or the network of a measured response"
+        )
     if network is not None:
         return _network_subcircuit(network, rom, name, header, rating)
     if is_heat_model(rom):
@@ -175,7 +184,9 @@ def subcircuit(
         about, body = write_resonators(form, rom, terminals, base, weights, noise)
         losses = list(write_losses(form, terminals, base)) if heat else []
     elif heat:
-        raise _unknown_losses_error(name, "a model of coupled states, or ports that are signals")
+        raise _make_unknown_losses_error(
+            name, "a model of coupled states, or ports that are signals"
+        )
     else:
         about, body = write_blocks(form, rom, terminals, base)
         if base == "ref":
@@ -199,8 +210,8 @@ def subcircuit(
     )
 
 
-def _unknown_losses_error(name: str, got: str) -> UsageError:
-    """Return the error for a heat pin of a model whose losses are unknown."""
+def _make_unknown_losses_error(name: str, got: str) -> UsageError:
+    """Make the error for a requested heat pin of a model whose losses are unknown."""
     return UsageError(
         "the losses of this model are unknown, so this model cannot have a heat pin",
         where=name,
@@ -213,7 +224,7 @@ def _unknown_losses_error(name: str, got: str) -> UsageError:
 def _network_subcircuit(
     network: ParallelBranches, rom: LinearModel, name: str, header: Header, rating: str
 ) -> Subcircuit:
-    """Return the subcircuit of a network of R, L and C, whose matrices are in ``rom``."""
+    """Return the subcircuit of a network of R, L and C; ``rom`` contains its matrices."""
     pins, cards = netlist_pins(rom.ports[0]), (NETWORK_COMMENT, branch_cards(network, rom))
     require_distinct_pins(pins, (INNER_NODE_PATTERN,), name)
     title = "passive network of a measured one-port"
@@ -221,15 +232,15 @@ def _network_subcircuit(
 
 
 def _heat_subcircuit(rom: LinearModel, name: str, header: Header, rating: str) -> Subcircuit:
-    """Return the subcircuit of a heat model."""
+    """Return the subcircuit of the heat model ``rom``."""
     pins, common = heat_pins(rom, name)
     cards = heat_cards(rom, common)
-    base = common if len(pins) > 2 else ""  # RC circuits need no pivots
+    base = common if len(pins) > 2 else ""  # RC circuits need no pivot cards
     return make_subcircuit(rom, name, pins, base, (), header, cards, **heat_header_texts(rating))
 
 
 def heat_pins(rom: LinearModel, name: str) -> tuple[tuple[Pin, ...], str]:
-    """Return the pins of a heat model, and the name of the last pin, the reference pin.
+    """Return the pins of a heat model, and the name of the reference pin, which is last.
 
     Raises
     ------
@@ -245,7 +256,7 @@ def heat_pins(rom: LinearModel, name: str) -> tuple[tuple[Pin, ...], str]:
 
 
 def heat_header_texts(rating: str) -> dict[str, Any]:
-    """Return title, rating and validity of a heat model, for the header of its library."""
+    """Return title, rating and validity of a heat model, as texts for the library header."""
     return {
         "title": "reduced heat model",
         "rating": RATED_BY_HEAT if rating == UNRATED else rating,
@@ -267,14 +278,14 @@ def make_subcircuit(
     losses: Sequence[Line] = (),
     **words: str,
 ) -> Subcircuit:
-    """Return the subcircuit of a reduced model with a header.
+    """Return the subcircuit of a reduced model, with a header.
 
-    ``cards`` are comments about the circuit, and its elements. A circuit of passive elements has no
-    ``base`` and needs no pivot cards. ``losses`` are the cards of the heat from losses, which
-    follow ``cards``; with ``losses``, the subcircuit has heat pins. ``words`` are the title, the
-    rating and the validity in the header.
+    ``cards`` contains comments about the circuit, and the cards of its elements. A circuit of
+    passive elements needs no pivot cards, and ``base`` is then empty. ``losses`` are the cards of
+    the heat flows from losses, which follow the cards of the elements. With ``losses``, the
+    subcircuit has heat pins. ``words`` are title, rating and validity for the header.
 
-    The error estimate in the header is the error of the circuit plus the error estimate of the
+    The error estimate in the header is the circuit error plus the error estimate of the
     certificate. The circuit is compared with ``rom`` at the default values of the parameters, and
     with each model in ``others`` at the parameter values of that model.
     """
@@ -325,7 +336,7 @@ def _summarise_reduction(
     certificate: Certificate,
     compared: Iterable[tuple[LinearModel, Mapping[str, float]]],
 ) -> ReductionSummary:
-    """Return order, band and error estimate of a reduced model and its circuit.
+    """Return the order, the band and the error estimate of a reduced model with its circuit.
 
     The circuit is compared with each model in ``compared`` at the parameter values of that model.
     """
@@ -345,7 +356,8 @@ def _summarise_reduction(
 def _decouple_states(rom: LinearModel, dense: bool) -> Resonators | BlockModel:
     """Return the model as resonators if possible, otherwise as blocks of states.
 
-    The matrix D of blocks contains the immediate response of undamped states without inertia.
+    Undamped states without inertia respond at once to an input. In blocks of states, the matrix D
+    contains their response.
     """
     modal = None if dense else _decouple_modes(rom)
     if modal is not None:
@@ -359,7 +371,9 @@ def _decouple_states(rom: LinearModel, dense: bool) -> Resonators | BlockModel:
 def _decouple_modes(rom: LinearModel) -> Resonators | None:
     """Return the model as resonators; None if this is not possible.
 
-    It is not possible if a port needs the velocity of a state without inertia.
+    A model with coupled modes cannot be written as resonators. The same is true for a model in
+    which a port is a signal, or the output of a port requires the velocity of a state without
+    inertia.
     """
     result = resonators(rom)
     if result is None or not is_conservative(rom):
@@ -373,19 +387,21 @@ def _decouple_modes(rom: LinearModel) -> Resonators | None:
 
 
 def is_conservative(rom: LinearModel) -> bool:
-    """Return whether every port of the model exchanges energy."""
+    """Return whether every port of the model is conservative, and so exchanges energy."""
     return all(map(attrgetter("conservative"), rom.ports))
 
 
 def _add_noise_forces(rom: LinearModel) -> LinearModel:
     """Return ``rom`` with additional inputs for the noise forces of its losses.
 
-    The columns b of the matrix B for these inputs satisfy ``E = sum b b'``. Each force therefore
-    has the noise of a damping coefficient of one.
+    The columns b of the input matrix B for these inputs satisfy ``E = sum b b'``, where E is the
+    damping matrix. Each noise force therefore has the spectral density that belongs to a damping
+    coefficient of one.
 
     Raises
     ------
-    UsageError : the model has losses that are not in the matrix ``E``.
+    UsageError : the noise is not known, because the model is of first order or not symmetric, or
+        has ports that are signals.
     """
     if rom.first_order or not rom.symmetric or not is_conservative(rom):
         raise UsageError(
@@ -408,13 +424,13 @@ def _add_noise_forces(rom: LinearModel) -> LinearModel:
 def apply_unit_load(
     model: LinearModel, library: Subcircuit, load: Port, tag: str = ""
 ) -> tuple[list[Element], dict[str, tuple[str, float]]]:
-    """Return one instance of a subcircuit with a unit load, and the instance's responses.
+    """Return the cards of a subcircuit instance with a unit load, and its response vectors.
 
-    The responses map each port to the name of an ngspice vector, and the factor that converts the
-    vector to SI units. As in :meth:`LinearModel.transfer`, all other electrodes are shorted,
-    mechanical ports are free, frames are at rest and other inputs are zero. The response of an
-    electrode is its current, of any other driven pin its flow, and of a frame its force. All names
-    of the instance end with ``tag``.
+    The response vectors are keyed by port. Each is the name of an ngspice vector, with the factor
+    that converts the vector to SI units. As in :meth:`LinearModel.transfer`, all electrodes except
+    the loaded one are shorted, mechanical ports are free, frames are at rest and all other inputs
+    are zero. The response of an electrode is its current, that of a frame its force, and that of
+    any other pin driven by a voltage its flow. All names of the instance end with ``tag``.
     """
     ends = {port.terminals[0].lower() for port in model.ports}
     nodes = {}

@@ -1,9 +1,10 @@
-"""Estimate of the time points and the CPU time of a run with ringing, before the run.
+"""Estimate of the number of time points and the CPU time of a run in which bodies ring.
 
-Error control resolves every mode that rings, including modes above the band of the reduction, which
-a contact excites. In a step ``h``, the error of the trapezoidal rule relative to the amplitude is
-``(w h)^3 / 12``. While a mode of the angular frequency ``w`` rings, the steps are therefore ``(12
-reltol)^(1/3) / w``. Without damping, the ringing lasts until the end of the run.
+The time step control of the simulator resolves every mode that rings. A contact also excites modes
+above the band of the reduction. In a time step ``h``, the error of the trapezoidal rule relative to
+the amplitude is ``(w h)^3 / 12``. While a mode with the angular frequency ``w`` rings, the time
+steps are therefore ``(12 reltol)^(1/3) / w``. Without damping, the ringing lasts until the end of
+the run.
 """
 
 from __future__ import annotations
@@ -21,18 +22,24 @@ from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import resonators
 from kc2spice.scene.model import Build
 
-# Logarithm of the ratio of the initial amplitude to the amplitude at which the ringing ends.
+# Natural logarithm of the ratio of the initial amplitude to the amplitude at which ringing ends.
 LOG_AMPLITUDE_RATIO = math.log(1e3)
-MANY_POINTS = 3e5  # time points above which a warning is printed: half a minute for 24 states
-# s, CPU time of ngspice for each time point, and in addition for each time point and state.
-# Measured on a 2.5 GHz processor with the scene kick_and_catch of 24 and of 178 states.
+# Number of time points above which a warning is printed. With 24 states, so many time points take
+# half a minute.
+MANY_POINTS = 3e5
+# CPU time [s] of ngspice per time point is POINT_SECONDS plus STATE_SECONDS for each state.
+# Measured on a 2.5 GHz processor with the scene kick_and_catch, with 24 and with 178 states.
 POINT_SECONDS = 5e-5
 STATE_SECONDS = 1.4e-6
 
 
 @dataclass(frozen=True)
 class Ringing:
-    """Estimate of the time points of a run due to the ringing of a body."""
+    """Estimate of the effort that the ringing of a body causes in a run.
+
+    ``points`` is the number of time points, and ``seconds`` the CPU time [s]. ``frequency`` [Hz] is
+    that of the fastest mode that rings until the end of the run.
+    """
 
     part: str
     points: float
@@ -49,12 +56,12 @@ class Ringing:
 
 
 def time_per_point(states: int) -> float:
-    """Return the CPU time [s] of ngspice for each time point with a body of ``states`` states."""
+    """Return the CPU time [s] of ngspice per time point for a body with ``states`` states."""
     return POINT_SECONDS + STATE_SECONDS * states
 
 
 def estimate_ringing(part: str, rom: LinearModel, stop: float, reltol: float) -> Ringing | None:
-    """Estimate the time points of a run in which all modes of a body ring.
+    """Estimate the number of time points of a run in which all modes of a body ring.
 
     Parameters
     ----------
@@ -65,14 +72,14 @@ def estimate_ringing(part: str, rom: LinearModel, stop: float, reltol: float) ->
     stop : float
         Duration [s] of the run after the start of the ringing.
     reltol : float
-        Relative error of a time step.
+        Relative error that the simulator accepts in a time step.
 
     Returns
     -------
     Ringing or None
-        The number of points is ``sum_i w_i (t_i - t_{i+1}) / (12 reltol)^(1/3)``, with the fastest
-        mode first. ``t_i`` is the time until which mode i or a faster mode rings. The result is
-        None if the modes of the model are unknown.
+        Number of time points and CPU time; None if the modes of the model are unknown. The number
+        is ``sum_i w_i (t_i - t_{i-1}) / (12 reltol)^(1/3)``, with the fastest mode first. Here
+        ``t_i`` is the time until which mode i or a faster mode rings, and ``t_0`` is zero.
     """
     model = resonators(rom)
     if model is None:
@@ -83,7 +90,7 @@ def estimate_ringing(part: str, rom: LinearModel, stop: float, reltol: float) ->
     omega, rate = omega[fastest], damp[fastest] / 2
     lasts = np.minimum(stop, LOG_AMPLITUDE_RATIO / np.maximum(rate, LOG_AMPLITUDE_RATIO / stop))
     until = np.array([*accumulate(lasts, max)])
-    spans = np.diff(until, prepend=0.0)  # duration in which the mode is the fastest ringing mode
+    spans = np.diff(until, prepend=0.0)  # time [s] for which each mode is the fastest ringing mode
     points = float(omega @ spans) / (12 * reltol) ** (1 / 3)
     last = omega[lasts >= stop]
     seconds = points * time_per_point(model.order)
@@ -91,10 +98,10 @@ def estimate_ringing(part: str, rom: LinearModel, stop: float, reltol: float) ->
 
 
 def warn_of_long_run(build: Build, deck: Deck) -> None:
-    """Warn before a run that takes more than :data:`MANY_POINTS` time points.
+    """Print a warning before a run that needs more than :data:`MANY_POINTS` time points.
 
-    The cause of many points is the largest time step or, if a contact determines the steps, the
-    ringing of a body.
+    The number of time points depends on the largest time step. If a contact determines the time
+    steps, it depends on the ringing of a body.
     """
     scene = build.scene
     if scene.analysis.type != "transient":
@@ -117,7 +124,7 @@ def warn_of_long_run(build: Build, deck: Deck) -> None:
 
 
 def _warn_of_ringing(build: Build, deck: Deck) -> None:
-    """Warn if the ringing of a body takes many time points."""
+    """Print a warning if the ringing of a body needs more than :data:`MANY_POINTS` time points."""
     scene = build.scene
     for name, model in build.models.items():
         if not isinstance(model, LinearModel):

@@ -1,4 +1,4 @@
-"""Netlist cards of blocks of states, for models that cannot become resonators."""
+"""Netlist cards for linear models that cannot be written as resonators: blocks of states."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ from kc2spice.synthesis.terminals import (
 
 if TYPE_CHECKING:
     from kc2spice.rom.blocks import BlockModel
-FREE_LEAK = 1e-12  # S, leakage conductance of an integrator
-# Smallest singular value of a block, relative to the angular band limit, below which the block
-# integrates constant inputs.
+FREE_LEAK = 1e-12  # leakage conductance [S] at each state of an integrating block
+# Ratio of the smallest singular value of a block to the upper end of the band [rad/s]. A block
+# below this ratio counts as integrating: a constant input makes its states grow without limit.
 INTEGRATOR_RATIO = 1e-11
 _STATES_COMMENT = """\
 * Linear state-space model: signal inputs draw no current, signal outputs are ideal sources, 1 V is
@@ -49,11 +49,12 @@ _INTEGRATOR_COMMENT = "* The leak gives a free integrator an operating point."
 def write_blocks(
     model: BlockModel, rom: LinearModel, terminals: list[PortTerminal], base: str
 ) -> tuple[list[str], list[Line]]:
-    """Return the cards of blocks of states, with comments.
+    """Return comments and the cards of blocks of states.
 
-    The states of the blocks of :func:`kc2spice.rom.blocks.make_block_model` are voltages on
-    capacitors ``C = 1 / (2 pi f1)`` with the upper end f1 of the band. Conductances are therefore
-    about 1 S. The states of a block are scaled to about 1 V for a constant input of 1 V.
+    :func:`kc2spice.rom.blocks.make_block_model` makes the blocks. The states of the blocks are the
+    voltages of capacitors ``C = 1 / (2 pi f1)``, where f1 is the upper end of the band. The
+    conductances between states are therefore about 1 S. The states of a block are scaled to about
+    1 V for a constant input of 1 V.
     """
     from scipy.linalg import block_diag  # imported here, because most models need no blocks
 
@@ -114,7 +115,7 @@ def write_blocks(
 
 
 def _input_lines(terminals: Iterable[PortTerminal], base: str) -> Iterator[Line]:
-    """Yield the resistors of noise inputs, then the leakage resistors of signal inputs."""
+    """Yield the resistors at noise inputs, followed by the leakage at signal inputs."""
     inputs = [t for t in terminals if t.kind == "input"]
     for t in filter(attrgetter("is_noise"), inputs):
         yield Element.of(f"R{t.pins[0]}", t.pins[0], base, "1")
@@ -126,7 +127,7 @@ def _input_lines(terminals: Iterable[PortTerminal], base: str) -> Iterator[Line]
 
 
 def _output_lines(t: PortTerminal, index: int, base: str) -> Iterator[Line]:
-    """Yield the cards of a signal output."""
+    """Yield the cards of the signal output ``t``, whose number is ``index``."""
     node = f"sum{index}"
     yield f"\n* Output {t.pins[0]}"
     yield Element.of(f"E{index}", t.pins[0], base, node, base, "1")
@@ -138,10 +139,11 @@ def _output_lines(t: PortTerminal, index: int, base: str) -> Iterator[Line]:
 def _balance_block(
     block: np.ndarray, drive: np.ndarray, omega: float
 ) -> tuple[np.ndarray, bool, np.ndarray]:
-    """Return a block with scaled states, whether the block integrates, and the scales.
+    """Scale the states of a block; return the block, whether it integrates, and the scales.
 
     The block of a complex pair of poles becomes ``[[a, w], [-w, a]]``. The scaled states are about
-    1 for a constant input of 1.
+    1 for a constant input of 1. ``drive`` contains the rows of B for the states of the block, and
+    ``omega`` is the upper end of the band [rad/s].
     """
     scale = np.ones(len(block))
     if len(block) == 2 and block[0, 1] * block[1, 0] < 0:
@@ -153,7 +155,7 @@ def _balance_block(
 
 
 def _describe_poles(block: np.ndarray) -> str:
-    """Describe the first poles of a block for a comment."""
+    """Return a description of the first three poles of a block, for a netlist comment."""
     poles = np.linalg.eigvals(block)
     texts = list(map(_describe_pole, poles[poles.imag >= 0]))
     more = f"; and {len(texts) - 3} more" if len(texts) > 3 else ""
@@ -161,7 +163,7 @@ def _describe_poles(block: np.ndarray) -> str:
 
 
 def _describe_pole(pole: complex) -> str:
-    """Describe a pole or a pair of complex poles."""
+    """Return a description of a real pole or of a pair of complex poles."""
     if pole.imag > 0:
         size = abs(pole)
         return f"{size / (2 * np.pi):.6g} Hz, damping ratio {0.0 - pole.real / size:.6g}"

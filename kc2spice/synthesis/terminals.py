@@ -1,4 +1,4 @@
-"""Terminals of a subcircuit: pins of ports, and cards between pins and states."""
+"""Terminals of a subcircuit: the pins of its ports, and the cards between pins and states."""
 
 from __future__ import annotations
 
@@ -23,12 +23,13 @@ from kc2spice.synthesis.header import netlist_pins
 
 if TYPE_CHECKING:
     pass
-INPUT_LEAK = 1e-18  # S, at a signal input, so that an input without a source is zero
+# leakage conductance [S] at a signal input, so that an input without a source is zero
+INPUT_LEAK = 1e-18
 LEAK_POINTS = 60  # number of frequencies in the search for the smallest charge per volt
 # An entry of D below this fraction of the largest entry in its row counts as a rounding error.
 CROSS_ROUNDING = 1e-13
-# Value of C B, relative to its terms, below which it counts as zero. Otherwise the rate of an
-# output would jump with an input.
+# Value of C B, relative to its terms, below which it counts as zero. If C B is not zero, the rate
+# of an output jumps with an input.
 NEGLIGIBLE_JUMP = 1e-9
 INNER_NODE_PATTERN = r"tick|(inner|current|charge)\w*|sum\d+|[qpz]\d+|noise\d+"
 OUTWARDS_COMMENT = (
@@ -42,14 +43,14 @@ _CLAMPED_COMMENT = """
 * time steps follow the motion of the body and not the current. The voltage of node current is the
 * total current. Gleak gives a floating electrode an operating point: its charge decays within
 * {seconds:g} s."""
-_FILLED_COMMENT = """
+_CLAMPED_PIN_COMMENT = """
 * Port {pin}: 1 V is 1 {across} over {base}, 1 A is 1 {flow} into the body. The capacitance of
 * {farad:.6g} F stores the part that follows at once, in series with the voltage
 * -charge/capacitance of the part that the modes store (1 V on charge = 1 uC, thus 1e-6 {flow} s).
 * Cclamped has {share} of the capacitance, and Gmore adds the other part of the current. The voltage
 * of node current is the total current. Gleak gives the pin an operating point: the charge decays
 * within {seconds:g} s."""
-_UNFILLED_COMMENT = """
+_UNCLAMPED_PIN_COMMENT = """
 * Port {pin}: 1 V is 1 {across} over {base}, 1 A is 1 {flow} into the body. Its current is the rate
 * of the quantity that the states store. Gleak gives the pin an operating point."""
 _UNCLAMPED_COMMENT = """
@@ -61,7 +62,7 @@ _MOTION_COMMENT = """
 * force that keeps the pin at u (1 V = 1 N)."""
 _ROTATION_COMMENT = """
 * Rotation {pin}: like a displacement port, with 1 V = 1 rad and 1 A = 1 N m."""
-_SHAKEN_COMMENT = """
+_FRAME_COMMENT = """
 * Acceleration {pin} of the frame to which the body is fixed (1 V = 1 m/s2). The current into the
 * pin is the force that accelerates the body (1 A = 1 N)."""
 _NOISE_INPUT_NAME = re.compile(r"noise\d+")
@@ -71,18 +72,21 @@ Value: TypeAlias = float | str  # number, or expression of subcircuit parameters
 
 
 def write_value(value: Value) -> str:
-    """Return a number or an expression as a word of a card."""
+    """Return a number or an expression in the syntax of netlist cards."""
     return f"{{{value}}}" if isinstance(value, str) else format_number(value)
 
 
 def scale_value(factor: float, value: Value) -> Value:
-    """Multiply a number or an expression by a number."""
+    """Return the product of a number and a value, which is a number or an expression."""
     return f"{format_number(factor)}*{value}" if isinstance(value, str) else factor * value
 
 
 @dataclass(frozen=True)
 class Transconductance:
-    """Controlled source with ``value`` amperes per volt between ``plus`` and ``minus``."""
+    """Current source that the voltage between ``plus`` and ``minus`` controls.
+
+    ``value`` is the transconductance [A/V].
+    """
 
     label: str
     plus: str
@@ -90,7 +94,7 @@ class Transconductance:
     value: Value
 
     def between(self, a: str, b: str, prefix: str = "") -> Element:
-        """Return the element whose current flows from ``a`` to ``b``."""
+        """Return the netlist element of the source, whose current flows from ``a`` to ``b``."""
         value = write_value(self.value)
         return Element.of(f"{prefix}{self.label}", a, b, self.plus, self.minus, value)
 
@@ -98,19 +102,21 @@ class Transconductance:
 def connect_sources(
     sources: Iterable[Transconductance], a: str, b: str, prefix: str = ""
 ) -> Iterator[Element]:
-    """Yield the elements of controlled sources whose currents flow from ``a`` to ``b``."""
+    """Yield the elements of ``sources``, whose currents all flow from ``a`` to ``b``."""
     for source in sources:
         yield source.between(a, b, prefix)
 
 
 @dataclass(frozen=True)
 class PortTerminal:
-    """Port of a subcircuit: pins, the port's ``column`` of B and its ``row`` of C.
+    """Port of a subcircuit with its ``pins``.
 
-    ``clamped`` is the clamped capacitance [F] of the port, and ``capacitance`` an expression that
-    replaces this value. The sources in ``sums`` add the states to the output of the port, and the
-    sources in ``through`` add the inputs of ports. The names of the port's nodes end with ``tag``.
-    ``leak`` is the leakage conductance [S] between the pins.
+    ``column`` is the number of the port's column in the matrix B, and ``row`` the number of its row
+    in the matrix C. ``clamped`` is the clamped capacitance [F] of the port. If ``capacitance`` is
+    not empty, this expression replaces the value of ``clamped``. The sources in ``sums`` add the
+    states to the output of the port. The sources in ``through`` add the inputs of ports to this
+    output. The names of the port's nodes end with ``tag``. ``leak`` is the leakage conductance [S]
+    between the pins.
     """
 
     port: Port
@@ -126,7 +132,7 @@ class PortTerminal:
 
     @property
     def kind(self) -> str:
-        """Kind of the port."""
+        """Kind of the port, such as "output" for a signal output."""
         return self.port.kind
 
     @property
@@ -141,19 +147,22 @@ class PortTerminal:
 
     @property
     def is_noise(self) -> bool:
-        """Whether the input of the port is a force of thermal noise."""
+        """Whether the input of the port is a thermal noise force."""
         return _NOISE_INPUT_NAME.fullmatch(self.label) is not None
 
     @property
     def source_letter(self) -> str:
-        """SPICE letter (G or F) of the controlled sources that couple the port to the states."""
+        """Letter in the names of the sources by which the port drives the states.
+
+        The letter is ``f`` for a flow, ``s`` for the acceleration of a frame, and ``v`` otherwise.
+        """
         if self.port.loaded:
             return "f"
         return "s" if self.is_frame else "v"
 
     @property
     def unit(self) -> float:
-        """SI value of 1 V on the node whose voltage is the output of the port."""
+        """SI value of the port's output that 1 V on the output node represents."""
         domain = self.port.domain
         if domain is None:
             return 1.0
@@ -163,7 +172,7 @@ class PortTerminal:
 
     @property
     def input_unit(self) -> float:
-        """SI value of 1 V between the input nodes of the port."""
+        """SI value of the port's input that 1 V between the input nodes represents."""
         domain = self.port.domain
         return 1.0 if domain is None else domain.quantity(domain.input_side).factor
 
@@ -178,7 +187,7 @@ class PortTerminal:
     def weigh_input(
         self, label: str, row: np.ndarray | Sequence[Value], base: str
     ) -> Transconductance:
-        """Return the source that adds the input of this port with its weight in ``row``."""
+        """Return the source that adds this port's input, multiplied by its weight in ``row``."""
         value = row[self.column or 0]
         if self.input_unit != 1.0 and value:
             value = scale_value(self.input_unit, value)
@@ -187,10 +196,10 @@ class PortTerminal:
 
 @dataclass(frozen=True, eq=False)
 class StateNodes:
-    """Nodes of the states z of ``z' = A z + B u``, ``y = C z + D u``.
+    """Nodes of the states z in ``z' = A z + B u``, ``y = C z + D u``.
 
-    Each state is the voltage of a node. The outputs y are in volts of the output nodes of the
-    ports.
+    Each state is the voltage of one of the ``nodes``. The outputs y are the voltages of the output
+    nodes of the ports. ``labels`` are the ends of the names of the sources that depend on a state.
     """
 
     nodes: Sequence[str]
@@ -200,7 +209,7 @@ class StateNodes:
     C: np.ndarray
 
     def sum_states(self, row: np.ndarray, base: str) -> tuple[Transconductance, ...]:
-        """Return the sources whose currents sum the states with the weights ``row``."""
+        """Return sources whose total current is the sum of the states weighted by ``row``."""
         result = []
         for k in np.flatnonzero(row).tolist():
             value = float(row[k])
@@ -211,9 +220,9 @@ class StateNodes:
 def weigh_inputs(
     terminals: Iterable[PortTerminal], row: np.ndarray, base: str, *, mark: str = ""
 ) -> tuple[Transconductance, ...]:
-    """Return the sources whose currents sum the inputs of ports with the weights ``row``.
+    """Return sources whose total current is the sum of the port inputs weighted by ``row``.
 
-    The name of a source consists of the letter ``mark`` and the number of the input.
+    The label of a source consists of the letters ``mark`` and the number of the input.
     """
     result = []
     for t in terminals:
@@ -223,12 +232,12 @@ def weigh_inputs(
 
 
 def charge_ports(rom: LinearModel) -> list[bool]:
-    """Return for each port of a model whether its output is a charge."""
+    """Return, for each port of a model, whether its output is a charge."""
     return list(map(attrgetter("charged"), rom.ports))
 
 
 def model_terminals(rom: LinearModel, D: np.ndarray, where: str) -> list[PortTerminal]:
-    """Return the terminals of a model's ports, with clamped capacitances from D.
+    """Return the terminals of a model's ports, with clamped capacitances from the matrix D.
 
     Raises
     ------
@@ -264,7 +273,11 @@ def model_terminals(rom: LinearModel, D: np.ndarray, where: str) -> list[PortTer
 
 
 def _pin_capacitance(domain: Domain | None, stored: Any) -> float:
-    """Convert a stored quantity per across quantity in SI units to a capacitance [F]."""
+    """Return the capacitance [F] at the pins of a port that stores a quantity.
+
+    ``stored`` is the stored quantity, such as a charge, per unit of the across quantity in SI
+    units.
+    """
     assert domain is not None
     return float(stored) * domain.admittance
 
@@ -279,18 +292,20 @@ def _leak_conductance(rom: LinearModel, port: Port) -> float:
     frequency = np.geomspace(max(low, LOWEST_FREQUENCY_RATIO * high), high, LEAK_POINTS)
     try:
         charge = np.abs(rom.select([port.name]).transfer(frequency))
-    except SimulationError:  # if a frequency is exactly a pole
+    except SimulationError:  # a frequency coincides with a pole
         return INPUT_LEAK
     return LEAK_RATE * _pin_capacitance(port.domain, charge.min()) or INPUT_LEAK
 
 
 def model_band(rom: LinearModel) -> tuple[float, float]:
-    """Return the band [Hz] of a model, by default from 0 to 1 Hz."""
+    """Return the lower and upper end of a model's band [Hz], by default 0 and 1 Hz."""
     return rom.certificate.band_hz if rom.certificate else rom.band or (0.0, 1.0)
 
 
 def subcircuit_pins(terminals: Sequence[PortTerminal], name: str) -> tuple[tuple[Pin, ...], str]:
-    """Return the pins in order: pairs, other conservative pins, signals, reference.
+    """Return the pins of a subcircuit, and the name of its reference pin.
+
+    The order of the pins is: pairs of pins, other conservative pins, signals, reference pin.
 
     Raises
     ------
@@ -314,20 +329,20 @@ def subcircuit_pins(terminals: Sequence[PortTerminal], name: str) -> tuple[tuple
 
 
 def loaded_nodes(pin: Pin) -> str:
-    """Return the name pattern of the internal nodes of a port whose input is a flow."""
+    """Return the pattern of the internal node names of a port whose input is a flow."""
     return f"[uf]{pin.name.lower()}"
 
 
 def require_distinct_pins(pins: Iterable[Pin], inner: Iterable[str], name: str) -> None:
-    """Raise an error if pin names are equal, or are names of internal nodes."""
+    """Raise an error if two pins have the same name, or a pin has the name of an internal node."""
     require_distinct(list(map(attrgetter("name"), pins)), "|".join(inner), where=checked_name(name))
 
 
 def reference_pin(ports: Sequence[Port]) -> Pin:
-    """Return the pin that is the reference of all single pins.
+    """Return the pin that is the reference of all pins that do not belong to pairs.
 
-    In a model with mechanical ports, the pin ``base`` is the reference of all quantities. It is
-    called ``ground`` if a port is called ``base``.
+    In a model with mechanical ports, the reference pin is called ``base``. If a pin of a port is
+    already called ``base``, the reference pin is called ``ground``.
     """
     domains = port_domains(ports)
     others = list(filter(attrgetter("reference"), domains))
@@ -340,7 +355,7 @@ def reference_pin(ports: Sequence[Port]) -> Pin:
 
 
 def port_domains(ports: Iterable[Port]) -> list[Domain]:
-    """Return the domains of ports without repetitions, in the order of the ports."""
+    """Return the physical domains of ports without repetitions, in the order of the ports."""
     return list(filter(None, dict.fromkeys(map(attrgetter("domain"), ports))))
 
 
@@ -350,7 +365,7 @@ class OutputLaws:
 
     At an electrical port without a clamped capacitance, the sources provide the current ``y' = C A
     z + C B u``. At an acceleration port, they provide the force ``m a - y''`` with ``y'' = C A^2 z
-    + C A B u``. There, C B is zero because all moving parts have inertia.
+    + C A B u``. At such a port, C B must be zero, which is true if all moving parts have inertia.
     """
 
     terminals: Sequence[PortTerminal]
@@ -360,7 +375,7 @@ class OutputLaws:
     base: str
 
     def connect_output(self, t: PortTerminal) -> PortTerminal:
-        """Return the terminal ``t`` with the sources of the port's output.
+        """Return the terminal ``t`` with the sources that make the port's output.
 
         Raises
         ------
@@ -372,7 +387,7 @@ class OutputLaws:
         if t.is_frame:
             return self._connect_frame(t)
         row, direct = self.states.C[t.row], self.D[t.row] / t.unit
-        if t.port.charged:  # an element represents the clamped capacitance
+        if t.port.charged:  # a capacitor represents the clamped capacitance, not a source
             direct = np.where(np.abs(direct) > CROSS_ROUNDING * np.abs(direct).max(), direct, 0.0)
             direct[t.column] = 0.0
             if not t.clamped:
@@ -380,7 +395,7 @@ class OutputLaws:
         return replace(t, sums=self._weigh_states(row), through=self._weigh_inputs_only(direct))
 
     def _connect_frame(self, t: PortTerminal) -> PortTerminal:
-        """Return the terminal of an acceleration port with the sources of the force."""
+        """Return the terminal of an acceleration port with the sources of the port's force."""
         row, states = self.states.C[t.row], self.states
         jump = np.abs(row @ states.B) > NEGLIGIBLE_JUMP * (np.abs(row) @ np.abs(states.B))
         at_once = np.abs(self.D[t.row] - self.rom.D[t.row]) > CROSS_ROUNDING * np.abs(self.D).max()
@@ -404,7 +419,10 @@ class OutputLaws:
         return replace(t, sums=sums, through=self._weigh_inputs_only(force))
 
     def _connect_unclamped(self, t: PortTerminal, direct: np.ndarray) -> PortTerminal:
-        """Return an electrode without clamped capacitance, with the sources of its current."""
+        """Return the terminal of an electrode, with the sources of the electrode's current.
+
+        The electrode has no clamped capacitance.
+        """
         if direct.any():
             raise UsageError(
                 "an electrode without clamped capacitance is coupled to other ports through D",
@@ -416,27 +434,34 @@ class OutputLaws:
         return replace(t, sums=self._weigh_states(MICRO * row @ self.states.A) + jumps)
 
     def _weigh_states(self, row: np.ndarray) -> tuple[Transconductance, ...]:
+        """Return sources whose total current is the sum of the states weighted by ``row``."""
         return self.states.sum_states(row, self.base)
 
     def _weigh_inputs_only(self, row: np.ndarray, mark: str = "u") -> tuple[Transconductance, ...]:
-        """Return the sources for inputs, except sources whose weight is a rounding error."""
+        """Return sources whose total current is the sum of the inputs weighted by ``row``.
+
+        Inputs whose weight is a rounding error are omitted.
+        """
         size = np.abs(row).max(initial=0.0)
         row = np.where(np.abs(row) > CROSS_ROUNDING * size, row, 0.0)
         return weigh_inputs(self.terminals, row, self.base, mark=mark)
 
 
 def port_lines(terminals: Sequence[PortTerminal], base: str, share: float) -> Iterator[Line]:
-    """Yield the cards of electrical ports, then of moving ports, then of frames."""
+    """Yield the cards of all ports in the order: charged ports, loaded ports, frames.
+
+    The output of a charged port is a charge. The input of a loaded port is a flow, such as a force.
+    """
     for role in ("port.charged", "port.loaded", "is_frame"):
         for t in filter(attrgetter(role), terminals):
-            yield from _lines_of_port(t, base, share)
+            yield from _port_cards(t, base, share)
 
 
-def _lines_of_port(t: PortTerminal, base: str, share: float) -> Iterator[Line]:
-    """Yield the cards of one port."""
+def _port_cards(t: PortTerminal, base: str, share: float) -> Iterator[Line]:
+    """Yield the cards of the port of terminal ``t``."""
     pin, tag = t.pins[0], t.tag
     if t.is_frame:
-        yield _SHAKEN_COMMENT.format(pin=pin)
+        yield _FRAME_COMMENT.format(pin=pin)
         yield from connect_sources(t.sums + t.through, pin, base, f"Ga{pin}_")
     elif t.port.loaded:
         yield (_MOTION_COMMENT if t.port.domain is TRANSLATION else _ROTATION_COMMENT).format(
@@ -451,8 +476,8 @@ def _lines_of_port(t: PortTerminal, base: str, share: float) -> Iterator[Line]:
         yield from _clamped_lines(t, base, share)
     else:
         a, b = t.driven_pins(base)
-        yield (_UNCLAMPED_COMMENT if t.port.paired else _UNFILLED_COMMENT).format(
-            name=t.label, **_pin_comment(t, base)
+        yield (_UNCLAMPED_COMMENT if t.port.paired else _UNCLAMPED_PIN_COMMENT).format(
+            name=t.label, **_pin_comment_values(t, base)
         )
         yield Element.of(f"Gleak{tag}", a, b, a, b, t.leak)
         for source in t.sums:
@@ -464,8 +489,8 @@ def _clamped_lines(t: PortTerminal, base: str, share: float) -> Iterator[Line]:
     tag = t.tag
     words = {"name": f" {t.label}" if tag else "", "farad": t.clamped, "share": share}
     words["seconds"] = 1 / LEAK_RATE
-    yield (_CLAMPED_COMMENT if t.port.paired else _FILLED_COMMENT).format(
-        **words, **_pin_comment(t, base)
+    yield (_CLAMPED_COMMENT if t.port.paired else _CLAMPED_PIN_COMMENT).format(
+        **words, **_pin_comment_values(t, base)
     )
     (a, b), c = t.driven_pins(base), t.capacitance or t.clamped
     inverse = f"{format_number(MICRO)}/{c}" if isinstance(c, str) else MICRO / c
@@ -481,12 +506,12 @@ def _clamped_lines(t: PortTerminal, base: str, share: float) -> Iterator[Line]:
     yield from connect_sources(t.sums + t.through, base, f"charge{tag}", f"Gc{tag}_")
 
 
-def _pin_comment(t: PortTerminal, base: str) -> dict[str, str]:
-    """Return the words of the comment about the pin of a port."""
+def _pin_comment_values(t: PortTerminal, base: str) -> dict[str, str]:
+    """Return the values that the netlist comment about a port's pin contains, keyed by name."""
     return {"pin": t.pins[0], "base": base, "across": t.port.across, "flow": t.port.flow}
 
 
 def has_other_reference(domains: Iterable[Domain]) -> bool:
-    """Return whether pins of these domains have a reference pin, but not ``base``."""
+    """Return whether pins of these domains have a reference pin other than ``base``."""
     references = set(map(attrgetter("reference"), domains)) - {""}
     return bool(references) and BASE not in references
