@@ -1,4 +1,4 @@
-"""Engines that run a deck: ngspice as a separate process, or as a library."""
+"""Engine that runs a deck in ngspice, either as a separate process or as a library."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from kc2spice.sim.output import join_analyses
 
 @dataclass(frozen=True)
 class Engine:
-    """Engine that runs decks of a scene in ngspice, with files in ``directory``.
+    """Engine that runs the decks of a scene in ngspice, with files in ``directory``.
 
     If Python functions set the ``sampled`` sources, ngspice runs as a library. ``refinements`` are
-    further small-signal analyses. If ``from_rest`` is true, each refinement is a separate run:
-    within one run, ngspice would begin the search for the next operating point at the solution of
-    the last analysis, and could find a different operating point. ``timeout`` is the largest
-    wall-clock time [s] of a run.
+    further small-signal analyses. If ``from_rest`` is true, each refinement is a separate run.
+    Within one run, ngspice would search for the next operating point from the solution of the last
+    analysis, and could find a different operating point. ``timeout`` is the largest wall-clock time
+    [s] of a run.
     """
 
     directory: Path
@@ -33,10 +33,10 @@ class Engine:
     from_rest: bool = False
 
     def run(self, deck: Deck) -> Waveforms:
-        """Run ``deck`` with the refinements and return its waves in SI units.
+        """Run ``deck`` with the refinements, and return the waveforms in SI units.
 
-        The errors are the errors of :func:`kc2spice.sim.ngspice.run_deck` and
-        :func:`kc2spice.sim.shared.run_shared`.
+        :func:`kc2spice.sim.ngspice.run_deck` and :func:`kc2spice.sim.shared.run_shared` list the
+        errors that are raised.
         """
         if self.sampled:
             # imported here, because few scenes run in the library

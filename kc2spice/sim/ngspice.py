@@ -1,7 +1,7 @@
-"""Runs of ngspice in batch mode, with checks of their results.
+"""Functions that run ngspice in batch mode, check its output, and repeat failed runs.
 
-The exit code of ngspice does not prove that a run succeeded. A failed run is repeated with other
-settings.
+The exit code of ngspice does not prove that a run succeeded. Therefore, the log and the raw file of
+each run are checked. A failed run is repeated with other settings.
 """
 
 from __future__ import annotations
@@ -42,18 +42,18 @@ from kc2spice.sim.output import (
     read_statistics,
 )
 
-VERSION_TIMEOUT = 20.0  # s, time limit of ``ngspice --version``
-STALL_TIME = 60.0  # s; a run without processor time for so long hangs
-MAX_RAW_BYTES = 8_000_000_000  # largest number of bytes of a raw file
-MIN_FREE_BYTES = 1_000_000  # smallest number of free bytes on the disk
-POLL_INTERVAL = 0.05  # s between two checks of the raw file
+VERSION_TIMEOUT = 20.0  # time limit [s] of ``ngspice --version``
+STALL_TIME = 60.0  # time [s] without use of the processor after which a run counts as hanging
+MAX_RAW_BYTES = 8_000_000_000  # largest size of a raw file
+MIN_FREE_BYTES = 1_000_000  # free space on the disk below which a failure counts as "disk full"
+POLL_INTERVAL = 0.05  # time [s] between two checks of the raw file
 # Callback whose argument is the completed fraction of a transient.
 ProgressCallback = Callable[[float], None] | None
 
 
 @dataclass(frozen=True)
 class Simulator:
-    """Simulator program with its version and path."""
+    """Installed simulator program, with its name, version and path."""
 
     name: str
     version: str
@@ -62,7 +62,7 @@ class Simulator:
 
 @cache
 def find_ngspice() -> Simulator:
-    """Find the program ngspice on the search path.
+    """Find the ngspice program on the search path, and read its version.
 
     Raises
     ------
@@ -96,8 +96,11 @@ def find_ngspice() -> Simulator:
 
 
 @cache
-def _end_with_parent() -> tuple[str, ...]:
-    """Return the prefix of a command that ends the command if this process is killed."""
+def _parent_death_prefix() -> tuple[str, ...]:
+    """Return the words that, before a command, end the command if this process is killed.
+
+    The tuple is empty if the system does not support this.
+    """
     words = ("setpriv", "--pdeathsig", "KILL", "--")
     tried: Any = {"capture_output": True, "check": False}
     works = shutil.which(words[0]) and not subprocess.run([*words, "true"], **tried).returncode
@@ -105,11 +108,14 @@ def _end_with_parent() -> tuple[str, ...]:
 
 
 def write_files(files: Mapping[str, str], directory: Path) -> None:
-    """Write each text to its file in ``directory``; the file names may contain folders.
+    """Write ``files``, texts keyed by file name, to ``directory``.
+
+    The file names may contain folders.
 
     Raises
     ------
-    UsageError : a name leads out of ``directory``. No file is written then.
+    UsageError : the path of a file is outside of ``directory``, or its name is not allowed. No file
+        is then written.
     """
     for filename in files:
         if reason := explain_unsafe_name(filename):
@@ -128,24 +134,26 @@ def write_files(files: Mapping[str, str], directory: Path) -> None:
 def run_deck(
     deck: Deck, directory: Path, progress: ProgressCallback = None, timeout: float | None = None
 ) -> Waveforms:
-    """Write ``deck`` to ``directory``, run the deck, and return the results in SI units.
+    """Write ``deck`` to ``directory``, run it in ngspice, and return the waveforms in SI units.
 
     Parameters
     ----------
+    deck : deck of the run.
+    directory : folder in which ngspice runs, and which then contains deck, log and raw file.
     progress : callback whose argument is the completed fraction of the transient, 0 to 1.
-    timeout : wall-clock time in seconds after which the run is ended.
+    timeout : wall-clock time [s] after which the run is ended.
 
     Raises
     ------
     MissingToolError : ngspice is not installed.
-    FailedRunError : ngspice failed, stopped early, or ignored or replaced something in a deck that
-        is not trusted. The message states cause, node, time and part, and the directory that
-        contains ``NAME.log``. The error contains the waveforms up to the failure.
+    FailedRunError : ngspice failed, stopped early, or ignored or replaced a card in a deck that is
+        not trusted. The message states cause, node, time and part of the failure, and the directory
+        that contains ``NAME.log``. The error contains the waveforms up to the failure.
     UsageError : even with the largest step, the run would write more than ``MAX_RAW_BYTES`` bytes.
     SimulationError : the run exceeds ``timeout``, or the raw file is incomplete or too large. The
         raw file of a failed run is deleted.
     """
-    _require_size(deck)
+    _reject_large_deck(deck)
     find_ngspice()
     write_files(deck.files, directory)
     main = directory / deck.main
@@ -186,8 +194,8 @@ def run_deck(
     return waves
 
 
-def _require_size(deck: Deck) -> None:
-    """Reject a deck that would write too much data even with its largest step."""
+def _reject_large_deck(deck: Deck) -> None:
+    """Reject a deck whose raw file would be too large even with the largest time step."""
     step = deck.max_step
     if not step or deck.stop is None:
         return
@@ -206,36 +214,36 @@ def _require_size(deck: Deck) -> None:
 def _run_ngspice(
     deck: Deck, main: Path, raw: Path, log: Path, progress: ProgressCallback, timeout: float | None
 ) -> int:
-    """Run ngspice without the user's start-up files and return its exit code.
+    """Run ngspice without the user's start-up files, and return the exit code of ngspice.
 
     Raises
     ------
     SimulationError : the run takes longer than ``timeout``, hangs, or fills the disk.
     """
-    command = [*_end_with_parent(), find_ngspice().path, "-b", "-n", "-r", raw.name, main.name]
+    command = [*_parent_death_prefix(), find_ngspice().path, "-b", "-n", "-r", raw.name, main.name]
     environment = {k: v for k, v in os.environ.items() if not k.startswith("SPICE_")}
     environment["HOME"] = str(main.parent)  # without a home directory, ngspice crashes
     begin = worked = time.monotonic()
     spent = None
     with log.open("wb") as sink:
         streams: Any = {"stdin": subprocess.DEVNULL, "stdout": sink, "stderr": subprocess.STDOUT}
-        # No context manager, because its exit would wait for a simulator that is still running.
+        # Popen is not used as a context manager, whose exit would wait for a running simulator.
         process = subprocess.Popen(command, cwd=main.parent, env=environment, **streams)
         try:
-            # A thread waits, because Popen.wait with a time limit would detect the end up to 50 ms
-            # late.
+            # A thread waits for the end of the process, because Popen.wait with a time limit would
+            # detect the end up to 50 ms late.
             waiting = threading.Thread(target=process.wait, daemon=True)
             waiting.start()
             waiting.join(POLL_INTERVAL)
             while waiting.is_alive():
-                now, ticks = time.monotonic(), _processor_time(process.pid)
+                now, ticks = time.monotonic(), _read_processor_time(process.pid)
                 if ticks is None or ticks != spent:
                     worked, spent = now, ticks
                 size, at = raw.stat().st_size if raw.exists() else 0, last_scale_value(raw)
                 what = hint = ""
                 if timeout is not None and now - begin > timeout:
                     what = f"ngspice did not finish within {timeout} s"
-                    hint = "give it more time, a looser solver.reltol or a shorter stop"
+                    hint = "raise the time limit, raise solver.reltol, or lower solver.stop"
                 elif now - worked > STALL_TIME:
                     what = f"ngspice hangs: no processor time for {STALL_TIME:g} s"
                     hint = "kc2spice doctor checks whether ngspice runs"
@@ -249,13 +257,13 @@ def _run_ngspice(
                     progress(min(1.0, (at or 0.0) / deck.stop))
                 waiting.join(POLL_INTERVAL)
         finally:
-            process.kill()  # no effect if the process has ended
+            process.kill()  # has no effect if the process has ended
             process.wait()
         return process.returncode
 
 
-def _processor_time(pid: int) -> int | None:
-    """Return the processor time [clock ticks] of a process and its children, if known."""
+def _read_processor_time(pid: int) -> int | None:
+    """Return the processor time [clock ticks] of a process and its children; None if unknown."""
     try:
         fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
         return sum(map(int, fields[11:15]))
@@ -266,7 +274,10 @@ def _processor_time(pid: int) -> int | None:
 def partial_waves(
     deck: Deck, vectors: Mapping[str, np.ndarray] | None, text: str
 ) -> Waveforms | None:
-    """Return the waves of a failed run; None if vectors of the deck are missing."""
+    """Return the waveforms that a failed run has written; None if a vector is missing.
+
+    ``text`` is the log of the run.
+    """
     try:
         return Waveforms(waves_by_name(deck, vectors), read_statistics(text)) if vectors else None
     except SimulationError:
@@ -274,10 +285,11 @@ def partial_waves(
 
 
 def waves_by_name(deck: Deck, vectors: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return the results in SI units, keyed by name, the scale first.
+    """Return the results of a deck in SI units, keyed by name, with the scale first.
 
-    The scale is called ``time``, ``frequency`` or ``sweep``. A swept quantity is also in SI units:
-    a displacement is in metres, although the source is in um.
+    The results are computed from the ngspice ``vectors``. The scale is called ``time``,
+    ``frequency`` or ``sweep``. The scale of a sweep is also in SI units: a swept displacement is in
+    metres, although its source is in um.
 
     Raises
     ------
@@ -289,7 +301,7 @@ def waves_by_name(deck: Deck, vectors: Mapping[str, np.ndarray]) -> dict[str, np
     for key, (expression, factor) in deck.vectors.items():
         parts = []
         for sign, name in split_terms(expression):
-            # in raw files, the names of devices are in "i(…)"
+            # in raw files, the name of a device current is enclosed in "i(…)"
             result = vectors.get(name, vectors.get(f"i({name})"))
             if result is None:
                 raise SimulationError(
@@ -302,9 +314,10 @@ def waves_by_name(deck: Deck, vectors: Mapping[str, np.ndarray]) -> dict[str, np
 
 @dataclass(frozen=True)
 class RetrySetting:
-    """Settings of an attempt: options, and a factor for tolerances and steps.
+    """Solver settings of an attempt to run a deck.
 
-    ``cures`` are the kinds of failures that the setting may prevent, and ``why`` is the reason.
+    The settings consist of ngspice ``options``, and of a ``factor`` for tolerances and time steps.
+    ``cures`` are the kinds of failures that these settings may prevent, and ``why`` is the reason.
     """
 
     name: str
@@ -314,20 +327,20 @@ class RetrySetting:
     factor: float = 1.0
 
     def combine(self, other: RetrySetting) -> RetrySetting:
-        """Return these settings combined with further settings."""
+        """Return these settings combined with ``other`` settings; the factors are multiplied."""
         options, factor = {**other.options, **self.options}, self.factor * other.factor
         return replace(self, options=options, factor=factor)
 
     @property
     def changes(self) -> str:
-        """Description of the changed settings."""
+        """Description of the settings that differ from those of the scene."""
         words = [f"{key}={value}" for key, value in self.options.items()]
         if self.factor != 1.0:
             words.append(f"reltol, chgtol and largest step times {self.factor:g}")
         return ", ".join(words) or "unchanged"
 
     def apply(self, deck: Deck) -> Deck:
-        """Return ``deck`` with these settings."""
+        """Return a copy of ``deck`` with these settings."""
         options = dict(self.options)
         if self.factor != 1.0:
             options["reltol"] = format_number(self.factor * deck.reltol)
@@ -339,11 +352,12 @@ class RetrySetting:
 
 
 FIRST_SETTING = RetrySetting("the scene's own settings", (), "")
-# Measured with the kick scene and a contact penalty of 1e11 and 1e12 N/m, which fails with
-# "timestep too small". Runs with larger pivot thresholds succeed, with 1.2 to 2 times the cost per
-# point. Runs with only Gear integration, tighter tolerances or more iterations fail. With larger
-# pivot thresholds, Gear integration also damps the rounding noise that slows the trapezoidal rule
-# down; its error per step is about twice as large.
+# These settings were chosen by measurements with the kick scene and a contact penalty of 1e11 and
+# 1e12 N/m, which fails with "timestep too small". Runs with larger pivot thresholds succeed, and
+# take 1.2 to 2 times the CPU time per time point. Runs with only Gear integration, tighter
+# tolerances or more iterations fail. With larger pivot thresholds, Gear integration also damps the
+# rounding noise that slows the trapezoidal rule down. The error of Gear integration per step is
+# about twice as large.
 RETRY_SETTINGS = (
     RetrySetting(
         "firmer pivots",
@@ -374,9 +388,10 @@ RETRY_SETTINGS = (
 
 @dataclass(frozen=True)
 class Attempt:
-    """Record in ``result.json`` of an attempt to run the simulator.
+    """Record of one attempt to run the simulator, which is written to ``result.json``.
 
-    ``cause`` is the reason why the attempt failed; None if the attempt succeeded.
+    ``cause`` is the reason why the attempt failed; None if the attempt succeeded. ``wall_s`` is the
+    wall-clock time [s], and ``points`` the number of time points.
     """
 
     setting: str
@@ -391,7 +406,7 @@ class Attempt:
 
 @dataclass(frozen=True)
 class RunOutcome:
-    """Result of the first successful attempt, the attempt's deck, and all attempts."""
+    """Deck, waveforms and verdict of the successful attempt, and records of all attempts."""
 
     deck: Deck
     waves: Waveforms
@@ -400,10 +415,10 @@ class RunOutcome:
 
 
 class RetriesFailedError(SimulationError):
-    """Error after the failure of the last attempt.
+    """Error that is raised if the last attempt to run the simulator failed.
 
     ``violated`` are the checks that the last attempt violated. ``suggested`` contains scene keys
-    with values that would prevent these violations, except violations due to large steps.
+    with values that would prevent these violations, except violations due to large time steps.
     """
 
     attempts: tuple[Attempt, ...]
@@ -413,9 +428,10 @@ class RetriesFailedError(SimulationError):
 
 
 def _join_suggestions(violated: Iterable[Check]) -> dict[str, Any]:
-    """Return keys that prevent the violations, except violations due to large steps.
+    """Return scene keys with values that would prevent the violations.
 
-    The result is empty if one of the violations cannot be prevented by keys.
+    Violations due to large time steps are omitted. If another violation cannot be prevented by
+    keys, the dictionary is empty.
     """
     result: dict[str, Any] = {}
     for check in violated:
@@ -437,14 +453,15 @@ def run_with_retries(
 ) -> RunOutcome:
     """Run a deck, and repeat a failed run with settings that may prevent the failure.
 
-    The cause of a failure determines the next setting, which is combined with the earlier settings.
-    Each retry causes a warning. ``engine`` writes its logs to ``directory``. ``judge`` returns the
-    checks of a finished run. A violated energy balance counts as a failure due to large time steps.
+    The kind of a failure determines the next setting, which is combined with the earlier settings.
+    Before each retry, a warning is printed. ``engine`` runs the deck, and writes its logs to
+    ``directory``. ``judge`` returns the verdict of a finished run. A violated energy balance counts
+    as a failure due to large time steps.
 
     Raises
     ------
-    RetriesFailedError : the last attempt failed; the message contains node, time, part, all
-        settings and possible remedies.
+    RetriesFailedError : the last attempt failed. The message contains node, time and part of the
+        failure, all settings, and possible remedies.
     SimulationError, MissingToolError : a failure that no setting can prevent, as in
         :func:`run_deck`.
     """
@@ -470,7 +487,8 @@ def run_with_retries(
                     farthest = failure
             elif violated:
                 first = violated[0]
-                # Outside of the valid range of a model, the result is wrong with any tolerance.
+                # Only violations due to large time steps are repeated. Outside of the valid range
+                # of a model, for example, results are wrong with every tolerance.
                 kind: FailureKind | None = (
                     "coarse" if all(check.coarse for check in violated) else None
                 )

@@ -1,7 +1,7 @@
-"""Readers of the output of ngspice: its log and its binary raw files.
+"""Readers of ngspice's log and of its binary raw files.
 
-The readers separate failures and difficulties in the log, with their node or part, from harmless
-notes. Raw files are checked before use.
+The readers find the failures and difficulties that the log reports, with their node or part, and
+ignore harmless messages. Raw files are checked for completeness.
 """
 
 from __future__ import annotations
@@ -35,14 +35,15 @@ _FATAL_MESSAGE = re.compile(
     r"not enough memory|out of memory|no space left|^\s*error\b|\bsyntax error\b",
     re.IGNORECASE,
 )
-# Messages about difficulties in the search for the operating point. Exported decks must not need
-# these steps of ngspice.
-_STRUGGLE_MESSAGE = re.compile(
+# Messages about difficulties in the search for the operating point. ngspice must find the operating
+# point of exported decks without these difficulties.
+_DIFFICULTY_MESSAGE = re.compile(
     r"singular matrix|gmin step|gmin increment|trying gmin|source stepping|supplies reduced|"
     r"transient op|nodeset",
     re.IGNORECASE,
 )
-# Messages with a node, or with a device instance as in 'trouble with b-instance b.x1.b2'.
+# Messages that contain the name of a node, or of a device instance, such as 'trouble with
+# b-instance b.x1.b2'.
 _NODE_MESSAGE = re.compile(
     r'trouble with (?:node |\S+-instance )?"?([^\s"]+?)"?(?:[:\s]|$)|check node (\S+)', re.I
 )
@@ -53,8 +54,8 @@ _ALTERED_MESSAGE = re.compile(
     r"\bsetting\b.*\bto\b|\bis used\b|\bdisabled\b|\bskipped\b|\btreated as\b|\bobsolete\b",
     re.IGNORECASE,
 )
-# Messages with the same words that concern no result: printed vectors, and a source without a
-# value, which is 0 V or 0 A by definition.
+# Harmless messages that _ALTERED_MESSAGE would match. Some of these messages concern printed
+# vectors, or a source without a value, which is 0 V or 0 A by definition.
 _HARMLESS_MESSAGE = re.compile(
     r"^\s*circuit:|line ignored since rawfile|has no value, DC 0 assumed|"
     r"dc value used for op instead of transient|no DC value, transient time 0 value used|"
@@ -65,11 +66,11 @@ _MODEL_LINE = re.compile(r"model issue on line \d+", re.IGNORECASE)
 _DISPLAYED_PARAMETER = re.compile(
     rf"unrecognized parameter \((?:{'|'.join(sorted(DISPLAYED_PARAMETERS))})\)", re.IGNORECASE
 )
-MAX_ALTERATIONS = 5  # largest number of alterations that an error quotes
-_START_FAILURE = re.compile(
+MAX_ALTERATIONS = 5  # largest number of messages about altered cards that an error quotes
+_OPERATING_POINT_FAILURE = re.compile(
     r"DC solution failed|transient op failed|initial timepoint", re.IGNORECASE
 )
-# Card that ngspice cannot read, and the reason in the next line of the log.
+# Messages that consist of a card that ngspice cannot read, and of the reason in the next line.
 _CARD_ERROR = re.compile(
     r"^Error on line:?[ \t]*\n[ \t]+(.+?)[ \t]*\n[ \t]+(.+?)[ \t]*$", re.M | re.I
 )
@@ -93,10 +94,11 @@ _ADVICE_BY_CAUSE: Mapping[FailureKind | None, str] = {
 class Failure:
     """Failure of a simulator run that its log describes.
 
-    ``cause`` is the log line that names the failure. ``node``, ``time`` [s] and ``part`` are the
-    location of the failure. ``kind`` is the kind of failure, by which a retry is selected. Unknown
-    values are None. ``struggles`` are log lines about difficulties in the search for the operating
-    point. ``partial`` contains the waveforms up to the failure, if any.
+    ``cause`` is the log line that reports the failure. ``node``, ``part`` and ``time`` [s] state
+    where and when the failure occurred. ``kind`` is the kind of failure, which determines the
+    settings of a retry. Unknown values are None. ``struggles`` are log lines about difficulties in
+    the search for the operating point. ``partial`` contains the waveforms up to the failure, if
+    any.
     """
 
     cause: str | None
@@ -109,20 +111,23 @@ class Failure:
 
 
 def classify_log(text: str) -> Failure:
-    """Find the failure in ``text``, the log of one run."""
+    """Return the failure that ``text``, the log of one run, reports.
+
+    If the log reports no failure, the cause is None.
+    """
     lines = re.split(r"[\r\n]+", _CARD_ERROR.sub(r"error in the card \1: \2", text))
     errors, struggles = [], []
     for line in lines:
         if _FATAL_MESSAGE.search(line):
             errors.append(line.strip())
-        elif _STRUGGLE_MESSAGE.search(line):
+        elif _DIFFICULTY_MESSAGE.search(line):
             struggles.append(line.strip())
     cause = next(filter(_NODE_MESSAGE.search, errors), errors[0] if errors else None)
     suspects = [cause, *errors, *struggles] if cause else []
     kind: FailureKind | None = None
     if any("timestep too small" in line.lower() and _TIME_PATTERN.search(line) for line in errors):
         kind = "timestep"
-    elif errors and _START_FAILURE.search(text):  # the failure is before the first time step
+    elif errors and _OPERATING_POINT_FAILURE.search(text):
         singular = "singular matrix" in "\n".join(struggles).lower()
         kind = "singular" if singular else "operating point"
     node = next(filter(None, map(_NODE_MESSAGE.search, suspects)), None)
@@ -137,9 +142,10 @@ def classify_log(text: str) -> Failure:
 
 
 def list_alterations(text: str) -> tuple[str, ...]:
-    """List the lines of the log about cards that ngspice has changed or ignored.
+    """Return the log lines about cards that ngspice has changed or ignored.
 
-    Each line is listed only once. If the log contains the ``.model`` card, the line begins with it.
+    Equal lines are returned only once. If the log contains the ``.model`` card that a line belongs
+    to, the returned line begins with this card.
     """
     result: dict[str, None] = {}
     model, expected = "", False
@@ -156,9 +162,9 @@ def list_alterations(text: str) -> tuple[str, ...]:
 
 
 def read_statistics(text: str) -> dict[str, float]:
-    """Read the numbers of points and iterations and the CPU time [s] from the log.
+    """Return the numbers of time points and iterations, and the CPU time [s], from the log.
 
-    ngspice prints these statistics with ``.options acct``.
+    ngspice prints these statistics if the deck contains ``.options acct``.
     """
     result = {}
     for key, pattern in _STATISTICS_PATTERNS.items():
@@ -172,7 +178,7 @@ def read_statistics(text: str) -> dict[str, float]:
 
 
 class FailedRunError(SimulationError):
-    """Error about a run in which ngspice ended without a result."""
+    """Error for a run that ngspice aborted, stopped early, or ran with altered cards."""
 
     failure: Failure
 
@@ -180,9 +186,10 @@ class FailedRunError(SimulationError):
 def find_run_failure(
     deck: Deck, where: str, text: str, code: int = 0, last: float | None = None
 ) -> FailedRunError | None:
-    """Return the error about a failed run from the log ``text``; None if the run succeeded.
+    """Return the error for a failed run; None if the run succeeded.
 
-    ``last`` is the last time point [s] of the run, because ngspice can stop a transient early
+    ``text`` is the log, and ``code`` the exit code of the run. The last time point ``last`` [s] of
+    the run is compared with the end time of the deck, because ngspice can stop a transient early
     without a message.
     """
     report, stop = classify_log(text), deck.stop
@@ -210,10 +217,10 @@ def find_run_failure(
 
 
 def find_altered_run(deck: Deck, where: str, text: str) -> FailedRunError | None:
-    """Return the error about a run in which ngspice has changed or ignored cards of ``deck``.
+    """Return the error for a run in which ngspice has changed or ignored cards of ``deck``.
 
-    ``text`` is the log. If the deck is trusted, or if only displayed values of models were ignored,
-    the result is None, and the function prints a warning for each alteration.
+    ``text`` is the log. Return None if the deck is trusted, or if ngspice ignored only model
+    parameters that LTspice merely displays. The function then prints a warning for each message.
     """
     altered = list_alterations(text)
     fatal = [] if deck.trusted else [row for row in altered if not _DISPLAYED_PARAMETER.search(row)]
@@ -232,20 +239,21 @@ def find_altered_run(deck: Deck, where: str, text: str) -> FailedRunError | None
     return error
 
 
-# Relative difference of scale values that count as equal. ngspice adds the steps up, with a
-# rounding error of 1e-16 in each step and up to 1e-13 in total.
+# Largest relative difference of scale values that count as equal. ngspice computes scale values by
+# adding steps. The rounding error is 1e-16 in each step, and up to 1e-13 in total.
 SAME_POINT_TOLERANCE = 1e-11
 _BINARY_MARK = b"Binary:\n"
 _PLOT_MARK = b"Title:"
-_MAX_HEADER_BYTES = 1 << 20  # largest number of bytes of a header
+_MAX_HEADER_BYTES = 1 << 20  # largest size of a plot's header in a raw file
 
 
 class _Plot(NamedTuple):
-    """Plot (ngspice's term for the vectors of one analysis) in a raw file.
+    """Plot in a raw file; this is ngspice's term for the vectors of one analysis.
 
-    ``declared_points`` is the number of points that the header states. ``table`` contains the
-    complete points in the file, one in each row. ``remaining_bytes`` is the number of bytes after
-    the complete points. The next plot begins at the byte ``end``.
+    ``declared_points`` is the number of points that the header of the plot states. ``table``
+    contains the complete points in the file, one in each row. ``remaining_bytes`` is the number of
+    bytes after the complete points. The next plot begins at the byte ``end``, which is None for the
+    last plot.
     """
 
     names: tuple[str, ...]
@@ -256,24 +264,26 @@ class _Plot(NamedTuple):
 
     @property
     def finite(self) -> np.ndarray:
-        """Mask of the points (rows) that contain only finite numbers.
+        """Mask (points,) of the points that contain only finite numbers.
 
-        Of the scale in the first column, only the real part counts, because ngspice does not
-        initialise the imaginary part of a frequency."""
+        The imaginary part of the scale, which is in the first column, is ignored, because ngspice
+        does not initialise the imaginary part of a frequency.
+        """
         return np.isfinite(self.table[:, 0].real) & np.isfinite(self.table[:, 1:]).all(axis=1)
 
     def columns(self, points: int) -> dict[str, np.ndarray]:
-        """Return the vectors of the first ``points`` points; the scale is real."""
+        """Return the first ``points`` points of all vectors, keyed by name; the scale is real."""
         rows = self.table[:points]
         columns = map(np.array, (rows[:, 0].real, *rows[:, 1:].T))
         return dict(zip(self.names, columns, strict=True))
 
 
 def read_raw(path: Path) -> dict[str, np.ndarray]:
-    """Read the vectors of a raw file, keyed by lower-case name, the real scale first.
+    """Return the vectors of a raw file, keyed by name in lower case, with the real scale first.
 
     Several analyses of one kind write plots with the same vectors. These plots are joined: their
-    points are sorted by the scale, and each scale value occurs only once. Other plots are omitted.
+    points are sorted by the scale, and each scale value occurs only once. Plots with other vectors
+    are omitted.
 
     Raises
     ------
@@ -287,16 +297,16 @@ def read_raw(path: Path) -> dict[str, np.ndarray]:
     plots = [first, *(plot for plot in plots[1:] if plot.names == first.names)]
     for plot in plots:
         if not plot.finite.all():
-            raise _make_corrupt_file_error(path, "it holds values that are not finite")
+            raise _make_corrupt_file_error(path, "it contains values that are not finite")
     if len(plots) == 1:
         return first.columns(len(first.table))
     return join_analyses([plot.columns(len(plot.table)) for plot in plots])
 
 
 def join_analyses(analyses: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """Join the points of several analyses, sorted by their scale.
+    """Return the vectors of several analyses joined to one analysis, sorted by the scale.
 
-    The scale is the first vector of each analysis.
+    The scale is the first vector of each analysis. Each scale value occurs only once.
     """
     result = {}
     for name in analyses[0]:
@@ -307,7 +317,10 @@ def join_analyses(analyses: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.
 
 
 def _read_plots(path: Path) -> Iterator[_Plot]:
-    """Read all plots of a file; each must contain all points that its header states."""
+    """Yield all plots of a raw file.
+
+    An error is raised if a plot does not contain all points that its header states.
+    """
     begin: int | None = 0
     while begin is not None:
         plot = _read_plot(path, begin)
@@ -325,9 +338,9 @@ def _read_plots(path: Path) -> Iterator[_Plot]:
 
 
 def read_partial(path: Path) -> dict[str, np.ndarray] | None:
-    """Read the complete points of an aborted run, up to the first point that is not finite.
+    """Return the vectors of an aborted run, up to the first point that is not finite.
 
-    The result is None if the file contains fewer than two such points.
+    Incomplete points are omitted. Return None if fewer than two points remain.
     """
     try:
         plot = _read_plot(path)
@@ -338,17 +351,20 @@ def read_partial(path: Path) -> dict[str, np.ndarray] | None:
 
 
 def last_scale_value(path: Path) -> float | None:
-    """Read the time of the last complete point; None if the file contains no point."""
+    """Return the scale value, such as the time, of the last complete point in a raw file.
+
+    Return None if the file contains no complete point.
+    """
     plot = _read_plot(path) if path.is_file() else None
     return float(plot.table[-1, 0].real) if plot and len(plot.table) else None
 
 
 def _read_plot(path: Path, begin: int = 0) -> _Plot | None:
-    """Read the plot that starts at the byte ``begin``; None if its header is incomplete.
+    """Return the plot that starts at the byte ``begin``; None if its header is incomplete.
 
     Raises
     ------
-    SimulationError : the text is not the header of a binary raw file.
+    SimulationError : there is no header of a binary raw file at this byte.
     """
     with path.open("rb") as stream:
         stream.seek(begin)
@@ -364,11 +380,11 @@ def _read_plot(path: Path, begin: int = 0) -> _Plot | None:
         names = tuple(line.split()[1].lower() for line in vectors[:count])
     except (KeyError, ValueError, IndexError):
         raise _make_corrupt_file_error(
-            path, "its header is not that of a binary raw file"
+            path, "it does not begin with the header of a binary raw file"
         ) from None
     if len(names) != count or count < 1:
         raise _make_corrupt_file_error(
-            path, f"its header promises {count} vectors and names {len(names)}"
+            path, f"its header states {count} vectors, but it lists {len(names)} names"
         )
     kind = np.dtype(np.complex128 if "complex" in fields.get("Flags", "") else np.float64)
     offset = begin + end + len(_BINARY_MARK)
@@ -391,5 +407,5 @@ def _has_next_plot(path: Path, offset: int) -> bool:
 
 
 def _make_corrupt_file_error(path: Path, what: str) -> SimulationError:
-    """Return the error about a damaged raw file."""
+    """Make the error for a damaged raw file; ``what`` describes the damage."""
     return SimulationError(f"the raw file is not complete: {what}", where=str(path))

@@ -1,10 +1,10 @@
-"""Simulation of decks with Python functions, by libngspice inside this process.
+"""Simulation of decks by libngspice in this process, with sources that Python functions set.
 
-The interface is described in the chapter "Ngspice as shared library" of the ngspice manual.
+The chapter "Ngspice as shared library" of the ngspice manual describes the interface.
 
-Each :class:`NgspiceLibrary` loads a private copy of the library file. Other programs in this
+Each :class:`NgspiceLibrary` loads a private copy of the library file. Other packages in this
 process that use libngspice, such as PySpice or InSpice, have separate copies. After a fatal error,
-a new copy is loaded. The library reads neither the user's start-up file nor code models.
+a new copy is loaded. The library loads neither the user's start-up files nor code models.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from kc2spice.sim.output import find_altered_run, find_run_failure, read_raw, re
 
 
 def _make_structure(**fields: Any) -> Any:
-    """Return the ctypes class of a C structure with these fields."""
+    """Return a ctypes class for a C structure with the given fields."""
     return type("Structure", (ctypes.Structure,), {"_fields_": tuple(fields.items())})
 
 
@@ -55,12 +55,17 @@ _SOURCE = CFUNCTYPE(c_int, POINTER(c_double), c_double, c_char_p, c_int, c_void_
 _SYNC = CFUNCTYPE(c_int, c_double, POINTER(c_double), c_double, c_int, c_int, c_int, c_void_p)
 
 
-_library: NgspiceLibrary | None = None
+_loaded_library: NgspiceLibrary | None = None
 
 
 @dataclass
 class _Sampler:
-    """Caller of Python functions at their sampling instants, which stores their results."""
+    """Callbacks that call Python functions at sampling instants and set their sources.
+
+    ``samples`` is the number of completed calls of each function. ``answers`` contains, for each
+    source, the instant [s] at which its next value becomes effective, and this value. ``inputs``
+    contains the present values of the sources.
+    """
 
     sampled: Sequence[SampledSource]
     stop: float
@@ -71,7 +76,10 @@ class _Sampler:
     answers: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     def record_point(self, data: Any, *_: object) -> None:
-        """Call the functions whose sampling instant is an accepted time point."""
+        """Call the Python functions whose next sampling instant has been reached.
+
+        ngspice calls this method at each accepted time point.
+        """
         points = [data.contents.vectors[k].contents for k in range(data.contents.count)]
         time = next((point.real for point in points if point.is_scale), 0.0)
         share = min(1.0, time / self.stop)
@@ -86,14 +94,20 @@ class _Sampler:
                 self.answers[item.source] = (due + item.delay, item.call(due, values))
 
     def set_source(self, volts: Any, time: float, name: bytes, *_: object) -> None:
-        """Set the voltage of a source; a new value is effective after the step to its instant."""
+        """Set the voltage of a source.
+
+        A new value becomes effective in the time step that begins at its instant.
+        """
         key = name.decode().lower()
         if key in self.answers and time > self.answers[key][0] * (1 + 1e-12):
             self.inputs[key] = self.answers.pop(key)[1]
         volts[0] = self.inputs.get(key, 0.0)
 
     def limit_step(self, time: float, step: Any, *_: object) -> None:
-        """Limit a time step so that it does not pass the next instant."""
+        """Limit a time step so that it does not pass the next instant of any source.
+
+        The instants of a source are its sampling instants and the instants at which it changes.
+        """
         for item in self.sampled:
             for shift in (0.0, item.delay):
                 periods = math.floor((time - shift) / item.period + 1 + 1e-9)
@@ -107,20 +121,20 @@ def run_shared(
     sampled: Sequence[SampledSource] = (),
     progress: Callable[[float], None] | None = None,
 ) -> Waveforms:
-    """Run the transient ``deck`` in libngspice, and return the results.
+    """Run the transient ``deck`` in libngspice, and return the waveforms in SI units.
 
     The arguments of the ``sampled`` functions are the time and the saved node voltages, keyed by
-    their names in ngspice. Each function sets an ``EXTERNAL`` source. ngspice has a time point at
-    each sampling instant and at each change of a source, even if no source of the deck has a
-    breakpoint there.
+    their names in ngspice. Each function sets an ``EXTERNAL`` source. ngspice places a time point
+    at each sampling instant and at each change of a source, even if the deck has no breakpoint at
+    this time.
 
     Raises
     ------
-    UsageError : the deck contains no transient with an end.
+    UsageError : the deck contains no transient analysis with an end time.
     MissingToolError : libngspice is not installed on this machine.
-    FailedRunError : ngspice failed, stopped early, or ignored or replaced something in a deck that
-        is not trusted; the error contains the waveforms up to the failure.
-    SimulationError : a Python function failed.
+    FailedRunError : ngspice failed, stopped early, or ignored or replaced a card in a deck that is
+        not trusted. The error contains the waveforms up to the failure.
+    SimulationError : a Python function raised an exception.
     """
     if deck.stop is None:
         raise UsageError(
@@ -128,10 +142,10 @@ def run_shared(
             where=deck.name,
             expected="a deck with a .tran line",
         )
-    global _library
-    if _library is None or _library.dead:  # dead after a fatal error
-        _library = NgspiceLibrary()
-    library = _library
+    global _loaded_library
+    if _loaded_library is None or _loaded_library.dead:  # a library is dead after a fatal error
+        _loaded_library = NgspiceLibrary()
+    library = _loaded_library
     loop = _Sampler(sampled, deck.stop, progress) if sampled or progress else None
     try:
         ran = library.load(_flatten_deck(deck, deck.main)) and library.run(loop)
@@ -157,9 +171,9 @@ def run_shared(
 
 
 def _flatten_deck(deck: Deck, file: str) -> list[str]:
-    """Return the lines of a file and of its included files, without ``.meas`` cards.
+    """Return the lines of a deck's file and of the files it includes, without ``.meas`` cards.
 
-    The library would evaluate ``.meas`` cards with parameters before any time point exists.
+    libngspice would evaluate ``.meas`` cards with parameters before any time point exists.
     """
     result: list[str] = []
     measures = False
@@ -177,8 +191,8 @@ class NgspiceLibrary:
     """Private copy of libngspice, which simulates one circuit at a time.
 
     ``log`` contains the lines that ngspice has printed since :meth:`load`. ``dead`` is true after
-    ngspice has requested to be unloaded. ``broken`` is the first exception in a callback, because
-    an exception cannot propagate through C code.
+    ngspice has requested to be unloaded. ``broken`` is the first exception that a callback has
+    raised. The exception is stored, because an exception cannot propagate through C code.
 
     Raises
     ------
@@ -190,34 +204,34 @@ class NgspiceLibrary:
         self.dead = False
         self.broken: Exception | None = None
         self._loop: _Sampler | None = None
-        self._library = _load_private_copy()
-        # ngspice stores the pointers to these callbacks, which must therefore not be deleted
+        self._loaded_library = _load_private_copy()
+        # the callbacks must not be deleted, because ngspice stores pointers to them
         self._callbacks = (
             _SEND_CHAR(self._on_text),
             _EXIT(self._on_exit),
             _SEND_DATA(self._guard_callback("record_point")),
-            _SEND_INIT(lambda *_: 0),  # ngspice sends points only if this callback exists
+            _SEND_INIT(lambda *_: 0),  # without this callback, ngspice does not send time points
             _SOURCE(self._guard_callback("set_source")),
             _SYNC(self._guard_callback("limit_step")),
         )
         text, leave, point, begin, source, step = self._callbacks
         with _hide_start_up_files():
-            self._library.ngSpice_Init(text, None, leave, point, begin, None, None)
-        self._library.ngSpice_Init_Sync(source, None, step, byref(c_int(0)), None)
+            self._loaded_library.ngSpice_Init(text, None, leave, point, begin, None, None)
+        self._loaded_library.ngSpice_Init_Sync(source, None, step, byref(c_int(0)), None)
 
     def load(self, circuit: Sequence[str]) -> bool:
-        """Load the lines of a deck; return False if ngspice rejects the deck."""
+        """Load the lines of a deck into ngspice; return False if ngspice rejects the deck."""
         self.log, self.broken = "", None
         lines = [*map(str.encode, circuit), None]
-        return self._library.ngSpice_Circ((c_char_p * len(lines))(*lines)) == 0
+        return self._loaded_library.ngSpice_Circ((c_char_p * len(lines))(*lines)) == 0
 
     def run(self, loop: _Sampler | None) -> bool:
-        """Run the analyses of the circuit; return False if ngspice reports a failure."""
+        """Run the analyses of the loaded deck; return False if ngspice reports a failure."""
         self._loop = loop
         return self._command("run")
 
     def vectors(self) -> dict[str, np.ndarray]:
-        """Return the vectors of the last analysis, with the same names as in batch mode."""
+        """Return the vectors of the last analysis, keyed by the same names as in batch mode."""
         with tempfile.TemporaryDirectory(prefix="kc2spice-") as folder:
             raw = Path(folder) / "out.raw"
             self._command("set filetype=binary")
@@ -225,19 +239,22 @@ class NgspiceLibrary:
             return read_raw(raw) if raw.is_file() else {}
 
     def clear(self) -> None:
-        """Remove the circuit and its results from the library."""
+        """Remove the loaded circuit and its results from ngspice."""
         for text in ("destroy all", "remcirc"):
             self._command(text)
         self._loop = self.broken = None
 
     def _command(self, text: str) -> bool:
         """Send a command to ngspice; return whether the command succeeded."""
-        return not self.dead and self._library.ngSpice_Command(text.encode()) == 0
+        return not self.dead and self._loaded_library.ngSpice_Command(text.encode()) == 0
 
     # -- callbacks of ngspice ------------------------------------------------------------------
 
     def _guard_callback(self, name: str) -> Callable[..., int]:
-        """Return a callback that calls the sampler, unless an earlier callback has failed."""
+        """Return a C callback that calls the method ``name`` of the sampler.
+
+        The callback stores an exception in ``broken``, and has no effect after an exception.
+        """
 
         def guarded_callback(*arguments: Any) -> int:
             try:
@@ -250,19 +267,22 @@ class NgspiceLibrary:
         return guarded_callback
 
     def _on_text(self, text: bytes, *_: object) -> int:
-        """Record a line that ngspice prints."""
+        """Append a line that ngspice prints to the log."""
         line = text.decode(errors="replace")
         self.log += line.removeprefix("stdout ").removeprefix("stderr ") + "\n"
         return 0
 
     def _on_exit(self, *_: object) -> int:
-        """Record that ngspice has ended."""
+        """Record that ngspice has requested to be unloaded."""
         self.dead = True
         return 0
 
 
 def _load_private_copy() -> ctypes.CDLL:
-    """Load libngspice from a private copy of its file, so that its globals are separate."""
+    """Load libngspice from a private copy of its file, so that its global variables are separate.
+
+    If the path of the file is unknown, the library is loaded without a copy.
+    """
     result = ctypes.util.find_library("ngspice")
     if result is None:
         raise MissingToolError(
@@ -273,17 +293,16 @@ def _load_private_copy() -> ctypes.CDLL:
         )
     try:
         plain = ctypes.CDLL(result)
-        # find_library returns a name on Linux; a library that is already loaded has a path
+        # On Linux, find_library returns a name only. The path of a loaded library is in the maps.
         maps = Path("/proc/self/maps")
         loaded = maps.read_text("utf-8").split() if maps.is_file() else [result]
         path = next((word for word in loaded if result in word and Path(word).is_file()), None)
-        # if the path is unknown, the library of the system is loaded without a private copy
         if path is None:
             return plain
         with tempfile.TemporaryDirectory(prefix="kc2spice-") as folder:
             copy = Path(shutil.copy(path, folder))
             mode = os.RTLD_LOCAL | os.RTLD_NOW | getattr(os, "RTLD_DEEPBIND", 0)
-            # the loaded library is in memory, so that the file can be deleted
+            # the copy can be deleted after it is loaded into memory
             return ctypes.CDLL(str(copy), mode=mode)
     except OSError as error:
         raise MissingToolError(
@@ -296,7 +315,7 @@ def _load_private_copy() -> ctypes.CDLL:
 
 @contextmanager
 def _hide_start_up_files() -> Iterator[None]:
-    """Hide the user's start-up files behind empty files that ngspice finds first."""
+    """Hide the user's start-up files: ngspice finds empty files with their names first."""
     variables = ("HOME", "SPICE_SCRIPTS", "SPICE_USERINIT_DIR")
     previous = {name: os.environ[name] for name in variables if name in os.environ}
     with tempfile.TemporaryDirectory(prefix="kc2spice-") as folder, chdir(folder):
