@@ -194,8 +194,7 @@ def _require_same_kind(a: Pin, b: Pin, scene: Scene, where: str) -> None:
             if pin[0] != a[0] and _are_compatible(first, terminal)
         )
         choices = list(map(".".join, fitting))
-        hint = _suggest_kind(a[0], first, second) or _suggest_kind(b[0], second, first)
-        hint = hint or _suggest_target(a, choices, scene)
+        hint = _suggest_kind(a[0], first, second) or _suggest_target(a, choices, scene)
         name = ".".join(b)
         raise UsageError(
             "this connection joins pins of different kinds",
