@@ -77,9 +77,9 @@ EDGES = (0.1, 1.0, 5.0, 10.0, 20.0)  # us, of the kick's drive
 HEAD = """# Devices with published numbers
 
 The models have textbook materials and the dimensions of the data sheet or paper. No property is
-fitted, except to other measurements that a row names. `kc2spice run NAME` runs a built-in scene.
-The other scenes are files in `docs/published`. `kc2spice explain NAME` prints the error estimate of
-the mesh.
+fitted, unless a row states another measurement of the same device to which it was fitted.
+`kc2spice run NAME` runs a built-in scene. The other scenes are files in `docs/published`.
+`kc2spice explain NAME` prints the error estimate of the mesh.
 
 - *full*: value of the finite-element model.
 - *reduced*: value of the reduced model, which becomes the subcircuit.
@@ -89,7 +89,7 @@ the mesh.
 - *within*: yes if the difference is within the tolerance of the source.
 - A dash marks values that do not apply.
 - *measured*: the published value was measured on one device. All other published values come from
-  data sheets, closed forms or finite elements of other programs.
+  data sheets, closed-form solutions, or finite-element results of other programs.
 - *assumed*: the row depends on a value that the source does not state.
 
 The models of the discs have no supports. The discs of the data sheets are supported at a nodal
@@ -122,10 +122,10 @@ ASSUMPTIONS = (
     "model."
 )
 KICKS = """\
-The model reaches the measured speed with an edge of about 20 µs. The scene `kick_and_catch` has a
-sphere of 2 mm and edges of 0.1 µs. In that scene, the launch velocity of 1.02 m/s
-requires a driver current of 35 A. A driver that charges the capacitance of the chip more slowly
-does not reach this velocity."""
+If the drive voltage rises in about 20 µs, the model reaches the measured speed. In the scene
+`kick_and_catch`, the diameter of the sphere is 2 mm, and the drive voltage rises in 0.1 µs. There,
+a launch velocity of 1.02 m/s requires a driver current of 35 A. A driver that charges the
+capacitance of the chip more slowly does not reach this velocity."""
 SOURCES = """\
 The last column names the text with which the published numbers were compared. Files `vmNNN.dat` are
 in `src/ansys/mapdl/core/examples/verif` of <https://github.com/ansys/pymapdl>. The catalogue of
@@ -407,7 +407,7 @@ def page(published: Mapping[str, Any], names: Collection[str], old: str) -> str:
     parts = [
         divide_rows(published, lines), "## Values outside of the tolerance", "\n".join(reasons),
         "## Assumptions", ASSUMPTIONS, "\n".join(assumed),
-        "## Height of the kick over the slew rate of the driver", KICKS, "\n".join(edges),
+        "## Kick height versus slew rate of the driver", KICKS, "\n".join(edges),
         "## Pictures", "\n\n".join(sorted(pictures)),
         "## Sources", SOURCES, "\n".join([SOURCES_HEAD, *sources]),
     ]  # fmt: skip
