@@ -1,4 +1,4 @@
-"""Networks of laws, which have no nets in common apart from ground, and their results.
+"""Networks of laws that share no nets apart from ground, and the results of these networks.
 
 The functions take laws and groups of joined pins, without a scene. A pin of a law is written
 ``LAW.PIN``.
@@ -22,7 +22,7 @@ from kc2spice.core.laws import (
     make_sensor_block,
 )
 
-# SI value of the quantity that 1 V on a node represents, keyed by the kind of pin.
+# SI value of the across quantity that 1 V on a node represents, keyed by the kind of pin.
 NODE_UNITS = {domain.kind_of_law: domain.across.factor for domain in TABLE}
 
 
@@ -31,8 +31,8 @@ class Network:
     """Laws that are joined directly or through other laws.
 
     ``joins`` maps the name of each net to its pins. ``results`` maps the name of each result to a
-    linear combination of waves. ``sweeps`` maps ``(part, key)`` to the source that this key sets,
-    and to the source's value per SI unit of the key.
+    linear combination of waves. ``sweeps`` maps each pair ``(part, key)`` to the name of the source
+    that the key sets, and to the source's value per SI unit of the key.
     """
 
     laws: tuple[Law, ...]
@@ -47,13 +47,13 @@ class Network:
 
     @property
     def names(self) -> frozenset[str]:
-        """Names of the laws."""
+        """Names of the laws in the network."""
         return frozenset(map(attrgetter("name"), self.laws))
 
     def is_fully_driven_by(self, driven: set[str]) -> bool:
-        """Return whether each net except ground has a pin in ``driven``.
+        """Return whether each net except ground has a pin in the set ``driven``.
 
-        The result is false for a network with a body, and for an empty set.
+        The result is false for a network with a body, and for an empty set ``driven``.
         """
         if not driven or any(isinstance(law, SecondOrderBody | PortBody) for law in self.laws):
             return False
@@ -62,7 +62,7 @@ class Network:
         return not any(map(driven.isdisjoint, ungrounded.values()))
 
     def select(self, names: set[str]) -> Network:
-        """Return a network that contains only the laws with these names."""
+        """Return the part of the network that contains only the laws with these names."""
         joins, results, sweeps = dict[str, tuple[str, ...]](), {}, {}
         for net, pins in self.joins.items():
             within = tuple(pin for pin in pins if get_law_name(pin) in names)
@@ -84,7 +84,7 @@ def split_networks(
     results: Mapping[str, WaveCombination],
     sweeps: Mapping[tuple[str, str], tuple[str, float]],
 ) -> tuple[Network, ...]:
-    """Return the networks of ``laws`` that have no net in common, apart from ground."""
+    """Split ``laws`` into networks that have no net in common apart from ground."""
     laws, joins = connect_sensors(laws, joins)
     groups = [{law.name} for law in laws]
     for net, pins in joins.items():
@@ -99,7 +99,8 @@ def connect_sensors(
 ) -> tuple[list[Law], dict[str, tuple[str, ...]]]:
     """Insert a sensor where a signal input is joined to a voltage or a displacement.
 
-    The output of the sensor is the value of the node in the netlist: in volts or micrometres.
+    The output of the sensor is the node voltage in the netlist: the voltage in volts, or the
+    displacement in micrometres.
     """
     kinds, sensors, result = list_pin_kinds(laws), [], dict(joins)
     for net, pins in joins.items():
@@ -131,7 +132,7 @@ def list_pin_kinds(laws: Iterable[Law]) -> dict[str, str]:
 
 
 def prescribes_value(laws: Mapping[str, Law], pin: str) -> bool:
-    """Return whether the law of a pin ``LAW.PIN`` sets its across quantity.
+    """Return whether the law of a pin ``LAW.PIN`` sets the across quantity of this pin.
 
     For example, a voltage source sets the voltage of the pin.
     """
@@ -143,7 +144,7 @@ def prescribes_value(laws: Mapping[str, Law], pin: str) -> bool:
 
 
 def merge_groups(groups: Iterable[set[str]]) -> list[set[str]]:
-    """Merge groups that have an element in common."""
+    """Merge the groups that have an element in common, and return disjoint groups."""
     result: list[set[str]] = []
     for group in groups:
         separate = []

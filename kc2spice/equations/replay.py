@@ -1,6 +1,7 @@
-"""Sources with recorded net values that replace the parts without equations.
+"""Sources that replay the recorded values of nets, in place of the parts without equations.
 
-The reference solver can then integrate a scene that contains, for example, a user's netlist.
+With these sources, the reference solver can integrate a scene that contains, for example, a user's
+netlist.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ from kc2spice.scene.model import Build
 
 # Kind of the source that prescribes the values of a net, keyed by the kind of its pins.
 SOURCE_KINDS = {d.name: d.across.name for d in TABLE if d.kind_of_law == d.name}
-# shortest time between samples, relative to the run; shorter differences are rounding errors
+# shortest interval between samples, relative to the duration of the run; the difference of times
+# that are closer together is a rounding error
 SHORTEST_INTERVAL = 1e-6
 
 
@@ -27,8 +29,8 @@ def find_replayed_nets(laws: SceneLaws) -> dict[str, str] | None:
     """Return the kind of each net that joins a part without a law to parts with laws.
 
     Sources on these nets replace the parts without a law: they reproduce the voltage, displacement
-    or signal that ngspice computed. A net whose value a law prescribes needs no source and is not
-    in the result.
+    or signal that ngspice computed. If a law prescribes the value of a net, the net needs no source
+    and is not in the result.
 
     The result is None if no part has a law, or if there is no kind of source for one of the nets.
     """
@@ -47,7 +49,7 @@ def find_replayed_nets(laws: SceneLaws) -> dict[str, str] | None:
 
 
 def _meets_part_without_law(laws: SceneLaws, name: str, pin: str) -> bool:
-    """Return whether a pin's net joins a part without a law that may change the net's value."""
+    """Return whether a part without a law, on the net of a pin, may change the net's value."""
     for part, end in laws.build.scene.joined_pins(name, pin):
         if part in laws.parts_without_law and _may_change_net(laws.build, part, end):
             return True
@@ -69,8 +71,8 @@ def select_networks_to_solve(
     """Return the networks of the scene that sources do not completely determine.
 
     ``replayed`` maps nets to the kind of their pins. A source on each of these nets reproduces the
-    result of ngspice in ``waves``. If such a source is on every net of a network, for example of a
-    capacitor behind a rectifier, the network contains no unknown.
+    result of ngspice in ``waves``. If every net of a network has such a source, the network
+    contains no unknown. An example is a capacitor behind a rectifier.
     """
     sources, driven = {}, set()
     for net, kind in replayed.items():
@@ -88,7 +90,8 @@ def select_networks_to_solve(
 def list_recorded_vectors(nets: Mapping[str, str]) -> dict[str, tuple[str, float]]:
     """Return the result vectors of ngspice that record the values on these nets.
 
-    Each vector is an expression of ngspice and the factor that converts it to SI units.
+    Each item is a pair: the vector as an expression of ngspice, and the factor that converts the
+    vector to SI units.
     """
     return {f"net {net}": (f"v({net})", NODE_UNITS[kind]) for net, kind in nets.items()}
 

@@ -1,7 +1,7 @@
 """Laws of all parts of a scene, and the nets that join their pins.
 
-:func:`get_scene_laws` is the entry point. The laws serve to choose and check the time step, to find
-resonances, and to verify scenes.
+:func:`get_scene_laws` is the entry point. Other modules use the laws to choose and check the time
+step of a run, to find resonances, and to verify scenes.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from kc2spice.scene.model import Build
 
 
 class PinLink(NamedTuple):
-    """Pin of a part on a net of the scene, and the pin ``LAW.PIN`` of its law."""
+    """Pin of a part on a net of the scene, and the corresponding pin ``LAW.PIN`` of a law."""
 
     net: str
     part: str
@@ -44,10 +44,11 @@ class PinLink(NamedTuple):
 
 @dataclass(frozen=True)
 class SceneLaws:
-    """Laws of the parts of a build, created at first use.
+    """Laws of the parts of a build. They are created at first use.
 
-    A part without cards has no law, because another part contains its copy or moves it. A part
-    that drives a load by a signal has no law, because a signal carries no current.
+    A part without cards (netlist statements) has no law, because another part contains a copy of it
+    or moves it. A part whose signal drives a load has no law either, because a signal carries no
+    current.
     """
 
     build: Build
@@ -60,7 +61,7 @@ class SceneLaws:
 
     @cached_property
     def available_equations(self) -> Mapping[str, Equations]:
-        """Equations of each part with netlist statements whose type has equations."""
+        """Equations of the parts that have netlist statements and a type with equations."""
         stated = self._equations_by_part.items()
         return {name: item for name, item in stated if isinstance(item, Equations)}
 
@@ -72,7 +73,7 @@ class SceneLaws:
 
     @cached_property
     def reasons_without_law(self) -> Mapping[str, str]:
-        """Reason why a part has no law, keyed by part; empty if its type gives no reason."""
+        """Reason why a part has no law, keyed by part. It is empty if the type gives no reason."""
         result = dict.fromkeys(self.parts_without_law, "")
         for name in self.parts_without_law:
             match self._equations_by_part[name]:
@@ -98,8 +99,8 @@ class SceneLaws:
     def linear(self) -> bool:
         """Whether the equations of all parts are known and linear.
 
-        A part without its own cards is ignored, because another part contains a copy of it or
-        moves it.
+        Parts without netlist statements are ignored, because other parts contain a copy of them or
+        move them.
         """
         parts = self.build.scene.parts
         names = [name for name in self.parts_with_cards if not parts[name].reduced]
@@ -125,16 +126,16 @@ class SceneLaws:
 
     @cached_property
     def networks(self) -> tuple[Network, ...]:
-        """Networks into which the laws of the scene can be separated.
+        """Networks of the scene's laws that have no net in common apart from ground.
 
         Raises
         ------
-        UsageError : the laws are incompatible.
+        UsageError : the laws of the parts are incompatible.
         """
         return self.networks_with({})
 
     def networks_with(self, sources: Mapping[str, IdealSource]) -> tuple[Network, ...]:
-        """Return the networks of the laws and of additional ``sources``, which are keyed by net."""
+        """Return the networks of the laws and of additional ``sources``, a mapping keyed by net."""
         results: dict[str, WaveCombination] = {}
         sweeps: dict[tuple[str, str], tuple[str, float]] = {}
         for name, item in self.equations.items():
@@ -145,7 +146,7 @@ class SceneLaws:
         return split_networks(laws, self.join_nets(sources), results, sweeps)
 
     def join_nets(self, sources: Mapping[str, IdealSource]) -> dict[str, tuple[str, ...]]:
-        """Return the pins of laws and ``sources`` on each net, keyed by net.
+        """Return the pins of the laws and of ``sources`` on each net, keyed by net.
 
         Nets of the scene that share a pin of a law become one net.
         """
@@ -182,7 +183,7 @@ class SceneLaws:
 def _add_quantity_names(
     part: str, results: Mapping[str, WaveCombination]
 ) -> dict[str, WaveCombination]:
-    """Return the results of a part, and repeat each flow, such as ``r.i``, as ``r.current``."""
+    """Return the results of a part, with each flow such as ``r.i`` repeated as ``r.current``."""
     names = dict(results)
     for quantity_name, symbol in FLOW_SYMBOLS.items():
         if f"{part}.{symbol}" in results:
@@ -207,8 +208,8 @@ def _list_pin_links(build: Build, equations: Mapping[str, Equations]) -> Iterato
 def get_scene_laws(build: Build) -> SceneLaws:
     """Return the laws of the scene with the models of its parts.
 
-    These are the laws stored in the build (:func:`store_laws`). If the keys or models of a build
-    have changed, the laws are created again.
+    The laws stored in the build (:func:`store_laws`) are returned if they are valid. If the scene
+    or the models of the build have changed, the laws are created again.
     """
     laws = build.laws
     if isinstance(laws, SceneLaws) and _have_common_parts(laws.build, build):
@@ -222,5 +223,5 @@ def store_laws(build: Build) -> Build:
 
 
 def _have_common_parts(a: Build, b: Build) -> bool:
-    """Return whether two builds have the same parts and models."""
+    """Return whether two builds have the same scene and the same models."""
     return a.scene is b.scene and a.models is b.models

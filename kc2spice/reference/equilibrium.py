@@ -1,4 +1,4 @@
-"""Equations of a system between two events, and the operating point and dc sweep of a system."""
+"""Equations of a system between two events, its operating point, and its dc sweep."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from kc2spice.reference.system import PlacedDevice, System
 
 
 class Interval:
-    """Equations ``d/dt g(t, z) = f(t, z)`` with the devices in fixed ``modes``.
+    """Equations ``d/dt g(t, z) = f(t, z)`` while the devices stay in the given ``modes``.
 
-    A source is described by the smooth piece of its waveform that contains the time ``within``.
+    Each source follows the smooth piece of its waveform that contains the time ``within``.
     """
 
     def __init__(self, system: System, modes: list[Any], within: float) -> None:
@@ -42,14 +42,18 @@ class Interval:
                 self.rows = self.rows | device.stores.any(axis=1)
 
     def append_sources(self, t: np.ndarray | float, z: np.ndarray) -> np.ndarray:
-        """Append the values and rates of the sources to ``z``, for one time or many times.
+        """Append the values and rates of the sources at the time ``t`` to the unknowns ``z``.
 
-        The result is ``X`` (N,) or (N, nt).
+        Return the vector ``X``, an array of shape (N,) for one time or (N, nt) for ``nt`` times.
         """
         return np.concatenate((z, self.system.source_values(t, self.within)))
 
     def waves(self, t: np.ndarray, z: np.ndarray, r: np.ndarray) -> dict[str, np.ndarray]:
-        """Compute all waves (nt,) from states and rates (n, nt) at times ``t`` (nt,)."""
+        """Compute all waves at the times ``t``, keyed by name.
+
+        ``z`` and ``r`` are the states and their rates, arrays of shape (n, nt). Each wave has the
+        shape (nt,).
+        """
         system, X = self.system, self.append_sources(t, z)
         dX = np.concatenate((r, system.source_values(t, self.within, 1)))
         outputs = [np.zeros((0, t.size))]
@@ -61,14 +65,14 @@ class Interval:
         return dict(zip(system.names, y + system.constant[:, None], strict=True))
 
     def compute_energy(self, t: float, z: np.ndarray) -> float:
-        """Compute the energy [J] that all laws store."""
+        """Compute the stored energy [J] of all laws at the time ``t``."""
         X = self.append_sources(t, z)
         item = zip(self.system.devices, self.device_inputs(t, z), self.modes, strict=True)
         devices = sum(device.law.energy(e, mode) for device, e, mode in item)
         return float(X @ self.system.stored @ X + self.system.lifted @ X + devices)
 
     def compute_stored_quantities(self, X: np.ndarray) -> np.ndarray:
-        """Return the stored quantities ``g`` (n, nt)."""
+        """Return the stored quantities ``g``, an array of shape (n, nt)."""
         g: np.ndarray = self.system.G @ X
         for device, mode in self.curved:
             if device.stores is not None:
@@ -76,16 +80,17 @@ class Interval:
         return g
 
     def compute_right_sides(self, X: np.ndarray) -> np.ndarray:
-        """Return the right-hand sides ``f`` (n, nt)."""
+        """Return the right-hand sides ``f`` of the equations, an array of shape (n, nt)."""
         f: np.ndarray = self.F @ X + self.const[:, None]
         for device, mode in self.curved:
             f += device.into @ _evaluate(device.law.evaluate_outputs, device.inputs @ X, mode)
         return f
 
     def sum_term_sizes(self, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Compute the sums of the absolute values of all terms of ``f`` and ``g`` (n, nt).
+        """Compute the sums of the absolute values of all terms of ``f`` and of ``g``.
 
-        The rounding errors of ``f`` and ``g`` are proportional to these sums.
+        Both arrays of sums have the shape (n, nt). The rounding errors of ``f`` and ``g`` are
+        proportional to these sums.
         """
         F, G, sizes = map(np.abs, (self.F, self.system.G, X))
         f, g = F @ sizes + np.abs(self.const)[:, None], G @ sizes
@@ -98,7 +103,7 @@ class Interval:
         return f, g
 
     def compute_slopes(self, t: float, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the derivatives ``dg/dz`` and ``df/dz`` (n, n)."""
+        """Return the derivatives ``dg/dz`` and ``df/dz``, two arrays of shape (n, n)."""
         n, X = self.system.size, self.append_sources(t, z)
         M, J = self.system.G[:, :n], self.F[:, :n]
         for device, mode in self.curved:
@@ -109,22 +114,22 @@ class Interval:
         return M, J
 
     def at(self, t: float, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return ``g`` and ``f`` (n,) at one time."""
+        """Return the stored quantities ``g`` (n,) and right-hand sides ``f`` (n,) at one time."""
         X = self.append_sources(t, z)[:, None]
         return self.compute_stored_quantities(X)[:, 0], self.compute_right_sides(X)[:, 0]
 
     def device_inputs(self, t: float, z: np.ndarray) -> list[np.ndarray]:
-        """Return the inputs of every device."""
+        """Return the inputs of every device at the time ``t``, one array for each device."""
         X = self.append_sources(t, z)
         return [device.inputs @ X for device in self.system.devices]
 
     def compute_guards(self, t: float, z: np.ndarray) -> np.ndarray:
-        """Return the guards of all devices, one device after another."""
+        """Return the guards of all devices in one array, in the sequence of the devices."""
         item = zip(self.system.devices, self.device_inputs(t, z), self.modes, strict=True)
         return np.concatenate([np.empty(0), *(d.law.guards(e, mode) for d, e, mode in item)])
 
     def solve_algebraic(self, t: float, z: np.ndarray) -> np.ndarray:
-        """Solve the algebraic equations for the algebraic unknowns of ``z``."""
+        """Return ``z`` with the algebraic unknowns that solve the algebraic equations."""
         algebraic, rows = ~self.system.differential, ~self.rows
         z, tangents = z.copy(), LimitedTangents()
         for _ in range(30 if algebraic.any() else 0):
@@ -140,45 +145,50 @@ class Interval:
 
 @dataclass(frozen=True, eq=False)
 class _TangentLaw(Device):
-    """Linear law that is the tangent of a law at the inputs ``point``."""
+    """Linearisation of a law at the inputs ``point``."""
 
     law: Device
     point: np.ndarray
 
     @property
     def pins(self) -> tuple[LawPin, ...]:
-        """Pins of the law."""
+        """Pins of the linearised law."""
         return self.law.pins
 
     @property
     def across_inputs(self) -> tuple[AcrossInput, ...]:
-        """Inputs of the law."""
+        """Across inputs of the linearised law."""
         return self.law.across_inputs
 
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the outputs on the tangent, and their derivatives."""
+        """Return the outputs of the linearised law, and their derivatives with respect to ``e``."""
         out, slope = self.law.evaluate(self.point, mode)
         return out + slope @ (e - self.point), slope
 
     def store(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the stored quantities on the tangent, and their derivatives."""
+        """Return the linearised stored quantities, and their derivatives with respect to ``e``."""
         stored, slope = self.law.store(self.point, mode)
         return stored + slope @ (e - self.point), slope
 
 
 @dataclass(frozen=True, eq=False)
 class LimitedTangents:
-    """Tangents of the laws that limit the steps of Newton's method.
+    """Linearised laws that limit the steps of Newton's method.
 
-    Newton's method linearises all laws at the last iterate. A law with the method
-    :meth:`Device.limit_change`, such as a diode, is linearised nearer to the inputs of the iterate
-    before, as in SPICE. ``points`` are the inputs at which each of these laws was linearised last.
+    Newton's method linearises all laws at the last iterate. A law that overrides
+    :meth:`Device.limit_change`, such as a diode, is linearised nearer to the inputs of the previous
+    iterate, as in SPICE. ``points`` contains the inputs at which each of these laws was last
+    linearised.
     """
 
     points: dict[PlacedDevice, np.ndarray] = field(default_factory=dict)
 
     def linearise(self, interval: Interval, t: float, z: np.ndarray) -> tuple[Interval, bool]:
-        """Return the equations near ``z``, and whether a law is linearised elsewhere than ``z``."""
+        """Linearise the laws that limit Newton steps, near ``z``.
+
+        Return the equations with these laws, and whether a law is linearised at inputs other than
+        those of ``z``.
+        """
         X, curved, limited = interval.append_sources(t, z), [], False
         for device, mode in interval.curved:
             now = device
@@ -198,7 +208,7 @@ class LimitedTangents:
 def _evaluate(
     function: Callable[[np.ndarray, Any], np.ndarray], inputs: np.ndarray, mode: Any
 ) -> np.ndarray:
-    """Return the values (k, nt) of a law's function at ``inputs`` (m, nt)."""
+    """Evaluate a function of a law at ``inputs`` (m, nt). Return an array of shape (k, nt)."""
     return np.array([function(e, mode) for e in inputs.T]).T
 
 
@@ -207,9 +217,10 @@ def _add_terms(
     points: Iterable[tuple[np.ndarray, np.ndarray]],
     mode: Any,
 ) -> np.ndarray:
-    """Return the sums (k, nt) of absolute values of the terms in the outputs of a law.
+    """Return the sums (k, nt) of the absolute values of the terms in a law's outputs.
 
-    The terms are the outputs, and their derivatives times the absolute values of the inputs.
+    The terms are the outputs, and the derivatives of the outputs times the absolute values of the
+    inputs.
     """
     result = []
     for e, sizes in points:
@@ -219,7 +230,7 @@ def _add_terms(
 
 
 def join_waves(parts: Sequence[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """Concatenate the waves of consecutive intervals, keyed by the name of the wave."""
+    """Concatenate the waves of consecutive intervals. The result is keyed by wave name."""
     columns = zip(*map(dict.values, parts), strict=True)
     return dict(zip(parts[0], map(np.concatenate, columns), strict=True))
 
@@ -229,22 +240,23 @@ _MAX_NEWTON_STEPS = 12  # Newton steps from the initial guess
 
 
 def solve_operating_point(system: System) -> dict[str, float]:
-    """Compute every wave at the equilibrium for the values of the sources at t = 0.
+    """Compute all waves in equilibrium, for the values of the sources at t = 0.
 
-    A net without a path to the reference node has no charge.
+    The charge of a net without a path to the reference node is zero.
 
     Raises
     ------
-    SimulationError : a part has no support, or no equilibrium was reached.
+    SimulationError : a part has no support, or the search for an equilibrium does not converge.
     """
     return _compute_waves(system, *find_equilibrium(system))
 
 
 def solve_dc(system: System, source: str, values: np.ndarray) -> dict[str, np.ndarray]:
-    """Compute the equilibrium for each of the ``values`` of a source.
+    """Compute the equilibrium for each value of a source in ``values``.
 
-    Each solution starts from the solution at the previous value. The result contains arrays over
-    the sweep: the values ``sweep``, and all waves of :func:`solve_operating_point`.
+    Each solution starts from the solution at the previous value. The result contains arrays with
+    one entry for each value: ``sweep``, the values of the source, and all waves of
+    :func:`solve_operating_point`.
     """
     z, result = None, []
     for value in np.asarray(values, dtype=float):
@@ -257,7 +269,11 @@ def solve_dc(system: System, source: str, values: np.ndarray) -> dict[str, np.nd
 
 
 def _fix_sources(system: System, values: dict[str, float]) -> System:
-    """Make all sources constant: at a value in ``values``, or at the source's value at t = 0."""
+    """Return a system with constant sources.
+
+    Each source has its value in ``values``, or its value at t = 0 if ``values`` does not contain
+    the source.
+    """
     sources = []
     for source in system.sources:
         value = values.get(source.name, float(source.wave(0.0)))
@@ -272,7 +288,7 @@ def _compute_waves(system: System, z: np.ndarray, modes: list[Any]) -> dict[str,
 
 
 class _StaticEquations:
-    """Equations of the equilibrium: balances of forces and currents, and initial values."""
+    """Equations of the equilibrium: force balances, current balances, and initial values."""
 
     def __init__(self, system: System) -> None:
         self.system = _fix_sources(system, {})
@@ -289,7 +305,7 @@ class _StaticEquations:
         return Interval(self.system, modes, 0.0)
 
     def equations(self, interval: Interval, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Compute the residual (n,) of the balances, and its derivatives (n, n).
+        """Compute the residual (n,) of the force and current balances, and its Jacobian (n, n).
 
         The forces that enforce initial values are not included.
         """
@@ -299,9 +315,9 @@ class _StaticEquations:
 def find_equilibrium(
     system: System, guess: np.ndarray | None = None
 ) -> tuple[np.ndarray, list[Any]]:
-    """Compute the unknowns and the modes of devices in equilibrium by Newton's method.
+    """Compute the unknowns and the device modes in equilibrium by Newton's method.
 
-    Without a ``guess``, the first steps follow a motion with strong friction.
+    Without an initial ``guess``, the first Newton steps follow a motion with strong friction.
     """
     rest, n = _StaticEquations(system), system.size
     z = np.zeros(n) if guess is None else guess.copy()
@@ -309,12 +325,12 @@ def find_equilibrium(
     if rest.h.size and guess is None:
         z = z + np.linalg.lstsq(rest.H, rest.h - rest.H @ z, rcond=None)[0]
     friction, forces, places = np.zeros((n, n)), system.velocity, system.moved
-    # in a system without masses, the row of a net's displacement is the balance of its forces
+    # in a system without masses, the row of a net's displacement is the force balance of this net
     if guess is not None and not places.size:
         forces = places = _find_net_displacements(system)
     friction[forces, places] = 1.0
-    # A guess is usually close to the equilibrium, so Newton's method is tried first. If Newton's
-    # method fails, the steps follow an overdamped motion.
+    # A guess is usually close to the equilibrium, so Newton's method without friction comes first.
+    # If Newton's method fails, the steps follow an overdamped motion.
     pace, direct = (1e-6, 0) if guess is None else (1e13, _MAX_NEWTON_STEPS)
     start, tangents = z, LimitedTangents()
     for count in range(_MAX_ITERATIONS):
@@ -325,7 +341,7 @@ def find_equilibrium(
         step = _compute_newton_step(rest, interval, z, f, J - friction / pace if pace < 1e13 else J)
         small = np.abs(step).max(initial=0.0) <= 1e-11 * (1e-3 + np.abs(z).max(initial=0.0))
         if guess is not None and not small and count >= direct and f[forces] @ step[places] < 0.0:
-            pace *= 0.01  # beyond a turning point, a long step would be opposite to the forces
+            pace *= 0.01  # beyond a turning point, a long step would oppose the forces
             continue
         z = z + step
         if (
@@ -344,7 +360,7 @@ def find_equilibrium(
 
 
 def _find_net_displacements(system: System) -> np.ndarray:
-    """Return the indices of the unknowns that are displacements of nets."""
+    """Return the indices of the unknowns that determine displacements of nets."""
     names = np.array(system.names)
     moving = np.isin(np.char.add(names, ".rate"), names)
     return np.flatnonzero((system.now[moving, : system.size] != 0.0).any(axis=0))
@@ -353,7 +369,7 @@ def _find_net_displacements(system: System) -> np.ndarray:
 def _compute_newton_step(
     rest: _StaticEquations, interval: Interval, z: np.ndarray, f: np.ndarray, J: np.ndarray
 ) -> np.ndarray:
-    """Compute a Newton step of the balances and initial values.
+    """Compute a Newton step of the equations for equilibrium and initial values.
 
     If the equations are singular, additional equations keep the charges of floating nets at zero.
     """
@@ -384,7 +400,7 @@ def _compute_newton_step(
 
 
 def _set_initial_speeds(system: System, z: np.ndarray) -> np.ndarray:
-    """Return the unknowns ``z`` with the initial velocities of masses."""
+    """Return a copy of the unknowns ``z`` that contains the initial velocities of masses."""
     values = system.initial_values
     if not values:
         return z

@@ -1,13 +1,17 @@
-"""Transient with equal steps of laws, and of bodies represented by their ports (`PortBody`).
+"""Transient with equal time steps of laws and of bodies, represented by ports (`PortBody`).
 
-A body of n unknowns is joined to other parts at p ports. Within a stage of an implicit method, its
-unknowns are ``x = P(s)^-1 (r + B a)``. Here ``s`` is the rate of the stage, ``a`` are the inputs of
-the ports, and ``r`` is the effect of earlier steps. The outputs are ``y = H(s) a + C P(s)^-1 r``.
-All steps together need one factorisation. Each stage needs one back substitution, and the solution
-of a small nonlinear system of all other laws, in which the body is p linear relations.
+A body with n unknowns is joined to other parts at p ports. Within a stage of an implicit method,
+the unknowns of the body are ``x = P(s)^-1 (r + B a)``. Here ``P(s)`` is the matrix of the body's
+equations at the rate ``s`` of the stage. The vector ``a`` contains the inputs of the ports, and
+``r`` is the effect of earlier steps. The outputs are ``y = H(s) a + C P(s)^-1 r``, where ``H(s)``
+is the transfer matrix of the ports.
+
+The matrix ``P(s)`` is factorised only once for all steps. Each stage needs one back substitution.
+It also solves a small nonlinear system of all other laws, in which p linear relations represent the
+body.
 
 The method of Alexander (SIAM J. Numer. Anal. 14, 1006, 1977) has two stages and second-order
-accuracy. It is L-stable: motions that are too fast for the steps decay instead of ringing::
+accuracy. It is L-stable: motions that are too fast for the time step decay instead of ringing::
 
     g(z_1) = g(z_0) + gamma h f(z_1),                gamma = 1 - 1/sqrt(2),  s = 1/(gamma h)
     g(z)   = g(z_0) + (1 - gamma) h f(z_1) + gamma h f(z)
@@ -31,21 +35,21 @@ from kc2spice.reference.system import System
 
 GAMMA = 1.0 - np.sqrt(0.5)
 MAX_ITERATIONS = 60  # iterations of a stage, including changes of device modes
-SINGLE_SWITCH_ITERATION = 30  # iterations after which devices change their modes one at a time
-GUARD_ROUNDING = 1e-15  # largest rounding error of a guard; a guard below its negative changes sign
+SINGLE_SWITCH_ITERATION = 30  # number of iterations after which devices switch modes singly
+GUARD_ROUNDING = 1e-15  # largest rounding error of a guard, which ends a mode if negative
 ZERO_LOAD = 1e-100  # largest load that counts as zero, because no solver resolves it
-# rate at which an unsupported body only moves as a rigid body, relative to its fastest rate
+# rate at which an unsupported body moves only as a rigid body, relative to the body's fastest rate
 DRIFT_RATE_RATIO = 3e-8
 
 
 class _BodyIntegrator:
     """Integrator of ``sum_k P_k d^k x/dt^k = B a`` with steps of fixed length.
 
-    The body starts from rest with the initial input ``a`` (inputs,).
+    The body starts at rest, in equilibrium with the initial inputs ``a`` of its ports.
 
     Raises
     ------
-    SimulationError : the matrix of the steps is singular.
+    SimulationError : the matrix of a time step is singular.
     """
 
     def __init__(self, law: PortBody, step: float, e: np.ndarray) -> None:
@@ -61,7 +65,7 @@ class _BodyIntegrator:
             self.x = make_static_solver(self.pencil)(self.pencil.B @ a)
 
     def begin_stage(self, second: bool) -> Relation:
-        """Compute the relation between the ports of the body in the next stage."""
+        """Compute the linear relation between inputs and outputs of the body in the next stage."""
         P, s = self.pencil.coefficients, self.rate
         x, v = self.x, self.v
         if second:
@@ -74,7 +78,7 @@ class _BodyIntegrator:
         return Relation(self.H, self.pencil.C @ self._free)
 
     def finish_stage(self, e: np.ndarray, second: bool) -> None:
-        """End the stage with the inputs ``e`` of the device."""
+        """Update the states of the body for the device inputs ``e`` at the end of the stage."""
         x, v = self._past
         now = self._free + self.answers @ self.law.loads(e)
         self._v = self.rate * (now - x)
@@ -84,7 +88,7 @@ class _BodyIntegrator:
 
 
 def _make_solver(pencil: Any, s: float) -> Callable[[np.ndarray], np.ndarray]:
-    """Return a function that multiplies by ``P(s)^-1`` for a real ``s``.
+    """Return a function that multiplies a vector by ``P(s)^-1`` for a real rate ``s``.
 
     The function uses a Cholesky factor if ``P(s)`` is positive definite.
     """
@@ -100,13 +104,14 @@ def _make_solver(pencil: Any, s: float) -> Callable[[np.ndarray], np.ndarray]:
 
 
 def make_static_solver(pencil: Any) -> Callable[[np.ndarray], np.ndarray]:
-    """Return a function that multiplies by ``P(0)^-1``, or by ``P(s)^-1`` of an unsupported body.
+    """Return a function that multiplies a vector by the inverse of a body's static matrix.
 
-    The rate ``s`` of an unsupported body is far below its natural frequencies.
+    The static matrix is ``P(0)``. For an unsupported body, ``P(0)`` is singular and ``P(s)``
+    replaces it, at a rate ``s`` far below the natural frequencies of the body.
 
     Raises
     ------
-    SimulationError : ``P(s)`` is singular at any rate.
+    SimulationError : ``P(s)`` is singular, too.
     """
     try:
         return _make_solver(pencil, 0.0)
@@ -117,9 +122,10 @@ def make_static_solver(pencil: Any) -> Callable[[np.ndarray], np.ndarray]:
 
 @dataclass(frozen=True, eq=False)
 class FixedStepResult:
-    """Waves (nt,) at the times ``time`` (nt,), keyed by name, and modes of devices.
+    """Waves, keyed by name, and modes of the devices at the times ``time``.
 
-    The waves do not include currents that charge a device. Bodies have no modes.
+    ``time`` and each wave have the shape (nt,). Currents that charge a device are not among the
+    waves. Bodies have no modes.
     """
 
     time: np.ndarray
@@ -135,7 +141,7 @@ def integrate_steps(
     start_from: Callable[[System, np.ndarray], np.ndarray] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> FixedStepResult:
-    """Integrate ``count`` steps from the time ``first`` [s].
+    """Integrate a system over ``count`` equal time steps from the time ``first`` [s].
 
     The laws begin in equilibrium at t = 0, and bodies stay in this equilibrium until ``first``.
     If other laws move before ``first``, ``start_from`` converts the unknowns of the equilibrium to
@@ -143,8 +149,8 @@ def integrate_steps(
 
     Raises
     ------
-    SimulationError : there is no equilibrium, a stage does not converge, or a law is outside of
-    its range.
+    SimulationError : there is no equilibrium, a stage does not converge, or the inputs of a law
+    leave its valid range.
     """
     z, modes = find_equilibrium(system)
     march = _StepIntegrator(system, modes, step)
@@ -178,7 +184,7 @@ def integrate_steps(
 class _StepIntegrator:
     """Fixed-step integrator of a system with bodies.
 
-    It contains the states of the bodies and the present mode of each device.
+    The integrator stores the states of the bodies and the present mode of each device.
     """
 
     def __init__(self, system: System, modes: list[Any], step: float) -> None:
@@ -198,11 +204,14 @@ class _StepIntegrator:
         return Interval(self.system, list(self.modes), t)
 
     def device_modes(self, interval: Interval) -> tuple[Any, ...]:
-        """Return the modes of all devices of an interval except bodies."""
+        """Return the modes of all devices of an interval. Bodies are omitted."""
         return tuple(interval.modes[k] for k, _ in self.others)
 
     def step(self, t: float, z: np.ndarray) -> np.ndarray:
-        """Compute the unknowns one step after ``t``, and set the modes at the end of this step."""
+        """Compute the unknowns one step after the time ``t``.
+
+        The device modes become the modes at the end of this step.
+        """
         stored = self.make_interval(t).at(t, z)[0]
         within = t + GAMMA * self.h
         first = self._solve_stage(within, z, stored, False)
@@ -216,7 +225,10 @@ class _StepIntegrator:
         return last
 
     def _solve_stage(self, t: float, z: np.ndarray, stored: np.ndarray, second: bool) -> np.ndarray:
-        """Solve ``g(z) - stored = f(z) / rate`` at ``t`` for ``z``, and set device modes."""
+        """Solve the stage ``g(z) - stored = f(z) / rate`` for the unknowns ``z``.
+
+        The device modes become the modes at ``z``.
+        """
         for k, body in self.bodies.items():
             self.modes[k] = body.begin_stage(second)
         es = self.make_interval(t).device_inputs(t, z)

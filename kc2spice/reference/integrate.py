@@ -1,10 +1,13 @@
-"""Transient of a `System` by an implicit method, from one corner or event to the next.
+"""Transient of a `System` by an implicit method, restarted at every corner and event.
 
-The steps use the method Radau IIA of order five for ``d/dt g(t, z) = f(t, z)`` (Hairer and Wanner
+A corner is a jump in the slope of a source, and an event is a change of a device's mode.
+
+Each step solves ``d/dt g(t, z) = f(t, z)`` by the method Radau IIA of order five (Hairer and Wanner
 1996, IV.8). ``scipy.integrate.Radau`` accepts no mass matrix, so it would require the elimination
 of algebraic unknowns. This elimination is possible for equations of index 1 only. Two inductors in
 series, or an inductor in series with a current source, have equations of index 2. This module needs
-no elimination. It integrates ``g``, which conserves charge, flux and momentum.
+no elimination. It integrates the stored quantities ``g``, so that charge, flux and momentum are
+conserved.
 """
 
 from __future__ import annotations
@@ -39,21 +42,27 @@ _REAL_INDEX = int(np.argmin(np.abs(_values.imag)))
 _PAIR_INDEX = int(np.argmax(_values.imag))
 _ERROR_COEFFICIENTS = np.array([-13 - 7 * _S6, -13 + 7 * _S6, -1.0]) / 3.0
 _MAX_NEWTON_STEPS = 8
-# Largest rounding error relative to the tolerance: a differentiating controller amplifies rounding
-# errors to 100 nV.
+# Largest acceptable rounding error of a Newton correction, relative to the tolerance. A controller
+# that differentiates its input amplifies rounding errors to 100 nV.
 _MAX_ROUNDING = 0.1
 _MACHINE_EPSILON = float(np.finfo(float).eps)
-# safety factor of the estimate of rounding errors, which uses only one set of random signs
+# safety factor for estimated rounding errors, because the estimate uses only one set of random
+# signs
 _ROUNDING_FACTOR = 3.0
-# Coefficients of the cubic polynomial through the start and the stages of a step, and of the
-# quadratic polynomial through the stages only.
+# Matrices that convert values at the stages of a step to polynomial coefficients: of the cubic
+# polynomial through the start and the stages, and of the quadratic polynomial through the stages
+# only.
 _CUBIC_MATRIX = np.linalg.inv(RADAU_NODES[:, None] ** _POWERS)
 _SQUARE_MATRIX = np.linalg.inv(RADAU_NODES[:, None] ** (_POWERS - 1))
 
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """Accepted step: start, length, first state, and increments (n, 3) at stages."""
+    """Accepted time step, with the increments (n, 3) of the unknowns from start to stages.
+
+    ``start`` and ``length`` are in seconds. ``first`` contains the unknowns at the start, and
+    ``differential`` is true for the unknowns that have a time derivative.
+    """
 
     start: float
     length: float
@@ -68,12 +77,12 @@ class Step:
 
     @property
     def last(self) -> np.ndarray:
-        """State at the end of the step."""
+        """Unknowns at the end of the step."""
         return self.first + self.increments[:, 2]
 
     @property
     def stage_times(self) -> np.ndarray:
-        """Times (3,) of the stages."""
+        """Times (3,) of the stages of the step."""
         return self.start + self.length * RADAU_NODES
 
     def at(self, t: np.ndarray | float) -> np.ndarray:
@@ -97,14 +106,18 @@ class Step:
         return np.where(self.differential[:, None], through_start, alone)
 
     def evaluate_stages(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the states and their rates (n, 3) at the stages, for quadrature over the step."""
+        """Return the unknowns (n, 3) and their rates (n, 3) at the stages of the step.
+
+        The stages are the nodes for numerical integration over the step.
+        """
         return self.first[:, None] + self.increments, self.rate(self.stage_times)
 
 
 class Radau:
-    """Integrator of one interval.
+    """Radau IIA integrator of the equations of one interval.
 
-    The steps have a prescribed error (``find_step``) or a prescribed length (``take_step``).
+    ``find_step`` chooses the length of a step from its error, and ``take_step`` computes a step of
+    prescribed length.
     """
 
     def __init__(self, interval: Interval, t: float, z: np.ndarray, rtol: float) -> None:
@@ -117,20 +130,20 @@ class Radau:
         self._linearise()
 
     def _start_step(self, t: float, z: np.ndarray) -> None:
-        """Set the state from which the next step begins."""
+        """Set the time and the unknowns from which the next step begins."""
         self.t, self.z = t, z
         self.g, f = self.interval.at(t, z)
         self.f = np.where(self.rows, f, 0.0)
 
     def _linearise(self) -> None:
-        """Compute the derivatives at the present state."""
+        """Compute the Jacobians of ``g`` and ``f`` at the present unknowns."""
         self.M, self.J = self.interval.compute_slopes(self.t, self.z)
         self.h_lu, self.lu = 0.0, tuple[Any, ...]()
         # rounding error of a correction by Newton's method, relative to the tolerance
         self.rounding = 0.0
 
     def choose_first_step(self, end: float) -> float:
-        """Choose the length of the first step from the relative rate of the state."""
+        """Choose the length of the first step from the relative rates of the unknowns."""
         rates = np.linalg.lstsq(self.M, self.f, rcond=None)[0]
         speed = _compute_rms((rates / (self.rtol * (1.0 + np.abs(self.z))))[self.active])
         if speed <= 1e-300:
@@ -139,13 +152,16 @@ class Radau:
         return min(end - self.t, first)
 
     def _solve_system(self, right: np.ndarray, which: int) -> np.ndarray:
-        """Solve one of the two linear systems of an iteration: the real or the complex system."""
+        """Solve the real or the complex linear system of a Newton iteration.
+
+        ``which`` is 0 for the real and 1 for the complex system.
+        """
         if np.iscomplexobj(self.lu[which][0]):
             return np.asarray(lapack.zgetrs(*self.lu[which][:2], right)[0])
         return np.asarray(lapack.dgetrs(*self.lu[which][:2], right)[0])
 
     def _compute_newton_change(self, r: np.ndarray) -> np.ndarray:
-        """Compute the Newton correction (n, 3) of the stages for a residual ``r``."""
+        """Compute the Newton correction (n, 3) of the stages for a residual ``r`` (n, 3)."""
         real = np.outer(
             self._solve_system(r @ _EIGENVECTORS_INVERSE[_REAL_INDEX].real, 0),
             _vectors[:, _REAL_INDEX].real,
@@ -156,9 +172,10 @@ class Radau:
         return np.asarray(real + 2.0 * pair.real)
 
     def _estimate_rounding(self, X: np.ndarray, h: float) -> np.ndarray:
-        """Estimate the change (n, 3) of the stages that rounding of the residual causes.
+        """Estimate the change (n, 3) of the stages due to the rounding error of the residual.
 
-        Each equation has its own rounding error, in proportion to its largest terms.
+        The rounding error of each equation is proportional to the sum of the magnitudes of its
+        terms.
         """
         flow, stored = self.interval.sum_term_sizes(X)
         sizes = flow + (stored + np.abs(self.g)[:, None]) @ np.abs(_RADAU_INVERSE.T) / h
@@ -166,7 +183,7 @@ class Radau:
         return self._compute_newton_change(_MACHINE_EPSILON * sizes * signs)
 
     def _factorise(self, h: float) -> None:
-        """Factorise the matrices for a step length."""
+        """Factorise the real and the complex matrix of Newton's method for a step length ``h``."""
         if h == self.h_lu:
             return
         self.lu = (
@@ -183,19 +200,23 @@ class Radau:
             )
 
     def take_step(self, h: float) -> Step | None:
-        """Return a step of length ``h``, None if Newton's method diverges or overflows."""
+        """Return a step of length ``h``, or None if Newton's method diverges or overflows."""
         self._factorise(h)
         still = np.zeros((self.z.size, 3))
         if self.before is None:
             return self._solve_stages(h, still)
-        # If the step before was much shorter, its polynomial extrapolates rounding errors, and an
-        # exponential law overflows. The state at the start is then the better guess.
+        # If the previous step was much shorter, the extrapolation of its polynomial amplifies
+        # rounding errors, and an exponential law overflows. The unknowns at the start are then a
+        # better initial guess.
         predicted = self.before.at(self.t + h * RADAU_NODES) - self.z[:, None]
         return self._solve_stages(h, predicted) or self._solve_stages(h, still)
 
     @np.errstate(over="ignore", invalid="ignore")
     def _solve_stages(self, h: float, Z: np.ndarray) -> Step | None:
-        """Solve the stages of a step by Newton's method from the increments ``Z`` (n, 3)."""
+        """Solve the stages of a step by Newton's method.
+
+        ``Z`` (n, 3) is the initial guess for the increments of the unknowns.
+        """
         p, t = self.interval, self.t + h * RADAU_NODES
         sources = p.system.source_values(t, p.within)
         scale = self.rtol * (1.0 + np.abs(self.z))
@@ -215,7 +236,7 @@ class Radau:
                 return None
             if rate >= 1.0 and size > max(_MAX_ROUNDING, self.rounding):
                 estimate = _compute_rms(self._estimate_rounding(X, h) / scale[:, None])
-                # the rounding error is not counted beyond the tolerance
+                # a rounding error above the tolerance counts as the tolerance
                 self.rounding = min(1.0, _ROUNDING_FACTOR * estimate)
                 if size > self.rounding:
                     return None
@@ -231,16 +252,16 @@ class Radau:
         return None
 
     def accept_step(self, step: Step) -> None:
-        """Accept a step: the next step starts at its end."""
+        """Accept a step, so that the next step starts at the end of this step."""
         self.before = step
         self._start_step(step.end, step.last)
         if not self.interval.linear and self.iterations > 2:
             self._linearise()
 
     def find_step(self, h: float, end: float) -> tuple[Step, float]:
-        """Return a step whose error is within the tolerance, and the length of the next step.
+        """Return a step with an error below the tolerance, and the length of the next step.
 
-        The caller must accept the step.
+        The caller must pass the step to :meth:`accept_step`.
         """
         rejected = False
         while True:
@@ -264,8 +285,8 @@ class Radau:
         """Estimate the error of a step in units of the tolerance."""
         p, t, h = self.interval, step.stage_times, step.length
         sources = p.system.source_values(t, p.within)
-        # Error of the stored quantities ``g``. ``M`` cannot be used, because it is the derivative
-        # at an earlier state.
+        # The error is computed from the stored quantities ``g``. Their derivative ``M`` is not
+        # used, because it was computed at an earlier state.
         late = p.compute_stored_quantities(
             np.concatenate((step.first[:, None] + step.increments, sources))
         )
@@ -276,18 +297,18 @@ class Radau:
 
 
 def _compute_rms(x: np.ndarray) -> float:
-    """Return the root of the mean square."""
+    """Return the root mean square of the entries of ``x``, and zero for an empty array."""
     return float(np.sqrt(np.mean(x * x))) if x.size else 0.0
 
 
-# Largest number of segments of a run. More segments are a modelling error, such as a contact that
-# opens and closes without end.
+# Largest number of segments of a run. More segments indicate a modelling error, such as a contact
+# that opens and closes without end.
 _MAX_SEGMENTS = 20_000
 
 
 @dataclass(frozen=True)
 class Segment:
-    """Accepted steps within one interval."""
+    """Accepted steps between two corners or events, and the equations of this interval."""
 
     interval: Interval
     steps: tuple[Step, ...]
@@ -297,8 +318,8 @@ class Segment:
 class EnergyBalance:
     """Energy error of a run: the supplied energy [J] that is neither stored nor lost.
 
-    The scale of the error is the ``turnover``: the sum of the supplied energy, the lost energy and
-    the energy at the start.
+    The error is judged relative to the ``turnover`` [J]: the sum of the supplied energy, the lost
+    energy and the energy stored at the start.
     """
 
     residual: float
@@ -307,7 +328,7 @@ class EnergyBalance:
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Segments of a run, its output times ``time`` (nt,), and its ``events`` [s].
+    """Segments of a transient run, its output times (nt,) [s], and the times of its events [s].
 
     An event is a change of the mode of a device.
     """
@@ -322,10 +343,10 @@ class Trajectory:
         """Waves (nt,) from the collocation polynomials, keyed by name.
 
         The names are ``time``, ``NAME.pin``, ``NAME.pin.through``, ``NAME.pin.rate``,
-        ``NAME.state`` and the names of waves that a device adds.
+        ``NAME.state``, and the names of additional waves of devices.
         """
-        # ngspice may round the time of a corner differently. The corner still belongs to the
-        # segment that ends there.
+        # The times may come from ngspice, which may round the time of a corner differently. The
+        # corner still belongs to the segment that ends there.
         ends = np.array([s.steps[-1].end for s in self.segments[:-1]])
         owner = np.searchsorted(ends + 4 * np.spacing(self.time[-1]), self.time, side="left")
         result = []
@@ -344,7 +365,7 @@ class Trajectory:
     @cached_property
     def energy(self) -> EnergyBalance:
         """Energy balance of the run, from energies at its start and end, and integrated powers."""
-        # sums of supplied and lost energies, and of their magnitudes
+        # for supplied and for lost energies: their sum, and the sum of their magnitudes
         came, went = np.zeros(2), np.zeros(2)
         for segment in self.segments:
             for sums, energies in zip(
@@ -365,11 +386,11 @@ def solve_transient(
     times: np.ndarray | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Trajectory:
-    """Integrate from equilibrium to ``stop`` [s].
+    """Integrate a system from its equilibrium at t = 0 to the time ``stop`` [s].
 
-    Segments end at corners of sources and where the guard of a device falls to zero. ``times`` are
-    the times of the waves, by default the ends of the accepted steps. ``progress`` is called with
-    the completed share of the run.
+    A segment ends at each corner of a source, and when the guard of a device falls to zero.
+    ``times`` are the output times [s], by default the ends of the accepted steps. ``progress`` is
+    called with the completed share of the run, from 0 to 1.
 
     Raises
     ------
@@ -381,7 +402,8 @@ def solve_transient(
     corners = np.unique(np.concatenate([[0.0, stop], *driven]))
     segments: list[Segment] = []
     events: list[float] = []
-    # guards at the end of the previous interval; in equilibrium no guard requires another mode
+    # Guards at the end of the previous interval. They are infinite at first, because no device must
+    # change its mode in equilibrium.
     left = np.full_like(Interval(system, modes, 0.0).compute_guards(0.0, z), np.inf)
     for begin, end in pairwise(corners):
         t, within = begin, 0.5 * (begin + end)
@@ -416,9 +438,10 @@ def solve_transient(
 def _find_triggered_guard(
     interval: Interval, t: float, z: np.ndarray, left: np.ndarray
 ) -> int | None:
-    """Return the index of a guard that becomes negative at a jump of algebraic unknowns.
+    """Return the index of a guard that turns negative at a jump of algebraic unknowns.
 
-    ``left`` are the guards before the jump, nan for each guard whose device has changed its mode.
+    ``left`` contains the guards before the jump. It is nan for each guard that has just changed the
+    mode of its device. The result is None if no guard turns negative.
     """
     guards = interval.compute_guards(t, interval.solve_algebraic(t, z))
     if guards.shape != left.shape:
@@ -428,7 +451,7 @@ def _find_triggered_guard(
 
 
 def _switch_mode(system: System, modes: list[Any], fired: int) -> list[Any]:
-    """Return the modes after guard number ``fired`` fell to zero."""
+    """Return the device modes after the guard with the index ``fired`` fell to zero."""
     item = zip(system.devices, modes, strict=True)
     counts = [len(d.law.guards(np.zeros(len(d.inputs)), mode)) for d, mode in item]
     k = int(np.searchsorted(np.cumsum(counts), fired, side="right"))
@@ -444,9 +467,9 @@ def _integrate_interval(
     rtol: float,
     report_progress: Callable[[float], None],
 ) -> tuple[list[Step], int | None]:
-    """Integrate until ``end``, or until a guard falls to zero.
+    """Integrate one interval until the time ``end``, or until a guard falls to zero.
 
-    Return the steps, and the index of this guard, None if no guard falls to zero.
+    Return the steps and the index of this guard. The index is None if no guard falls to zero.
     """
     z = interval.solve_algebraic(t, z)
     before = interval.compute_guards(t, z)
@@ -478,7 +501,11 @@ def _integrate_interval(
 def _locate_zero(
     interval: Interval, solver: Radau, step: Step, fell: np.ndarray
 ) -> tuple[Step, int]:
-    """Shorten a step so that it ends at the first zero of a guard, and solve it again."""
+    """Shorten a step so that it ends at the first zero of a guard, and solve the step again.
+
+    ``fell`` contains the indices of the guards that turn negative during the step. Return the
+    shorter step and the index of the guard that is zero at its end.
+    """
 
     def guard_value(t: float, k: int) -> float:
         """Return the value of guard ``k`` at the time ``t``."""
@@ -495,15 +522,15 @@ def _locate_zero(
         return brentq(guard_value, low, t1, args=(k,), xtol=1e-18, rtol=1e-15) if crosses else t1
 
     def shorten_step(h: float) -> Step:
-        """Solve a step of length ``h``; interpolate the longer step if Newton's method fails."""
+        """Solve a step of length ``h``, or interpolate the longer step if Newton's method fails."""
         stages = step.at(t0 + h * RADAU_NODES) - step.first[:, None]
         rough = Step(t0, h, step.first, stages, step.differential)
         return solver.take_step(h) or rough
 
     at, guard = min((find_root(int(k)), int(k)) for k in fell)
-    h = max(at - t0, 1e-12 * step.length)  # positive even if ``at`` rounds to t0 late in a run
+    h = max(at - t0, 1e-12 * step.length)  # positive, even if ``at`` is rounded to t0
     result = shorten_step(h)
-    for _ in range(2):  # the collocation polynomial is less accurate than the end of the step
+    for _ in range(2):  # the polynomial is less accurate than the end of a step
         miss = float(interval.compute_guards(t0 + h, result.last)[guard])
         rate = (guard_value(t0 + h, guard) - guard_value(t0 + 0.999 * h, guard)) / (0.001 * h)
         if rate >= 0.0 or not 1e-17 <= abs(miss / rate) <= 0.01 * h:
@@ -516,7 +543,8 @@ def _locate_zero(
 def _sum_energies(system: System, segment: Segment) -> tuple[list[float], list[float]]:
     """Return the supplied energies [J] and the lost energies [J] of a segment.
 
-    The items of both lists belong to sources, linear laws and devices.
+    The supplied energies come from sources and from devices with a negative loss. The lost energies
+    belong to all linear laws together and to each device.
     """
     interval, steps = segment.interval, segment.steps
     t = np.concatenate([*map(attrgetter("stage_times"), steps)])
