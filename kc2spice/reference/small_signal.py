@@ -1,12 +1,13 @@
-"""Linearisation of a circuit at its operating point: response, modes and noise.
+"""Linearisation of a circuit at its operating point: ac response, modes and noise.
 
-The motion is exact if all sources have waveforms of straight lines and sines.
+The transient solution of the linearised circuit is exact if the waveforms of all sources consist of
+straight lines and sines.
 
 The admittance ``Y`` of a linear law is the through quantity divided by the rate of the across
-quantity. The thermal noise of this law is a through quantity with the one-sided spectral density
+quantity. The thermal noise of the law is a through quantity. Its one-sided spectral density is
 ``4 k T (Y + Y^H) / 2`` per Hz (H. B. Callen, T. A. Welton, Phys. Rev. 83 (1951) 34). The noise of a
-body is computed from the responses at its ports, whereas the netlist of a body contains one noise
-force for each mode.
+body is computed here from the responses at its ports. The netlist of a body instead contains one
+noise force for each mode.
 """
 
 from __future__ import annotations
@@ -28,30 +29,32 @@ from kc2spice.core.waveforms import Function, Waveform
 from kc2spice.reference.equilibrium import Interval, find_equilibrium
 from kc2spice.reference.system import System, assemble_system
 
-# condition number of the eigenvectors beyond which modes have no meaning
+# condition number of the eigenvector matrix above which modes are meaningless
 _MAX_BASIS_CONDITION = 1e9
-# rates above this fraction of the largest rate do not belong to rigid-body modes
+# a mode with a rate above this fraction of the largest rate is not a rigid-body mode
 _RIGID_RATE_RATIO = 1e-7
-_RIGID_RATE_ROUNDINGS = 1e2  # largest rate of a rigid-body mode, in units of its rounding error
-CANCELLATION_ROUNDING = 1e-9  # rounding error of a sum of cancelling terms, relative to the terms
-# largest effect of the sources on rigid-body modes, relative to their total effect
+_RIGID_RATE_ROUNDINGS = 1e2  # largest rate of a rigid-body mode, in rounding errors
+CANCELLATION_ROUNDING = 1e-9  # rounding error of a sum whose terms cancel, relative to these terms
+# largest effect of the sources on rigid-body modes, relative to the effect of the sources on all
+# modes
 _MAX_RIGID_EFFECT = 1e-7
 
 RateMap = Callable[[np.ndarray], np.ndarray]
 
 
 class LinearisedSystem:
-    """Equations ``d/dt (G X) = F X`` of deviations ``X = [z, s, s']`` from equilibrium.
+    """Linearised equations ``d/dt (G X) = F X`` of deviations ``X`` from equilibrium.
 
-    The outputs ``y = C0 X + d/dt C1 X`` have the names of the system's waves. If the system is
-    linear, ``exact`` is true, and the equations are valid for motions of any size.
+    ``X = [z, s, s']`` contains the unknowns z, the sources s and the rates s' of the sources. The
+    outputs ``y = C0 X + d/dt C1 X`` are the waves of the system, in the sequence of their names. If
+    the system is linear, ``exact`` is true, and the equations are valid for motions of any size.
 
-    Devices that depend on the frequency are linearised for signals ``e^(at t)``. ``point`` is the
-    equilibrium if it is already known.
+    Devices that depend on the frequency are linearised for signals ``e^(at t)``. ``point`` contains
+    the unknowns and device modes in equilibrium, if they are already known.
 
     Raises
     ------
-    SimulationError : there is no equilibrium to linearise about.
+    SimulationError : the system has no equilibrium.
     """
 
     def __init__(
@@ -88,32 +91,38 @@ class LinearisedSystem:
         )
 
     def respond(self, w: complex, amplitudes: np.ndarray) -> np.ndarray:
-        """Compute the outputs (ny,) for sources ``amplitudes e^(w t)``."""
+        """Compute the complex outputs (ny,) for sources ``amplitudes e^(w t)``."""
         X = self._solve_unknowns(w, amplitudes)
         return np.asarray(self.C0 @ X + w * (self.C1 @ X))
 
     def sum_term_sizes(self, w: complex, amplitudes: np.ndarray) -> np.ndarray:
-        """Sum the absolute values (ny,) of all terms of each output of :meth:`respond`."""
+        """Sum the absolute values of the terms of each output of :meth:`respond`.
+
+        Return an array of shape (ny,).
+        """
         X = self._solve_unknowns(w, amplitudes)
         return self._term_sizes(slice(None), X[:, None], np.array([w]))[:, 0]
 
     def _solve_unknowns(self, w: complex, amplitudes: np.ndarray) -> np.ndarray:
-        """Return ``X`` (N,) for sources ``amplitudes e^(w t)``."""
+        """Return the amplitudes ``X`` (N,) of unknowns and sources for sources
+        ``amplitudes e^(w t)``.
+        """
         n, sources = self.system.size, np.concatenate((amplitudes, w * amplitudes))
         P = w * self.G - self.F
-        # the scales of rows do not include frequency-dependent devices
+        # the rows are scaled again here, because the scales in the system do not include devices
+        # that depend on the frequency
         size = np.abs(P[:, :n]).max(axis=1)
         z = np.linalg.solve(P[:, :n] / size[:, None], -P[:, n:] @ sources / size)
         return np.concatenate((z, sources))
 
     def _term_sizes(self, columns: slice, X: np.ndarray, rates: np.ndarray) -> np.ndarray:
-        """Return ``|C0| |X| + |C1| |X rates|`` (ny, m) with some ``columns`` of C0 and C1."""
+        """Return ``|C0| |X| + |C1| |X rates|`` (ny, m) with selected ``columns`` of C0 and C1."""
         now, rated = self._sizes
         return np.asarray(now[:, columns] @ np.abs(X) + rated[:, columns] @ np.abs(X * rates))
 
     @cached_property
     def _free_motion(self) -> _FreeMotion | None:
-        """Equations of the states only; None if the states do not determine the other unknowns."""
+        """Homogeneous equations of the states; None if other unknowns do not follow from states."""
         n, rows, cols = self.system.size, self.rows, self.system.differential
         if rows.sum() != cols.sum() or not cols.any():
             return None
@@ -130,7 +139,7 @@ class LinearisedSystem:
 
     @cached_property
     def poles(self) -> np.ndarray:
-        """Natural frequencies ``a`` (m,) [1/s] of free motions ``e^(a t)``, complex.
+        """Complex natural frequencies ``a`` (m,) [1/s] of the free motions ``e^(a t)``.
 
         If the states do not determine the algebraic unknowns, the natural frequencies are the
         finite eigenvalues of ``F X = a G X``.
@@ -142,18 +151,23 @@ class LinearisedSystem:
         return _compute_finite_eigenvalues(self.F[:, :n], self.G[:, :n])
 
     def combine_output_rows(self, of: L.WaveCombination) -> tuple[np.ndarray, np.ndarray]:
-        """Return the combinations (N,) of rows of ``C0`` and ``C1`` that give the result ``of``."""
+        """Return the row vectors (N,) of ``C0`` and ``C1`` for the result ``of``.
+
+        The result ``of`` is a linear combination of waves, so each vector is the same combination
+        of rows.
+        """
         names = self.system.names
         rows = of.combine(dict(zip(names, self.C0, strict=True)))
         return rows, of.combine(dict(zip(names, self.C1, strict=True)))
 
     def find_zeros(self, of: L.WaveCombination, amplitudes: np.ndarray) -> np.ndarray:
-        """Compute the complex rates ``w`` (m,) [1/s] at which the result ``of`` is zero.
+        """Compute the zeros of the transfer function from the sources to the result ``of``.
 
-        The sources are ``amplitudes e^(w t)``. They are written as ``amplitudes u`` with ``v = w
-        u``. The rates are the eigenvalues of a linear problem for ``[X, u, v]``. Its rows are the
-        equations of the circuit, ``w u = v``, and the result, which is zero (H. H. Rosenbrock,
-        State-Space and Multivariable Theory (1970)).
+        The zeros are the complex rates ``w`` (m,) [1/s] at which the result is zero for sources
+        ``amplitudes e^(w t)``. The sources are written as ``amplitudes u`` with ``v = w u``. The
+        zeros are then the eigenvalues of a generalised linear problem for ``[z, u, v]``. The rows
+        of the problem are the equations of the circuit, the equation ``w u = v``, and the condition
+        that the result is zero (H. H. Rosenbrock, State-Space and Multivariable Theory (1970)).
         """
         n, k = self.system.size, len(self.system.sources)
         C0, C1 = self.combine_output_rows(of)
@@ -170,7 +184,11 @@ class LinearisedSystem:
 
     @cached_property
     def modes(self) -> Modes | None:
-        """Eigenmodes; None if the eigenvectors are not a basis, or a body is unsupported."""
+        """Eigenmodes of the circuit.
+
+        The result is None if the eigenvectors do not form a basis, or if an unsupported body
+        moves.
+        """
         n, k = self.system.size, len(self.system.sources)
         rows, cols = self.rows, self.system.differential
         motion = self._free_motion
@@ -188,7 +206,7 @@ class LinearisedSystem:
         unknowns[cols], unknowns[algebraic] = shapes, follow @ shapes
         out = self.C0[:, :n] @ unknowns + (self.C1[:, :n] @ unknowns) * rates
         terms = self._term_sizes(slice(n), unknowns, rates)
-        # matrix driven by sources e^(w t): Bs + w (Bd - Gs) - w^2 Gd
+        # input matrix for sources e^(w t): Bs + w (Bd - Gs) - w^2 Gd
         Gs, Gd = self.G[:, n : n + k], self.G[:, n + k :]
         Bs, Bd = self.F[:, n : n + k], self.F[:, n + k :]
         forms = [inverse @ (B[rows] - cut @ B[~rows]) for B in (Bs, Bd - Gs, -Gd)]
@@ -223,11 +241,13 @@ class LinearisedSystem:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the static gains and the slope responses (sources, ny) of the outputs.
 
-        For a source u that follows a straight line, an output is ``gain u + response du/dt``.
+        If a source u follows a straight line, an output is ``gain u + response du/dt``.
 
-        With ``a' = rates a + d0 u + d1 du/dt``, the amplitudes of the modes are ``-d0 u / rates -
-        (d0 / rates^2 + d1 / rates) du/dt``. Sums over modes keep the accuracy of differences to
-        the free motion, which at the begin of a steep line are far smaller than the sums.
+        The modes obey ``a' = rates a + d0 u + d1 du/dt``, so that their amplitudes are
+        ``-d0 u / rates - (d0 / rates^2 + d1 / rates) du/dt``. The outputs are computed as sums over
+        the same modes as the free motion. At the beginning of a steep line, the difference of these
+        outputs to the free motion is far smaller than the outputs. The sums over modes keep this
+        difference accurate.
         """
         n, k = self.system.size, len(self.system.sources)
         rows, cols = self.rows, self.system.differential
@@ -247,10 +267,10 @@ class LinearisedSystem:
         return static_gains.T, slope_responses.T
 
     def solve_motion(self, waves: tuple[Function, ...], stop: float) -> ExponentialSolution | None:
-        """Compute the exact motion up to ``stop`` [s] under the waveforms of the sources.
+        """Compute the exact transient solution up to ``stop`` [s] for the given waveforms.
 
-        The result is None if the waveform of a source consists of other curves than straight lines
-        and sines, or if there are no modes.
+        ``waves`` contains the waveform of each source. The result is None if a waveform is neither
+        piecewise linear nor a sine, or if the circuit has no modes.
         """
         modes = self.modes
         if modes is None:
@@ -267,10 +287,11 @@ class LinearisedSystem:
 
 
 def solve_ac(system: System, frequencies: np.ndarray) -> dict[str, np.ndarray]:
-    """Compute complex waves (nf,) for the ``ac`` amplitudes of all sources.
+    """Compute the ac response of all waves, as complex arrays (nf,) keyed by name.
 
-    The system is linearised about its operating point. Names are ``frequency`` [Hz] and, as in
-    ``Result.waves``, ``NAME.pin`` and ``NAME.pin.through``.
+    Each source has the amplitude of its attribute ``ac``. The system is linearised about its
+    operating point. The names are ``frequency`` [Hz] and, as in ``Result.waves``, ``NAME.pin`` and
+    ``NAME.pin.through``.
     """
     amplitude = np.array([*map(attrgetter("ac"), system.sources)], dtype=complex)
     frequencies, point = np.asarray(frequencies, dtype=float), find_equilibrium(system)
@@ -284,8 +305,8 @@ def solve_ac(system: System, frequencies: np.ndarray) -> dict[str, np.ndarray]:
 def _decompose_motion(F: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray]:
     """Compute rates (m,), mode shapes (n, m) and left eigenvectors (m, n) of ``x' = F x``.
 
-    The last result contains the left vectors (n - m, n) of rigid-body motions. The rates are None
-    if the mode shapes do not form a basis.
+    The fourth result contains the left eigenvectors (n - m, n) of the rigid-body modes. The rates
+    are None if the mode shapes do not form a basis.
     """
     size = float(np.abs(np.linalg.eigvals(F)).max(initial=0.0))
     limit = _RIGID_RATE_RATIO * size
@@ -302,20 +323,20 @@ def _decompose_motion(F: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.nd
 
 
 def _sort_by_rate(F: np.ndarray, limit: float) -> tuple[np.ndarray, np.ndarray, int]:
-    """Return the Schur form and vectors of ``F``, and the number of rates above ``limit``.
+    """Return the ordered Schur form of ``F``, its vectors, and the number of fast rates.
 
-    The rates above ``limit`` come first.
+    The fast rates are the eigenvalues of ``F`` with magnitudes above ``limit``. They come first.
     """
     T, Q, k = sla.schur(F.astype(complex), "complex", sort=lambda rate: abs(rate) > limit)
     return T, Q, k
 
 
 def _estimate_rigid_rate(T: np.ndarray, size: float) -> float:
-    """Estimate the largest rate [1/s] that rounding gives to rigid-body modes.
+    """Estimate the largest rate [1/s] of rigid-body modes due to rounding errors.
 
     ``T`` is the Schur form of the slow modes. The rounding error of ``F`` is ``e = eps size``. It
-    shifts a simple rate of zero by ``e``, and the two rates of a rigid-body mode ``x' = c v, v' =
-    0`` by ``sqrt(c e)``. Slower relaxations of a circuit have larger rates.
+    shifts a simple rate of zero by ``e``. It shifts the two rates of a rigid-body mode
+    ``x' = c v, v' = 0`` by ``sqrt(c e)``. Even the slow relaxations of a circuit have larger rates.
     """
     e = float(np.finfo(float).eps) * size
     c = float(np.linalg.norm(np.triu(T, 1)))
@@ -323,9 +344,10 @@ def _estimate_rigid_rate(T: np.ndarray, size: float) -> float:
 
 
 def _find_kinks(k: int, wave: Waveform, stop: float) -> list[tuple[float, int, float]]:
-    """Find the times, not before zero, at which the slope of source ``k`` jumps.
+    """Find the times from zero on at which the slope of a source's waveform jumps.
 
-    Each item of the result is a time, the index ``k``, and the jump.
+    Each item of the result contains a time [s], the index ``k`` of the source, and the jump of the
+    slope.
     """
     times, values = wave.knots(stop)
     slopes = np.diff(values) / np.diff(times)
@@ -337,11 +359,12 @@ def _find_kinks(k: int, wave: Waveform, stop: float) -> list[tuple[float, int, f
 
 @dataclass(frozen=True, eq=False)
 class _FreeMotion:
-    """Homogeneous equations ``x' = rates x`` of states; algebraic unknowns are ``follow x``.
+    """Homogeneous equations ``x' = rates x`` of the states ``x`` of a circuit.
 
-    ``inverse`` is the inverse of the block of ``G`` for the states. ``cut`` maps the right-hand
-    sides of the algebraic equations to right-hand sides of the equations of the states.
-    ``inner`` is the inverse of the block of ``F`` for the algebraic unknowns.
+    The algebraic unknowns are ``follow x``. ``inverse`` is the inverse of the block of ``G`` for
+    the states. ``cut`` maps the right-hand sides of the algebraic equations to right-hand sides of
+    the equations of the states. ``inner`` is the inverse of the block of ``F`` for the algebraic
+    unknowns.
     """
 
     rates: np.ndarray
@@ -353,16 +376,16 @@ class _FreeMotion:
 
 @dataclass(frozen=True, eq=False)
 class Modes:
-    """Eigenmodes ``a_i' = rates_i a_i + (drive_i of the sources)`` and their waves.
+    """Eigenmodes with amplitudes ``a_i' = rates_i a_i + drive_i u``, and their waves.
 
-    The waves are ``y = level + sum_i out_i a_i``.
+    The vector ``u`` contains the sources. The waves are ``y = level + sum_i out_i a_i``.
 
     The products of ``out`` (ny, m) and ``drive`` (m, sources) are the residues at the poles
     ``rates`` (m,) [1/s]. ``terms`` (ny, m) are the sums of the absolute values of all terms of
     ``out``. ``start`` (m,) are the amplitudes at t = 0, and ``level`` (ny,) is the static solution
     for the values of the sources at t = 0. ``static_gains`` (sources, ny) are the responses to
-    constant sources, and ``slope_responses`` (sources, ny) the responses per slope of a source that
-    follows a straight line.
+    constant sources. ``slope_responses`` (sources, ny) are the additional responses to sources that
+    follow a straight line, per slope of the line.
     """
 
     rates: np.ndarray
@@ -376,13 +399,13 @@ class Modes:
 
     @property
     def q_factors(self) -> np.ndarray:
-        """Q factors (m,); modes with a Q factor below 0.5 do not oscillate."""
+        """Q factors (m,) of the modes. Modes with a Q factor below 0.5 do not oscillate."""
         return np.abs(self.rates) / np.maximum(-2 * self.rates.real, 1e-30)
 
 
 @dataclass(frozen=True, eq=False)
 class ExponentialSolution:
-    """Exact solution: sums of exponentials that begin at the corners of the sources."""
+    """Exact transient solution: a sum of exponentials between the corners of the sources."""
 
     linear: LinearisedSystem
     modes: Modes
@@ -393,13 +416,15 @@ class ExponentialSolution:
 
     @property
     def corners(self) -> np.ndarray:
-        """Times [s] at which a source begins, or its slope jumps, so that it excites modes."""
+        """Times [s] at which a source starts or its slope jumps, so that the source excites
+        modes.
+        """
         starts = map(attrgetter("start"), map(itemgetter(1), self.sines))
         return np.unique([0.0, *map(itemgetter(0), self.kinks), *starts])
 
     @property
     def is_moving(self) -> bool:
-        """Whether the solution changes after the start."""
+        """Whether the solution changes with time."""
         return bool(self.kinks or self.sines or self.modes.start.any())
 
     def at(
@@ -409,11 +434,12 @@ class ExponentialSolution:
         rates: RateMap | None = None,
         axis: RateMap | None = None,
     ) -> np.ndarray:
-        """Compute waves (nt, len(outputs)) at increasing times.
+        """Compute the waves with the indices ``outputs`` at the increasing times ``t``.
 
-        By default, the waves are exact. With ``rates`` and ``axis``, they are the result of an
-        integration rule. Both functions return the value that the rule realises: ``rates`` for the
-        rate of a mode, ``axis`` for the frequency ``j w`` of a sine.
+        Return an array of shape (nt, len(outputs)). By default, the waves are exact. With ``rates``
+        and ``axis``, they are the waves that a time integration rule computes. The rule replaces
+        the rate of a mode by the value of the function ``rates``, and the frequency ``j w`` of a
+        sine by the value of the function ``axis``.
         """
         poles = self.modes.rates
         moved = poles if rates is None else rates(poles)
@@ -437,9 +463,9 @@ class ExponentialSolution:
         return y
 
     def _list_intervals(self, moved: np.ndarray) -> list[tuple[float, float, np.ndarray]]:
-        """Return the intervals between corners, and amplitudes of the modes at their starts.
+        """Return start, end and initial mode amplitudes of each interval between corners.
 
-        ``moved`` (m,) are the rates at which the amplitudes change in an interval.
+        ``moved`` contains the rates (m,) at which the amplitudes change within an interval.
         """
         poles, drive = self.modes.rates, self.modes.drive
         begun: dict[float, np.ndarray] = {0.0: self.modes.start.astype(complex)}
@@ -459,15 +485,16 @@ class ExponentialSolution:
         return result
 
     def find_peak_amplitudes(self) -> np.ndarray:
-        """Return the largest amplitude (m, ny) of each mode in each wave."""
+        """Return the largest amplitude of each mode in each wave, an array of shape (m, ny)."""
         return np.asarray(self._amplitudes[:, None] * np.abs(self.modes.out.T))
 
     def estimate_rounding(self) -> np.ndarray:
-        """Estimate the rounding error (ny,) of each wave, whose terms may cancel.
+        """Estimate the rounding error (ny,) of each wave, because its terms may cancel.
 
-        The forces on a joint without mass, and the currents into a node, add up to zero. The
-        computed sum is a rounding error, which no time step can reduce. The estimate is
-        :data:`CANCELLATION_ROUNDING` times the absolute values of the terms of all modes and sines.
+        For example, the forces on a joint without mass and the currents into a node add up to zero.
+        The computed sum is a rounding error, which a shorter time step does not reduce. The
+        estimate is :data:`CANCELLATION_ROUNDING` times the absolute values of the terms of all
+        modes and sines.
         """
         result = self.modes.terms @ self._amplitudes
         unit = np.eye(len(self.waves))
@@ -478,7 +505,7 @@ class ExponentialSolution:
 
     @cached_property
     def _amplitudes(self) -> np.ndarray:
-        """Largest amplitude (m,) of each mode."""
+        """Largest magnitude (m,) of the amplitude of each mode at the start of an interval."""
         amplitudes = np.array([*map(itemgetter(2), self._list_intervals(self.modes.rates))])
         return np.asarray(np.abs(amplitudes).max(axis=0))
 
@@ -498,10 +525,10 @@ class ExponentialSolution:
 def solve_noise(
     laws: Iterable[L.Law], joins: Mapping[str, Iterable[str]], of: L.WaveCombination, f: np.ndarray
 ) -> np.ndarray:
-    """Compute the noise density (nf,) of the result ``of`` at frequencies ``f`` [Hz].
+    """Compute the spectral noise density (nf,) of the result ``of`` at frequencies ``f`` [Hz].
 
-    The unit of the density is the unit of the result per root Hz. The function
-    :func:`kc2spice.reference.system.assemble_system` describes ``joins``.
+    The unit of the density is the unit of the result per root Hz. ``joins`` has the format that
+    :func:`kc2spice.reference.system.assemble_system` describes.
     """
     answering = (
         L.PortBody(law.name, law.model, law.ports) if isinstance(law, L.SecondOrderBody) else law
@@ -516,9 +543,10 @@ def solve_noise(
 
 
 def _compute_noise_power(at: LinearisedSystem, of: L.WaveCombination, s: complex) -> float:
-    """Return the squared density of a result from noise sources of unit density.
+    """Compute the squared noise density of the result ``of``, before the factor ``4 k T``.
 
-    The adjoint circuit gives the transfer functions from all noise sources at once.
+    One solution of the adjoint circuit gives the transfer functions from all noise sources to the
+    result.
     """
     system = at.system
     n, k = system.size, len(system.sources)
@@ -542,7 +570,10 @@ def _compute_noise_power(at: LinearisedSystem, of: L.WaveCombination, s: complex
 
 
 def _compute_finite_eigenvalues(A: np.ndarray, B: np.ndarray) -> np.ndarray:
-    """Return the finite eigenvalues ``w`` of ``A x = w B x``, whose rows may differ in unit."""
+    """Return the finite eigenvalues ``w`` of ``A x = w B x``.
+
+    The rows and columns are scaled first, because their units may differ.
+    """
     for axis in (1, 0):
         size = np.maximum(np.abs(A), np.abs(B)).max(axis=axis, keepdims=True)
         size = np.where(size, size, 1.0)

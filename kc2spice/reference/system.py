@@ -2,8 +2,8 @@
 
 The unknowns of the laws are displacements q, velocities v, node voltages, signals and states of
 devices. Rigid joints, voltage sources and displacement sources are linear constraints on these
-unknowns. In the null space of the constraints, n unknowns z remain. The vector ``X = [z, s, s']``
-(N,) contains z, the sources s and the rates s' of the sources::
+unknowns. The n unknowns z remain after the elimination of the constraints. The vector
+``X = [z, s, s']`` (N,) contains z, the values s of the sources and the rates s' of these values::
 
     d/dt g = f,    g = G X + stores of devices,    f = F X + const + outputs of devices
 """
@@ -24,22 +24,22 @@ from kc2spice.core import laws as L
 from kc2spice.core.domains import ACCELERATION
 from kc2spice.core.errors import UsageError
 
-MICRO = 1e-6  # displacement [m] that scales errors of displacements
+MICRO = 1e-6  # typical displacement [m], the unit of scaled displacements
 
 
 @dataclass(frozen=True, eq=False)
 class PlacedDevice:
-    """Device with the inputs ``inputs @ X``; ``into`` maps its outputs to rows of ``f``."""
+    """Device in a system: its inputs are ``inputs @ X``, and ``into`` adds its outputs to ``f``."""
 
     law: L.Device
     inputs: np.ndarray  # (m, N)
     into: np.ndarray  # (n, k)
     stores: np.ndarray | None  # (n, stored); None if the stored quantities are the states
-    states: np.ndarray  # positions of the states among the unknowns
-    first: int  # position of the outputs of the device among the outputs of all devices
+    states: np.ndarray  # indices of the device's states among the unknowns
+    first: int  # index of the device's first output among the outputs of all devices
 
     def evaluate(self, e: np.ndarray, rate: np.ndarray, mode: Any) -> np.ndarray:
-        """Compute the outputs (k,) for inputs ``e`` and the rates of the inputs.
+        """Compute the outputs (k,) of the device for its inputs ``e`` and their rates ``rate``.
 
         The outputs include the currents that change stored charges.
         """
@@ -58,16 +58,16 @@ class InitialValue:
     value: float
     rate: np.ndarray
     speed: float
-    into: np.ndarray  # (n,) rows of the balances on which the force acts that enforces the value
+    into: np.ndarray  # (n,) effect on the balances of the force that enforces the value
 
 
 @dataclass(frozen=True, eq=False)
 class System:
-    """Equations of a circuit after the elimination of constraints, and the formula of its waves.
+    """Equations of a circuit without constraints, and the matrices that give its waves.
 
     The waves are ``now X + d/dt (rated X) + direct (outputs of all devices) + constant`` in the
-    sequence of ``names``. Linear laws store ``X' stored X + lifted X`` [J] and lose
-    ``X' dissipated X`` [W].
+    sequence of ``names``. Linear laws store the energy ``X' stored X + lifted X`` [J] and lose the
+    power ``X' dissipated X`` [W].
     """
 
     G: np.ndarray  # (n, N)
@@ -96,11 +96,12 @@ class System:
         return self.const.size
 
     def source_values(self, t: np.ndarray | float, within: float, order: int = 0) -> np.ndarray:
-        """Evaluate the time derivatives of the sources: (2 sources,) or (2 sources, nt).
+        """Evaluate two successive time derivatives of all sources at the times ``t``.
 
-        The first half of the result contains the derivatives of order ``order``, and the second
-        half the derivatives of order ``order + 1``. If a waveform has corners, the derivatives
-        belong to its smooth piece that contains the time ``within``.
+        Return an array of shape (2 sources,) for one time, or (2 sources, nt) for ``nt`` times. Its
+        first half contains the derivatives of order ``order``, and its second half the derivatives
+        of order ``order + 1``. If a waveform has corners, the derivatives belong to its smooth
+        piece that contains the time ``within``.
         """
         result = []
         for k in (order, order + 1):
@@ -114,8 +115,8 @@ def assemble_system(
 ) -> System:
     """Return the equations of ``laws`` whose pins are joined at nets.
 
-    ``joins`` maps the name of a net to its pins ``NAME.pin``, which have the same kind. The net
-    ``gnd`` is the reference of every kind.
+    ``joins`` maps the name of a net to its pins ``NAME.pin``. All pins of a net have the same kind.
+    The net ``gnd`` is the reference node for every kind.
 
     Raises
     ------
@@ -138,10 +139,10 @@ def _require_few_unknowns(count: int, max_unknowns: int | None) -> None:
 
 
 class _Assembly:
-    """Equations of laws before the elimination of constraints.
+    """Equations of the laws before the elimination of constraints.
 
-    The row of a displacement is a balance of forces, and the row of a node voltage is a balance of
-    currents.
+    The equation in the row of a displacement is a force balance. The equation in the row of a node
+    voltage is a current balance.
     """
 
     def __init__(self, laws: tuple[L.Law, ...], joins: Mapping[str, Iterable[str]]) -> None:
@@ -158,12 +159,13 @@ class _Assembly:
         self._number_unknowns()
         n = self.size
         self.M, self.A, self.const = np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
-        # mask of displacements whose velocities are unknowns
+        # nonzero for displacements whose velocities are unknowns
         self.moving = np.zeros((self.nq, self.nq))
-        self.charged = np.zeros((n, n))  # voltages on which the charges of devices depend
+        self.charged = np.zeros((n, n))  # nonzero for voltages on which charges of devices depend
         self.sources = tuple(p for p in laws if isinstance(p, L.IdealSource))
         self.S = np.zeros((n, len(self.sources)))
-        # linear forms that equal the value of a source, and the numbers of these sources
+        # constraints: linear forms of the unknowns, and masks of the sources whose values they
+        # equal
         self.constraints: list[tuple[np.ndarray, np.ndarray]] = []
         self.forms = {"stored": np.zeros((n, n)), "dissipated": np.zeros((n, n))}
         self.lifted = np.zeros(n)
@@ -185,7 +187,7 @@ class _Assembly:
                     _add_device(law, self)
 
     def _number_unknowns(self) -> None:
-        """Number the unknowns; a net at a port of a body has the unknown of the body."""
+        """Assign indices to the unknowns. A net at a port of a body has no unknown of its own."""
         used = dict.fromkeys(self.nets.values())
         used.pop(L.GROUND, None)
 
@@ -246,7 +248,7 @@ class _Assembly:
             self.sizes[self.body[b.name]] = MICRO / reach
         self.extra_sizes = np.array(extra)
 
-    # --- linear forms of the unknowns for the stamps ---
+    # --- linear forms of the unknowns, for the equations of the laws ---
 
     def find_form(self, law: L.Law, pin: str) -> np.ndarray:
         """Return the displacement, voltage or signal of a pin as a linear form of the unknowns."""
@@ -260,15 +262,16 @@ class _Assembly:
         return row
 
     def subtract_pins(self, law: L.Law, a: str, *others: str) -> np.ndarray:
-        """Subtract the linear forms of the pins ``others`` from the form of a pin.
+        """Subtract the linear forms of the pins ``others`` from the linear form of the pin ``a``.
 
-        Empty names are ignored."""
+        Empty names in ``others`` are ignored."""
         return np.asarray(self.find_form(law, a) - sum(self.find_form(law, b) for b in others if b))
 
     def convert_to_velocity(self, form: np.ndarray, needed: bool = True) -> np.ndarray:
-        """Convert a linear form of displacements to velocities.
+        """Convert a linear form of displacements to the same form of velocities.
 
-        If ``needed`` is true, the velocities become unknowns; otherwise some may be missing.
+        If ``needed`` is true, these velocities become unknowns of the system. Otherwise, some of
+        them may be eliminated.
         """
         row = np.zeros(self.size)
         row[self.nq : 2 * self.nq] = form[: self.nq]
@@ -277,12 +280,19 @@ class _Assembly:
         return row
 
     def add_energy(self, kind: str, rows: np.ndarray, weight: Any) -> None:
-        """Add ``y' weight y`` to the stored or lost energy, with ``y = rows @ raw``."""
+        """Add ``y' weight y`` to the stored energy or to the lost power.
+
+        ``y = rows @ raw`` are linear forms of the unknowns ``raw`` before the elimination of
+        constraints. ``kind`` is ``"stored"`` or ``"dissipated"``.
+        """
         rows = np.atleast_2d(rows)
         self.forms[kind] += rows.T @ np.atleast_2d(weight) @ rows
 
     def add_constraint(self, form: np.ndarray, source: int) -> None:
-        """Add the constraint ``form @ raw = s[source]``, zero for the source -1."""
+        """Add the constraint ``form @ raw = s[source]`` on the unknowns ``raw``.
+
+        If ``source`` is -1, the right-hand side is zero.
+        """
         self.constraints.append((form, np.arange(len(self.sources)) == source))
 
     def find_states(self, law: L.Device) -> np.ndarray:
@@ -290,7 +300,9 @@ class _Assembly:
         return np.array([self.state_index[f"{law.name}.{s}"] for s in law.states], dtype=int)
 
     def find_store_rows(self, law: L.Device, outputs: np.ndarray) -> np.ndarray:
-        """Return the balances (size, stored) to which a device adds rates of stored quantities."""
+        """Return the matrix (size, stored) that adds rates of stored quantities to the
+        equations.
+        """
         return np.hstack(
             [np.eye(self.size)[:, self.find_states(law)], -outputs[:, list(law.charged)]]
         )
@@ -300,9 +312,10 @@ class _Assembly:
     def _compute_constraint_basis(
         self, where: slice, sizes: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Compute a basis of unconstrained motions, and the motion ``R s`` for sources ``s``.
+        """Compute a basis of unconstrained motions, and the motion that the sources prescribe.
 
-        The basis and the matrix R are in units of ``sizes``.
+        The motion for the source values ``s`` is ``R s``. Return the basis and the matrix R.
+        ``sizes`` contains the typical sizes of the unknowns in the slice ``where``.
         """
         pairs = [(f[where] * sizes, by) for f, by in self.constraints if f[where].any()]
         R = np.zeros((sizes.size, len(self.sources)))
@@ -328,7 +341,10 @@ class _Assembly:
         return sizes[:, None] * free, sizes[:, None] * R
 
     def eliminate_constraints(self) -> System:
-        """Eliminate the constraints, separate the unknowns without inertia, and scale the rows."""
+        """Return the system without constraints.
+
+        The unknowns without inertia are separated from the others, and the rows are scaled.
+        """
         nq, n = self.nq, self.size
         vel, vol, rest = slice(nq, 2 * nq), slice(2 * nq, 2 * nq + len(self.node)), self.extra_sizes
         Nq, Rq = self._compute_constraint_basis(slice(0, nq), self.sizes)
@@ -340,7 +356,8 @@ class _Assembly:
         Nv, _ = _separate_columns(Nv, follows + self.charged[vol, vol])
         p, d, w = Nq.shape[1], int(moving.sum()), Nv.shape[1]
         others = n - 2 * nq - len(self.node)
-        # Sources and resistors have no state; one constant state avoids a special case in solvers.
+        # A circuit of sources and resistors has no unknown. One constant unknown avoids a special
+        # case in the solvers.
         size = max(p + d + w + others, 1)
         T, W = np.zeros((n, size)), np.zeros((n, size))
         inertia = np.einsum("ij,ik,kj->j", Nq, mass, Nq)
@@ -412,11 +429,11 @@ class _Assembly:
     def _compute_waves(
         self, expansion: np.ndarray, devices: list[PlacedDevice], outputs: int
     ) -> dict[str, Any]:
-        """Return the formulas of all waves: across quantities, through quantities and states.
+        """Return the matrices that give all waves: across quantities, through quantities, states.
 
-        Their names are ``NAME.pin``, ``NAME.pin.through`` and ``NAME.state``. Mechanical pins also
-        have a wave ``NAME.pin.rate``. The flow of a source is the residual of the balances before
-        the elimination of constraints.
+        The names of the waves are ``NAME.pin``, ``NAME.pin.through`` and ``NAME.state``. Mechanical
+        pins also have a wave ``NAME.pin.rate``. The flow of a source is the residual of the force
+        and current balances before the elimination of constraints.
         """
         size, sources = expansion.shape[1], len(self.sources)
         rows: dict[str, tuple[Any, Any, Any, float]] = {}
@@ -467,14 +484,15 @@ class _Assembly:
 
 
 def _stack_rows(rows: Iterable[Any], width: int) -> np.ndarray:
-    """Stack rows (width,); an item that is a number becomes a row of equal entries."""
+    """Stack rows (width,) into a matrix. A number becomes a row of equal entries."""
     return np.array([row + np.zeros(width) for row in rows])
 
 
 def _separate_columns(basis: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rotate a basis so that the matrix ``pattern`` is zero for as many columns as possible.
+    """Rotate a basis so that as many columns as possible are in the null space of ``pattern``.
 
-    The matrix ``pattern`` is positive semidefinite.
+    The matrix ``pattern`` is positive semidefinite. Return the basis, and a mask of the columns
+    that are not in the null space.
     """
     reduced = basis.T @ pattern @ basis
     reduced = 0.5 * (reduced + reduced.T)
@@ -487,7 +505,7 @@ def _separate_columns(basis: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarra
     return basis, active
 
 
-# --- stamps ---------------------------------------------------------------------------------------
+# --- contributions of the laws to the equations ---------------------------------------------------
 
 
 def _add_body(law: L.SecondOrderBody, into: _Assembly) -> None:
@@ -522,7 +540,7 @@ def _add_body(law: L.SecondOrderBody, into: _Assembly) -> None:
             charge = C[k] @ motion + direct_form(k, volts) + direct_form(k, shaken)
             into.M += np.outer(volts[k], charge)
             into.flows[f"{law.name}.{port.name}"] = (np.zeros(n), charge, 0.0)
-        elif port.name in law.states:  # u = C x + D F with the force F on the part as an unknown
+        elif port.name in law.states:  # u = C x + D F; the force F on the part is an unknown
             at = into.state_index[f"{law.name}.{port.name}"]
             force = np.eye(1, n, at)[0]
             into.A[x, at] += B[:, k]
@@ -541,7 +559,7 @@ def _add_body(law: L.SecondOrderBody, into: _Assembly) -> None:
     moving = np.zeros((C.shape[1], n))
     moving[:, v] = np.eye(C.shape[1])
     for k, port in enumerate(law.ports):
-        if port.kind == ACCELERATION.name:  # adds v' B a, because the acceleration supplies power
+        if port.kind == ACCELERATION.name:  # adds v' B a, the power that the acceleration supplies
             work = np.zeros((C.shape[1] + 1,) * 2)
             work[-1, :-1] = work[:-1, -1] = -0.5 * B[:, k]
             into.add_energy("dissipated", np.vstack([moving, into.find_form(law, port.name)]), work)
@@ -558,7 +576,7 @@ def _add_body(law: L.SecondOrderBody, into: _Assembly) -> None:
 
 
 def _add_source(law: L.IdealSource, into: _Assembly) -> None:
-    """Add a source to the equations as a constraint."""
+    """Add an ideal source to the equations, as a constraint or as a prescribed flow."""
     k = into.sources.index(law)
     if law.sets_signal:
         into.S[:, k] += into.find_form(law, "out")
@@ -597,7 +615,7 @@ def _add_device(law: L.Device, into: _Assembly) -> None:
 
 
 def _add_linear(law: L.Device, into: _Assembly, inputs: np.ndarray, outputs: np.ndarray) -> None:
-    """Add the constant matrices of a linear device, its energy and its loss to the equations."""
+    """Add the constant matrices, the energy and the loss of a linear device to the equations."""
     still = np.zeros(len(inputs))
     mode = law.mode(still)
     (out, slope), (_, stored_slope) = law.evaluate(still, mode), law.store(still, mode)
