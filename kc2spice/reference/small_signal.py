@@ -104,9 +104,7 @@ class LinearisedSystem:
         return self._term_sizes(slice(None), X[:, None], np.array([w]))[:, 0]
 
     def _solve_unknowns(self, w: complex, amplitudes: np.ndarray) -> np.ndarray:
-        """Return the amplitudes ``X`` (N,) of unknowns and sources for sources
-        ``amplitudes e^(w t)``.
-        """
+        """Return the vector ``X`` (N,) of amplitudes for sources ``amplitudes e^(w t)``."""
         n, sources = self.system.size, np.concatenate((amplitudes, w * amplitudes))
         P = w * self.G - self.F
         # the rows are scaled again here, because the scales in the system do not include devices
@@ -416,9 +414,7 @@ class ExponentialSolution:
 
     @property
     def corners(self) -> np.ndarray:
-        """Times [s] at which a source starts or its slope jumps, so that the source excites
-        modes.
-        """
+        """Times [s] at which a source excites modes: its start, or a jump of its slope."""
         starts = map(attrgetter("start"), map(itemgetter(1), self.sines))
         return np.unique([0.0, *map(itemgetter(0), self.kinks), *starts])
 

@@ -300,8 +300,9 @@ class _Assembly:
         return np.array([self.state_index[f"{law.name}.{s}"] for s in law.states], dtype=int)
 
     def find_store_rows(self, law: L.Device, outputs: np.ndarray) -> np.ndarray:
-        """Return the matrix (size, stored) that adds rates of stored quantities to the
-        equations.
+        """Return the matrix that adds the rates of stored quantities to the equations.
+
+        Its shape is (size, stored): equations by stored quantities of the device.
         """
         return np.hstack(
             [np.eye(self.size)[:, self.find_states(law)], -outputs[:, list(law.charged)]]
