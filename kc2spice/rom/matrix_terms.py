@@ -1,13 +1,14 @@
-"""Matrices of heat models as sums of terms, whose factors are powers of parameters.
+"""Matrices of heat models as sums of terms with powers of the parameters as factors.
 
-The conductances of a body are proportional to conductivities and film coefficients, and inversely
-proportional to thicknesses and resistances of joints. The heat capacities of a body are
-proportional to densities. The matrices E and K over ranges of parameters are therefore sums
+The conductances of a body are proportional to conductivities and film coefficients. They are
+inversely proportional to thicknesses and to the thermal resistances of joints. The heat capacities
+of a body are proportional to densities. As functions of such parameters, the heat capacity matrix E
+and the conductance matrix K are therefore sums
 
     K(p) = sum_t f_t(p) K_t,    f_t(p) = prod_k (p_k / s_k)^a_tk,    a_tk in {-1, 0, 1}
 
-with constant scales s_k. The matrices K_t are computed from full models at a few values of the
-parameters.
+with constant scales s_k of the parameters p_k, and in the same form for E. The matrices K_t are
+computed from full models at a few values of the parameters.
 """
 
 from __future__ import annotations
@@ -25,13 +26,20 @@ from kc2spice.core.errors import UsageError
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.parametric import Full, ParameterAxis, Values
 
-# Candidates for the powers of a parameter. The first candidate that represents the matrices is
-# used. A parameter that may be zero has no power -1.
+# Candidates for the exponents of a parameter. The first candidate that represents the matrices is
+# used. A parameter that may be zero has no exponent -1.
 POWERS: tuple[tuple[int, ...], ...] = ((0,), (0, 1), (0, -1), (0, 1, -1))
-PLACES = {1: (0.0,), 2: (-1.0, 1.0), 3: (-1.0, 0.0, 1.0)}  # coordinates, keyed by number of powers
-CHECKED = 0.31, -0.47, 0.62, -0.23  # coordinates at which the sum is compared with a full model
-EXACT = 1e-9  # largest relative rounding error of an entry
-NEGLIGIBLE = 1e-12  # largest share of a term in an entry that is a rounding error
+PLACES = {1: (0.0,), 2: (-1.0, 1.0), 3: (-1.0, 0.0, 1.0)}  # coordinates by number of exponents
+CHECKED = (
+    0.31,
+    -0.47,
+    0.62,
+    -0.23,
+)  # coordinates at which the sum of terms is compared with a full model
+EXACT = 1e-9  # largest relative rounding error of a matrix entry
+NEGLIGIBLE = (
+    1e-12  # largest relative share of a term in a matrix entry that counts as a rounding error
+)
 LETTERS = "EK"
 
 _Matrices: TypeAlias = "Mapping[str, scipy.sparse.csc_array]"
@@ -42,8 +50,8 @@ class MatrixTerms:
     """Terms of the matrices E and K of a heat model.
 
     ``powers`` (terms, axes) are the exponents of the parameters in each factor. All factors are one
-    if the parameters have the values ``scales`` (axes,). ``E`` and ``K`` contain one matrix for
-    each term.
+    if the parameters have the values ``scales`` (axes,). ``E`` and ``K`` contain one constant
+    matrix for each term.
     """
 
     axes: tuple[ParameterAxis, ...]
@@ -53,35 +61,39 @@ class MatrixTerms:
     K: tuple[Any, ...]
 
     def factors(self, values: Values) -> np.ndarray:
-        """Return the factors (terms,) for values of all parameters."""
+        """Return the factors (terms,) of the matrices for ``values`` of all parameters."""
         return compute_factors(self.powers, [values[a.name] for a in self.axes] / self.scales)
 
     def at(self, values: Values) -> dict[str, Any]:
-        """Return E and K for values of all parameters."""
+        """Return the matrices E and K for ``values`` of all parameters, keyed by letter."""
         factors = self.factors(values)
         return {letter: sum_products(factors, getattr(self, letter)) for letter in LETTERS}
 
 
 def compute_factors(powers: np.ndarray, shares: np.ndarray) -> np.ndarray:
-    """Return products (terms,) of powers of ``shares`` (axes,): parameters divided by scales."""
+    """Compute the factor of each term, a product of powers of the scaled parameters.
+
+    ``shares`` (axes,) are the parameters divided by their scales. Return an array of shape
+    (terms,).
+    """
     return np.asarray(np.prod(np.asarray(shares, dtype=float) ** powers, axis=1))
 
 
 def sum_products(factors: Iterable[float], matrices: Iterable[Any]) -> Any:
-    """Return the sum of the products of factors and matrices."""
+    """Return the sum of the ``matrices``, each multiplied by its factor."""
     first, *others = (f * matrix for f, matrix in zip(factors, matrices, strict=True))
     return sum(others, start=first)
 
 
 def find_terms(full: Full, axes: Sequence[ParameterAxis], frame: LinearModel) -> MatrixTerms:
-    """Return the terms of E and K of the heat models ``full(values)``.
+    """Write the matrices E and K of the heat models ``full(values)`` as sums of terms.
 
     ``frame`` is the model in the middle of the ranges.
 
     Raises
     ------
-    UsageError : the matrices are not sums of such terms, or a parameter changes B or the number of
-    unknowns.
+    UsageError : E or K is not a sum of such terms, or a parameter changes the input matrix B or the
+    number of unknowns.
     """
     scales = np.array([axis.middle if axis.low else axis.high for axis in axes])
 
@@ -98,7 +110,7 @@ def find_terms(full: Full, axes: Sequence[ParameterAxis], frame: LinearModel) ->
         return {"E": E, "K": K}
 
     def interpolate(choice: Sequence[tuple[int, ...]]) -> MatrixTerms:
-        """Return the terms with all products of the chosen powers of each parameter."""
+        """Return terms whose factors are all products of the chosen powers of the parameters."""
         powers = np.array([*product(*choice)], dtype=int).reshape(-1, len(axes))
         places = [*product(*(PLACES[len(item)] for item in choice))]
         rows = []
@@ -146,7 +158,7 @@ def find_terms(full: Full, axes: Sequence[ParameterAxis], frame: LinearModel) ->
 
 
 def _drop_rounding(terms: Sequence[Any], largest: np.ndarray) -> list[Any]:
-    """Remove entries of terms that are rounding errors compared with other terms."""
+    """Set entries of terms to zero that are rounding errors compared with the other terms."""
     size = sum_products(largest, map(abs, terms))
     result = []
     for matrix, factor in zip(terms, largest, strict=True):

@@ -1,37 +1,39 @@
-"""Symmetric models as decoupled resonators, and their tables of modes.
+"""Symmetric models as decoupled resonators, and tables of the modes of these models.
 
 A table of modes contains the frequency, the Q factor and the coupling to the ports of each mode.
-The resonators also give exact responses to recorded loads.
+The response of the resonators to recorded loads is computed exactly.
 
 Residual modes without inertia
-    In a reduced model, some stiff modes far above the band make the compliance of the ports exact.
-    The body does not have these modes. In series with the stiffness of a contact, the inertia of
-    these modes causes oscillations that the body does not have. Component mode synthesis with a
-    massless boundary omits the inertia, but not compliance and damping (Monjaraz Tec, Gross and
-    Krack 2021, arXiv 2111.07693)::
+    A reduced model contains some stiff modes far above the band, which make the compliance of the
+    ports exact. The body itself does not have these modes. In series with the stiffness of a
+    contact, the inertia of these modes causes oscillations that the body does not have. Component
+    mode synthesis with a massless boundary omits the inertia, but not compliance and damping
+    (Monjaraz Tec, Gross and Krack 2021, arXiv 2111.07693)::
 
         damp z' + omega^2 z = g u        instead of        z'' + damp z' + omega^2 z = g u
 
 A constant loss tangent of the dielectric
-    A dielectric that loses the same share of its energy at every frequency has, by causality, the
-    permittivity of a constant-phase element (A. K. Jonscher, Nature 267 (1977) 673)::
+    If a dielectric loses the same share of its energy at every frequency, then causality requires
+    the permittivity of a constant-phase element (A. K. Jonscher, Nature 267 (1977) 673)::
 
         eps(s) = eps (s / w0)^-m,    m = (2 / pi) arctan(tan delta),    w0 / (2 pi) = 1 kHz
 
     Data sheets give permittivities at the frequency w0 / (2 pi). A netlist contains Foster's sum
-    ``a_0 + sum_k a_k / (1 + s t_k)``: a capacitor in parallel with branches of R and C in series.
-    All ``a_k`` are at least zero, so the sum is passive. Non-negative least squares over the band
-    determine the ``a_k``. The sum multiplies the clamped capacitances D.
+    ``a_0 + sum_k a_k / (1 + s t_k)`` instead of this permittivity. The sum is a capacitor in
+    parallel with branches of R and C in series. All ``a_k`` are at least zero, so the sum is
+    passive. The ``a_k`` are fitted to the permittivity in the band by non-negative least squares.
+    The sum multiplies the clamped capacitances D.
 
-    Data sheets give the loss tangent of the free part at 1 kHz. The capacitance of the free part is
-    ``D + C_m``. The motional capacitance ``C_m = sum_j gain_j^2 / omega_j^2`` has no loss far below
-    the resonances. The loss angle theta of the clamped part follows from ``tan delta`` of the free
-    part:
+    Data sheets give the loss tangent of the mechanically free part at 1 kHz. The capacitance of the
+    free part is ``D + C_m``. The motional capacitance ``C_m = sum_j gain_j^2 / omega_j^2`` has no
+    loss far below the resonances. The loss angle theta of the clamped part follows from
+    ``tan delta`` of the free part:
 
         D sin theta = tan delta (D cos theta + C_m),   theta = delta + arcsin(C_m / D sin delta).
 
     The loss also changes the stiffness, because deformation causes electric fields. This effect is
-    neglected. It is tan delta times the share of the electric energy at constant charge in a mode.
+    neglected. The neglected relative loss of a mode is tan delta times the share of electric energy
+    in the energy of this mode at constant charge.
 """
 
 from __future__ import annotations
@@ -50,19 +52,21 @@ from kc2spice.rom.error_estimate import ErrorEstimator, estimate_errors_above_ba
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.response import Response
 
-# Largest coupling of modes by proportional damping; larger coupling indicates other damping.
+# Largest relative coupling of modes that counts as a rounding error of proportional damping. A
+# larger coupling indicates damping that is not proportional.
 MAX_MODAL_COUPLING = 1e-8
 LISTED_MODES = 20  # largest number of modes in a table
-# largest frequency of a rigid-body mode by rounding errors, relative to the end of the band
+# largest frequency of a rigid-body mode due to rounding errors, relative to the end of the band
 ZERO_FREQUENCY_RATIO = 1e-5
 COMPLIANCE_UNITS = {kind: domain.compliance for kind, domain in PORTS.items() if domain.reference}
 
 
 @dataclass(frozen=True, eq=False)
 class Resonators(EqualByContent):
-    """Modes ``m_j z_j'' + damp_j z_j' + omega_j^2 z_j = sum_k gain_jk u_k``.
+    """Decoupled modes ``m_j z_j'' + damp_j z_j' + omega_j^2 z_j = sum_k gain_jk u_k``.
 
-    The outputs are ``y_k = sum_j gain_jk z_j + sum_l D_kl u_l``.
+    The inputs of the ports are ``u_k``. The outputs are
+    ``y_k = sum_j gain_jk z_j + sum_l D_kl u_l``.
 
     The arrays are ``omega`` (q,) in rad/s, ``damp`` (q,) in 1/s, ``gain`` (q, p), and ``D`` (p, p).
     ``m_j`` is zero for the last ``massless`` modes, whose time constant is ``damp_j / omega_j^2``,
@@ -80,10 +84,7 @@ class Resonators(EqualByContent):
 
     @property
     def order(self) -> int:
-        """Number of states: a displacement and a velocity of each mode.
-
-        A mode without inertia has only a displacement.
-        """
+        """Number of modes, including modes without inertia."""
         return self.omega.size
 
     @property
@@ -92,7 +93,10 @@ class Resonators(EqualByContent):
         return (np.arange(self.order) < self.order - self.massless).astype(float)
 
     def linear(self) -> LinearModel:
-        """Return the model as a :class:`LinearModel`; :func:`resonators` is the exact inverse."""
+        """Convert the resonators to a :class:`LinearModel`.
+
+        :func:`resonators` is the exact inverse of this conversion.
+        """
         return LinearModel(
             M=np.diag(self.inertia),
             E=np.diag(self.damp),
@@ -107,8 +111,9 @@ class Resonators(EqualByContent):
 def resonators(rom: LinearModel) -> Resonators | None:
     """Compute the mass-normalised modes of a model with symmetric K and M.
 
-    The result is None if M or K is not positive definite, if C is not B', or if damping couples
-    modes. The eigenvalue problem is ``M phi = mu K phi``, because K is better conditioned.
+    The result is None for a first-order model, if M or K is not positive definite, if C is not B',
+    or if damping couples modes. The computed eigenvalue problem is ``M phi = mu K phi`` instead of
+    its inverse, because K is better conditioned than M.
     """
     if rom.first_order or not rom.symmetric:
         return None
@@ -139,27 +144,30 @@ def resonators(rom: LinearModel) -> Resonators | None:
     if (np.abs(damping - np.diag(damp)) > MAX_MODAL_COUPLING * scale).any():
         return None
     gain = phi.T @ rom.B
-    # The sign of a mode is arbitrary. With this choice, the netlist is the same on every machine.
+    # The sign of a mode shape is arbitrary. The sign chosen here makes netlists identical on all
+    # computers.
     gain *= np.sign(gain[np.arange(len(gain)), np.abs(gain).argmax(axis=1)])[:, None]
     return Resonators(1 / np.sqrt(mu), damp, gain, rom.D, rom.ports, rom.certificate)
 
 
 def tabulate_modes(model: LinearModel) -> dict[str, Any] | None:
-    """List the modes with all electrodes shorted and no load.
+    """List the modes of a model with all electrodes shorted and no mechanical load.
 
-    The table ends at the end of the certificate's band. Each item of ``modes`` has
-    ``frequency_hz``, ``quality`` (the Q factor, None if undamped), and ``couplings``, which maps
-    each port to its coupling in the unit from ``units``.
+    The list ends at the end of the certificate's band. Each item of ``modes`` has the keys
+    ``frequency_hz``, ``quality`` and ``couplings``. ``quality`` is the Q factor, or None for an
+    undamped mode. ``couplings`` maps each port to the coupling of the mode to this port. ``units``
+    contains the units of the couplings.
 
-    The coupling of an electrical port is the effective coupling factor ``k = sqrt(C_j / (C_j +
-    C_above))``. The mode adds ``C_j = gain_j^2 / omega_j^2`` [F] to the static capacitance, and
-    ``C_above`` is the capacitance of all higher modes and of the clamped body. For a mode far from
-    all other modes, ``k^2 = 1 - (f_r / f_a)^2``. The coupling of any other port is ``gain_j^2 /
-    omega_j^2``: the contribution of the mode to the static response of the port.
+    The coupling of an electrical port is the effective coupling factor
+    ``k = sqrt(C_j / (C_j + C_above))``. The mode adds ``C_j = gain_j^2 / omega_j^2`` [F] to the
+    static capacitance, and ``C_above`` is the capacitance of all higher modes and of the clamped
+    body. For a mode far from all other modes, ``k^2 = 1 - (f_r / f_a)^2``. At any other port, the
+    coupling is ``gain_j^2 / omega_j^2``: the contribution of the mode to the static response of the
+    port.
 
-    If damping couples modes, each pair of complex poles is a mode, and ``omega_j`` is the magnitude
-    of the pole. Rigid-body modes are omitted. The result is None for a first-order model,
-    and for a model whose ports are signals.
+    If damping couples modes, each pair of complex poles counts as a mode, and ``omega_j`` is the
+    magnitude of the poles. Rigid-body modes are omitted. The result is None for a first-order
+    model, for a model whose ports are signals, and if there is no mode in the band.
     """
     result = _compute_modal_data(model)
     if result is None:
@@ -190,9 +198,11 @@ def tabulate_modes(model: LinearModel) -> dict[str, Any] | None:
 def _compute_modal_data(
     model: LinearModel,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
-    """Return ``omega`` and ``damp`` (modes,), static contributions, and the direct term.
+    """Return frequencies, damping and static contributions of the modes, and the direct term.
 
-    The static contributions ``gain^2 / omega^2`` of the modes to the ports are (modes, ports).
+    The four results are ``omega`` (modes,) [rad/s], ``damp`` (modes,) [1/s], the static
+    contributions ``gain^2 / omega^2`` (modes, ports), and the instantaneous response (ports,) of
+    each port.
     """
     result = resonators(model)
     if result is None:
@@ -208,10 +218,11 @@ def _compute_modal_data_from_poles(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
     """Compute modal data from the poles of ``M x'' + E x' + K x``; None for a first-order model.
 
-    The results have the meaning and sequence of :func:`_compute_modal_data`.
+    The four results are those of :func:`_compute_modal_data`.
 
-    The static contribution of a pole to a port is ``-2 Re(residue / pole)`` of the port's driving-
-    point response. For decoupled modes, it equals ``gain^2 / omega^2``.
+    The static contribution of a pair of poles to a port is ``-2 Re(residue / pole)``, with the
+    residue of the port's driving-point response. For decoupled modes, it equals
+    ``gain^2 / omega^2``.
     """
     if model.first_order or not all(port.conservative for port in model.ports):
         return None
@@ -233,34 +244,36 @@ def _compute_modal_data_from_poles(
     return size, -2 * values[rows].real * scale, share, np.diag(model.D)
 
 
-# largest change of a response at the end of the band if modes become massless, relative to the
+# largest change of a response at the end of the band when modes become massless, relative to the
 # static compliance
 MASSLESS_ERROR = 1e-3
 # The same limit if the lowest massless mode has a damping ratio below MAX_RINGING_RATIO. Such modes
 # depend on the mesh, ring for hundreds of periods, and determine the time steps after a kick. If
-# they are massless, launches of a chip with 0.01 % damping need a third of the time points. The
-# launches change by 1.2e-3 towards the launches of a finer model: a quarter of the difference.
+# they are massless, the launch of a chip with 0.01 % damping needs a third of the time points. The
+# computed launch changes by 1.2e-3. This change is a quarter of the difference to the launch of a
+# finer model, and reduces this difference.
 RINGING_ERROR = 1e-2
 MAX_RINGING_RATIO = 0.02
-# smallest frequency of a mode that becomes massless, relative to the end of the band; lower modes
-# do not respond instantaneously
+# smallest frequency of a mode that may become massless, relative to the end of the band; modes
+# below this frequency do not respond instantaneously
 MIN_FREQUENCY_RATIO = 2.0
-EQUAL_TIMES_TOLERANCE = 1e-9  # largest relative difference of equal relaxation times
-# largest relative singular value that counts as zero: no port moves this combination of modes
+EQUAL_TIMES_TOLERANCE = 1e-9  # largest relative difference of relaxation times that count as equal
+# largest relative singular value that counts as zero, so that no port drives this combination of
+# modes
 ZERO_SINGULAR_VALUE = 1e-12
 
 
 def make_highest_modes_massless(model: Resonators, tolerance: float | None = None) -> Resonators:
     """Replace the highest modes of a model by states without inertia.
 
-    The certificate of the result includes the additional error. Modes are replaced one after
-    another, beginning with the highest mode. The replacement ends when one of these conditions is
-    violated:
+    The certificate of the result includes the additional error. As many of the highest modes are
+    replaced as these two conditions permit:
 
-    * At the end f of the band, the omitted inertia changes the response of every mechanical port by
-      less than ``MASSLESS_ERROR`` of the static compliance. The change is ``sum_j (g_j / w_j)^2 (f
-      / f_j)^2``. The limit is ``RINGING_ERROR`` if the lowest massless mode would ring.
-    * The error estimate is within ``tolerance``.
+    * At the end f of the band, the omitted inertia of the modes with frequencies f_j changes the
+      response of every mechanical port by less than ``MASSLESS_ERROR`` of the static compliance.
+      The change is ``sum_j (g_j / w_j)^2 (f / f_j)^2``. If the lowest massless mode has little
+      damping, the limit is ``RINGING_ERROR`` instead.
+    * The error estimate of the result is at most ``tolerance``.
 
     The static response remains exact, and the model remains passive. Modes with equal relaxation
     times are merged to as many states as there are independent ports. For example, all modes have
@@ -291,7 +304,7 @@ def make_highest_modes_massless(model: Resonators, tolerance: float | None = Non
 
 
 def _count_quasi_static(model: Resonators, top: float) -> int:
-    """Count the highest modes whose mass has no effect up to ``top`` [Hz]."""
+    """Count the highest modes whose inertia has a negligible effect up to ``top`` [Hz]."""
     moved = [port.moving for port in model.ports]
     down = np.argsort(model.omega)[::-1]
     omega, ratio = model.omega[down], 2 * np.pi * top / model.omega[down]
@@ -306,7 +319,7 @@ def _count_quasi_static(model: Resonators, top: float) -> int:
 
 
 def _remove_inertia(model: Resonators, count: int) -> Resonators:
-    """Return ``model`` with its ``count`` highest modes massless."""
+    """Return ``model`` with its ``count`` highest modes replaced by massless modes."""
     for port, capacitance in zip(model.ports, np.diag(model.D), strict=True):
         if port.charged and capacitance <= 0:
             raise UsageError(
@@ -339,25 +352,26 @@ def _remove_inertia(model: Resonators, count: int) -> Resonators:
     )
 
 
-_BLOCK_STEPS = 4096  # number of time steps whose propagators are in memory together
+_BLOCK_STEPS = 4096  # number of time steps whose propagators are in memory at the same time
 
 
 def simulate_chip(
     model: Resonators, t: np.ndarray, load: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the outputs of a chip and its stored energy under a given load.
+    """Compute the outputs and the stored energy of a chip for a given load history.
 
-    The ``load`` (n, ports) is in N into the chip and in V, and is linear between the times ``t``
-    (n,). The outputs (n, ports) are in m and C, the stored energy (n,) is in J.
+    The ``load`` (n, ports) contains forces on the chip [N] and voltages [V], which are linear
+    between the times ``t`` (n,) [s]. The outputs (n, ports) are displacements [m] and charges [C].
+    The stored energy (n,) is in J.
 
-    Each mode ``z'' + d z' + w^2 z = r`` has the roots a and b. For each root, one state is
-    integrated:
+    The characteristic equation of a mode ``z'' + d z' + w^2 z = r`` has the roots a and b. For each
+    root, one state is integrated:
 
         x' = a x + r,    x(t + h) = e^(ah) x + h p1(ah) r + h p2(ah) (r(t + h) - r)
 
-    with ``p1 = (e^s - 1)/s`` and ``p2 = (e^s - 1 - s)/s^2``. The displacement is ``z = (x_a -
-    x_b)/(a - b)``. The formulas are exact for piecewise linear loads at any step. A mode without
-    inertia has only one state. The chip starts in equilibrium with ``load[0]``.
+    with ``p1 = (e^s - 1)/s`` and ``p2 = (e^s - 1 - s)/s^2`` at ``s = ah``. The displacement is
+    ``z = (x_a - x_b)/(a - b)``. For piecewise linear loads, the formulas are exact at any time step
+    h. A mode without inertia has only one state. The chip starts in equilibrium with ``load[0]``.
     """
     drive, heavy = load @ model.gain.T, model.order - model.massless
     z = np.empty_like(drive)
@@ -377,9 +391,10 @@ def simulate_chip(
 def integrate_modes(
     omega: np.ndarray, damp: np.ndarray, t: np.ndarray, drive: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Integrate ``z'' + damp z' + omega^2 z = drive`` from equilibrium.
+    """Integrate modes ``z'' + damp z' + omega^2 z = drive`` from equilibrium.
 
-    The results are displacements and rates (n, modes). ``drive`` is linear between the times.
+    ``drive`` (n, modes) is linear between the times ``t`` (n,). Return the displacements z and
+    their rates z', two arrays of shape (n, modes).
     """
     a, b = _oscillator_roots(omega, damp)
     if (b == a.conj()).all():  # then x_b is the complex conjugate of x_a
@@ -392,10 +407,11 @@ def integrate_modes(
 
 
 def integrate_roots(roots: np.ndarray, t: np.ndarray, drive: np.ndarray) -> np.ndarray:
-    """Integrate ``x' = a x + r`` from equilibrium for each root a; the result is (n, roots).
+    """Integrate ``x' = a x + r`` from equilibrium for each root a, with ``r`` from ``drive``.
 
-    Groups of steps are integrated in parallel from zero. Then the free response to the last value
-    of the previous group is added to each group.
+    Return the states x, an array of shape (n, roots). Groups of time steps are first integrated in
+    parallel, each from the state zero. Then the free response to the last state of the previous
+    group is added to each group.
     """
     states = np.empty((t.size, roots.size), dtype=np.result_type(roots, drive))
     states[0] = state = drive[0] / -roots
@@ -419,9 +435,10 @@ def integrate_roots(roots: np.ndarray, t: np.ndarray, drive: np.ndarray) -> np.n
 
 
 def _oscillator_roots(omega: np.ndarray, damp: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the roots of ``s^2 + damp s + omega^2``.
+    """Return the slow and the fast roots of ``s^2 + damp s + omega^2`` for all modes.
 
-    Equal roots are replaced by roots that differ by 1e-4 of omega.
+    Roots of a mode that are nearly equal are replaced by roots with a difference of 2e-4 times
+    omega.
     """
     half = np.sqrt(damp.astype(complex) ** 2 / 4 - omega**2)
     half = np.where(np.abs(half) < 1e-4 * omega, 1e-4 * omega, half)
@@ -434,7 +451,10 @@ def _oscillator_roots(omega: np.ndarray, damp: np.ndarray) -> tuple[np.ndarray, 
 def _step_propagators(
     roots: np.ndarray, t: np.ndarray, drive: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return ``e^(ah)`` and the contribution of the load in each step, both (steps, roots)."""
+    """Return the propagator ``e^(ah)`` and the contribution of the load for each time step.
+
+    Both results have the shape (steps, roots).
+    """
     h = np.diff(t)[:, None]
     s = h * roots
     small = np.abs(s) < 1e-2
@@ -445,11 +465,14 @@ def _step_propagators(
     return grow, h * (p1 * drive[:-1] + p2 * np.diff(drive, axis=0))
 
 
-TANGENT_FREQUENCY = 1e3  # Hz; frequency at which data sheets give the loss tangent
-DEFAULT_DECADES = 4.0  # number of decades over which a sum is fitted if the band begins at zero
+TANGENT_FREQUENCY = 1e3  # frequency [Hz] at which data sheets give the loss tangent
+DEFAULT_DECADES = (
+    4.0  # largest number of decades over which a sum is fitted, up to the end of the band
+)
 POINTS_PER_DECADE = 30
-MAX_RELAXATIONS = 6  # largest number of relaxations per decade
-LOSS_ERROR_SHARE = 0.02  # error of the sum, relative to the loss tangent; the tangent is <= 0.01
+MAX_RELAXATIONS = 6  # largest number of relaxation terms per decade
+# allowed error of Foster's sum, relative to the loss tangent or to 0.01, whichever is smaller
+LOSS_ERROR_SHARE = 0.02
 
 
 def permittivity(frequency: np.ndarray, tangent: float) -> np.ndarray:
@@ -459,7 +482,7 @@ def permittivity(frequency: np.ndarray, tangent: float) -> np.ndarray:
 
 
 def compute_clamped_tangent(tangent: float, ratio: float) -> float:
-    """Compute the loss tangent of a clamped body from the loss ``tangent`` of the free body.
+    """Compute the loss tangent of a clamped body from that of the mechanically free body.
 
     Both loss tangents are at 1 kHz.
 
@@ -472,14 +495,14 @@ def compute_clamped_tangent(tangent: float, ratio: float) -> float:
 
     Raises
     ------
-    UsageError : the clamped capacitance is too small for this loss.
+    UsageError : the clamped capacitance is too small for this loss tangent.
 
     Examples
     --------
     >>> round(compute_clamped_tangent(0.02, 1.0), 4)
     0.04
     """
-    if not tangent * ratio < 1:  # otherwise the loss angle would be at least 90 degrees
+    if not tangent * ratio < 1:  # otherwise the clamped loss angle would be at least 90 degrees
         raise UsageError(
             "the loss tangent is too large for the clamped capacitance",
             where="damping.loss_tangent",
@@ -493,11 +516,11 @@ def compute_clamped_tangent(tangent: float, ratio: float) -> float:
 def fit_foster_network(
     tangent: float, band: tuple[float, float], error: float
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Fit the shortest sum of terms ``a_k / (1 + s t_k)`` to :func:`permittivity` in the band.
+    """Fit the shortest Foster sum to the function :func:`permittivity` in the band.
 
-    The results are amplitudes ``a`` (k + 1,), rates ``1/t`` (k,) [1/s], and the largest relative
-    error of the sum. If no sum has an error of at most ``error``, the most accurate sum is
-    returned.
+    The sum is ``a_0 + sum_k a_k / (1 + s t_k)``. Return the amplitudes ``a`` (k + 1,), the rates
+    ``1/t`` (k,) [1/s], and the largest relative error of the sum. If no sum has an error of at most
+    ``error``, the most accurate sum is returned.
     """
     low, high = max(band[0], band[1] / 10**DEFAULT_DECADES), band[1]
     decades = np.log10(high / low) + 1e-9
@@ -520,15 +543,17 @@ def fit_foster_network(
 
 
 def add_dielectric_loss(model: Resonators, tangent: float) -> Resonators:
-    """Add dielectric loss to a model; ``tangent`` is the loss tangent of the free body at 1 kHz.
+    """Add dielectric loss to a model, as massless modes that represent relaxations.
 
-    The loss tangent is constant in the band of the certificate, whose error includes the error of
-    the loss tangent. The motional and the clamped capacitance are sums over all electrodes. The
-    values of each electrode apply with all other electrodes shorted.
+    ``tangent`` is the loss tangent of the mechanically free body at 1 kHz. The loss tangent is
+    constant in the band of the certificate. The error in the certificate of the result includes the
+    error of the loss tangent. The motional and the clamped capacitance are sums over all
+    electrodes, with all other electrodes shorted.
 
     Raises
     ------
-    UsageError : the model has no electrodes, or its clamped capacitance is too small for the loss.
+    UsageError : the model has no certificate or no electrodes, or its clamped capacitance is too
+    small for the loss tangent.
     """
     known = model.certificate
     electrical = [k for k, port in enumerate(model.ports) if port.electrical]

@@ -1,18 +1,19 @@
-"""Fit of a passive state space to a measured multiport by vector fitting.
+"""Passive state-space models fitted to measured multiports by vector fitting.
 
-Scattering parameters S for a reference resistance R are fitted with poles that all entries share.
-First, scikit-rf makes a few iterations of vector fitting (B. Gustavsen, A. Semlyen, IEEE Trans.
-Power Delivery 14 (1999) 1052). Then the poles are refined by nonlinear least squares, whose minimum
-does not depend on rounding errors. Poles are added until the deviation equals the noise of the
-data. The nearest passive model with the same poles is computed by the bounded real lemma. The
-Hamiltonian of the state space checks passivity at all frequencies (S. Boyd, V. Balakrishnan, P.
-Kabamba, Math. Control Signals Systems 2 (1989) 207). With the waves ``b = S a``, ``a, b = (v / r +-
-r i) / 2`` and ``r = sqrt(R)``, the state space is::
+Scattering parameters S for a reference resistance R are fitted with poles that all entries of S
+share. First, scikit-rf makes a few iterations of vector fitting (B. Gustavsen, A. Semlyen, IEEE
+Trans. Power Delivery 14 (1999) 1052). Then the poles are refined by nonlinear least squares,
+because the minimum of a least-squares problem does not depend on rounding errors. Poles are added
+until the deviation of the fit equals the noise of the data. The nearest passive model with the same
+poles is computed by the bounded real lemma. The eigenvalues of a Hamiltonian matrix show whether a
+model is passive at all frequencies (S. Boyd, V. Balakrishnan, P. Kabamba, Math. Control Signals
+Systems 2 (1989) 207). The waves are ``b = S a`` and ``a, b = (v / r +- r i) / 2`` with
+``r = sqrt(R)``. The state space is::
 
     x' = A x + B a            v / r = C x + (1 + D) a
     b  = C x + D a            i = (2 a - v / r) / r
 
-The output of an electrical port is a charge, the integral of i.
+The output of an electrical port is a charge: the integral of the current i.
 """
 
 from __future__ import annotations
@@ -33,51 +34,56 @@ from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.pencil import make_explicit_pencil
 from kc2spice.rom.state_space import ABCD
 
-# number of iterations of vector fitting; further iterations would amplify rounding errors
+# number of vector fitting iterations; further iterations would amplify rounding errors
 FITTING_ITERATIONS = 6
-MAX_EVALUATIONS = 60  # largest number of evaluations in the refinement of poles
-# Slowest decay of a pole as a fraction of the distance between samples, and fastest decay as a
-# multiple of the band's end. Samples do not determine poles beyond these limits.
+MAX_EVALUATIONS = 60  # largest number of function evaluations in the refinement of poles
+# Smallest decay rate of a pole as a fraction of the distance between frequency samples, and largest
+# decay rate as a multiple of the band's end. The samples do not determine poles beyond these
+# limits.
 MIN_DECAY_RATIO = 0.25
 MAX_DECAY_RATIO = 10.0
-# Limits for the highest frequency of a pole, relative to the end of the band, in the sequence in
+# Upper limits for the frequency of a pole, relative to the end of the band, in the sequence in
 # which they are tried. Transmission lines need poles above the band, but a model of measured data
 # with poles above the band is seldom passive.
 MAX_FREQUENCY_RATIOS = (3.0, 1.25, 1.001)
-# largest ratio of the number of parameters to the number of measured values; more parameters would
-# describe noise
+# largest ratio of the number of fitted parameters to the number of measured values; more parameters
+# would describe noise
 MAX_PARAMETER_SHARE = 0.25
-BOUND_DISTANCE = 1e-3  # smallest relative distance of a start value from its bound
+BOUND_DISTANCE = 1e-3  # distance of the logarithm of a start value from its bounds, times 4
 MAX_POLES = 60  # largest number of poles; a complex pair counts once
-# Largest number of states. The time of passivity enforcement grows with the sixth power of it.
+# Largest number of states. The computing time of passivity enforcement grows with its sixth power.
 MAX_STATES = 48
-# largest deviation of a good fit: multiple of the noise of the data, or fraction of the largest
-# value
+# largest deviation of a good fit, as a multiple of the noise of the data, and as a fraction of the
+# largest value
 NOISE_FACTOR = 1.2
 GOOD_DEVIATION = 1e-5
-# smallest relative reduction of the deviation by three additional poles, and the number of smaller
-# reductions after which the search ends
+# smallest useful reduction of the deviation by three additional poles, relative to the deviation;
+# the search ends after MAX_FAILURES successive smaller reductions
 MIN_IMPROVEMENT = 0.1
 MAX_FAILURES = 2
-PASSIVITY_RATIO = 1.2  # accepted deviation of a passive fit, relative to the fit without passivity
-POOR_DEVIATION = 0.2  # deviation relative to the largest value above which the data have no fit
-OPTIMUM_ROUNDING = 1e-6  # rounding error of an optimum at the limit of passivity
-MAX_PASSIVITY_EXCESS = 0.1  # largest violation of passivity that is corrected by scaling
-PASSIVITY_MARGIN = 1e-7  # the largest singular value of a passive model is below 1 by this margin
+# accepted deviation of a passive fit, relative to the deviation of the fit without passivity
+PASSIVITY_RATIO = 1.2
+# largest deviation of an acceptable passive model, relative to the largest value of the data
+POOR_DEVIATION = 0.2
+# first excess in the scaling of a model that violates passivity by rounding errors
+OPTIMUM_ROUNDING = 1e-6
+MAX_PASSIVITY_EXCESS = 0.1  # largest violation of passivity that scaling corrects
+# tolerance of the passivity check, relative to the limit 1 of the largest singular value
+PASSIVITY_MARGIN = 1e-7
 
 
 def fit_multiport(f: np.ndarray, Y: np.ndarray, noise: float, where: str) -> LinearModel:
-    """Fit a passive state space to admittances ``Y`` (n, ports, ports) [S].
+    """Fit a passive state-space model to admittances ``Y`` (n, ports, ports) [S].
 
     The frequencies are ``f`` (n,) [Hz]. The ports are ``port1``, ``port2``, …, with the common
-    reference pin ``ref``. The error in the certificate is the largest deviation of any entry from
-    the samples, relative to the entry's peak. ``noise`` is the relative standard deviation of one
-    component of Y.
+    reference pin ``ref``. The error in the certificate is the largest deviation of any entry of Y
+    from its samples, relative to the peak of this entry. ``noise`` is the relative standard
+    deviation of the noise in the real or the imaginary part of an entry of Y.
 
     Raises
     ------
-    MissingToolError : scikit-rf is not installed.
-    UsageError : no state space, or no passive state space, fits the data.
+    MissingToolError : scikit-rf is not installed. UsageError : no passive state-space model fits
+    the data.
     """
     ports = Y.shape[1]
     diagonal = np.abs(Y[:, range(ports), range(ports)])
@@ -87,7 +93,7 @@ def fit_multiport(f: np.ndarray, Y: np.ndarray, noise: float, where: str) -> Lin
     model = _convert_to_charges(*_select_fit(f, S, noise, where), R)
     answer = 2j * np.pi * f[:, None, None] * model.transfer(f)
     peak = np.abs(Y).max(axis=0)
-    # an entry between ports without coupling is zero
+    # the entry of two ports without coupling is zero, so it is compared with the largest peak
     deviation = np.abs(answer - Y) / np.where(peak > 0, peak, peak.max())
     worst = np.unravel_index(int(deviation.argmax()), deviation.shape)
     error, at = float(deviation[worst]), float(f[worst[0]])
@@ -104,11 +110,11 @@ def fit_multiport(f: np.ndarray, Y: np.ndarray, noise: float, where: str) -> Lin
 
 
 def _select_fit(f: np.ndarray, S: np.ndarray, noise: float, where: str) -> ABCD:
-    """Return the best passive fit among fits with different numbers of poles.
+    """Return the best passive model among fits with different numbers of poles.
 
     The search begins with the most accurate fits. It ends at the first passive model that is about
-    as accurate as the best fit before passivity was enforced. If there is no such model, the
-    result is the most accurate passive model.
+    as accurate as the best fit without enforced passivity. If there is no such model, the most
+    accurate passive model is returned.
     """
     fits = _generate_fits(f, S, noise, where)
     result, least = None, np.inf
@@ -139,7 +145,10 @@ def _select_fit(f: np.ndarray, S: np.ndarray, noise: float, where: str) -> ABCD:
 def _generate_fits(
     f: np.ndarray, S: np.ndarray, noise: float, where: str
 ) -> list[tuple[float, ABCD]]:
-    """Yield fits and their deviations, with increasing numbers of poles."""
+    """Fit models with increasing numbers of poles.
+
+    Return pairs of the deviation of a fit and its state-space matrices, sorted by deviation.
+    """
     skrf = import_optional("skrf", where)
     network = skrf.Network(frequency=skrf.Frequency.from_f(f, unit="hz"), s=S, z0=1.0)
     result: list[tuple[float, ABCD]] = []
@@ -148,7 +157,8 @@ def _generate_fits(
         fit = skrf.vectorFitting.VectorFitting(network)
         fit.max_iterations = FITTING_ITERATIONS
         with warnings.catch_warnings():
-            # vector fitting may end early; the deviation then shows whether the poles are usable
+            # The iterations may end before convergence. The deviation of the fit then shows whether
+            # its poles are usable.
             warnings.simplefilter("ignore")
             try:
                 fit.vector_fit(n_poles_real=2, n_poles_cmplx=poles, enforce_dc=False)
@@ -175,7 +185,7 @@ def _generate_fits(
 
 
 def _enforce_passivity(model: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None:
-    """Find the nearest passive state space with the same poles, None if there is none.
+    """Compute the nearest passive state space with the same poles, or None without a solution.
 
     The deviation is minimised over C and D subject to the bounded real lemma: a linear matrix
     inequality in C, D and the matrix P of a storage function ``x'Px`` (S. Grivet-Talocia, B.
@@ -207,9 +217,9 @@ def _enforce_passivity(model: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None
     count, order = triangle + m * (n + m), n + 2 * m
 
     def inequality(x: np.ndarray) -> np.ndarray:
-        """Return the matrix of the inequality without its constant entries -1.
+        """Return the matrix of the linear matrix inequality without its constant entries -1.
 
-        ``x`` contains the lower triangle of P, and the rows of (C, D).
+        ``x`` contains the lower triangle of P, and then the rows of the block matrix ``[C D]``.
         """
         P, CD = np.zeros((n, n)), x[triangle:count].reshape(m, n + m)
         P[pairs] = P.T[pairs] = x[:triangle]
@@ -241,7 +251,7 @@ def _enforce_passivity(model: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None
 
 
 def _fit_passive(fit: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None:
-    """Return the passive state space nearest to the samples, with the poles of a fit."""
+    """Return the passive state space with the poles of ``fit`` that is nearest to the samples."""
     if (np.linalg.eigvals(fit[0]).real >= 0).any():
         return None
     if is_passive(*fit):
@@ -256,10 +266,10 @@ def _fit_passive(fit: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None:
 
 
 def _scale_to_passive(model: ABCD) -> ABCD | None:
-    """Divide C and D by the smallest factor that makes the model passive.
+    """Divide C and D by a factor that makes the model passive.
 
-    The factors ``1 + ROUNDING 2^k`` are tried. The result is None if the factor would exceed
-    1 + :data:`MAX_PASSIVITY_EXCESS`.
+    The factor is the smallest of the numbers 1 and ``1 + OPTIMUM_ROUNDING 2^k`` with integers k.
+    The result is None if the factor would exceed 1 + :data:`MAX_PASSIVITY_EXCESS`.
     """
     A, B, C, D = model
     excess = 0.0
@@ -271,12 +281,12 @@ def _scale_to_passive(model: ABCD) -> ABCD | None:
 
 
 def _transfer(model: ABCD, f: np.ndarray) -> np.ndarray:
-    """Return the frequency response of state-space matrices."""
+    """Return the transfer matrices of a state-space model at the frequencies ``f`` [Hz]."""
     return make_explicit_pencil(*model).transfer(2j * np.pi * f)
 
 
 def _deviation(one: np.ndarray, other: np.ndarray) -> float:
-    """Return the rms difference of two responses, relative to the largest entry."""
+    """Return the rms difference of two responses, relative to the largest entry of ``other``."""
     return float(np.sqrt(np.mean(np.abs(one - other) ** 2)) / np.abs(other).max())
 
 
@@ -286,12 +296,14 @@ def refine_poles(
     """Refine stable poles near ``poles`` [rad/s] by nonlinear least squares.
 
     ``poles`` contains the real poles and the poles in the upper half-plane. The fitted function is
-    ``D + sum_k R_k / (s - p_k) + R_k* / (s - p_k*)``. The results are the poles, the residues
-    (poles, ports, ports) and D. Poles are at most ``highest`` times the band's end.
+    ``D + sum_k R_k / (s - p_k) + R_k* / (s - p_k*)``. Return the poles p, the residues R (poles,
+    ports, ports) and the matrix D. The imaginary part of a pole is at most ``highest`` times the
+    end of the band.
 
-    The residues are linear parameters, so they are eliminated (variable projection with Kaufman's
-    Jacobian: Golub and Pereyra, Inverse Problems 19 (2003) R1). Unlike the result of vector
-    fitting, the minimum of the least-squares problem does not depend on rounding errors.
+    The residues and D are linear parameters, so they are eliminated from the least-squares problem
+    (variable projection with Kaufman's Jacobian: Golub and Pereyra, Inverse Problems 19 (2003) R1).
+    Unlike the result of vector fitting, the minimum of the least-squares problem does not depend on
+    rounding errors.
     """
     top = 2 * np.pi * float(f[-1])
     s, real = 2j * np.pi * f / top, np.abs(poles.imag) == 0
@@ -314,18 +326,22 @@ def refine_poles(
         return np.asarray(p)
 
     def project(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return an orthonormal basis, the coefficients of the columns, and the residual."""
+        """Solve the linear least-squares problem for the pole parameters ``x``.
+
+        Return an orthonormal basis of the columns, the coefficients of the columns, and the
+        residual.
+        """
         columns, size = _scale_columns(s, unpack(x), real)
         Q, upper = np.linalg.qr(columns)
         coefficients = scipy.linalg.lstsq(upper, Q.T @ target)[0]
         return Q, coefficients / size[:, None], target - columns @ coefficients
 
     def residual(x: np.ndarray) -> np.ndarray:
-        """Return the weighted residuals of the fit."""
+        """Return the residuals of the fit as a vector."""
         return project(x)[2].ravel()
 
     def slopes(x: np.ndarray) -> np.ndarray:
-        """Return the derivatives of the residuals."""
+        """Return the derivatives of the residuals with respect to the pole parameters ``x``."""
         Q, coefficients, _ = project(x)
         result = []
         for change in _pole_derivatives(s, unpack(x), real, coefficients):
@@ -352,10 +368,11 @@ def refine_poles(
 
 
 def _scale_columns(s: np.ndarray, p: np.ndarray, real: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the columns of the linear least-squares problem, scaled to norm 1, and their norms.
+    """Return the columns of the linear least-squares problem and their norms before scaling.
 
-    The columns are real and contain the terms ``1``, ``1 / (s - p) + 1 / (s - p*)`` (half of it for
-    a real pole), and ``j / (s - p) - j / (s - p*)`` for complex poles.
+    The columns are scaled to norm 1. They contain the real and imaginary parts of the terms ``1``,
+    ``1 / (s - p) + 1 / (s - p*)`` (half of it for a real pole), and ``j / (s - p) - j / (s - p*)``
+    for complex poles.
     """
     one, other = 1 / (s[:, None] - p), 1 / (s[:, None] - p.conj())
     sums = np.where(real, one, one + other)
@@ -375,9 +392,10 @@ def _recover_residues(coefficients: np.ndarray, real: np.ndarray) -> np.ndarray:
 def _pole_derivatives(
     s: np.ndarray, p: np.ndarray, real: np.ndarray, coefficients: np.ndarray
 ) -> Iterator[np.ndarray]:
-    """Yield derivatives (frequencies, entries) with respect to the logarithms of pole parts.
+    """Yield the derivatives of the fit with respect to the logarithms of pole parts.
 
-    The pole parts are the negative real parts and the imaginary parts of the poles.
+    The pole parts are the negative real parts and the imaginary parts of the poles. Each derivative
+    has the shape (frequencies, entries).
     """
     residues = _recover_residues(coefficients, real)
     one, other = 1 / (s[:, None] - p) ** 2, 1 / (s[:, None] - p.conj()) ** 2
@@ -395,9 +413,10 @@ def _pole_derivatives(
 
 
 def _realise_state_space(poles: np.ndarray, residues: np.ndarray, D: np.ndarray) -> ABCD:
-    """Make the real state-space matrices of ``S = D + sum_k R_k / (s - p_k)``.
+    """Compute real state-space matrices with the response ``D + sum_k R_k / (s - p_k)``.
 
-    The number of states of a pole is the rank of its residue.
+    A real pole has as many states as the rank of its residue matrix. A complex pair of poles has
+    twice as many.
     """
     ports = len(D)
     blocks, inputs, outputs = [], [], []
@@ -405,7 +424,7 @@ def _realise_state_space(poles: np.ndarray, residues: np.ndarray, D: np.ndarray)
         U, size, Vh = np.linalg.svd(residue)
         rank = int(np.sum(size > 1e-9 * size[0])) if size[0] > 0 else 0
         into, out = Vh, U * size
-        # each input has separate states, so that the matrices have the fewest entries
+        # with separate states for each input, the matrices have the fewest entries
         if rank == ports:
             into, out = np.eye(ports), residue
         for column in range(rank):
@@ -424,10 +443,11 @@ def _realise_state_space(poles: np.ndarray, residues: np.ndarray, D: np.ndarray)
 
 
 def is_passive(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> bool:
-    """Return whether a state space of scattering parameters is passive at every frequency.
+    """Return whether a state-space model of scattering parameters is passive at all frequencies.
 
-    The model is passive under three conditions: it is stable, the norm of D is below one, and the
-    Hamiltonian for a bound just above one has no imaginary eigenvalue.
+    The model is passive under three conditions: it is stable, the norm of D is at most one, and the
+    gain is at most one at every frequency where the gain may cross a bound just above one. These
+    frequencies are the imaginary eigenvalues of the Hamiltonian matrix for this bound.
     """
     if (np.linalg.eigvals(A).real >= 0).any() or np.linalg.norm(D, 2) >= 1 + PASSIVITY_MARGIN:
         return False
@@ -449,13 +469,13 @@ def is_passive(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> bo
 def _convert_to_charges(
     A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, R: float
 ) -> LinearModel:
-    """Convert a state space of scattering parameters to a model from voltages to charges.
+    """Convert a state space of scattering parameters to a model of charges versus voltages.
 
-    The input ``v`` is in V, and the output ``q`` in C. ``r`` is the root of the reference
-    resistance R [Ohm].
+    The input ``v`` [V] contains the voltages of the ports, and the output ``q`` [C] their charges.
+    ``r`` is the square root of the reference resistance R [Ohm].
 
-    The waves ``a`` remain algebraic signals, so that the poles of the fit remain in separate
-    blocks::
+    The incident waves ``a`` remain algebraic unknowns, so that the poles of the fit remain in
+    separate blocks of the matrix A::
 
         x' = A x + B a,    q' = (2 a - v / r) / r,    0 = v / r - C x - (1 + D) a
     """

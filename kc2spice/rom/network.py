@@ -6,10 +6,10 @@ charge y of the port, the network is::
 
     L_k q_k'' + R_k q_k' + q_k / C_k = u        y = sum_k q_k + C0 u
 
-This is a linear model with diagonal matrices and a column B of ones; a model of this form is
-recognised as a network. The current of all branches flows through the resistance R and the
-inductance L of the leads. If there are leads, ``C0`` is also a branch, and the leads add the same
-value to all entries of the matrix of R, and to all entries of the matrix of L::
+This is a linear model with diagonal matrices and a column B of ones. A model of this form is
+recognised as a network. The current of all branches may flow through leads with a resistance R and
+an inductance L. If there are leads, ``C0`` is also a branch. R is then added to all entries of the
+damping matrix, and L to all entries of the inertia matrix::
 
     L y'' + R y' + L_k q_k'' + R_k q_k' + q_k / C_k = u        y = sum_k q_k
 """
@@ -28,14 +28,17 @@ NETWORK_PORT = Port("anode", ELECTRICAL.port, pins=("anode", "cathode"))
 
 @dataclass(frozen=True)
 class CircuitBranch:
-    """R [Ohm], L [H] and elastance 1/C [1/F] in series; the value of a missing element is 0."""
+    """Series circuit of R [Ohm], L [H] and C, with the elastance 1/C [1/F] instead of C.
+
+    The value of a missing element is 0.
+    """
 
     resistance: float
     inductance: float = 0.0
     elastance: float = 0.0
 
     def admittance(self, s: np.ndarray) -> np.ndarray:
-        """Return the admittance ``s / (L s^2 + R s + 1/C)`` (n,) [S] at ``s`` (n,) [rad/s]."""
+        """Return the admittance ``s / (L s^2 + R s + 1/C)`` (n,) [S] at ``s`` (n,) [1/s]."""
         return np.asarray(
             s / (self.inductance * s**2 + self.resistance * s + self.elastance), dtype=complex
         )
@@ -46,9 +49,9 @@ IDEAL_LEAD = CircuitBranch(0.0)
 
 @dataclass(frozen=True)
 class ParallelBranches:
-    """One-port with ``branches`` and a ``capacitance`` C0 [F] in parallel.
+    """One-port network: ``branches`` and a ``capacitance`` C0 [F] in parallel.
 
-    The ``lead`` consists of R and L, and carries the current of all branches.
+    The ``lead`` consists of R and L in series with this circuit, so it carries the total current.
     """
 
     capacitance: float
@@ -57,12 +60,12 @@ class ParallelBranches:
 
     @property
     def conductance(self) -> float:
-        """Conductance [S] at zero frequency."""
+        """Conductance [S] of the network at zero frequency."""
         conductance = sum(1 / b.resistance for b in self.branches if b.elastance == 0)
         return conductance / (1 + self.lead.resistance * conductance)
 
     def admittance(self, frequency: np.ndarray) -> np.ndarray:
-        """Return the admittance (n,) [S] at ``frequency`` (n,) [Hz]."""
+        """Return the admittance (n,) [S] of the network at ``frequency`` (n,) [Hz]."""
         s = 2j * np.pi * np.asarray(frequency)
         Y = s * self.capacitance
         for branch in self.branches:
@@ -72,7 +75,8 @@ class ParallelBranches:
     def linear(self, certificate: Certificate | None = None) -> LinearModel:
         """Convert the network to a linear model.
 
-        :func:`parallel_branches` is the inverse; the inverse is exact if there is no lead.
+        The function :func:`parallel_branches` is the inverse. It is exact if the network has no
+        lead.
         """
         branches, capacitance = self.branches, self.capacitance
         if self.lead != IDEAL_LEAD and capacitance > 0:
@@ -91,7 +95,10 @@ class ParallelBranches:
 
 
 def parallel_branches(model: LinearModel) -> ParallelBranches | None:
-    """Return the network of a ``model``; None if its matrices do not have the form of a network."""
+    """Return the network that a linear ``model`` describes.
+
+    The result is None if the matrices of the model do not have the form of a network.
+    """
     fit_one_port = len(model.ports) == 1 and model.ports[0].electrical
     if (
         model.first_order
@@ -119,9 +126,10 @@ def parallel_branches(model: LinearModel) -> ParallelBranches | None:
 
 
 def _common_value(matrix: np.ndarray) -> float | None:
-    """Return the value that all entries outside of the diagonal have in common.
+    """Return the value that all off-diagonal entries of a matrix have in common.
 
-    The result is None if these entries differ, are negative, or exceed an entry on the diagonal.
+    The result is None if these entries differ, are negative, or exceed a diagonal entry. Without
+    off-diagonal entries, the result is 0.
     """
     off_diagonal = matrix[~np.eye(len(matrix), dtype=bool)]
     shared = float(off_diagonal[0]) if off_diagonal.size else 0.0

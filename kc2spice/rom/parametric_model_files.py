@@ -1,4 +1,7 @@
-"""Files of models over ranges of parameters: ``.npz`` archives of coefficients of polynomials."""
+"""Files of parametric models: ``.npz`` archives of the polynomial coefficients.
+
+A parametric model is a reduced model that is valid over ranges of parameters.
+"""
 
 from __future__ import annotations
 
@@ -19,15 +22,16 @@ from kc2spice.rom.resonators_over_ranges import ResonatorsOverRanges
 
 _ARRAY_NAMES = ("exponents", "diagonal", "below", "gain", "capacitance", "shared", "rayleigh")
 _HEAT_MARK = "powers.npy"
-# an archive of a model over ranges of parameters contains one of these files
+# an archive of a parametric model contains one of these files
 _MARKS = {"exponents.npy", _HEAT_MARK}
-_MAX_DEGREE = 30  # largest degree of a polynomial in a file, more than any reduction uses
+_MAX_DEGREE = 30  # largest accepted degree of a polynomial in a file; reductions use lower degrees
 
 
 def write_parametric_model(model: ModelOverRanges, directory: Path, name: str) -> list[str]:
-    """Write ``name.npz``, and ``name.json`` with ports, parameters and certificate.
+    """Write a parametric model to the files ``name.npz`` and ``name.json``.
 
-    Returns the file names, the ``.npz`` file first.
+    The ``.json`` file contains the ports, parameters and certificate. Return the file names, with
+    the ``.npz`` file first.
     """
     if isinstance(model, HeatOverRanges):
         return write_heat_over_ranges(model, directory, name)
@@ -51,7 +55,7 @@ def is_parametric_model(path: Path) -> bool:
 
 
 def _contains_heat(path: Path) -> bool:
-    """Return whether a file is an archive of a heat model over ranges of parameters."""
+    """Return whether a file is an archive of a parametric heat model."""
     try:
         with zipfile.ZipFile(path) as archive:
             return _HEAT_MARK in archive.namelist()
@@ -71,15 +75,15 @@ def read_parametric_model(path: Path | str) -> ModelOverRanges:
         return read_heat_over_ranges(path)
     try:
         return _build(*read_arrays(path, _ARRAY_NAMES), path.stem)
-    except Exception as error:  # damaged bytes cause nearly any exception in the parsers
+    except Exception as error:  # a damaged file can cause almost any exception in the parsers
         raise make_damage_error(path, error) from None
 
 
 def _build(
     arrays: dict[str, np.ndarray], record: dict[str, Any], name: str
 ) -> ResonatorsOverRanges:
-    """Check the arrays and the record of a file, and make the model from them."""
-    from pydantic import TypeAdapter  # imported here, because runs read no such file
+    """Check the arrays and the JSON record of a file, and create the model from them."""
+    from pydantic import TypeAdapter  # imported late, because most commands read no such file
 
     common = parse_ranges(record)
     ports, axes = common["ports"], common["axes"]
