@@ -49,7 +49,8 @@ MAX_FREQUENCY_RATIOS = (3.0, 1.25, 1.001)
 # largest ratio of the number of fitted parameters to the number of measured values; more parameters
 # would describe noise
 MAX_PARAMETER_SHARE = 0.25
-BOUND_DISTANCE = 1e-3  # distance of the logarithm of a start value from its bounds, times 4
+# four times the smallest distance of a start value from its bounds, as natural logarithm
+BOUND_DISTANCE = 1e-3
 MAX_POLES = 60  # largest number of poles; a complex pair counts once
 # Largest number of states. The computing time of passivity enforcement grows with its sixth power.
 MAX_STATES = 48

@@ -1,13 +1,13 @@
-"""Reduction of models whose matrices depend on parameters, over the ranges of the parameters.
+"""Reduced models that are valid over ranges of parameters, from full models at samples.
 
 One basis V spans the modes and the static responses of full models at samples of the parameters.
 ``V'M V``, ``V'K V``, ``V'B`` and D are then smooth functions of the parameters. They are
-approximated by products of Chebyshev polynomials of the parameters' logarithms, which are exact at
-the samples. The projection preserves definiteness. Because the method does not follow single modes,
-modes may cross or repel each other inside the parameter ranges. The mesh must move with the
-parameters without a change of its topology. Parameters that only scale the damping are exact and
-need no samples. Source: P. Benner, S. Gugercin, K. Willcox, SIAM Review 57 (2015) 483, section 4 (a
-global basis).
+approximated by products of Chebyshev polynomials of the parameters' logarithms. The approximation
+is exact at the samples. The projection on V preserves definiteness. Because the method does not
+track single modes, the natural frequencies of modes may cross or repel each other inside the
+parameter ranges. The mesh must move with the parameters without a change of its topology.
+Parameters that only scale the damping are exact and need no samples. Source: P. Benner, S.
+Gugercin, K. Willcox, SIAM Review 57 (2015) 483, section 4 (a global basis).
 """
 
 from __future__ import annotations
@@ -26,20 +26,23 @@ from kc2spice.linalg.factor import Factor
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.pencil import Matrix, Pencil, Schur, to_dense
 
-MAX_ALL_MODES = 700  # unknowns up to which all modes take no longer to compute than a few modes
-MODE_BAND_RATIO = 2.0  # frequency up to which modes are retained, relative to the end of the band
-MIN_MODES = 10  # smallest number of modes
+MAX_ALL_MODES = 700  # number of unknowns up to which all modes are computed as fast as a few modes
+MODE_BAND_RATIO = 2.0  # highest frequency of a retained mode, relative to the end of the band
+MIN_MODES = 10  # smallest number of computed modes
 MAX_PARAMETERS = 4  # more parameters would need hundreds of full models
-DEFAULT_DEGREES = {0: 0, 1: 6, 2: 5, 3: 4, 4: 3}  # degrees, keyed by number of parameters
-DEGREE_STEP = 2  # increase of the degree if it is too low for the width of the ranges
-# Largest degrees, keyed by number of parameters. They need 11, 55 and 84 full models.
+# degree of polynomials, keyed by number of parameters
+DEFAULT_DEGREES = {0: 0, 1: 6, 2: 5, 3: 4, 4: 3}
+DEGREE_STEP = 2  # increase of the degree if the polynomials are inaccurate over wide ranges
+# Largest degree of the polynomials, keyed by the number of parameters. These degrees need 11, 55
+# and 84 full models.
 MAX_DEGREES = {1: 10, 2: 9, 3: 6}
-# Offset of the values in the logarithm of a range that begins at zero, relative to the end of the
-# range. For values below the offset, the coordinate is a linear function of the value.
+# Offset that is added to a value before the logarithm if a range begins at zero, relative to the
+# end of the range. For values far below the offset, the coordinate is a linear function of the
+# value.
 LOG_OFFSET_RATIO = 1e-6
-# A column is omitted if the squared norm of its part outside the span of other columns is less than
-# this share of the largest. With a share of 1e-12, a thin plate, whose stiff motions have 1e8 times
-# the energy of its soft motions, would have an error of 1e-4.
+# A direction of the column space is omitted if the eigenvalue of its Gram matrix is less than this
+# share of the largest eigenvalue. The stiff motions of a thin plate have 1e8 times the energy of
+# its soft motions. With a share of 1e-12, the error of a thin plate would be 1e-4.
 DEPENDENT_COLUMN = 1e-15
 
 Values = Mapping[str, float]
@@ -75,7 +78,7 @@ class ParameterAxis:
 
     @property
     def shift(self) -> float:
-        """Number that is added to a value before the logarithm."""
+        """Offset that is added to a value before its logarithm is computed."""
         return 0.0 if self.low else LOG_OFFSET_RATIO * self.high
 
     @property
@@ -89,7 +92,7 @@ class ParameterAxis:
         return low * float((high / low) ** (0.5 * (x + 1))) - self.shift
 
     def coordinate(self, value: float) -> float:
-        """Return the coordinate of a value, nan if the value has the other sign than the range."""
+        """Return the coordinate of a value, or nan if its sign differs from that of the range."""
         low, high = self.low + self.shift, self.high + self.shift
         if not (value + self.shift) / low > 0:
             return float("nan")
@@ -116,7 +119,11 @@ def require_within(axes: Iterable[ParameterAxis], values: Values) -> None:
 
 @dataclass(frozen=True)
 class DampingParameter:
-    """Parameter that changes only the Rayleigh damping: powers of it multiply alpha and beta."""
+    """Parameter that changes only the Rayleigh damping coefficients alpha and beta.
+
+    The coefficients are proportional to powers of the parameter. ``alpha`` and ``beta`` are the
+    exponents.
+    """
 
     axis: ParameterAxis
     alpha: float
@@ -125,11 +132,11 @@ class DampingParameter:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ParameterPolynomials:
-    """Polynomials for the matrices of a model over ranges of parameters.
+    """Polynomials that approximate the matrices of a model over ranges of parameters.
 
-    The matrices are sums of products of Chebyshev polynomials of the coordinates of ``axes``. The
-    degrees of the polynomials are ``exponents`` (terms, axes). The parameters in ``losses`` only
-    scale the damping.
+    Each matrix is a sum of terms. The factor of a term is a product of Chebyshev polynomials, one
+    for the coordinate of each parameter in ``axes``. ``exponents`` (terms, axes) contains the
+    degrees of these polynomials. The parameters in ``losses`` only scale the damping.
     """
 
     axes: tuple[ParameterAxis, ...]
@@ -142,7 +149,7 @@ class ParameterPolynomials:
         return {axis.name: axis for axis in (*self.axes, *(item.axis for item in self.losses))}
 
     def products(self, values: Values) -> np.ndarray:
-        """Return the products of polynomials (terms,) for ``values`` of all parameters.
+        """Return the product of polynomials of each term for ``values`` of all parameters.
 
         Raises
         ------
@@ -153,7 +160,10 @@ class ParameterPolynomials:
         return np.asarray(polynomials(x, self.exponents)[0])
 
     def damping(self, pair: Iterable[float], values: Values) -> tuple[float, float]:
-        """Return alpha and beta for ``values``; ``pair`` are alpha and beta in the middle."""
+        """Return the Rayleigh coefficients alpha and beta for ``values`` of the parameters.
+
+        ``pair`` contains alpha and beta in the middle of the ranges of ``losses``.
+        """
         alpha, beta = pair
         for loss in self.losses:
             share = values[loss.axis.name] / loss.axis.middle
@@ -163,10 +173,10 @@ class ParameterPolynomials:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DenseParametricModel(ParameterPolynomials):
-    """Reduced models over ranges of parameters.
+    """Reduced model over ranges of parameters, with dense matrices.
 
-    ``terms`` contains the coefficients (terms, …) of the polynomials for M, K, B, D and E (or
-    ``rayleigh``).
+    ``terms`` contains the coefficients of the polynomials for each of M, K, B, D and E, or
+    ``rayleigh`` instead of E. The first axis of each array is the number of the term.
     """
 
     frame: LinearModel
@@ -196,21 +206,21 @@ def reduce_over_parameters(
     degree: int | None = None,
     progress: Callable[[int, int], None] = lambda done, of: None,
 ) -> DenseParametricModel:
-    """Reduce the models ``full(values)`` over the parameter ranges ``axes``.
+    """Reduce the full models ``full(values)`` over the parameter ranges ``axes``.
 
     The result is accurate up to the end of ``band`` [Hz]. ``degree`` is the total degree of the
-    polynomials. The function ``progress`` is called with the number of computed full models, and
-    with the number of required full models.
+    polynomials. The function ``progress`` is called before each full model, with the number of this
+    model and the number of all required models.
 
     Raises
     ------
-    UsageError : the model is not symmetric, not of second order or has no collocated ports, or the
-    number of unknowns changes within the parameter ranges.
+    UsageError : a full model is not symmetric, not of second order or has no collocated ports, or
+    the number of unknowns changes within the parameter ranges.
     """
     cached_model = cache(lambda key: full(dict(key)))
 
     def model_at(values: Values) -> LinearModel:
-        """Return the full model for ``values``, which is computed only once for each point."""
+        """Return the full model for ``values``. Each model is computed only once."""
         return cached_model(tuple(sorted(values.items())))
 
     middle = {axis.name: axis.middle for axis in axes}
@@ -222,8 +232,8 @@ def reduce_over_parameters(
     stiffness_axes = tuple(axis for axis in axes if axis not in [loss.axis for loss in losses])
     degree = DEFAULT_DEGREES.get(len(stiffness_axes), 2) if degree is None else degree
     exponents = list_exponents(len(stiffness_axes), degree)
-    # The points are approximate Fekete points of a Chebyshev grid. Their number is the number of
-    # polynomials.
+    # The samples are approximate Fekete points, selected from a Chebyshev grid. There are as many
+    # samples as polynomials.
     grid = np.sin(0.5 * np.pi * np.arange(-degree, degree + 1, 2) / max(degree, 1))
     points = np.array(list(product(grid, repeat=len(stiffness_axes))))
     *_, selected = scipy.linalg.qr(polynomials(points, exponents).T, mode="economic", pivoting=True)
@@ -262,16 +272,17 @@ def reduce_over_parameters(
 
 
 def choose_higher_degree(model: DenseParametricModel) -> int | None:
-    """Return the next higher total degree of the polynomials, None beyond :data:`MAX_DEGREES`."""
+    """Return the next higher total degree, or None if it would exceed :data:`MAX_DEGREES`."""
     degree = int(model.exponents.sum(axis=1).max()) + DEGREE_STEP
     return degree if degree <= MAX_DEGREES.get(len(model.axes), 0) else None
 
 
 def compute_modal_transfer(model: LinearModel, frequency: np.ndarray) -> np.ndarray:
-    """Compute the response ``H(j 2 pi f)`` (frequencies, outputs, inputs) by modes.
+    """Compute the transfer matrices of a full model by modal superposition.
 
-    Modes up to twice the highest frequency are included, and the static response represents all
-    higher modes. This takes a second for models whose direct solutions take minutes.
+    Return an array of shape (frequencies, outputs, inputs). Modes up to twice the highest frequency
+    in ``frequency`` [Hz] are included. The static responses represent all higher modes. The
+    computation takes a second for models whose direct solution takes minutes.
     """
     f = np.asarray(frequency, dtype=float)
     return project_on_modes(model, float(f.max())).transfer(2j * np.pi * f)
@@ -290,10 +301,10 @@ def project_on_modes(model: LinearModel, top: float) -> Pencil:
 def compute_natural_modes(
     pencil: Pencil, top: float, square: float, inverse: Factor
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute squared natural frequencies (k,) below ``top`` [rad/s], and their mode shapes.
+    """Compute the squared natural frequencies (k,) up to ``top`` [rad/s] and the mode shapes.
 
-    The result contains at least :data:`MIN_MODES` modes. The shapes (n, k) are M-orthonormal.
-    ``inverse`` is the factor of ``K - square M``.
+    The result contains at least :data:`MIN_MODES` modes. The mode shapes (n, k) are M-orthonormal.
+    ``inverse`` is a factorisation of the matrix ``K - square M``.
     """
     K, M = pencil.coefficients[0], pencil.coefficients[2]
     n = pencil.size
@@ -330,14 +341,17 @@ def _require_symmetric(model: LinearModel, frame: LinearModel | None) -> LinearM
 
 
 def _modes_and_statics(pencil: Pencil, band: tuple[float, float]) -> np.ndarray:
-    """Compute the modes to above the band, and the part of static responses outside their span."""
+    """Compute mode shapes, and the part of the static responses outside the span of these modes.
+
+    The modes have frequencies up to :data:`MODE_BAND_RATIO` times the end of the ``band`` [Hz].
+    """
     top, M = 2 * np.pi * band[1], pencil.coefficients[2]
-    # K is regular if the body has a support
+    # K is regular if the body is supported
     square = 0.0 if pencil.factorised else -((top / 3) ** 2)
     inverse = pencil.pencil_solver(square)
     _, V = compute_natural_modes(pencil, MODE_BAND_RATIO * top, square, inverse)
     still = inverse.solve(pencil.B)
-    # the basis also contains the derivative with respect to s^2
+    # the basis also contains the derivative of the response with respect to s^2
     still = np.column_stack([still, inverse.solve(M @ still)])
     for _ in range(2):
         still = still - V @ (V.T @ (M @ still))
@@ -345,7 +359,10 @@ def _modes_and_statics(pencil: Pencil, band: tuple[float, float]) -> np.ndarray:
 
 
 def _orthonormalise(columns: Sequence[np.ndarray], M: Matrix) -> np.ndarray:
-    """Return M-orthonormal columns with the same span as ``columns``, without rounding errors."""
+    """Return M-orthonormal columns that span the space of ``columns``.
+
+    Directions that consist of rounding errors are omitted.
+    """
     V = np.hstack(columns)
     size = np.sqrt(np.einsum("ij,ij->j", V, M @ V))
     V = V[:, size > 0] / size[size > 0]
@@ -359,12 +376,15 @@ def _orthonormalise(columns: Sequence[np.ndarray], M: Matrix) -> np.ndarray:
 def _identify_loss(
     full: Full, axis: ParameterAxis, middle: Values, frame: LinearModel
 ) -> DampingParameter | None:
-    """Return a parameter that scales only the damping, None if it changes other matrices."""
+    """Return the damping parameter of ``axis``, or None if the parameter has other effects.
+
+    A damping parameter only multiplies the Rayleigh coefficients by powers of its value.
+    """
     if frame.rayleigh is None:
         return None
     places = (-1.0, 1.0, 0.3)
     models = []
-    for x in places:  # the first point already shows whether the parameter changes other matrices
+    for x in places:  # the first model already shows whether the parameter changes other matrices
         model = full({**middle, axis.name: axis.value(x)})
         if model.rayleigh is None or not _differs_in_damping_only(model, frame):
             return None
@@ -398,7 +418,10 @@ def _differs_in_damping_only(one: LinearModel, other: LinearModel) -> bool:
 
 
 def list_exponents(axes: int, degree: int) -> np.ndarray:
-    """Return the exponents (terms, axes) of all products of powers up to a total ``degree``."""
+    """Return the exponents of all products of powers up to a total ``degree``.
+
+    The result is an array of shape (terms, axes).
+    """
     rows = []
     for total in range(degree + 1):
         for selected in combinations_with_replacement(range(axes), total):
@@ -407,6 +430,9 @@ def list_exponents(axes: int, degree: int) -> np.ndarray:
 
 
 def polynomials(x: np.ndarray, exponents: np.ndarray) -> np.ndarray:
-    """Return products (points, terms) of Chebyshev polynomials at coordinates (points, axes)."""
+    """Return products of Chebyshev polynomials at the coordinates ``x`` (points, axes).
+
+    ``exponents`` (terms, axes) contains the degrees. The result has the shape (points, terms).
+    """
     angles = np.arccos(np.clip(x, -1.0, 1.0))
     return np.asarray(np.cos(angles[:, None, :] * exponents[None]).prod(axis=2))

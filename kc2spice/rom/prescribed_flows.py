@@ -1,21 +1,23 @@
-"""Heat flows into ports of prescribed temperature, and their error in a reduced model.
+"""Heat flows into ports with prescribed temperatures, and their error in a reduced model.
 
-:mod:`kc2spice.rom.interface_modes` divides the unknowns. Then the heat flows Q into the ports with
-prescribed temperatures ``T_i``, and the temperatures T_q of the ports with heat flows q are
+:mod:`kc2spice.rom.interface_modes` divides the unknowns into the prescribed temperatures ``T_i``
+and all other temperatures ``T_e``. Q are the heat flows into the ports with prescribed
+temperatures. T_q are the temperatures of the ports with prescribed heat flows q. They are
 
     Q = G T_i - S' q + s (M T_i + c' x),    T_q = S T_i + B_e' x,
     (K_ee + s E_ee) x = B_e q - s c T_i,
 
-with the static heat flows ``G``, the static temperatures ``S``, ``c = E_ei + E_ee Psi`` and ``M =
-E_ii + 2 E_ie Psi + Psi' E_ee Psi``. At high frequencies, the terms of Q nearly cancel: the heat
-flow into a body behind a film approaches ``K_ii T_i``, the heat flow into a cold body. Therefore,
-the errors of Q and T_q may be much larger than the error of x. In the original equations, terms
-cancel at low frequencies instead of high frequencies:
+The unknowns x are the difference of ``T_e`` to the static temperatures ``Psi T_i``. ``G`` and ``S``
+are the matrices of the static heat flows and static temperatures. The other matrices are
+``c = E_ei + E_ee Psi`` and ``M = E_ii + 2 E_ie Psi + Psi' E_ee Psi``. At high frequencies, the
+terms of Q nearly cancel: the heat flow into a body behind a film approaches ``K_ii T_i``, the heat
+flow into a cold body. Therefore, the errors of Q and T_q may be much larger than the error of x. In
+the original equations, terms cancel at low frequencies instead of high frequencies:
 
     (K_ee + s E_ee) T_e = B_e q - (K_ei + s E_ei) T_i,
     Q = (K_ii + s E_ii) T_i + (K_ie + s E_ie) T_e - B_i' q,    T_q = B_i' T_i + B_e' T_e,
 
-If the model is reduced with the inputs ``K_ei`` and ``E_ei``, Q is accurate.
+If the model of ``T_e`` is reduced with the input matrices ``K_ei`` and ``E_ei``, Q is accurate.
 """
 
 from __future__ import annotations
@@ -32,17 +34,19 @@ from kc2spice.rom.first_step import intermediate_model
 from kc2spice.rom.interface_split import DENSE, ROUNDING, PrescribedTemperatures
 from kc2spice.rom.linear_model import LinearModel, Norm, Port
 
-FREQUENCIES = 40  # number of frequencies at which heat flows, which are smooth, are compared
+FREQUENCIES = 40  # number of frequencies for comparisons; heat flows are smooth
 DECADES = 4.0  # number of decades that these frequencies cover, up to the end of the band
-REFERENCE_SHARE = 0.01, 0.3  # desired and largest error of the reference, relative to the tolerance
+# desired and largest error of the reference response, relative to the tolerance
+REFERENCE_SHARE = 0.01, 0.3
 
 
 def drive_unknowns(
     model: LinearModel, parts: PrescribedTemperatures, *, stored: bool = True
 ) -> LinearModel:
-    """Return the model of ``T_e`` with the ports ``B_e`` and ``-K_ei``.
+    """Return the model of the temperatures ``T_e`` with the inputs ``B_e`` and ``-K_ei``.
 
-    If ``stored``, the model also has the ports ``E_ei``.
+    If ``stored`` is true, the model also has the inputs ``E_ei``. Each column of an input matrix is
+    a port.
     """
     K, E = map(sparse.csc_array, model.pencil.coefficients)
     at, others, count = parts.at, parts.others, len(parts.shares)
@@ -62,11 +66,10 @@ class FlowReference:
 
     Attributes
     ----------
-    frequency : (n,) frequencies [Hz] at which reduced models are compared.
-    response : (n, ports, ports) response: outputs Q and T_q (rows) to inputs T_i and q (columns).
-    uncertainty : relative error of the response.
-    rounding : (ports, ports) rounding errors of the response.
-    share : smallest reference of a relative error, as a share of the peak of each entry.
+    frequency : (n,) frequencies [Hz] at which reduced models are compared with the full model.
+    response : (n, ports, ports) response of the outputs Q and T_q (rows) to T_i and q (columns).
+    uncertainty : relative error of the response. rounding : (ports, ports) rounding errors of the
+    response. share : smallest divisor of a relative error, as a share of the peak of each entry.
     """
 
     frequency: np.ndarray
@@ -84,7 +87,7 @@ class FlowReference:
         norm: Norm,
         tolerance: float,
     ) -> FlowReference:
-        """Compute the response of a full ``model`` that is divided into ``parts``."""
+        """Compute the reference from a full ``model`` that is divided into ``parts``."""
         low, high = max(band[0], band[1] / 10**DECADES), band[1]
         frequency = np.r_[[0.0] * (band[0] == 0.0), np.geomspace(low, high, FREQUENCIES)]
         uncertainty = 0.0
@@ -98,7 +101,11 @@ class FlowReference:
         return cls(frequency, response, uncertainty, rounding, get_reference_share(norm))
 
     def error(self, model: LinearModel, parts: PrescribedTemperatures) -> float:
-        """Return the largest relative error of a reduced ``model`` divided into ``parts``."""
+        """Return the largest relative error of the response of a reduced ``model``.
+
+        ``parts`` is the division of the reduced model. The error includes the uncertainty of the
+        reference.
+        """
         ours = _respond(model, parts, self.frequency)
         base = Entries.of(self.response).base(self.response, self.share)
         apart = np.maximum(np.abs(ours - self.response) - self.rounding, 0.0)
@@ -109,10 +116,13 @@ class FlowReference:
 def _project(
     model: LinearModel, parts: PrescribedTemperatures, band: tuple[float, float], tolerance: float
 ) -> tuple[LinearModel, PrescribedTemperatures, float]:
-    """Project a large model on its responses in the band, with an error far below the tolerance."""
+    """Project a large model on its responses in the ``band`` [Hz].
+
+    Return the smaller model, its division, and its error, which is far below the ``tolerance``.
+    """
     limits = (share * tolerance for share in REFERENCE_SHARE)
     space = intermediate_model(drive_unknowns(model, parts).pencil, band, *limits)
-    assert space.basis is not None  # a basis of all unknowns occurs only for small models
+    assert space.basis is not None  # the basis is None only for small models
     n, at, others = len(parts.at), parts.at, parts.others
     W, _ = np.linalg.qr(np.hstack([space.basis, parts.psi]))
     V = np.zeros((model.order, n + W.shape[1]))
@@ -130,10 +140,11 @@ def _project(
 def _respond(
     model: LinearModel, parts: PrescribedTemperatures, frequency: np.ndarray
 ) -> np.ndarray:
-    """Return heat flows and temperatures (n, ports, ports) of a divided model.
+    """Return the response of heat flows and temperatures of a divided model.
 
-    The module docstring contains two equivalent forms of the response. At each frequency, the form
-    with the smaller terms is used, because it has smaller rounding errors.
+    The result has the shape (n, ports, ports) and the entries of :attr:`FlowReference.response`.
+    The module docstring contains two equivalent forms of the equations. At each frequency, the form
+    with the smaller terms is used, because its rounding errors are smaller.
     """
     K, E = map(sparse.csc_array, model.pencil.coefficients)
     at, others, count = parts.at, parts.others, len(parts.shares)
@@ -141,7 +152,7 @@ def _respond(
     K_ei, E_ei = K[others][:, at].toarray(), E[others][:, at].toarray()
     K_ee, E_ee = parts.inner.pencil.coefficients
     b, c = np.split(parts.inner.B, [count], axis=1)
-    direct = parts.shares - b.T @ parts.psi  # B_i' of the ports q
+    direct = parts.shares - b.T @ parts.psi  # B_i'
     result = []
     for s in 2j * np.pi * frequency:
         coupling = K_ei + s * E_ei

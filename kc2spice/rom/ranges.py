@@ -1,8 +1,9 @@
-"""Task, reduced model and certificate of reductions over ranges of parameters.
+"""Reduction over ranges of parameters: task, reduced model and certificate.
 
-The input is a function that returns the full-order model for values of the parameters. The result
-is a :class:`ModelOverRanges`. See :mod:`kc2spice.rom.resonators_over_ranges` for resonators, and
-:mod:`kc2spice.rom.heat_ranges` for heat networks.
+The input of a reduction is a function that returns the full-order model for given values of the
+parameters. The result is a :class:`ModelOverRanges`. The reductions are in
+:mod:`kc2spice.rom.resonators_over_ranges` for resonators, and in :mod:`kc2spice.rom.heat_ranges`
+for heat networks.
 """
 
 from __future__ import annotations
@@ -21,11 +22,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class RangeTask:
-    """Full-order models ``full(values)`` over ranges of parameters, and the required accuracy.
+    """Task of a reduction: full-order models ``full(values)``, ranges, and required accuracy.
 
-    The largest relative error over ``band`` [Hz] in the ``norm`` must be within ``tolerance``. The
-    function ``progress`` is called with the number of computed models, and with the number of
-    required models.
+    The largest relative error in the ``band`` [Hz], measured in the ``norm``, must be at most
+    ``tolerance``. The function ``progress`` is called with the number of computed full models and
+    the number of required full models.
     """
 
     full: Full
@@ -38,10 +39,10 @@ class RangeTask:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ModelOverRanges(ABC):
-    """Reduced-order model over ranges of parameters.
+    """Reduced-order model that is valid over ranges of parameters.
 
-    ``defaults``, ``units`` and ``descriptions`` of the parameters are empty for a body of a scene,
-    because the keys of the body contain this information.
+    ``defaults``, ``units`` and ``descriptions`` are keyed by parameter. They are empty for a body
+    of a scene, because the keys of the body contain this information.
     """
 
     ports: tuple[Port, ...]
@@ -58,7 +59,7 @@ class ModelOverRanges(ABC):
 
     @abstractmethod
     def at(self, values: Values) -> LinearModel:
-        """Return the model for values of all parameters.
+        """Return the reduced model for ``values`` of all parameters.
 
         Raises
         ------
@@ -67,7 +68,11 @@ class ModelOverRanges(ABC):
 
 
 def record_facts(full: Full) -> tuple[Full, list[tuple[Values, Mapping[str, float]]]]:
-    """Return a function that calls ``full``, and a list of the values and facts of its models."""
+    """Return a function like ``full`` that records the facts of each computed model.
+
+    The second result is the list of records: pairs of the parameter values and the facts of the
+    model.
+    """
     facts: list[tuple[Values, Mapping[str, float]]] = []
 
     def compute_full(values: Values) -> LinearModel:
@@ -81,10 +86,10 @@ def record_facts(full: Full) -> tuple[Full, list[tuple[Values, Mapping[str, floa
 def certify_over_ranges(
     task: RangeTask, error: float, checks: int, proof: StabilityProof, *, passive: bool = True
 ) -> Certificate:
-    """Return the certificate of an error over the ranges.
+    """Return the certificate of a reduced model over the parameter ranges.
 
-    ``checks`` is the number of full-order models with which the error was checked, and which the
-    reduction did not use.
+    ``error`` is the largest difference to ``checks`` full-order models that the reduction did not
+    use.
     """
     return Certificate(
         band_hz=task.band,

@@ -1,4 +1,4 @@
-"""Records in files of models over ranges of parameters: ports, certificate and parameters."""
+"""JSON records in the files of parametric models: ports, certificate and parameters."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from kc2spice.rom.io import parse_certificate, parse_ports, require_certificate,
 from kc2spice.rom.parametric import ParameterAxis
 from kc2spice.rom.ranges import ModelOverRanges
 
-MAX_LABEL_LENGTH = 200  # largest number of characters of a unit or a description
+MAX_LABEL_LENGTH = 200  # largest number of characters in a unit or a description
 
 
 def describe_ranges(model: ModelOverRanges) -> dict[str, Any]:
-    """Return the record of ports, certificate and parameters."""
+    """Return the JSON record of the ports, certificate and parameters of a model."""
     return {
         "ports": list(map(asdict, model.ports)),
         "certificate": asdict(require_certificate(model.certificate, model.name)),
@@ -28,13 +28,14 @@ def describe_ranges(model: ModelOverRanges) -> dict[str, Any]:
 
 
 def parse_ranges(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Make ports, certificate and parameters from the record of a file.
+    """Parse the ports, certificate and parameters in the JSON record of a file.
 
     Raises
     ------
-    ValueError : the record is damaged, or a text would begin a new card in a netlist.
+    ValueError : the record is damaged, or a string contains a line break, which would begin a new
+    statement in a netlist.
     """
-    from pydantic import TypeAdapter  # imported here, because runs read no such file
+    from pydantic import TypeAdapter  # imported late, because most commands read no such file
 
     texts = TypeAdapter(dict[str, str])
     units, words = map(texts.validate_python, (record["units"], record["descriptions"]))
@@ -53,7 +54,12 @@ def parse_ranges(record: Mapping[str, Any]) -> dict[str, Any]:
 def require_finite_arrays(
     arrays: Mapping[str, np.ndarray], shapes: Mapping[str, tuple[int, ...]]
 ) -> None:
-    """Raise ValueError if arrays have other ``shapes`` or contain numbers that are not finite."""
+    """Check that the arrays have the given ``shapes`` and contain only finite numbers.
+
+    Raises
+    ------
+    ValueError : an array has another shape, or contains a number that is not finite.
+    """
     for key, shape in shapes.items():
         array = arrays[key]
         if array.shape != shape or array.dtype.kind not in "if" or not np.isfinite(array).all():
