@@ -1,7 +1,8 @@
-"""Linear models as matrix polynomials in s (pencils), ``P(s) x = B u``, ``y = C x + D u``.
+"""Linear models ``P(s) x = B u``, ``y = C x + D u`` with a matrix polynomial ``P(s)``.
 
-Solvers multiply by the matrices and solve linear systems, so that a Schur complement need not be
-computed as a dense matrix.
+The polynomial and the matrices B, C, D are called a pencil. A coefficient may be a Schur
+complement. It is never computed as a large dense matrix, because solvers need only its products
+with vectors and the solution of linear systems.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from kc2spice.linalg.factor import (
 
 Matrix: TypeAlias = Any  # np.ndarray, scipy.sparse.csc_array or Schur; scipy has no type hints
 
-# Two matrices are equal if no entry differs by more than this fraction of the largest entry.
+# Two matrices count as equal if no entry differs by more than this fraction of the largest entry.
 EQUALITY_TOLERANCE = 1e-12
 
 
@@ -45,7 +46,7 @@ class SharedValue(Generic[T]):
         return self._values[0] if self._values else None
 
     def get(self, compute: Callable[[], T]) -> T:
-        """Return the value; at the first use, ``compute`` is called to compute it."""
+        """Return the value. The first call computes it by the function ``compute``."""
         if not self._values:
             self._values.append(compute())
         return self._values[0]
@@ -59,13 +60,12 @@ class SharedValue(Generic[T]):
 class Schur:
     """Schur complement ``uu - up pp^-1 pu`` of a sparse matrix.
 
-    The Schur complement is dense, so only the four sparse blocks are stored. The unknowns of ``pp``
-    are eliminated.
+    The Schur complement itself is dense, so only the four sparse blocks of the matrix are stored.
+    The unknowns of the block ``pp`` are eliminated.
 
     Raises
     ------
-    SimulationError : ``pp`` is singular; the error is raised when the factor of ``pp`` is first
-        used.
+    SimulationError : ``pp`` is singular. The error occurs at the first use of the factor of ``pp``.
     """
 
     uu: scipy.sparse.csc_array
@@ -82,7 +82,7 @@ class Schur:
 
     @property
     def symmetric(self) -> bool:
-        """Whether the whole matrix is symmetric.
+        """Whether the matrix of all four blocks is symmetric.
 
         The diagonal blocks must be symmetric, and ``up`` must be the transpose of ``pu``.
 
@@ -92,7 +92,7 @@ class Schur:
 
     @property
     def inner(self) -> Factor:
-        """Factor of the block ``pp``."""
+        """Factorisation of the block ``pp``, computed at the first use."""
         return self.factor.get(self._factorise_inner)
 
     def _factorise_inner(self) -> Factor:
@@ -109,30 +109,31 @@ class Schur:
     def is_proven_definite(self, factor: Factor | None) -> bool:
         """Return whether a ``factor`` of all blocks proves the complement positive definite.
 
-        The number of negative eigenvalues of the whole matrix is the sum of the numbers of ``pp``
-        and of the complement (Haynsworth 1968). The complement must not have any.
+        The number of negative eigenvalues of the matrix of all blocks is the sum of two numbers:
+        those of ``pp`` and of the complement (Haynsworth 1968). A positive definite complement has
+        no negative eigenvalue.
         """
         count = self.pp.shape[0]
         return factor is not None and factor.negative == count == self.inner.negative
 
     @cached_property
     def T(self) -> Schur:
-        """Transpose."""
+        """Transpose of the Schur complement."""
         return Schur(*(scipy.sparse.csc_array(P.T) for P in (self.uu, self.pu, self.up, self.pp)))
 
     def __matmul__(self, x: np.ndarray) -> np.ndarray:
-        if np.iscomplexobj(x):  # the factor of real blocks accepts real vectors only
+        if np.iscomplexobj(x):  # real factors accept only real vectors
             return self @ x.real + 1j * (self @ x.imag)
         return np.asarray(self.uu @ x - self.up @ self.inner.solve(self.pu @ x))
 
     def scaled(self, t: np.ndarray) -> Schur:
-        """Return ``diag(t) S diag(t)`` for this matrix S."""
+        """Return ``diag(t) S diag(t)``, where S is this Schur complement."""
         return self._with_blocks(
             scale_matrix(self.uu, t, t), scale_matrix(self.up, t), scale_matrix(self.pu, None, t)
         )
 
     def damping(self, alpha: float, beta: float, M: scipy.sparse.csc_array) -> Schur:
-        """Return the damping matrix ``alpha M + beta S`` for this matrix S."""
+        """Return the damping matrix ``alpha M + beta S``, where S is this Schur complement."""
         return self._with_blocks(alpha * M + beta * self.uu, beta * self.up, self.pu)
 
     def _with_blocks(self, uu: Matrix, up: Matrix, pu: Matrix) -> Schur:
@@ -149,7 +150,7 @@ def scale_matrix(
 ) -> scipy.sparse.csc_array:
     """Compute ``diag(rows) P diag(columns)`` entry by entry.
 
-    Products of sparse matrices take ten times as long.
+    Products of sparse matrices would take ten times as long.
     """
     result = scipy.sparse.csc_array(P, copy=True)
     if rows is not None:
@@ -165,19 +166,25 @@ def to_dense(matrix: Matrix) -> np.ndarray:
 
 
 def absolute_entries(matrix: Matrix) -> Matrix:
-    """Return the absolute values of a matrix, or of the block ``uu`` of a :class:`Schur`."""
+    """Return the absolute values of the entries of a matrix.
+
+    For a :class:`Schur` complement, the entries are those of the block ``uu``.
+    """
     return abs(matrix.uu if isinstance(matrix, Schur) else matrix)
 
 
 def largest_entry(matrix: Matrix) -> float:
-    """Return the largest absolute entry of a matrix, or of the block ``uu`` of a :class:`Schur`."""
+    """Return the largest absolute value of the entries of a matrix.
+
+    For a :class:`Schur` complement, the entries are those of the block ``uu``.
+    """
     if isinstance(matrix, Schur):
         return largest_entry(matrix.uu)
     return float(abs(matrix).max()) if matrix.shape[0] and matrix.shape[1] else 0.0
 
 
 def mask_unknowns_with_entries(matrices: Sequence[Matrix]) -> np.ndarray:
-    """Return a mask (n,) of the unknowns for which any of the matrices has an entry."""
+    """Return a mask (n,) of the unknowns that have a nonzero entry in any of the matrices."""
     total = np.zeros(matrices[0].shape[0])
     for size in map(abs, matrices):
         total += np.ravel(size.sum(axis=0)) + np.ravel(size.sum(axis=1))
@@ -185,22 +192,23 @@ def mask_unknowns_with_entries(matrices: Sequence[Matrix]) -> np.ndarray:
 
 
 def is_equal(one: Matrix, other: Matrix) -> bool:
-    """Return whether two matrices are equal within rounding errors of the largest entry."""
+    """Return whether two matrices are equal within a tolerance for rounding errors."""
     return one.shape == other.shape and largest_entry(
         one - other
     ) <= EQUALITY_TOLERANCE * largest_entry(one)
 
 
 def is_symmetric(matrix: Matrix) -> bool:
-    """Return whether a matrix is equal to its transpose within rounding errors."""
+    """Return whether a matrix equals its transpose within a tolerance for rounding errors."""
     return matrix.symmetric if isinstance(matrix, Schur) else is_equal(matrix, matrix.T)
 
 
 def congruence(P: Matrix, V: np.ndarray, known: bool = False) -> np.ndarray:
-    """Compute ``V'PV``; if P is symmetric or skew-symmetric, so is the result exactly.
+    """Compute the congruence ``V'PV`` of a matrix P with the basis V.
 
-    If ``known`` states the symmetry of P, it is not tested, because the test takes longer than the
-    product.
+    If P is symmetric or skew-symmetric within rounding errors, the result is exactly symmetric or
+    skew-symmetric. If ``known`` is true, P is known to be symmetric and the symmetry is not tested,
+    because the test takes longer than the product.
     """
     if known or isinstance(P, Schur):
         R = V.T @ (P @ V)
@@ -214,24 +222,24 @@ def congruence(P: Matrix, V: np.ndarray, known: bool = False) -> np.ndarray:
     return total
 
 
-# Smallest ratio of a pole to the reference frequency that counts as infinite. Massless unknowns and
-# algebraic equations cause infinite poles.
+# Smallest magnitude of a pole that counts as infinite, relative to the reference frequency.
+# Massless unknowns and algebraic equations cause infinite poles.
 INFINITE_POLE_RATIO = 1e10
-# Largest condition number of a mass matrix that is inverted. The eigenvalues are then computed ten
-# times as fast as for a generalised problem.
+# Largest condition number of a mass matrix that is inverted. With the inverse, the eigenvalues are
+# computed ten times as fast as those of the generalised problem.
 MAX_INVERTED_CONDITION = 1e6
-BATCH_BYTES = 8e6  # memory of the matrices whose linear systems are solved together
+BATCH_BYTES = 8e6  # memory [bytes] for the matrices whose linear systems are solved together
 
 
 @dataclass(frozen=True, eq=False)
 class Pencil:
     """Matrix polynomial ``P(s) = sum_k s^k coefficients[k]`` of a linear model.
 
-    The coefficients of a second-order model are ``(K, E, M)``, and of a first-order model ``E x' =
-    A x + B u`` they are ``(-A, E)``. The first coefficient may be a :class:`Schur` complement. If
-    ``rayleigh`` is ``(alpha, beta)``, E is ``alpha M + beta K``. ``B`` (n, m), ``C`` (p, n) and
-    ``D`` (p, m) are arrays. The first ``free`` unknowns are rigid-body modes; see
-    :mod:`kc2spice.rom.rigid_body`.
+    The coefficients of a second-order model are ``(K, E, M)``. The coefficients of a first-order
+    model ``E x' = A x + B u`` are ``(-A, E)``. The first coefficient may be a :class:`Schur`
+    complement. If ``rayleigh`` is ``(alpha, beta)``, the damping matrix E is ``alpha M + beta K``.
+    ``B`` (n, m), ``C`` (p, n) and ``D`` (p, m) are arrays. The first ``free`` unknowns are
+    rigid-body modes; see :mod:`kc2spice.rom.rigid_body`.
     """
 
     coefficients: tuple[Matrix, ...]
@@ -263,13 +271,13 @@ class Pencil:
 
     @property
     def symmetric(self) -> bool:
-        """Whether every coefficient equals its transpose."""
+        """Whether every coefficient equals its transpose within rounding errors."""
         stated = self.coefficients[:: 1 if self.rayleigh is None else 2]
         return self.symmetry.get(lambda: all(map(is_symmetric, stated)))
 
     @cached_property
     def collocated(self) -> bool:
-        """Whether outputs are measured where inputs act: ``C = B'``."""
+        """Whether outputs are measured where inputs act, so that ``C = B'``."""
         return self.B.shape == self.C.T.shape and np.array_equal(self.B, self.C.T)
 
     @cached_property
@@ -288,10 +296,10 @@ class Pencil:
         return replace(self, coefficients=parts, rayleigh=None)
 
     def bordered(self, k: complex, e: complex, m: complex) -> Matrix:
-        """Compute ``k K + e E + m M`` with rows and columns for the eliminated unknowns.
+        """Compute ``k K + e E + m M`` with rows and columns of the eliminated unknowns.
 
-        For a first-order model, the result is ``k (-A) + e E``. The unit of potentials is chosen so
-        that both diagonal blocks are equally large.
+        For a first-order model, the result is ``k (-A) + e E``. If K is a Schur complement, its
+        eliminated unknowns are scaled so that both diagonal blocks of K have equally large entries.
         """
         if self.rayleigh is not None:
             alpha, beta = self.rayleigh
@@ -309,7 +317,10 @@ class Pencil:
         return scipy.sparse.csc_array(scipy.sparse.block_array(blocks))
 
     def at(self, s: complex) -> Matrix:
-        """Return ``P(s)`` with rows for eliminated unknowns, as real numbers if possible."""
+        """Return the matrix ``P(s)`` with rows and columns of the eliminated unknowns.
+
+        The matrix is real if s is real, and if the model is undamped and ``s^2`` is real.
+        """
         powers = [s**k for k in range(3)]
         if self.undamped and complex(powers[2]).imag == 0:
             return self.bordered(1.0, 0.0, complex(powers[2]).real)
@@ -318,9 +329,10 @@ class Pencil:
         return self.bordered(*powers)
 
     def slope(self, s: complex, x: np.ndarray) -> np.ndarray:
-        """Compute ``P'(s) x``, real if ``P(s)`` is real.
+        """Compute ``P'(s) x``: the derivative of ``P(s)``, times a vector.
 
-        For an undamped model, the result is the derivative with respect to ``s^2``.
+        The result is real if ``P(s)`` and x are real. For an undamped model, the derivative is with
+        respect to ``s^2`` instead of ``s``.
         """
         if self.undamped:
             return np.asarray(self.coefficients[2] @ x)
@@ -330,7 +342,7 @@ class Pencil:
         )
 
     def solver(self, s: complex) -> tuple[Factor, Factor]:
-        """Return factors of ``P(s)`` and of the transpose of ``P(s)``.
+        """Return factorisations of ``P(s)`` and of the transpose of ``P(s)``.
 
         Raises
         ------
@@ -350,11 +362,12 @@ class Pencil:
         return K.is_large if isinstance(K, Schur) else self.size >= QUASI_DEFINITE_UNKNOWNS
 
     def pencil_solver(self, square: float) -> Factor:
-        """Return the real factor of ``K - square M``; if ``square`` is zero, K must be definite.
+        """Return a real factorisation of the matrix ``K - square M``.
 
         Raises
         ------
-        SimulationError : the matrix is singular, or K is not positive definite.
+        SimulationError : the matrix is singular, or ``square`` is zero and K is not positive
+        definite.
         """
         if square:
             matrix = scipy.sparse.csc_array(self.bordered(1.0, 0.0, -square))
@@ -381,9 +394,9 @@ class Pencil:
 
     @property
     def elimination_order(self) -> np.ndarray | None:
-        """Elimination order of the factor of K, None if K was not factorised.
+        """Elimination order in the factorisation of K, or None if K is not factorised.
 
-        The same elimination order suits other matrices of the same unknowns.
+        This order is also suitable for other matrices of the same unknowns.
         """
         factor = self.factors.known
         order = None if factor is None else factor.order
@@ -391,15 +404,15 @@ class Pencil:
 
     @property
     def factorised(self) -> bool:
-        """Whether factors of K are known."""
+        """Whether K is already factorised."""
         return self.factors.known is not None
 
     def share_factors(self, other: Pencil) -> None:
-        """Share the factors of K with ``other``, which has the same K."""
+        """Share the factorisation of K with the pencil ``other``, which has the same K."""
         other.factors.join(self.factors)
 
     def project(self, V: np.ndarray) -> Pencil:
-        """Project the model on the basis V by the congruence ``V'PV``, ``V'B``, ``CV``.
+        """Return the projection of the model on the basis V: ``V'PV``, ``V'B`` and ``CV``.
 
         Symmetric matrices remain exactly symmetric, and skew-symmetric matrices exactly skew.
         """
@@ -413,7 +426,7 @@ class Pencil:
         return Pencil(reduced, B, B.T.copy() if self.collocated else self.C @ V, self.D)
 
     def project_exactly(self, V: np.ndarray) -> Pencil:
-        """Project a dense pencil on the basis V with 19 digits in intermediate results.
+        """Return the projection of a dense pencil on the basis V, computed with 19 digits.
 
         The stiffness of soft motions is a small difference of large entries of K, which 16 digits
         do not resolve.
@@ -431,7 +444,7 @@ class Pencil:
         return Pencil(tuple(reduced), B, C, self.D)
 
     def leading_model(self, order: int) -> Pencil:
-        """Return the pencil of the first ``order`` unknowns."""
+        """Return the pencil that contains only the first ``order`` unknowns."""
         return self._part(slice(order), min(self.free, order))
 
     @property
@@ -440,13 +453,13 @@ class Pencil:
         return self._part(slice(self.free, None), 0)
 
     def _part(self, q: slice, free: int) -> Pencil:
-        """Return the pencil of selected unknowns."""
+        """Return the pencil of the unknowns ``q``, of which ``free`` are rigid-body modes."""
         parts = tuple(P[q, q] for P in self.coefficients)
         return Pencil(parts, self.B[q], self.C[:, q], self.D, free=free)
 
     @property
     def has_uncoupled_motion(self) -> bool:
-        """Whether there are rigid-body modes that are not coupled to the other unknowns."""
+        """Whether rigid-body modes exist and are not coupled to the other unknowns."""
         r = self.free
         return bool(r) and not any(P[:r, r:].any() or P[r:, :r].any() for P in self.coefficients)
 
@@ -462,11 +475,11 @@ class Pencil:
         return Pencil(flipped, self.C.T, self.B.T, self.D.T, free=self.free)
 
     def scale_unknowns(self, omega: float) -> Pencil:
-        """Return the model with scaled unknowns, which have similar energies at ``omega``."""
+        """Return the model with unknowns scaled to similar energies at ``omega`` [rad/s]."""
         return self.in_units(self.units(omega))
 
     def units(self, omega: float) -> np.ndarray:
-        """Return units (n,) of the unknowns for which their energies at ``omega`` are similar."""
+        """Return units (n,) of the unknowns that make their energies at ``omega`` similar."""
         size = np.zeros(self.size)
         for k, P in enumerate(self.coefficients):
             rows = absolute_entries(P).max(axis=1)
@@ -476,7 +489,7 @@ class Pencil:
         return np.asarray(np.exp2(np.round(np.log2(t))))  # powers of two cause no rounding errors
 
     def in_units(self, t: np.ndarray) -> Pencil:
-        """Return the model with the unknowns ``x / t``: its polynomial is ``diag(t) P diag(t)``."""
+        """Return the model with the unknowns ``x / t`` and the polynomial ``diag(t) P diag(t)``."""
 
         def both(P: Matrix) -> Matrix:
             if isinstance(P, Schur):
@@ -487,17 +500,19 @@ class Pencil:
         B = t[:, None] * self.B
         C = B.T.copy() if self.collocated else self.C * t
         result = Pencil(parts, B, C, self.D, self.rayleigh)
-        # scaling of the unknowns preserves symmetry, and a test would need a transposition
+        # scaling preserves symmetry, so the costly test of symmetry is not repeated
         if self.symmetric:
             result.symmetry.get(lambda: True)
         return result
 
     def states(self, s: np.ndarray) -> np.ndarray:
-        """Compute the complex unknowns ``P(s)^-1 B`` (len(s), n, m).
+        """Compute the complex unknowns ``P(s)^-1 B`` at all values ``s``.
+
+        The result has the shape (len(s), n, m): values, unknowns and inputs.
 
         Raises
         ------
-        SimulationError : a value in ``s`` is a pole.
+        SimulationError : a value in ``s`` is a pole of the model.
         """
         s = np.asarray(s, dtype=complex)
         result = np.empty((len(s), *self.B.shape), dtype=complex)
@@ -516,15 +531,18 @@ class Pencil:
         return result
 
     def transfer(self, s: np.ndarray) -> np.ndarray:
-        """Compute the complex response ``C P(s)^-1 B + D`` (len(s), outputs, inputs)."""
+        """Compute the transfer matrix ``C P(s)^-1 B + D`` at all values ``s``.
+
+        The result is a complex array of shape (len(s), outputs, inputs).
+        """
         if self.is_dense:
             return np.asarray(self.C @ self.states(s) + self.D)
         return np.stack([self.C @ self.states(item[None])[0] + self.D for item in np.asarray(s)])
 
     def poles(self, omega: float | None = None) -> np.ndarray:
-        """Compute the finite poles [1/s] with dense matrices.
+        """Compute the finite poles [1/s] of the model with dense matrices.
 
-        ``omega`` is a typical angular frequency, with which rates are scaled.
+        ``omega`` is a typical angular frequency [rad/s] by which rates are scaled.
         """
         full = self.coefficients if self.is_dense else self.dense().coefficients
         sizes = list(map(largest_entry, full))
@@ -543,9 +561,9 @@ class Pencil:
 
 
 class GrowingProjection:
-    """Projection of a definite pencil on a basis V to which blocks of vectors are added.
+    """Projection of a definite pencil on a growing basis V.
 
-    Each block adds rows and columns to ``V'KV`` and ``V'MV``.
+    Each new block of basis vectors adds rows and columns to ``V'KV`` and ``V'MV``.
     """
 
     def __init__(self, pencil: Pencil) -> None:
@@ -554,7 +572,7 @@ class GrowingProjection:
         self._B = np.empty((0, pencil.B.shape[1]))
 
     def extend(self, V: np.ndarray, stiff: np.ndarray, heavy: np.ndarray) -> None:
-        """Extend the projection by the last m columns of a basis V (n, k).
+        """Extend the projection by the last m columns of the basis V (n, k).
 
         ``stiff`` and ``heavy`` (n, m) are the products of K and M with these columns.
         """
@@ -563,28 +581,28 @@ class GrowingProjection:
 
     @property
     def pencil(self) -> Pencil:
-        """Projection of the pencil on the basis."""
+        """Projection of the pencil on the present basis."""
         alpha, beta = self._full.rayleigh or (0.0, 0.0)
         reduced = self._K, alpha * self._M + beta * self._K, self._M
         return Pencil(reduced, self._B, self._B.T.copy(), self._full.D)
 
 
 def _bordered(square: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Return a symmetric matrix with additional ``columns`` (k, m) and the equal rows."""
+    """Extend a symmetric matrix by ``columns`` (k, m) and the corresponding rows."""
     old = len(square)
     corner = 0.5 * (columns[old:] + columns[old:].T)
     return np.block([[square, columns[:old]], [columns[:old].T, corner]])
 
 
 def make_explicit_pencil(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> Pencil:
-    """Return the pencil of ``x' = A x + B u``, ``y = C x + D u``."""
+    """Return the pencil of the state-space model ``x' = A x + B u``, ``y = C x + D u``."""
     return Pencil((-A, np.eye(len(A))), B, C, D)
 
 
 def first_order(pencil: Pencil, omega: float) -> Pencil:
-    """Convert a model to ``E x' = A x + B u`` without divisions.
+    """Convert a model to first-order form ``E x' = A x + B u`` without divisions.
 
-    Rates are divided by ``omega``.
+    Velocities are divided by ``omega`` [rad/s].
     """
     if pencil.degree == 1:
         return pencil
@@ -597,9 +615,11 @@ def first_order(pencil: Pencil, omega: float) -> Pencil:
 
 
 def detect_rayleigh(pencil: Pencil) -> Pencil:
-    """Set ``rayleigh`` of a model whose E is ``alpha M + beta K`` within rounding errors.
+    """Detect Rayleigh damping, where E is ``alpha M + beta K`` within rounding errors.
 
-    A definite model can then be reduced with real factorisations.
+    Return the pencil with the attribute ``rayleigh`` set to ``(alpha, beta)``, so that a definite
+    model can be reduced with real factorisations. A pencil without Rayleigh damping is returned
+    unchanged.
     """
     if pencil.degree != 2 or pencil.rayleigh is not None or pencil.undamped:
         return pencil
@@ -620,9 +640,9 @@ def detect_rayleigh(pencil: Pencil) -> Pencil:
 def eliminate_massless(pencil: Pencil) -> Pencil:
     """Eliminate unknowns without inertia and damping exactly by a Schur complement.
 
-    Such unknowns are potentials of a piezoelectric model and algebraic unknowns of a first-order
-    model. If the block of these unknowns is singular (index two), or if a coefficient is already a
-    Schur complement, the pencil is returned unchanged.
+    Such unknowns are the electric potentials of a piezoelectric model and the algebraic unknowns of
+    a first-order model. The pencil is returned unchanged if the block of these unknowns is singular
+    (index two), or if K or -A is already a Schur complement.
     """
     rest, *others = pencil.coefficients
     if isinstance(rest, Schur) or pencil.rayleigh is not None or pencil.size < 2:
