@@ -1,15 +1,16 @@
-"""Reduction of any linear model to a tolerance or an order over a band.
+"""Reduction of linear models, to a tolerance over a band or to an order.
 
 The result is a reduced model with a certificate.
 
 The reduction has two steps. The first step (:mod:`kc2spice.rom.first_step`) replaces the full-order
 model by an intermediate model that is far more accurate than the tolerance. The second step
 computes bases of the intermediate model with the reductors that suit the model. It selects the
-smallest order whose error estimate is within the tolerance, and proves stability and passivity.
+smallest order whose error estimate is within the tolerance. It also proves the stability and
+passivity of the reduced model.
 
 Rigid-body modes are separated first and remain exact. The error estimate is the sum of two errors:
-the largest difference to the intermediate model, and the error of the intermediate model. The
-difference is computed at and beside every resonance and at every notch.
+the largest difference between the reduced and the intermediate model, and the error of the
+intermediate model. The difference is computed at and beside every resonance and at every notch.
 """
 
 from __future__ import annotations
@@ -41,19 +42,21 @@ from kc2spice.rom.search import require_order, select_basis, select_fewest_state
 from kc2spice.rom.stability import StabilityProof, prove_stability
 from kc2spice.rom.structural import approximate_causally, reduce_to_first_order
 
-MAX_FREQUENCY = 1e30  # Hz; the square of the angular frequency is a finite float
-# Smallest tolerance, ten times MIN_ERROR_ESTIMATE: solutions of the full-order model are hardly
+# largest frequency [Hz]; the square of its angular frequency is a finite float
+MAX_FREQUENCY = 1e30
+# Smallest tolerance, ten times MIN_ERROR_ESTIMATE. Solutions of the full-order model are hardly
 # more accurate.
 MIN_TOLERANCE = 1e-10
-# Requested error of the intermediate model, as a share of the tolerance. It is small compared with
-# the error of the reduced model, and was found by trials.
+# Requested error of the intermediate model, as a share of the tolerance. This share was found by
+# trials, and is small compared with the error of the reduced model.
 INTERMEDIATE_SHARE = 0.02
 # Largest error of the intermediate model, as a share of the tolerance, if rounding errors prevent
 # the requested error.
 MAX_INTERMEDIATE_SHARE = 0.5
-# Smallest share of the tolerance that remains for the reduced model beside rounding errors. A
-# quarter of the tolerance costs one or two additional states. If less remains, the error estimate
-# exceeds the tolerance, and a warning states the reason.
+# Smallest share of the tolerance that must remain for the reduced model after rounding errors are
+# subtracted. If only a quarter of the tolerance remains, the model needs one or two additional
+# states. If less remains, the error estimate exceeds the tolerance, and a warning states the
+# reason.
 MIN_REMAINING_SHARE = 0.25
 # Requested error of the intermediate model if the order is prescribed, found by trials.
 FIXED_ORDER_TARGET = 1e-8
@@ -70,21 +73,21 @@ def reduce_model(
     method: str | Reductor | None = None,
     solver: DirectSolver | str | None = None,
 ) -> LinearModel:
-    """Return the smallest reduced model within ``tolerance``, or the model of ``order``.
+    """Return the smallest reduced model within ``tolerance``, or a model of the given ``order``.
 
     The result has the ports of ``fom``, the full-order model. The certificate contains the error
     over ``band`` [Hz], in the ``norm`` of :class:`Certificate`.
 
-    * An ``order`` of a symmetric positive definite model selects the paper's reduction (2.3): block
-      Arnoldi at s0 = 0.
+    * If ``order`` is given, a symmetric positive definite model is reduced by block Arnoldi at
+      s0 = 0 (Schütz, Maeter and Bechtold, Actuators 10 (2021) 279, section 2.3).
     * Models whose ports are signals are also reduced to first-order models by balanced truncation.
-      This result is used if it has fewer states and no passive form is lost.
-    * Structural damping becomes viscous damping of each mode, or relaxations if they are much more
-      accurate. The error estimate includes the difference. The function warns if the difference
-      exceeds the tolerance.
-    * The inertia of a symmetric model with only real poles is omitted if this saves states without
-      a change of the response.
-    * Rounding errors of the full model's entries may change the response by more than
+      The first-order model is used if it has fewer states and no passive form is lost.
+    * Structural damping is replaced by viscous damping of each mode, or by relaxations if they are
+      much more accurate. The error estimate includes the error of this replacement. The function
+      warns if this error exceeds the tolerance.
+    * The inertia of a symmetric model with only real poles is omitted if this reduces the number of
+      states without a change of the response.
+    * Rounding errors of the full model's matrix entries may change the response by more than
       ``tolerance``. The error estimate then includes this change, and the function warns.
 
     Parameters
@@ -94,19 +97,20 @@ def reduce_model(
     tolerance : float, optional
         Largest relative error over the band, less than 1.
     order : int, optional
-        Number of unknowns of the result. Exactly one of ``tolerance`` and ``order`` is required.
+        Number of unknowns of the reduced model. Exactly one of ``tolerance`` and ``order`` is
+        required.
     band : tuple of two floats, optional
         Lowest and highest frequency in Hz. The default is the band of the model. If the model has
         no band, the band ends a little above the fifth natural frequency.
     norm : "pointwise" or "peak", default "pointwise"
-        Reference of the relative error: the value at the same frequency, or the entry's largest
-        value in the band.
+        Divisor of the relative error: the entry's size at the same frequency, or the entry's
+        largest size in the band.
     contact : bool, default False
-        Whether a third more states represent a part of the response above the band, which a contact
-        excites.
+        Whether the model gets a third more states, which represent a part of the response above the
+        band. A contact excites this part.
     method : str or Reductor, optional
-        Method of reduction. By default response POD and the variants
-        of balanced truncation that suit the model are tried.
+        Method of reduction. By default, response POD and the variants of balanced truncation that
+        suit the model are tried.
     solver : callable or "pardiso", optional
         Direct solver, see :func:`kc2spice.reduce`. By default CHOLMOD and SuperLU are used.
 
@@ -142,7 +146,7 @@ def reduce_model(
 
 
 def reduce_to(fom: LinearModel, target: Target) -> LinearModel:
-    """Reduce a model according to a ``target``; see :func:`reduce_model`."""
+    """Reduce a model so that it meets a ``target``. See :func:`reduce_model`."""
     require_valid(target)
     if fom.structural:
         return _reduce_structural_damping(fom, target)
@@ -158,7 +162,7 @@ class Target:
 
     If ``keep_form`` is true, only congruences are used. If ``exact`` is true, the intermediate
     model must be accurate enough for the tolerance. ``space`` is the Krylov subspace of the model
-    at zero if it is known from a reduction to another order.
+    at s = 0, if it is known from a reduction to another order.
     """
 
     tolerance: float | None
@@ -191,7 +195,7 @@ def _reduce(fom: LinearModel, target: Target) -> LinearModel:
 def choose_band(
     fom: LinearModel, pencil: Pencil, band: tuple[float, float] | None
 ) -> tuple[float, float]:
-    """Return the prescribed band [Hz]; without one, the model's band or the default band."""
+    """Return the prescribed ``band`` [Hz], or otherwise the model's band or the default band."""
     if not pencil.B.any() or not pencil.C.any():
         letter = "C" if pencil.B.any() else "B"
         raise UsageError(
@@ -219,12 +223,12 @@ def choose_band(
 def make_verified_first_step(
     pencil: Pencil, band: tuple[float, float], target: Target
 ) -> tuple[IntermediateModel, StabilityProof]:
-    """Return the intermediate model, and stability and passivity of the full-order model.
+    """Return the intermediate model and the stability proof of the full-order model.
 
-    If the target is not ``exact``, any error of the intermediate model is accepted, because a later
-    target limits the error.
+    The proof also covers passivity. If ``target.exact`` is false, any error of the intermediate
+    model is accepted, because a later target limits the error.
     """
-    # The memory is checked again if the stiffness proves to be indefinite.
+    # The required memory is checked again later if the stiffness matrix proves to be indefinite.
     require_memory_for_factors(pencil.bordered(1.0, 1.0, 1.0), definite=expects_cholesky(pencil))
     goal, limit = FIXED_ORDER_TARGET, np.inf
     if target.tolerance is not None:
@@ -236,7 +240,8 @@ def make_verified_first_step(
         if target.order is not None and by_krylov and is_definite(pencil):
             result = make_nested_model(pencil, target.order, target.space)
         else:
-            deflated = target.order is None  # the user may prescribe any order
+            # a prescribed order may exceed the number of states of a deflated model
+            deflated = target.order is None
             result = intermediate_model(pencil, band, goal, limit, deflated=deflated)
     finally:
         proof = prove_stability(pencil, band, result.poles if result else None)
@@ -251,7 +256,7 @@ def make_verified_first_step(
 
 
 def list_methods(task: Task, target: Target) -> list[Reductor]:
-    """Return the prescribed method, otherwise all methods that suit the model."""
+    """Return the prescribed method of reduction, or otherwise all methods that suit the model."""
     if target.method is not None:
         return [find_reductor(target.method)]
     if not task.intermediate.proof:
@@ -265,9 +270,10 @@ def find_basis_of_order(
     target: Target,
     bases: dict[str, list[ReducedBasis]] | None = None,
 ) -> tuple[ReducedBasis, int]:
-    """Return the best basis of a prescribed order, and the order.
+    """Return the basis with the smallest error at a prescribed order, and this order.
 
-    ``bases`` contains bases that are already known, keyed by the name of the reductor.
+    ``bases`` contains bases that are already computed, keyed by the name of the reductor. New bases
+    are added to it.
     """
     assert target.order is not None
     bases = {} if bases is None else bases
@@ -285,7 +291,7 @@ def find_basis_of_order(
 def find_basis_within(
     task: Task, reductors: Sequence[Reductor], target: Target
 ) -> tuple[ReducedBasis, int]:
-    """Return the basis that needs the fewest states for the tolerance, and the order."""
+    """Return the basis that needs the fewest states for the tolerance, and its order."""
     assert target.tolerance is not None
     tolerance = _tolerance_beside_rounding(target.tolerance, task.intermediate)
     if target.method is not None:
@@ -297,7 +303,10 @@ def find_basis_within(
 
 
 def _tolerance_beside_rounding(tolerance: float, intermediate: IntermediateModel) -> float:
-    """Return the tolerance minus the rounding error, or the tolerance if too little remains."""
+    """Subtract the rounding error from the tolerance.
+
+    If the difference is too small for a reduction, return the tolerance itself.
+    """
     remaining = tolerance - intermediate.floor
     attainable = max(MIN_REMAINING_SHARE * tolerance, intermediate.error / MAX_INTERMEDIATE_SHARE)
     enough = remaining > min(MAX_INTERMEDIATE_SHARE * tolerance, attainable)
@@ -305,7 +314,12 @@ def _tolerance_beside_rounding(tolerance: float, intermediate: IntermediateModel
 
 
 def _prescribed_basis(task: Task, reductor: Reductor) -> ReducedBasis:
-    """Return the basis of a prescribed method."""
+    """Return the basis of a prescribed reduction method.
+
+    Raises
+    ------
+    UsageError : the method does not apply to the model.
+    """
     basis, reason = None, reductor.obstacle(task) or "its applies_to() returns False"
     if reductor.applies_to(task):
         reason = reductor.no_basis
@@ -323,7 +337,10 @@ def _prescribed_basis(task: Task, reductor: Reductor) -> ReducedBasis:
 
 
 def warn_of_rounding_errors(rom: LinearModel, floor: float, tolerance: float | None) -> None:
-    """Warn if rounding errors of the full-order model's entries exceed the tolerance."""
+    """Warn if rounding errors of the full model's entries change its response too much.
+
+    The limits of the change ``floor`` are the ``tolerance`` and the error estimate of ``rom``.
+    """
     if tolerance is None:
         return
     assert rom.certificate is not None
@@ -346,7 +363,7 @@ def warn_of_rounding_errors(rom: LinearModel, floor: float, tolerance: float | N
 def _make_congruence(
     target: Target,
 ) -> Callable[[LinearModel, float, tuple[float, float]], LinearModel]:
-    """Return a function that reduces a model within a tolerance over a band by a congruence."""
+    """Return a function that reduces a model by a congruence, within a tolerance over a band."""
 
     def congruence(fom: LinearModel, tolerance: float, band: tuple[float, float]) -> LinearModel:
         return _reduce(
@@ -357,7 +374,7 @@ def _make_congruence(
 
 
 def _reduce_structural_damping(fom: LinearModel, target: Target) -> LinearModel:
-    """Return a causal, passive reduced model of a model with structural damping."""
+    """Reduce a model with structural damping to a causal, passive model."""
     if target.tolerance is None:
         raise UsageError(
             "a model with structural damping cannot be reduced to an order",
@@ -379,7 +396,7 @@ def _reduce_structural_damping(fom: LinearModel, target: Target) -> LinearModel:
 
 
 def require_valid(target: Target) -> None:
-    """Check tolerance, order, norm and method."""
+    """Check that the tolerance, order, norm and method of a target are valid."""
     tolerance, order = target.tolerance, target.order
     if (tolerance is None) == (order is None):
         raise UsageError(

@@ -1,8 +1,9 @@
-"""Tasks of reductors, and the bases from which reduced models of every order are made.
+"""Tasks of reductors, and the bases that contain the reduced models of every order.
 
 A reduction has two steps (Lehner and Eberhard, Multibody Syst. Dyn. 17 (2007) 157). The first step
 makes an intermediate model that is far more accurate than the tolerance. The second step computes a
-basis of the intermediate model. The first q vectors of the basis give the reduced model of order q.
+basis of the intermediate model. The projection on the first q vectors of the basis is the reduced
+model of order q.
 """
 
 from __future__ import annotations
@@ -25,25 +26,27 @@ from kc2spice.rom.response import Response
 from kc2spice.rom.stability import StabilityProof, prove_stability
 from kc2spice.rom.state_space import to_hertz, to_schur_form
 
-# Smallest error estimate, because direct solutions of the response are hardly more accurate.
+# Smallest error estimate, because responses from direct solutions are hardly more accurate.
 MIN_ERROR_ESTIMATE = 1e-11
-# Safety factor of an error that is computed at samples, because the error between samples is
-# larger. With this factor, the error estimates of 500 random models are one to three times the true
-# errors (tests/physics/test_certificates.py).
+# Safety factor of an error that is computed at sample frequencies, because the error between
+# samples may be larger. With this factor, the error estimates of 500 random models are one to three
+# times the true errors (tests/physics/test_certificates.py).
 SAFETY_FACTOR = 1.15
 
 T = TypeVar("T")
 Coordinates = Literal["intermediate", "first order", "full order"]
-DEPENDENT_VECTOR = 1e-10  # largest relative distance of a dependent vector from the span of others
+# largest relative distance of a dependent vector from the span of other vectors
+DEPENDENT_VECTOR = 1e-10
 
 
 @dataclass(frozen=True)
 class Task:
     """Full-order model ``fom`` to be reduced, and its ``intermediate`` model.
 
-    ``pencil`` is the full-order model without constraints and infinite poles. The ``estimator``
-    contains the band and the norm. The ``tolerance`` is None if the order is prescribed. ``shared``
-    contains values that are the same for all tolerances, see :meth:`share`.
+    ``pencil`` contains the matrices of the full-order model without constraints and infinite poles.
+    The ``estimator`` computes errors in a band and a norm. The ``tolerance`` is None if the order
+    is prescribed. ``shared`` contains computed values that are the same for all tolerances, see
+    :meth:`share`.
 
     Examples
     --------
@@ -67,17 +70,17 @@ class Task:
         norm: Norm,
         tolerance: float | None = None,
     ) -> Task:
-        """Return the task with the estimator of a band [Hz] and a norm."""
+        """Create the task with an error estimator for a band [Hz] and a norm."""
         return cls(fom, pencil, intermediate, intermediate.estimator(band, norm), tolerance)
 
     @property
     def band(self) -> tuple[float, float]:
-        """Lowest and highest frequency [Hz]."""
+        """Lowest and highest frequency [Hz] of the band."""
         return self.estimator.band
 
     @property
     def norm(self) -> Norm:
-        """Norm of the error."""
+        """Norm in which errors are measured."""
         return self.estimator.norm
 
     @property
@@ -95,7 +98,7 @@ class Task:
 
     @property
     def collocated(self) -> bool:
-        """Whether the model equals its dual: symmetric matrices and ``C = B'``."""
+        """Whether the model equals its dual, because its matrices are symmetric and ``C = B'``."""
         return self.pencil.symmetric and self.pencil.collocated
 
     @property
@@ -104,7 +107,7 @@ class Task:
         return self.response.pencil.size * self.response.pencil.degree
 
     def share(self, name: str, compute: Callable[[], T]) -> T:
-        """Return the shared value ``name``; at the first use, ``compute`` computes it.
+        """Return the shared value ``name``. The first call computes it by ``compute``.
 
         Tasks of the same model that differ only in the tolerance share the value.
         """
@@ -114,13 +117,19 @@ class Task:
 
     @property
     def model(self) -> LinearModel:
-        """Model :attr:`core` with dense ``M E K B C D``; a first-order model has ``A E B C D``."""
+        """Linear model with the matrices of :attr:`core`.
+
+        The dense matrices are ``M E K B C D``, or ``A E B C D`` for a first-order model.
+        """
         core, fom = self.core, self.fom
         return self.share("model", lambda: make_linear_model(core, ports=fom.ports, name=fom.name))
 
     @property
     def first_order(self) -> Response:
-        """Model :attr:`core` as ``x' = A x + B u``; rates are divided by the end of the band."""
+        """Response of the model :attr:`core` in the first-order form ``x' = A x + B u``.
+
+        Rates are divided by the end of the band.
+        """
         return self.share("first order", lambda: Response(to_schur_form(self.core, self.band[1])))
 
     @property
@@ -131,7 +140,7 @@ class Task:
     def project(
         self, V: np.ndarray, W: np.ndarray | None = None, *, fixed: int = 0
     ) -> ReducedBasis:
-        """Project :attr:`model` on a basis by Galerkin or, with W, Petrov-Galerkin.
+        """Project :attr:`model` on the basis V, by a Galerkin or Petrov-Galerkin projection.
 
         Parameters
         ----------
@@ -178,7 +187,7 @@ class Task:
         return ReducedBasis(self, pencil, fixed, congruence=W is None, vectors=vectors)
 
     def with_rigid_body(self, pencil: Pencil) -> Pencil:
-        """Return a projection of :attr:`core` with the rigid-body modes as first unknowns."""
+        """Prepend the rigid-body modes to the unknowns of a projection of :attr:`core`."""
         if self.core is self.response.pencil:
             return pencil
         return pencil.prepend_rigid_body_modes(
@@ -186,18 +195,19 @@ class Task:
         )
 
     def add_rigid_body_vectors(self, V: np.ndarray) -> np.ndarray:
-        """Extend vectors V of :attr:`core` to vectors of the intermediate model.
+        """Convert basis vectors V of :attr:`core` to basis vectors of the intermediate model.
 
-        The rigid-body modes are the first vectors of the result.
+        The rigid-body modes are the first vectors in the result.
         """
         free = self.response.pencil.size - self.core.size
         return np.asarray(scipy.linalg.block_diag(np.eye(free), V)) if free else V
 
     @cached_property
     def displacements(self) -> np.ndarray | None:
-        """Matrix that converts states of :meth:`from_first_order` to the intermediate unknowns.
+        """Matrix that converts first-order states to unknowns of the intermediate model.
 
-        The value is None if the unknowns also depend on the input.
+        The states are those of :meth:`from_first_order`. The matrix is None if the unknowns also
+        depend directly on the input.
         """
         pencil, free = self.response.pencil, self.response.pencil.size - self.core.size
         parts = [pencil.leading_model(free), self.core] if free else [self.core]
@@ -212,7 +222,7 @@ class Task:
         return np.asarray(scipy.linalg.block_diag(*rows))
 
     def from_first_order(self, pencil: Pencil) -> Pencil:
-        """Return a projection of :attr:`first_order` in SI units, with rigid-body modes added."""
+        """Convert a projection of :attr:`first_order` to SI units, and prepend rigid-body modes."""
         if free := self.response.pencil.free:
             rigid = to_schur_form(self.response.pencil.leading_model(free), self.band[1])
             pencil = pencil.prepend_rigid_body_modes(rigid)
@@ -220,7 +230,7 @@ class Task:
 
 
 def _select_independent(V: np.ndarray, free: int) -> np.ndarray:
-    """Return a mask of the columns of V that do not depend on earlier columns.
+    """Return a mask of the columns of V that are linearly independent of earlier columns.
 
     The first ``free`` rows are ignored.
     """
@@ -234,13 +244,14 @@ def _select_independent(V: np.ndarray, free: int) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class ReducedBasis:
-    """Projected model in the coordinates of a basis, the most important coordinate first.
+    """Projection of a model on a basis, with the most important basis vector first.
 
     The reduced-order model of order q consists of the first q unknowns of the ``pencil``. Every
-    reduced model contains the first ``fixed`` coordinates: rigid-body modes, and static responses
-    of conservative ports. If ``congruence`` is true, the projection preserves the form of the
-    matrices. The text of the certificate begins with ``origin``. The ``vectors`` of the basis are
-    columns in the ``coordinates`` of a model, or None if they are unknown.
+    reduced model contains the first ``fixed`` unknowns: rigid-body modes, and static responses of
+    conservative ports. If ``congruence`` is true, the projection preserves the form of the
+    matrices. ``origin`` is the beginning of the method description in the certificate. ``vectors``
+    contains the basis vectors as columns, or is None if they are unknown. ``coordinates`` states in
+    the unknowns of which model these vectors are given.
     """
 
     task: Task
@@ -253,37 +264,37 @@ class ReducedBasis:
 
     @property
     def size(self) -> int:
-        """Largest order."""
+        """Largest order of a reduced model: the number of basis vectors."""
         return self.pencil.size
 
     def states(self, order: int) -> int:
-        """Return the number of first-order states of the model of this order."""
+        """Return the number of first-order states of the reduced model of this order."""
         return order * self.pencil.degree
 
     @property
     def has_only_real_poles(self) -> bool:
         """Whether the model is symmetric and of first order, like a network of R and C.
 
-        A congruence then preserves real poles and passivity.
+        In this case, a congruence preserves real poles and passivity.
         """
         return self.pencil.degree == 1 and self.pencil.symmetric and self.pencil.collocated
 
     def leading_model(self, order: int) -> Response:
-        """Return the response of the model of this order."""
+        """Return the frequency response of the reduced model of this order."""
         if order not in self.responses:
             self.responses[order] = Response(self.pencil.leading_model(order))
         return self.responses[order]
 
     @cached_property
     def responses(self) -> dict[int, Response]:
-        """Responses of the reduced models that were computed so far, keyed by order."""
+        """Responses of the reduced models that are already computed, keyed by order."""
         return {}
 
     def unknowns(self, order: int) -> np.ndarray | None:
-        """Return the basis (n, order) of this order in unknowns of the full-order model.
+        """Return the first ``order`` basis vectors in unknowns of the full-order model.
 
-        The result is None if the vectors are unknown, or cannot be expressed in unknowns of the
-        full-order model.
+        The result has the shape (n, order). It is None if the vectors are unknown, or cannot be
+        expressed in unknowns of the full-order model.
         """
         task, V = self.task, self.vectors
         if V is None or task.pencil.size != task.fom.order:
@@ -299,9 +310,10 @@ class ReducedBasis:
         return None if frame is None else np.asarray(frame @ V)
 
     def error(self, order: int, limit: float = np.inf) -> float:
-        """Estimate the largest relative error of any transfer function in the band.
+        """Estimate the largest relative error of a reduced model of this order in the band.
 
-        If the largest error exceeds ``limit``, the result may be any error above ``limit``.
+        The result is the largest error of any transfer function. If this error exceeds ``limit``,
+        the result may be any number above ``limit``.
         """
         exact = self.task.intermediate.error
         difference = self.task.estimator.error(
@@ -310,21 +322,21 @@ class ReducedBasis:
         return max(exact + SAFETY_FACTOR * difference, MIN_ERROR_ESTIMATE)
 
     def proof(self, order: int) -> StabilityProof:
-        """Return stability and passivity of the model of this order."""
+        """Prove the stability and passivity of the reduced model of this order."""
         response = self.leading_model(order)
         poles = None if response.decoupled else response.poles
         return prove_stability(response.pencil, self.task.band, poles)
 
     @cached_property
     def preserves_stability(self) -> bool:
-        """Whether the intermediate model is stable, so that reduced models must be stable too."""
+        """Whether reduced models must be stable, because the intermediate model is stable."""
         return not self.congruence or self.proof(self.size).stable is not False
 
     def is_acceptable(self, order: int, tolerance: float) -> bool:
-        """Return whether the model of this order is acceptable.
+        """Return whether the reduced model of this order is accurate enough and stable.
 
-        The model must meet the tolerance, and must be stable if the intermediate model is stable.
-        Only for a congruence, the stability may be unknown.
+        The model must meet the tolerance. It must be stable if the intermediate model is stable.
+        Only the result of a congruence may lack a proof of stability.
         """
         if not self.error(order, tolerance) <= tolerance:
             return False

@@ -1,7 +1,7 @@
-"""Public functions for the reduction of models.
+"""Public function and class for the reduction of models.
 
-:func:`reduce` makes one reduced model. :class:`Reduction` makes several reduced models of one full
-model, which share factorisations and solutions.
+:func:`reduce` computes one reduced model. :class:`Reduction` computes several reduced models of one
+full model, with the same factorisations and solutions of the full model.
 """
 
 from __future__ import annotations
@@ -43,7 +43,8 @@ if TYPE_CHECKING:
     from kc2spice.rom.affine import AffineModel
     from kc2spice.rom.ranges import ModelOverRanges
 
-# default of the smallest tolerance; a ten times smaller one costs one or two more solutions
+# default of the smallest tolerance; a tenth of it requires one or two more solutions of the full
+# model
 DEFAULT_MIN_TOLERANCE = 1e-6
 
 
@@ -88,53 +89,56 @@ def reduce(
 ) -> LinearModel | ModelOverRanges:
     """Reduce a linear model to a tolerance or to a number of states.
 
-    The result has the same ports in the same sequence. The ``certificate`` of the result contains
-    the largest error of any transfer function over ``band`` with respect to ``model``. If ``order``
-    is given, a symmetric definite model is reduced by block Arnoldi at s0 = 0 (Schütz, Maeter and
+    The reduced model has the same ports in the same sequence. Its ``certificate`` contains the
+    largest error of any transfer function over ``band`` with respect to ``model``. If ``order`` is
+    given, a symmetric definite model is reduced by block Arnoldi at s0 = 0 (Schütz, Maeter and
     Bechtold, Actuators 10 (2021) 279, section 2.3).
 
     Parameters
     ----------
     model : LinearModel or AffineModel
         Full model of n unknowns, in SI units. An affine model is reduced over the ranges of its
-        parameters within a ``tolerance``; ``order``, ``contact`` and ``method`` do not apply.
+        parameters within a ``tolerance``. The arguments ``order``, ``contact`` and ``method`` do
+        not apply to it.
     tolerance : float, optional
-        Largest relative error over the band. The result is the smallest model within the
-        tolerance.
+        Largest relative error over the band. The smallest model within the tolerance is returned.
     order : int, optional
-        Number of unknowns of the result. Exactly one of ``tolerance`` and ``order`` is required.
-    band : tuple of two floats or texts, optional
-        Lowest and highest frequency in Hz or as texts such as ``"20 kHz"``. The default is the
+        Number of unknowns of the reduced model. Exactly one of ``tolerance`` and ``order`` is
+        required.
+    band : tuple of two floats or strings, optional
+        Lowest and highest frequency in Hz, or as strings such as ``"20 kHz"``. The default is the
         band of the model. If the model has no band, the band ends a little above the fifth natural
         frequency.
     norm : "pointwise" or "peak", optional
-        Reference of the relative error: the value at the same frequency (``"pointwise"``), or the
-        entry's largest value in the band (``"peak"``). The default is ``"peak"`` for models whose
-        ports are all signals, and ``"pointwise"`` for all other models.
+        Divisor of the relative error: the entry's size at the same frequency (``"pointwise"``), or
+        the entry's largest size in the band (``"peak"``). The default is ``"peak"`` for models
+        whose ports are all signals, and ``"pointwise"`` for all other models.
     contact : bool, default False
-        Whether the reduced model also represents responses above the band that a contact excites,
-        like the models of scenes.
+        Whether the reduced model also represents the responses above the band that a contact
+        excites, as the models of scenes do.
     method : str or Reductor, optional
-        Method of reduction: ``"response POD"``, ``"response POD of both sides"``, ``"balanced
-        truncation"``, ``"balanced truncation of outputs as they are"``, ``"balanced truncation over
-        the band"``, ``"balanced truncation by congruence"``, ``"block Krylov"``, ``"rational
-        Krylov"``, ``"IRKA"``, or one of :func:`kc2spice.register_reductor`. By default response POD
-        and the variants of balanced truncation that suit the model are tried.
+        Method of reduction: ``"response POD"``, ``"response POD of both sides"``,
+        ``"balanced truncation"``, ``"balanced truncation of outputs as they are"``,
+        ``"balanced truncation over the band"``, ``"balanced truncation by congruence"``,
+        ``"block Krylov"``, ``"rational Krylov"``, ``"IRKA"``, or one of
+        :func:`kc2spice.register_reductor`. By default, response POD and the variants of balanced
+        truncation that suit the model are tried.
     parameters : mapping, optional
         Must be empty. Parameters are stated elsewhere: in a :class:`kc2spice.AffineModel`, or in
         the key ``rom.parameters`` of a body of a scene.
     solver : callable or "pardiso", optional
         Direct solver that replaces CHOLMOD and SuperLU. ``solver(matrix)`` factorises a sparse
-        matrix, and ``solve(rhs)`` of its result solves for (n, k) right-hand sides, as
-        ``scipy.sparse.linalg.splu`` does. ``"pardiso"`` needs ``pip install 'kc2spice[fast]'``.
+        matrix. The method ``solve(rhs)`` of the returned object solves for right-hand sides of
+        shape (n, k), like ``scipy.sparse.linalg.splu``. ``"pardiso"`` needs
+        ``pip install 'kc2spice[fast]'``.
 
     Returns
     -------
     LinearModel or ModelOverRanges
-        Reduced model with the ports of ``model`` and with a ``certificate``. The result for an
-        affine model is a :class:`kc2spice.rom.ranges.ModelOverRanges`: ``at(values)`` returns the
-        reduced model at values of the parameters, and :func:`kc2spice.parametric_subcircuit` writes
-        its netlist.
+        Reduced model with the ports of ``model`` and with a ``certificate``. For an affine model,
+        it is a :class:`kc2spice.rom.ranges.ModelOverRanges`. The method ``at(values)`` of this
+        model returns the reduced model for given values of the parameters. The function
+        :func:`kc2spice.parametric_subcircuit` writes its netlist.
 
     Raises
     ------
@@ -183,7 +187,7 @@ def reduce(
             method=method,
             solver=solver,
         )
-    # imported here, because models without parameters do not need it
+    # imported late, because models without parameters do not need this module
     from kc2spice.rom.affine import AffineModel, reduce_affine
 
     if isinstance(model, AffineModel):
@@ -213,7 +217,7 @@ def reduce(
 
 
 def _reject_unused_options(**options: object) -> None:
-    """Reject options that do not apply to a model with parameters."""
+    """Raise UsageError for an argument that does not apply to a model with parameters."""
     for name, value in options.items():
         if value is not None:
             raise UsageError(
@@ -226,24 +230,24 @@ def _reject_unused_options(**options: object) -> None:
 
 
 class Reduction:
-    """Several reductions of one full-order model over a band.
+    """Several reductions of one full-order model over the same band.
 
-    The full-order model is factorised and solved once, with the accuracy for ``tolerance``, the
-    smallest tolerance that is needed. If :meth:`reduce` is called with a smaller tolerance, the
-    full-order model is solved again.
+    The full-order model is factorised and solved once. Its solution is accurate enough for reduced
+    models with an error of at least ``tolerance``. If :meth:`reduce` is called with a smaller
+    tolerance, the full-order model is solved again.
 
     Parameters
     ----------
     model : LinearModel
         Full-order model of n unknowns, in SI units, without structural damping.
-    band : tuple of two floats or texts, optional
-        Lowest and highest frequency in Hz or as texts such as ``"20 kHz"``. The default is the band
-        of the model. If the model has no band, the band ends a little above the fifth natural
+    band : tuple of two floats or strings, optional
+        Lowest and highest frequency in Hz, or as strings such as ``"20 kHz"``. The default is the
+        band of the model. If the model has no band, the band ends a little above the fifth natural
         frequency.
     norm : "pointwise" or "peak", optional
-        Reference of the relative error, as for :func:`kc2spice.reduce`.
+        Divisor of the relative error, as for :func:`kc2spice.reduce`.
     tolerance : float, default 1e-6
-        Smallest tolerance for which the basis is accurate enough.
+        Smallest tolerance for which the basis of the intermediate model is accurate enough.
     method : str or Reductor, optional
         Method for all reduced models. By default, response POD and the variants of balanced
         truncation that suit the model are tried.
@@ -258,7 +262,7 @@ class Reduction:
     band : tuple of two floats
         Lowest and highest frequency in Hz.
     norm : str
-        Reference of the relative error.
+        Norm of the relative error: ``"pointwise"`` or ``"peak"``.
 
     Raises
     ------
@@ -310,7 +314,7 @@ class Reduction:
         self._prepare(self._target)
 
     def _prepare(self, target: Target) -> None:
-        """Make the intermediate model for the tolerance of a target."""
+        """Compute the intermediate model for the tolerance of a target."""
         assert target.tolerance is not None
         with use_solver(self._solver):
             self._intermediate, self._proof = make_verified_first_step(
@@ -322,15 +326,15 @@ class Reduction:
 
     @property
     def points(self) -> tuple[float, ...]:
-        """Expansion points [Hz] of the basis, in the sequence in which they were used.
+        """Expansion points [Hz] of the basis of the intermediate model, in the sequence of use.
 
-        The tuple is empty for a model that is small enough to be used without reduction.
+        The tuple is empty for a full model that is so small that it is its own intermediate model.
         """
         return self._intermediate.points
 
     @property
     def basis(self) -> np.ndarray | None:
-        """Basis (n, k) of the intermediate model in unknowns of the full-order model.
+        """Basis vectors (n, k) of the intermediate model in unknowns of the full-order model.
 
         The basis is None if constraints or massless unknowns were eliminated from the full model.
         """
@@ -338,15 +342,15 @@ class Reduction:
 
     @property
     def stable(self) -> bool | None:
-        """Whether the full-order model is stable; None without a proof."""
+        """Whether the full-order model is stable, or None if this is not proven."""
         return self._proof.stable
 
     @property
     def hankel(self) -> np.ndarray:
-        """Hankel singular values, in descending order.
+        """Hankel singular values of the intermediate model, in descending order.
 
-        Balanced truncation to order q has an error of at most ``2 * sum(hankel[q:])``. This error
-        is the largest singular value of the difference of the responses at any frequency.
+        Balanced truncation to order q has an error of at most ``2 * sum(hankel[q:])``. Here, the
+        error is the largest singular value, at any frequency, of the difference of the responses.
 
         Raises
         ------
@@ -369,28 +373,29 @@ class Reduction:
         order: int | None = None,
         method: str | Reductor | None = None,
     ) -> LinearModel:
-        """Return the smallest model within a tolerance, or the best model of an order.
+        """Return the smallest reduced model within a tolerance, or the best of an order.
 
         Parameters
         ----------
         tolerance : float, optional
             Largest relative error over the band.
         order : int, optional
-            Number of unknowns of the result. Exactly one of ``tolerance`` and ``order`` is
-            required. All methods are tried, unlike with :func:`kc2spice.reduce`. A reduction to a
-            ``tolerance`` may be more accurate at the same order, because its basis is improved.
+            Number of unknowns of the reduced model. Exactly one of ``tolerance`` and ``order`` is
+            required. Unlike :func:`kc2spice.reduce`, this method tries all congruences. A reduction
+            to a ``tolerance`` may be more accurate at the same order, because its basis is
+            improved.
         method : str or Reductor, optional
-            Method of this model only.
+            Method for this reduced model only.
 
         Returns
         -------
         LinearModel
-            Reduced-order model with a certificate. The method ``reconstruct`` of the model returns
-        displacements.
+            Reduced-order model with a certificate. Its method ``reconstruct`` returns the
+            displacements of the full model.
 
         Raises
         ------
-        UsageError, SimulationError : the same errors as of :func:`kc2spice.reduce`.
+        UsageError, SimulationError : under the same conditions as in :func:`kc2spice.reduce`.
         """
         target = replace(self._target, tolerance=tolerance, order=order, exact=True)
         target = replace(target, method=self._target.method if method is None else method)
@@ -404,17 +409,17 @@ class Reduction:
         return certify_with_full_order(rom, self._proof)
 
     def error(self, order: int) -> float:
-        """Return the error estimate of the model of an order; see :meth:`reduce`."""
+        """Return the error estimate of the reduced model of an order. See :meth:`reduce`."""
         target = replace(self._target, tolerance=None, order=order)
         require_valid(target)
         basis, order = self._basis_of_order(target)
         return basis.error(order) + self._intermediate.floor
 
     def peak_error(self, rom: LinearModel) -> float:
-        """Return the error estimate of a reduced model relative to the peaks of its entries.
+        """Return the error estimate of a reduced model in the norm *peak*.
 
-        A model with an inaccurate notch has a large error in the norm *pointwise*, but a small
-        error relative to the peaks.
+        Errors are relative to the peak of each entry of the response. A model with an inaccurate
+        notch therefore has a small error in this norm, but a large error in the norm *pointwise*.
         """
         estimator = self._intermediate.estimator(self.band, "peak")
         difference = estimator.error(Response(rom.pencil.dense()))
@@ -422,14 +427,14 @@ class Reduction:
         return max(estimate, MIN_ERROR_ESTIMATE) + self._intermediate.floor
 
     def _basis_of_order(self, target: Target) -> tuple[ReducedBasis, int]:
-        """Return the best basis of a prescribed order, and the order."""
+        """Return the basis with the smallest error at a prescribed order, and this order."""
         with use_solver(self._solver):
             return find_basis_of_order(
                 self._task, list_methods(self._task, target), target, self._bases
             )
 
     def _basis_within(self, tolerance: float, target: Target) -> tuple[ReducedBasis, int]:
-        """Return the basis that needs the fewest states for a tolerance, and the order."""
+        """Return the basis that needs the fewest states for a tolerance, and its order."""
         if not self._is_within(tolerance):
             self._prepare(target)
         task = replace(self._task, tolerance=tolerance)

@@ -1,8 +1,9 @@
-"""Fits that further reduce the number of states of a reduced model in the norm *peak*.
+"""Fits of reduced models in the norm *peak*, so that fewer states meet the tolerance.
 
-A fit of the outputs of a projection, or of the rates and gains of a model with real poles, reduces
-the largest error, so that fewer states are enough. The fits are minimax fits with Lawson's weights:
-C. L. Lawson, Contributions to the Theory of Linear Least Maximum Approximations (1961).
+The fitted parameters are the output matrix of a projection, or the rates and gains of a model with
+real poles. A fit reduces the largest error of the model, so that fewer states are enough. The fits
+are minimax fits with Lawson's weights: C. L. Lawson, Contributions to the Theory of Linear Least
+Maximum Approximations (1961).
 """
 
 from __future__ import annotations
@@ -20,24 +21,24 @@ from kc2spice.rom.relaxing_fit import fit_minimax
 from kc2spice.rom.response import Response
 
 # limits and factors of the fits, found by trials
-MAX_ORDER = 150  # largest order for which outputs are fitted
+MAX_ORDER = 150  # largest order for which the output matrix is fitted
 MAX_FIT_PARAMETERS = 60  # largest number of rates and gains of a relaxing model that is fitted
 MAX_ROUNDS = 12  # largest number of updates of the weights
-# smallest squared factor of a weight in one update, where the error is zero
+# squared factor of a weight in one update where the error is zero
 MIN_WEIGHT = 0.05
-# Number of successive orders that may fail before the search ends. The error may increase with the
-# order.
+# Number of successive orders whose fit may fail before the search ends. A lower order may succeed
+# after a failure, because the error may increase with the order.
 MAX_FAILURES = 4
-HOPELESS_RATIO = 1.5  # error, relative to the tolerance, above which a fit ends without success
-# Error, relative to the tolerance, below which a fit ends. The error estimate may be slightly
-# larger.
+HOPELESS_RATIO = 1.5  # error relative to the tolerance above which a fit ends without success
+# Error relative to the tolerance below which a fit ends successfully. The error estimate may be
+# slightly larger than this error.
 SUFFICIENT_RATIO = 0.97
 
 
 def find_lower_order(basis: ReducedBasis, order: int, tolerance: float) -> tuple[ReducedBasis, int]:
-    """Return a basis that meets the tolerance with a lower order, if a fit finds it.
+    """Return a fitted basis that meets the tolerance at a lower order, and this order.
 
-    Otherwise the result is ``basis`` and ``order``.
+    If no fit succeeds, return ``basis`` and ``order``.
     """
     if basis.task.norm != "peak":
         return basis, order
@@ -51,7 +52,10 @@ def find_lower_order(basis: ReducedBasis, order: int, tolerance: float) -> tuple
 def fit_output_matrix(
     basis: ReducedBasis, order: int, tolerance: float
 ) -> tuple[ReducedBasis, int]:
-    """Fit the output matrix C of a model with fewer states to minimise the largest error."""
+    """Fit the output matrix C of models of lower order to minimise their largest error.
+
+    Return the fitted basis and its order, or the arguments if no fit succeeds.
+    """
     estimator = basis.task.estimator
     s = snapshots(estimator, estimator.exact).s
     H, peak = estimator.exact.transfer(s), estimator.reference[1].peak
@@ -83,9 +87,10 @@ def fit_output_matrix(
 
 
 def fit_relaxations(basis: ReducedBasis, order: int, tolerance: float) -> tuple[ReducedBasis, int]:
-    """Fit the rates and gains of a relaxing model with fewer states, which is always passive.
+    """Fit the rates and gains of relaxing models of lower order, which are always passive.
 
-    Models with rigid-body modes or with static responses of conservative ports are not changed.
+    Return the fitted basis and its order, or the arguments if no fit succeeds. Models with
+    rigid-body modes or with fixed static responses of ports are not fitted.
     """
     estimator, ports = basis.task.estimator, basis.pencil.B.shape[1]
     if basis.fixed or basis.pencil.free:
@@ -112,9 +117,9 @@ def fit_relaxations(basis: ReducedBasis, order: int, tolerance: float) -> tuple[
 
 
 def _least_squares(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Compute the real matrix C that minimises the squares of ``C x - y``.
+    """Compute the real matrix C that minimises the sum of the squares of ``C x - y``.
 
-    The squares are summed over all frequencies and inputs.
+    The sum includes all frequencies, outputs and inputs.
     """
     left, right = (np.moveaxis(P, 1, 2).reshape(-1, P.shape[1]) for P in (x, y))
     both = [np.vstack([P.real, P.imag]) for P in (left, right)]

@@ -1,13 +1,14 @@
-"""Fit of relaxing models, such as networks of R and C, to a response.
+"""Fit of relaxing models, such as networks of R and C, to a frequency response.
 
 A symmetric first-order model with ``E > 0`` and ``A <= 0`` has real poles and symmetric residues of
 rank one (first Foster form),
 
     H(s) = D + sum_k g_k g_k' / (s + r_k),    r_k >= 0,
 
-and is stable and passive for all rates ``r_k`` and gains ``g_k``. For the same tolerance, optimal
-rates and gains need one state fewer than a projection. This module starts from a projection, and
-optimises ``log r_k`` and ``g_k`` by Gauss-Newton steps with the weights of Lawson's minimax fit.
+and is stable and passive for all rates ``r_k`` and gains ``g_k``. For the same tolerance, a model
+with optimal rates and gains needs one state fewer than a projection. The fit starts from the rates
+and gains of a projection. It optimises ``log r_k`` and ``g_k`` by nonlinear least squares with the
+weights of Lawson's minimax fit.
 
 Source: C. L. Lawson, Contributions to the Theory of Linear Least Maximum Approximations (1961).
 """
@@ -18,11 +19,12 @@ import numpy as np
 import scipy
 
 MAX_ROUNDS = 25  # largest number of updates of the weights
-ROUND_EVALUATIONS = 30  # largest number of evaluations of the residuals per update
-# number of updates after which the fit ends if the error exceeds HOPELESS_RATIO times the tolerance
+ROUND_EVALUATIONS = 30  # largest number of evaluations of the residuals per update of the weights
+# number of updates after which the fit ends if the error still exceeds HOPELESS_RATIO times the
+# sufficient error
 CHECKED_ROUNDS = 4
 HOPELESS_RATIO = 1.5
-MIN_WEIGHT_FACTOR = 0.02  # smallest factor of a weight in an update, where the error is small
+MIN_WEIGHT_FACTOR = 0.02  # squared factor of a weight in one update where the error is zero
 
 
 def fit_minimax(
@@ -33,7 +35,7 @@ def fit_minimax(
     base: np.ndarray,
     enough: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Refine rates and gains to minimise the largest error.
+    """Refine the rates and gains of a relaxing model to minimise its largest error.
 
     Parameters
     ----------
@@ -42,18 +44,18 @@ def fit_minimax(
     gains : (k, ports) array
         Start values of ``g_k``.
     s : (n,) array
-        Laplace variable [1/s].
+        Values of the Laplace variable [1/s] at which the response is given.
     response : (n, ports, ports) array
-        Symmetric response without the direct term.
+        Symmetric response to be fitted, without the direct term D.
     base : (ports, ports) array
-        Reference values of relative errors.
+        Divisors of relative errors, one for each entry of the response.
     enough : float
         Error at which the fit ends. The fit also ends if errors remain far above this value.
 
     Returns
     -------
     rates, gains, error
-        Best result of all iterations, and its largest relative error.
+        Rates and gains with the smallest error of all iterations, and their largest relative error.
 
     Examples
     --------
@@ -75,7 +77,7 @@ def fit_minimax(
         return _stack_parts(weight[:, None] * (_model(x, count, s, upper) - target) / scale)
 
     def slopes(x: np.ndarray) -> np.ndarray:
-        """Return the derivatives of the residuals."""
+        """Return the derivatives of the residuals with respect to ``x``."""
         return _stack_parts(weight[:, None, None] * _slopes(x, count, s, upper) / scale[:, None])
 
     for k in range(MAX_ROUNDS):
@@ -97,7 +99,10 @@ def fit_minimax(
 def _model(
     x: np.ndarray, count: int, s: np.ndarray, upper: tuple[np.ndarray, np.ndarray]
 ) -> np.ndarray:
-    """Evaluate the ``upper`` triangle (n, entries) of ``sum_k g_k g_k' / (s + r_k)``."""
+    """Evaluate the ``upper`` triangle of ``sum_k g_k g_k' / (s + r_k)`` at all ``s``.
+
+    The result has the shape (n, entries).
+    """
     rates, gains = np.exp(x[:count]), x[count:].reshape(count, -1)
     products = gains[:, upper[0]] * gains[:, upper[1]]
     return np.asarray((1 / (s[:, None] + rates)) @ products)
@@ -106,7 +111,10 @@ def _model(
 def _slopes(
     x: np.ndarray, count: int, s: np.ndarray, upper: tuple[np.ndarray, np.ndarray]
 ) -> np.ndarray:
-    """Return derivatives (n, entries, unknowns) of :func:`_model` by ``log r_k`` and ``g_k``."""
+    """Return the derivatives of :func:`_model` with respect to ``log r_k`` and ``g_k``.
+
+    The result has the shape (n, entries, unknowns).
+    """
     rates, gains = np.exp(x[:count]), x[count:].reshape(count, -1)
     answer = 1 / (s[:, None] + rates)
     products = (gains[:, upper[0]] * gains[:, upper[1]]).T
@@ -120,6 +128,9 @@ def _slopes(
 
 
 def _stack_parts(values: np.ndarray) -> np.ndarray:
-    """Return real and imaginary parts of ``values`` (n, entries, ...) as (2 n entries, ...)."""
+    """Stack the real and imaginary parts of ``values`` (n, entries, ...) along the first axis.
+
+    The result has the shape (2 n entries, ...).
+    """
     flat = values.reshape(-1, *values.shape[2:])
     return np.concatenate([flat.real, flat.imag])

@@ -1,22 +1,25 @@
-"""Reduction to decoupled resonators whose coefficients are polynomials of parameters.
+"""Reduction to resonators whose coefficients are polynomials of the parameters.
 
-The coefficients are frequencies, gains and capacitances over ranges of the parameters. A
-:class:`~kc2spice.rom.parametric.DenseParametricModel` is small, but dense. At many points of the
-ranges, this module computes the modes of the dense model up to above the band. In addition, it
-computes Ritz vectors of the other responses to the ports' loads, which are orthogonal to the modes.
+The coefficients are natural frequencies, gains and capacitances over ranges of the parameters. The
+input is a :class:`~kc2spice.rom.parametric.DenseParametricModel`, a model with small dense
+matrices. At many points of the ranges, this module computes the modes of the dense model in the
+band and a little above it. Ritz vectors represent the remaining response to the ports' loads. They
+are orthogonal to the modes.
 
-Modes that come close to each other anywhere in the ranges form a block. The basis of a block (its
-frame) is chosen nearest to the frame at the middle of the range, so that it rotates smoothly with
-the parameters. Therefore, the coefficients do not jump if frequencies cross or repel. All other
-modes are separate resonators. The stiffness of a block is ``L L'``. Polynomials give the logarithms
-of three quantities: the diagonal of L, the diagonal of the Cholesky factor of the clamped
-capacitances, and the damping. Masses, stiffness and damping are therefore positive everywhere in
-the ranges, which proves that the model is passive. Sources: P. H. Schoenemann, Psychometrika 31
-(1966) 1 (nearest frame); T. Kato, Perturbation Theory for Linear Operators, II.4 (invariant
-subspaces are analytic as long as a gap separates them).
+Modes whose frequencies are close to each other anywhere in the ranges form a block. The frame of a
+block is the basis of its modes that is nearest to the frame in the middle of the ranges, so that it
+rotates smoothly with the parameters. Therefore, the coefficients do not jump if natural frequencies
+cross or repel each other. All other modes are separate resonators. The stiffness of a block is
+``L L'`` with a Cholesky factor L. Polynomials approximate the logarithms of three quantities: the
+diagonal of L, the diagonal of the Cholesky factor of the clamped capacitances, and the damping.
+Masses, stiffness and damping are therefore positive everywhere in the ranges, which proves that the
+model is passive. Sources: P. H. Schoenemann, Psychometrika 31 (1966) 1 (nearest frame); T. Kato,
+Perturbation Theory for Linear Operators, II.4 (invariant subspaces are analytic as long as a gap
+separates them).
 
-If a port moves a body without a support, it excites the rigid-body modes. The logarithm of their
-stiffness does not exist, so these modes get a soft support with a resonance far below the band.
+If a port moves a body without a support, the port excites rigid-body modes. The stiffness of these
+modes is zero and has no logarithm. Therefore, the rigid-body modes get a soft support with a
+resonance far below the band.
 """
 
 from __future__ import annotations
@@ -49,31 +52,40 @@ from kc2spice.rom.stability import prove_stability
 
 # frequency below which all modes are retained, relative to the end of the band
 MODE_BAND_RATIO = 1.2
-# Number of additional modes above this frequency. The retained modes end at the widest gap between
-# the frequencies of additional modes.
+# Largest number of additional modes above this frequency. The retained modes end at the widest gap
+# between the frequencies of these modes.
 EXTRA_MODES = 8
-ZERO_GAIN = 1e-9  # largest gain of a mode at a port that counts as zero, relative to the largest
-GRID_POINTS = {0: 1, 1: 33, 2: 13, 3: 7, 4: 5}  # number of points along an axis, by number of axes
+# largest gain of a mode at a port that counts as zero, relative to the largest gain at the port
+ZERO_GAIN = 1e-9
+GRID_POINTS = {0: 1, 1: 33, 2: 13, 3: 7, 4: 5}  # points per axis, keyed by number of axes
 # highest total degree of the polynomials, keyed by number of axes
 MAX_DEGREES = {0: 0, 1: 16, 2: 10, 3: 6, 4: 4}
-# Modes form one block if the logarithms of their squared frequencies are closer than a gap. These
-# gaps are tried one after another.
+# Modes form one block if the logarithms of their squared frequencies differ by less than a gap.
+# These gaps are tried one after another.
 MODE_GAPS = 0.03, 0.1, 0.3, 0.8, np.inf
-KRYLOV_BLOCKS = 4  # number of blocks: static responses and their derivatives by squared frequency
-# smallest overlap of the frame of a block with its frame in the middle of the range
+# largest number of blocks of Ritz vectors: static responses, and their derivatives with respect to
+# the squared frequency
+KRYLOV_BLOCKS = 4
+# smallest overlap of the frame of a block with its frame in the middle of the ranges
 MIN_OVERLAP = 0.2
-CHECK_POINTS = 16  # number of points of the ranges at which the error of the fit is estimated
-SUBSPACE_SHARE = 0.3  # share of the tolerance for the error of the subspace
-RIGID_ROUNDING = 1e-6  # largest share of a port in a rigid-body mode that is a rounding error
-LAST_GAP = 8.0  # gap of squared frequencies above the last mode if all modes are retained
-MIN_GAP_GAIN = 0.02  # smallest change of the logarithm of a gap that justifies one more state
-DEPENDENT_VECTOR = 1e-9  # largest squared norm of a dependent Ritz vector, relative to the largest
-FULL_CHECKS = 4  # number of full models, in addition to one at a corner, that only check the result
-# share of the tolerance for the resonators, and safety factor on errors at points of the ranges
+CHECK_POINTS = 16  # number of random points in the ranges for error estimates of the fit
+SUBSPACE_SHARE = 0.3  # share of the tolerance that is available for the error of the subspace
+# largest gain of a port in a rigid-body mode that is a rounding error, relative to the largest gain
+# of the port
+RIGID_ROUNDING = 1e-6
+LAST_GAP = 8.0  # assumed ratio of squared frequencies above the last mode if all modes are retained
+MIN_GAP_GAIN = 0.02  # smallest increase of the logarithm of a gap that justifies one more mode
+# largest squared norm of a dependent Ritz vector, relative to the largest squared norm
+DEPENDENT_VECTOR = 1e-9
+# number of full models that only check the result, in addition to one at a corner of the ranges
+FULL_CHECKS = 4
+# share of the tolerance for the difference of the resonators to the dense model, and safety factor
+# of errors that are computed at points of the ranges
 RESONATOR_SHARE = 0.4
 SAFETY_FACTOR = 1.5
-COEFFICIENT_RESOLUTION = 1e-3  # resolution of rounded coefficients, relative to the tolerance
-# additional factor for responses between different ports, in which large terms cancel at notches
+COEFFICIENT_RESOLUTION = 1e-3  # resolution of rounded coefficients, relative to tolerance
+# additional factor of the resolution for models with several ports, because large terms of the
+# response between different ports cancel at notches
 NOTCH_RESOLUTION = 1e-2
 
 
@@ -81,19 +93,17 @@ NOTCH_RESOLUTION = 1e-2
 class ResonatorsOverRanges(ParameterPolynomials, ModelOverRanges):
     """Resonators ``z'' + E z' + L L' z = g u``, ``y = g' z + D u`` over ranges of parameters.
 
-    Here ``E = alpha + beta L L'``, and ``T`` (terms,) are the products of polynomials for the
-    values of the parameters. The fields contain coefficients:
+    The damping matrix is ``E = alpha + beta L L'``. The vector ``T`` (terms,) contains the products
+    of polynomials for the values of the parameters. The fields contain coefficients:
 
-    * ``exp(T diagonal)`` (q,) is the diagonal of L, and ``T below`` (q, q) are the entries below
-    the
-      diagonal, in blocks of the sizes ``blocks``.
+    * ``exp(T diagonal)`` (q,) is the diagonal of L. ``T below`` (q, q) contains the entries of L
+      below the diagonal, in blocks of the sizes ``blocks``.
     * ``T gain`` (q, ports) is g.
-    * ``capacitance`` and ``shared`` give the diagonal and the other entries of the Cholesky factor
-      of D between electrical ports in the same way.
-    * ``exp(T rayleigh)`` (2,) times the powers of ``losses`` are alpha and beta; where ``damped``
-    is
-      false, they are zero.
-    * ``facts`` are coefficients of polynomials for the facts of the model.
+    * In the same way, ``capacitance`` and ``shared`` give the diagonal and the other entries of the
+      Cholesky factor of D at the electrical ports.
+    * ``exp(T rayleigh)`` (2,), multiplied by the powers of ``losses``, is alpha and beta. If an
+      item of ``damped`` is false, alpha or beta is zero instead.
+    * ``facts`` contains the coefficients of the polynomials for the facts of the model.
     """
 
     blocks: tuple[int, ...]
@@ -117,7 +127,7 @@ class ResonatorsOverRanges(ParameterPolynomials, ModelOverRanges):
         return [k for k, port in enumerate(self.ports) if port.electrical]
 
     def at(self, values: Values) -> LinearModel:
-        """Return the resonators for values of all parameters."""
+        """Return the resonators as a linear model, for ``values`` of all parameters."""
         T = self.products(values)
         L = np.tensordot(T, self.below, 1) + np.diag(np.exp(T @ self.diagonal))
         pair = np.where(self.damped, np.exp(T @ self.rayleigh), 0.0).tolist()
@@ -141,13 +151,13 @@ class ResonatorsOverRanges(ParameterPolynomials, ModelOverRanges):
 
 
 def reduce_over_ranges(task: RangeTask) -> ResonatorsOverRanges:
-    """Reduce the models of a task over the ranges of its parameters.
+    """Reduce the full models of a task to resonators over the ranges of the parameters.
 
     The certificate is valid for all values in the ranges. The error in the certificate is the
     largest relative difference, in the norm of the task, times :data:`SAFETY_FACTOR`. The
-    resonators are compared with full models at :data:`FULL_CHECKS` points and at a corner, which
-    the reduction did not use. At other points, they are compared with the dense model. The result
-    contains the ``facts`` of the full models.
+    resonators are compared with full models at :data:`FULL_CHECKS` points and at a corner of the
+    ranges. The reduction does not use these full models. At other points, the resonators are
+    compared with the dense model. The result contains the ``facts`` of the full models.
 
     Raises
     ------
@@ -181,9 +191,9 @@ def reduce_over_ranges(task: RangeTask) -> ResonatorsOverRanges:
 def _certify(task: RangeTask) -> tuple[ResonatorsOverRanges, float]:
     """Return the resonators, and :data:`SAFETY_FACTOR` times their largest error.
 
-    The error is the difference to full models. If the dense model or the resonators differ too much
-    from full models, the reduction is repeated with more full models and polynomials of a higher
-    degree. Each degree is compared with other full models.
+    The error is the largest difference to full models. If the dense model or the resonators differ
+    too much from full models, the reduction is repeated with more full models and polynomials of a
+    higher degree. The results of each degree are compared with different full models.
     """
     axes, band, tolerance = task.axes, task.band, task.tolerance
     sobol = scipy.stats.qmc.Sobol(len(axes), seed=11)
@@ -219,7 +229,11 @@ def _difference(
     model: DenseParametricModel | ResonatorsOverRanges,
     checks: Sequence[tuple[Values, ErrorEstimator, float]],
 ) -> float:
-    """Return the largest relative difference of a model to the full models of ``checks``."""
+    """Return the largest relative difference of a reduced model to the full models.
+
+    Each item of ``checks`` contains values of the parameters, the error estimator of the full model
+    at these values, and the error of this estimator.
+    """
     return max(
         estimator.error(Response(model.at(values).pencil)) + error
         for values, estimator, error in checks
@@ -231,10 +245,11 @@ def interpolate_facts(
     exponents: np.ndarray,
     known: Sequence[tuple[Values, Mapping[str, float]]],
 ) -> dict[str, np.ndarray]:
-    """Interpolate the facts that all full models have by polynomials.
+    """Fit polynomials to the facts that all full models have in common.
 
-    The degree is the highest for which there are enough models. The result contains the
-    coefficients (terms,) of the products of polynomials with ``exponents`` (terms, axes).
+    The polynomials have the highest degree for which there are enough full models. Return the
+    coefficients (terms,) of each fact, for the products of polynomials with ``exponents`` (terms,
+    axes).
     """
     x = [[axis.coordinate(values[axis.name]) for axis in axes] for values, _ in known]
     total = exponents.sum(axis=1, initial=0)
@@ -253,11 +268,11 @@ def make_resonators(
     tolerance: float,
     norm: Norm = "pointwise",
 ) -> tuple[ResonatorsOverRanges, float]:
-    """Convert ``dense_model`` to resonators over its ranges.
+    """Convert a dense parametric model to resonators over the same ranges.
 
-    The second result is the largest difference of the resonators from ``dense_model`` at random
-    values. The function selects the fewest Ritz vectors, the smallest blocks and the lowest degree
-    that meet the tolerance.
+    The second result is the largest difference of the resonators from ``dense_model`` at points of
+    the ranges. The function selects the fewest Ritz vectors, the smallest blocks and the lowest
+    degree of polynomials that meet the tolerance.
 
     Raises
     ------
@@ -292,7 +307,7 @@ def make_resonators(
 
 
 def make_range_error(problem: str, name: str, got: str, tolerance: float) -> SimulationError:
-    """Make the error for a model ``name`` whose ranges are too wide for the tolerance."""
+    """Return the error for a model whose parameter ranges are too wide for the tolerance."""
     return SimulationError(
         problem,
         where=name,
@@ -303,7 +318,10 @@ def make_range_error(problem: str, name: str, got: str, tolerance: float) -> Sim
 
 
 def _values_at(parameter_axes: Mapping[str, ParameterAxis], x: np.ndarray) -> dict[str, float]:
-    """Return parameter values at coordinates ``x`` of the first axes; others are in the middle."""
+    """Return the parameter values at coordinates ``x`` of the first axes.
+
+    All other parameters have the value in the middle of their range.
+    """
     known = {
         axis.name: axis.value(float(v)) for axis, v in zip(parameter_axes.values(), x, strict=False)
     }
@@ -315,8 +333,7 @@ def _check_points(
 ) -> Iterator[tuple[np.ndarray, ErrorEstimator]]:
     """Yield points of the ranges, each with an error estimator that uses the dense model.
 
-    The points are the middle, all corners, points of large polynomial deviations, and random
-    points.
+    The points are the middle of the ranges, all corners, and random points.
     """
     count = len(dense_model.parameter_axes)
     draws = scipy.stats.qmc.Sobol(count, seed=3).random(CHECK_POINTS) * 2 - 1
@@ -328,7 +345,7 @@ def _check_points(
 
 @dataclass(frozen=True, eq=False)
 class _DenseModes:
-    """Modes of a dense model: squared frequencies (n,) and M-orthonormal shapes (n, n)."""
+    """Modes of a dense model: squared frequencies (n,) and M-orthonormal mode shapes (n, n)."""
 
     model: LinearModel
     w2: np.ndarray
@@ -338,7 +355,7 @@ class _DenseModes:
 class _ModesOverRanges:
     """Modes of a dense model over the ranges of its parameters.
 
-    ``count`` is the number of modes that the result contains, which include all modes in the band.
+    ``count`` is the number of retained modes. They include all modes in the band.
     """
 
     def __init__(self, dense_model: DenseParametricModel, band: tuple[float, float]) -> None:
@@ -352,7 +369,7 @@ class _ModesOverRanges:
             p.w2[self.free] < ZERO_FREQUENCY_RATIO * p.w2[self.free + 1] for p in points
         ):
             self.free += 1
-        # if a port moves the body, the rigid-body modes remain among the modes
+        # if a port moves the body, the rigid-body modes are retained
         self.moved = any(map(self._is_moved, points))
         if self.moved and band[0] <= 0:
             raise UsageError(
@@ -371,27 +388,27 @@ class _ModesOverRanges:
         self.count = int(counts[np.argmax(gaps - MIN_GAP_GAIN * np.arange(len(counts)))])
 
     def at(self, x: np.ndarray) -> _DenseModes:
-        """Return the modes of :meth:`_select_elastic` at coordinates ``x`` of the axes."""
+        """Return the modes at coordinates ``x`` that :meth:`_select_elastic` selects."""
         return self._select_elastic(self._all_modes(x))
 
     def _all_modes(self, x: np.ndarray) -> _DenseModes:
-        """Return all modes at coordinates ``x`` of the axes."""
+        """Return all modes of the dense model at coordinates ``x`` of the axes."""
         model = self.dense_model.at(_values_at(self.dense_model.parameter_axes, x))
         return _DenseModes(model, *scipy.linalg.eigh(model.K, model.M))
 
     @property
     def soft_support(self) -> float:
-        """Resonance [Hz] of an unsupported body on its soft support."""
+        """Resonance frequency [Hz] of an unsupported body on its soft support."""
         return SOFT_SUPPORT_RATIO * self.band[0]
 
     def _is_moved(self, p: _DenseModes) -> bool:
-        """Return whether a port moves a rigid-body mode."""
+        """Return whether a port excites a rigid-body mode."""
         share = np.abs(p.V.T @ p.model.B)
         largest = share[: self.free].max(axis=0, initial=0.0)
         return bool((largest > RIGID_ROUNDING * share.max(axis=0)).any())
 
     def _select_elastic(self, p: _DenseModes) -> _DenseModes:
-        """Return the modes without rigid-body modes, or on a soft support if a port moves them."""
+        """Remove the rigid-body modes, or give them a soft support if a port excites them."""
         if self.moved:
             soft = np.full(self.free, (2 * np.pi * self.soft_support) ** 2)
             w2 = np.concatenate([soft, p.w2[self.free :]])
@@ -400,10 +417,11 @@ class _ModesOverRanges:
 
 
 class _ReducedSpace:
-    """Space of the retained modes, and of Ritz vectors of the other modes.
+    """Subspace of the retained modes, and of Ritz vectors that represent the other modes.
 
     The Ritz vectors span ``sum_i phi_i phi_i' B / (w_i^2 - s)^j`` over the other modes i, for j up
-    to ``moments``. Here s is half of the squared end of the band.
+    to ``moments``. ``phi_i`` are the mode shapes and ``w_i`` the natural frequencies. The shift s
+    is half of the squared angular frequency at the end of the band.
     """
 
     def __init__(self, modes: _ModesOverRanges, moments: int) -> None:
@@ -416,7 +434,7 @@ class _ReducedSpace:
         size[size == 0] = 1.0
         w, T = np.linalg.eigh(sum((a / size).T @ (a / size) for a in answers))
         large = w > max(DEPENDENT_VECTOR * w[-1], 0.0)
-        # the space has at most as many vectors as the dense model has unknowns
+        # the subspace has at most as many vectors as the dense model has unknowns
         large[: max(0, len(w) - rest.size)] = False
         self.T = T[:, large] / size[:, None]
         pairs = list(map(self._solve_ritz, modes.points))
@@ -425,13 +443,13 @@ class _ReducedSpace:
         self._known: dict[tuple[int, int], tuple[np.ndarray, np.ndarray] | None] = {}
 
     def _project_responses(self, p: _DenseModes) -> np.ndarray:
-        """Return the responses in the coordinates of the modes that are not retained."""
+        """Return the responses to the ports' loads, in coordinates of the modes not retained."""
         k = self.modes.count
         load, share = p.V[:, k:].T @ p.model.B, self.unit / (p.w2[k:, None] - self.shift)
         return np.hstack([share**j * load for j in range(1, self.moments + 1)])
 
     def _solve_ritz(self, p: _DenseModes) -> tuple[np.ndarray, np.ndarray]:
-        """Return the squared frequencies (q,) and shapes (n, q) of modes and Ritz vectors."""
+        """Return squared frequencies (q,) and shapes (n, q) of retained modes and Ritz vectors."""
         k = self.modes.count
         U, _, R = np.linalg.svd(self._project_responses(p) @ self.T, full_matrices=False)
         W = U @ R
@@ -439,17 +457,19 @@ class _ReducedSpace:
         return np.r_[p.w2[:k], ritz], np.hstack([p.V[:, :k], p.V[:, k:] @ (W @ Q)])
 
     def at(self, x: np.ndarray) -> LinearModel:
-        """Return the model in this space at coordinates ``x`` of the axes."""
+        """Return the projection of the model on this subspace at coordinates ``x`` of the axes."""
         p = self.modes.at(x)
         w2, Z = self._solve_ritz(p)
         B = Z.T @ p.model.B
         return replace(p.model, M=np.eye(len(w2)), K=np.diag(w2), B=B, C=B.T)
 
     def _make_block(self, a: int, b: int) -> tuple[np.ndarray, np.ndarray] | None:
-        """Compute stiffness (points, n, n) and gain (points, n, ports) of a block.
+        """Compute the stiffness and the gain of a block of modes at all points of the grid.
 
-        The block contains the modes a to b - 1. Its frame at each point is the nearest to the frame
-        at the middle of the ranges. The result is None if a frame differs too much from it.
+        The block contains the modes a to b - 1. Return its stiffness (points, n, n) and its gain
+        (points, n, ports). At each point, the frame of the block is the nearest to the frame in the
+        middle of the ranges. The result is None if a frame differs too much from the frame in the
+        middle.
         """
         if (a, b) not in self._known:
             M, first, rows = self.modes.points[0].model.M, self.Z[0][:, a:b], []
@@ -466,9 +486,9 @@ class _ReducedSpace:
     def fit_polynomials(
         self, gap: float, degree: int, tolerance: float
     ) -> ResonatorsOverRanges | None:
-        """Fit polynomials to the data of blocks that are separated by ``gap``.
+        """Fit polynomials to the coefficients of blocks of modes, which ``gap`` separates.
 
-        The gap is the smallest logarithm of the ratio of squared frequencies of two blocks. The
+        The squared frequencies of two blocks differ by at least ``gap`` on a logarithmic scale. The
         result is None if the mode shapes of a block do not change smoothly.
         """
         modes, dense_model = self.modes, self.modes.dense_model
@@ -490,7 +510,7 @@ class _ReducedSpace:
         )
 
         def round_coefficients(values: np.ndarray, grain: float | np.ndarray) -> np.ndarray:
-            """Round coefficients (terms, …) to multiples of a resolution."""
+            """Fit ``values`` (points, …), and round the coefficients to multiples of ``grain``."""
             c = np.tensordot(fit, values, 1)
             return np.asarray(np.round(c / grain) * grain)
 
@@ -539,7 +559,7 @@ class _ReducedSpace:
 
 
 def _least_damping_ratio(p: _DenseModes, band: tuple[float, float]) -> float:
-    """Return the smallest damping ratio of the modes in the band."""
+    """Return the smallest damping ratio of the elastic modes in the band."""
     alpha, beta = p.model.rayleigh or (0.0, 0.0)
     w = np.sqrt(p.w2[p.w2 < (MODE_BAND_RATIO * 2 * np.pi * band[1]) ** 2])
     w = w[w > SOFT_SUPPORT_RATIO * 2 * np.pi * band[0] * (1 + ZERO_FREQUENCY_RATIO)]

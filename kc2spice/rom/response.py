@@ -1,4 +1,4 @@
-"""Frequency responses of dense pencils, and the frequencies that resolve them."""
+"""Frequency responses of dense pencils, and the frequencies at which to sample them."""
 
 from __future__ import annotations
 
@@ -14,25 +14,26 @@ from kc2spice.rom.entries import Entries
 from kc2spice.rom.pencil import INFINITE_POLE_RATIO, Pencil, first_order, largest_entry
 from kc2spice.rom.rigid_body import select_rigid_body_part
 
-# Largest response, relative to the sum of its terms, that is a rounding error by cancellation.
+# Largest response that is only a rounding error of terms that cancel, relative to the sum of the
+# absolute values of these terms.
 CANCELLATION_ROUNDING = 1e-13
-# Largest relative coupling of modes by damping that is a rounding error.
+# Largest relative coupling of modes by damping that counts as a rounding error.
 COUPLING_ROUNDING = 1e-9
 # Smallest damping ratio of a resonance whose peak can be sampled. Below this ratio, no
-# floating-point frequency is close enough, and errors are computed at the relative distance
-# FLANK_DISTANCE.
+# floating-point frequency is close enough to the peak. Errors are then computed beside the peak, at
+# the relative distance FLANK_DISTANCE.
 MIN_DAMPING_RATIO = 1e-7
 FLANK_DISTANCE = 1e-4
-MIN_VISIBLE_TERM = 1e-10  # smallest term of a visible pole in the response, relative to the entry
-VISIBLE_GRID = 50  # number of frequencies that determine the peaks of entries
-# distances from a resonance in half-widths
+MIN_VISIBLE_TERM = 1e-10  # smallest term of a visible pole in an entry, relative to the entry
+VISIBLE_GRID = 50  # number of frequencies at which the peaks of entries are determined
+# distances of sample frequencies from a resonance, in half-widths of the resonance
 RESONANCE_OFFSETS = np.array([0.0, 0.25, 0.5, 1.0, 2.0, 5.0, 15.0, 60.0])
-# number of frequencies of each grid of a band, a linear and a logarithmic one; found by trials
+# number of frequencies in the linear grid and in the logarithmic grid of a band; found by trials
 GRID_FREQUENCIES = 200
 # smallest and largest model whose eigenvectors are computed; found by trials
 MIN_UNKNOWNS = 12  # unknowns
 MAX_STATES = 2000  # first-order states
-DECOUPLING_TOLERANCE = 1e-10  # largest relative difference of decoupled to direct solutions
+DECOUPLING_TOLERANCE = 1e-10  # largest relative difference between decoupled and direct solutions
 # ratio of successive squared frequencies above which the lower mode is a rigid-body mode
 RIGID_MODE_RATIO = 1e8
 # Largest condition number of the eigenvectors with which a model is decoupled. The eigenvectors of
@@ -42,14 +43,15 @@ Modes: TypeAlias = tuple[np.ndarray, np.ndarray, tuple[np.ndarray, ...]]
 
 
 class Response:
-    """Frequency response of a dense pencil, computed in coordinates in which it is diagonal.
+    """Frequency response of a dense pencil, computed in decoupled coordinates if possible.
 
-    The coordinates must be well-conditioned. ``modes`` is ``(T, L, diagonals)``, with which the
-    unknowns are ``x = T diag(1 / sum_k s^k diagonals_k) L B``, or None without such coordinates. If
-    ``decoupled`` is not None, T is a real congruence (``L = T'``). If rigid-body modes are
-    uncoupled from other unknowns, they are solved separately, and ``core`` is the pencil of the
-    other unknowns; otherwise ``core`` is the whole pencil. ``zero`` (outputs, inputs) is a mask of
-    the entries that are known to be zero by symmetry.
+    In decoupled coordinates, the matrices of the pencil are diagonal. The coordinates must be
+    well-conditioned. ``modes`` is ``(T, L, diagonals)``, so that the unknowns are
+    ``x = T diag(1 / sum_k s^k diagonals_k) L B``. It is None if there are no such coordinates. If
+    ``decoupled`` is true, T is a real congruence (``L = T'``). If rigid-body modes are not coupled
+    to other unknowns, they are solved separately, and ``core`` is the pencil of the other unknowns.
+    Otherwise ``core`` is the whole pencil. ``zero`` (outputs, inputs) is a mask of the entries that
+    are known to be zero by symmetry.
     """
 
     def __init__(
@@ -62,23 +64,23 @@ class Response:
 
     @cached_property
     def decoupled(self) -> bool:
-        """Modes of the decoupled pencil, None if it cannot be decoupled."""
+        """Whether a real congruence decouples the pencil."""
         return self._prescribed_modes is None and self._decoupling is not None
 
     @cached_property
     def _decoupling(self) -> Modes | None:
-        """Modes that decouple the pencil, None if it cannot be decoupled."""
+        """Prescribed modes, or modes of a congruence that decouples the pencil, or None."""
         return self._prescribed_modes or _decouple(self.core)
 
     @cached_property
     def modes(self) -> Modes | None:
-        """Eigenvectors of the decoupled coordinates, computed at their first use."""
+        """Decoupled coordinates ``(T, L, diagonals)``, or None if they do not exist."""
         pays = MIN_UNKNOWNS < self.core.size <= MAX_STATES / self.core.degree
         return self._decoupling or (_compute_eigenvectors(self.core) if pays else None)
 
     @cached_property
     def dual(self) -> Response:
-        """Response of the transposed pencil, in the same coordinates."""
+        """Response of the transposed pencil, computed in the same decoupled coordinates."""
         if self.modes is None or self._free:
             return Response(self.pencil.transposed())
         T, L, diagonals = self.modes
@@ -86,11 +88,14 @@ class Response:
 
     @property
     def diagonal(self) -> bool:
-        """Whether decoupled coordinates exist, or few unknowns make them unnecessary."""
+        """Whether decoupled coordinates exist, or are unnecessary because of few unknowns."""
         return self.modes is not None or self.core.size <= MIN_UNKNOWNS
 
     def states(self, s: np.ndarray) -> np.ndarray:
-        """Compute the unknowns ``P(s)^-1 B`` (len(s), n, m) of the pencil."""
+        """Compute the unknowns ``P(s)^-1 B`` at all values ``s``.
+
+        The result has the shape (len(s), n, m): values, unknowns and inputs.
+        """
         if self.modes is None:
             x = self.core.states(s)
         else:
@@ -102,7 +107,10 @@ class Response:
         return np.concatenate([self._free.states(s), x], axis=1) if self._free else x
 
     def transfer(self, s: np.ndarray) -> np.ndarray:
-        """Compute the response ``C P(s)^-1 B + D`` (len(s), outputs, inputs)."""
+        """Compute the response ``C P(s)^-1 B + D`` at all values ``s``.
+
+        The result has the shape (len(s), outputs, inputs).
+        """
         if self.modes is None:
             H = self.core.transfer(s)
         else:
@@ -124,10 +132,10 @@ class Response:
         return np.asarray(size <= CANCELLATION_ROUNDING * terms)
 
     def peaks(self, frequency: np.ndarray, H: np.ndarray) -> np.ndarray:
-        """Return the peaks (outputs, inputs) of the response H over ``frequency`` [Hz].
+        """Return the peak of each entry of the response H over ``frequency`` [Hz].
 
-        The rigid-body motion is omitted, because its response grows without bound as the frequency
-        approaches zero.
+        The result has the shape (outputs, inputs). The rigid-body motion is omitted, because its
+        response grows without bound as the frequency approaches zero.
         """
         free = select_rigid_body_part(self.pencil, 2 * np.pi * frequency.max())
         if free is not None:
@@ -135,34 +143,37 @@ class Response:
         return np.asarray(np.abs(H).max(axis=0))
 
     def entries(self, frequency: np.ndarray, H: np.ndarray | None = None) -> Entries:
-        """Return the scales of the entries of the response H over ``frequency`` [Hz]."""
+        """Return the scales for errors of the response H over ``frequency`` [Hz]."""
         H = self.transfer(2j * np.pi * frequency) if H is None else H
         return Entries.of(H, self.peaks(frequency, H), self.zero)
 
     def _gains(self, s: np.ndarray) -> np.ndarray:
-        """Compute the responses ``1 / sum_k s^k diagonals_k`` (len(s), n) of the modes."""
+        """Compute the responses ``1 / sum_k s^k diagonals_k`` of the modes at all values ``s``.
+
+        The result has the shape (len(s), n).
+        """
         s = np.asarray(s, dtype=complex)[:, None]
         assert self.modes is not None
         diagonals = self.modes[2]
-        # values that are not finite cause an error in the certification
+        # infinite and undefined values cause an error later, in the certification
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(1 / sum(s**k * d for k, d in enumerate(diagonals)))
 
     @cached_property
     def poles(self) -> np.ndarray:
-        """Finite poles [1/s] of a model whose modes are coupled."""
+        """Finite poles [1/s] of the pencil, including rigid-body modes."""
         return np.r_[self._free.poles(), self._poles] if self._free else self._poles
 
     @cached_property
     def _poles(self) -> np.ndarray:
-        """Poles [1/s] of the pencil."""
+        """Finite poles [1/s] of the pencil ``core``."""
         return self.core.poles() if self.modes is None else _finite_poles(*self.modes[2])
 
     @cached_property
     def _oscillating_poles(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Frequency [Hz], damping ratio and index of the mode of each oscillating pole.
+        """Frequency [Hz], damping ratio and mode index of each oscillating pole.
 
-        The index is -1 if the poles do not belong to modes.
+        The mode index is -1 if no mode is known for the pole.
         """
         if not self.decoupled or self.core.degree == 1:
             result = np.empty(0) if self.decoupled else self._poles
@@ -185,17 +196,17 @@ class Response:
         return self._oscillating_poles[:2]
 
     def within(self, band: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
-        """Return the resonances inside the band."""
+        """Return the frequencies [Hz] and damping ratios of the resonances inside the band."""
         frequency, ratio = self.resonances
         inside = _mask_inside_band(frequency, band)
         return frequency[inside], ratio[inside]
 
     def select_visible(self, band: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
-        """Select the resonances in the band that are visible in the response.
+        """Return the frequencies [Hz] and damping ratios of the visible resonances in the band.
 
-        All other resonances are cancelled by zeros in every entry. They belong to modes that no
-        input excites or no output measures, or to rigid-body modes whose stiffness is a rounding
-        error.
+        In every entry of the response, a zero cancels an invisible resonance. An invisible
+        resonance belongs to a mode that no input excites or no output measures, or to a rigid-body
+        mode whose stiffness is a rounding error.
         """
         frequency, ratio, mode = self._oscillating_poles
         inside = _mask_inside_band(frequency, band)
@@ -217,10 +228,10 @@ class Response:
 
 
 class DirectResponse(Response):
-    """Frequency response of a dense pencil that is computed by a direct solution at each frequency.
+    """Frequency response of a dense pencil, computed directly at each frequency.
 
-    If conductances differ by many orders of magnitude, the matrix is almost singular, and direct
-    solutions have smaller rounding errors than modes.
+    If conductances differ by many orders of magnitude, the matrix is almost singular. Direct
+    solutions then have smaller rounding errors than solutions by modes.
     """
 
     modes = None
@@ -231,10 +242,11 @@ class DirectResponse(Response):
 
 
 def _compute_eigenvectors(pencil: Pencil) -> Modes | None:
-    """Compute eigenvectors of ``P(shift)^-1`` times the inertia matrix of the first-order form.
+    """Compute decoupled coordinates of a pencil from eigenvectors of its first-order form.
 
-    This eigenvalue problem is also suitable for unknowns without inertia. The result is None if
-    responses by eigenvectors differ from direct solutions by more than rounding errors.
+    The eigenvectors are those of ``P(shift)^-1`` times the inertia matrix. This eigenvalue problem
+    is also suitable for unknowns without inertia. The result is None if the responses in these
+    coordinates differ from direct solutions by more than rounding errors.
     """
     sizes = largest_entry(pencil.coefficients[0]), largest_entry(pencil.coefficients[-1])
     if not all(sizes):
@@ -247,7 +259,7 @@ def _compute_eigenvectors(pencil: Pencil) -> Modes | None:
         inner = np.linalg.solve(rest + shift * inertia, np.hstack([inertia, extended.B]))
         values, X = np.linalg.eig(shift * inner[:, : extended.size])
         inverse = np.linalg.inv(X)
-        with np.errstate(over="ignore"):  # eigenvectors that are not a basis cause overflow
+        with np.errstate(over="ignore"):  # dependent eigenvectors cause overflow
             condition = np.linalg.norm(X) * np.linalg.norm(inverse)
         if not condition <= MAX_CONDITION:
             return None
@@ -266,7 +278,7 @@ def _compute_eigenvectors(pencil: Pencil) -> Modes | None:
 
 
 def _finite_poles(rest: np.ndarray, inertia: np.ndarray) -> np.ndarray:
-    """Return the finite poles of the diagonals of :func:`_compute_eigenvectors`."""
+    """Return the finite poles from the diagonals that :func:`_compute_eigenvectors` returns."""
     finite = _mask_finite_poles(rest)
     return np.asarray(-rest[finite] / inertia[finite])
 
@@ -277,21 +289,22 @@ def _mask_finite_poles(rest: np.ndarray) -> np.ndarray:
 
 
 def _mask_inside_band(frequency: np.ndarray, band: tuple[float, float]) -> np.ndarray:
-    """Return a mask of the frequencies [Hz] that are in the band and not zero within rounding."""
+    """Return a mask of the frequencies [Hz] in the band, except zero within rounding errors."""
     return np.asarray((frequency > max(band[0], 1e-6 * band[1])) & (frequency < band[1]))
 
 
 def _decouple(pencil: Pencil) -> Modes | None:
-    """Decouple a pencil with definite K by the modes of ``M phi = mu K phi``.
+    """Decouple a symmetric pencil by a real congruence, or return None if it is coupled.
 
-    This eigenvalue problem is better conditioned than the problem with the inverse of M.
+    The congruence consists of the eigenvectors of ``M phi = mu K phi`` with a definite K. This
+    eigenvalue problem is better conditioned than the problem with the inverse of M.
     """
     if not pencil.symmetric or not pencil.size:
         return None
     rest, inertia = pencil.coefficients[0], pencil.coefficients[-1]
     try:
         mu, T = scipy.linalg.eigh(inertia, rest)
-        # the stiffness of a rigid-body mode is a rounding error
+        # a rigid-body mode, whose stiffness is a rounding error
         if (mu[1:] > RIGID_MODE_RATIO * np.abs(mu[:-1])).any():
             raise scipy.linalg.LinAlgError
         ends = np.ones(pencil.size), mu
@@ -306,7 +319,7 @@ def _decouple(pencil: Pencil) -> Modes | None:
     damping = T.T @ pencil.coefficients[1] @ T
     diagonal = np.diag(damping).copy()
     # The limit is relative to the damping of both modes. Any coupling to an undamped mode exceeds
-    # the limit, and the equations are then solved without decoupling.
+    # the limit, so that the pencil is not decoupled.
     limit = COUPLING_ROUNDING * np.sqrt(np.abs(np.outer(diagonal, diagonal)))
     if (np.abs(damping - np.diag(diagonal)) > limit).any():
         return None
@@ -314,10 +327,10 @@ def _decouple(pencil: Pencil) -> Modes | None:
 
 
 def grid(band: tuple[float, float], count: int, static: bool) -> np.ndarray:
-    """Return frequencies [Hz] over the band: half of them linear, half logarithmic.
+    """Return a grid of frequencies [Hz] over the band: half linear, half logarithmic.
 
-    The logarithmic frequencies cover at most four decades. The grid contains zero if the band
-    begins at zero and the static response exists.
+    The grid covers at most four decades. It also contains zero if the band begins at zero and the
+    ``static`` response exists.
     """
     low, high = band
     start = max(low, 1e-4 * high)
@@ -330,7 +343,11 @@ def grid(band: tuple[float, float], count: int, static: bool) -> np.ndarray:
 def sample_resonances(
     frequency: np.ndarray, ratio: np.ndarray, widths: np.ndarray = RESONANCE_OFFSETS
 ) -> np.ndarray:
-    """Return frequencies [Hz] at resonances, and beside them at multiples of their half-width."""
+    """Return sample frequencies [Hz] at resonances and on both sides of them.
+
+    ``frequency`` and ``ratio`` are the resonance frequencies [Hz] and damping ratios. ``widths``
+    contains the distances of the samples from a resonance, in half-widths of the resonance.
+    """
     sharp = ratio < MIN_DAMPING_RATIO
     width = np.where(sharp, FLANK_DISTANCE, ratio)[:, None] * frequency[:, None]
     both = np.concatenate([-widths[::-1], widths])
@@ -346,7 +363,10 @@ def sample_resonances(
 def drop_points_near_poles(
     points: np.ndarray, frequency: np.ndarray, ratio: np.ndarray
 ) -> np.ndarray:
-    """Omit points closer than ``FLANK_DISTANCE`` to a nearly undamped resonance."""
+    """Omit the frequencies in ``points`` that are too close to nearly undamped resonances.
+
+    The smallest relative distance is :data:`FLANK_DISTANCE`.
+    """
     sharp = frequency[ratio < MIN_DAMPING_RATIO]
     if not sharp.size:
         return points
@@ -362,10 +382,10 @@ def sample_band(
     static: bool,
     widths: np.ndarray | tuple[float, ...] = (0.0,),
 ) -> np.ndarray:
-    """Choose frequencies [Hz] of a grid over the band, and at resonances in the band.
+    """Choose sample frequencies [Hz]: a grid over the band, and resonances in the band.
 
-    Beside each resonance, there are frequencies at multiples ``widths`` of its half-width. Poles
-    without damping are avoided.
+    On both sides of each resonance, there are samples at distances of ``widths`` half-widths.
+    Samples too close to undamped poles are omitted.
     """
     at, ratio = response.within(band)
     points = np.union1d(grid(band, count, static), sample_resonances(at, ratio, np.asarray(widths)))

@@ -1,8 +1,9 @@
-"""Rigid-body modes of a model with their damping, and their exact separation.
+"""Rigid-body modes of a model, and their exact separation from all other unknowns.
 
-Here, rigid-body modes include integrators. The response of these modes grows without bound as the
-frequency approaches zero. They are computed once, their zero stiffness is made exact, and they are
-separated from all other unknowns. Bases and peaks refer to the other unknowns.
+Here, rigid-body modes include integrators. Their response grows without bound as the frequency
+approaches zero. They are computed once, with their damping. Their stiffness is set to exactly zero,
+and they are separated from all other unknowns. Reduction bases and response peaks refer to the
+other unknowns only.
 """
 
 from __future__ import annotations
@@ -25,31 +26,36 @@ from kc2spice.rom.pencil import (
     largest_entry,
 )
 
-# Stiffness, damping and coupling count as zero below this multiple of n eps times the largest
-# entry.
+# Multiple of ``n eps`` times the size of a matrix entry that bounds the rounding error of the
+# entry. Smaller stiffness, damping and coupling count as zero.
 ROUNDING_FACTOR = 8.0
-# Largest poles of a first-order model, relative to the end of the band, that count as zero, and
-# that are slow poles of a damped rigid-body mode. The error of a double pole is the root of eps.
+# Largest magnitude of a pole of a first-order model that counts as zero, and of a pole that counts
+# as the slow real pole of a damped rigid-body mode. Both are relative to the end of the band. The
+# rounding error of a double pole is the square root of eps.
 ZERO_POLE_RATIO = 1e-6
 SLOW_POLE_RATIO = 1e-2
-# largest energy that is a rounding error, as a multiple of its change by random rounding of entries
+# largest energy that counts as a rounding error, as a multiple of the change of the energy due to
+# random rounding of matrix entries
 ENERGY_FACTOR = 30.0
-ENERGY_MARGIN = 4.0  # safety factor on the change of an energy by random rounding
-# ratio of a frequency to a support's resonance at which the support changes the response by 1e-4
+ENERGY_MARGIN = 4.0  # safety factor of the change of an energy due to random rounding
+# ratio of a frequency to the resonance frequency of a support; at this ratio, the support changes
+# the response by 1e-4
 SUPPORT_RATIO = 100.0
-REGULAR_FACTOR = 10.0  # multiple of the limit for singular matrices above which a matrix is regular
-# largest rates of a chain of integrators by rounding errors, relative to the end of the band
+# multiple of the limit for singular matrices above which a matrix counts as regular
+REGULAR_FACTOR = 10.0
+# largest rate of a chain of integrators due to rounding errors, relative to the end of the band
 CHAIN_RATE_RATIO = 1e-9
-# bounds on the rounding error of the entries of each coefficient
+# bounds of the rounding errors of all entries, one array for each coefficient of a pencil
 Rounding: TypeAlias = tuple[np.ndarray, ...]
 
 
 class RigidBodySplit(NamedTuple):
-    """Model ``pencil`` whose first ``free`` coordinates are its rigid-body motion.
+    """Model ``pencil`` whose first ``pencil.free`` coordinates are its rigid-body modes.
 
-    The columns of ``columns`` are the coordinates in the original unknowns. If ``static`` is true,
-    the other coordinates have a static response. ``projected`` is the pencil before rounding errors
-    were set to zero, if its form is preserved.
+    ``columns`` contains the basis vectors of the coordinates in the original unknowns. If
+    ``static`` is true, the other coordinates have a static response. ``projected`` is the pencil
+    before rounding errors were set to zero. It is None if the form of the matrices is not
+    preserved.
     """
 
     pencil: Pencil
@@ -61,16 +67,16 @@ class RigidBodySplit(NamedTuple):
 def split_rigid_body(
     pencil: Pencil, omega: float, rounding: Rounding | None = None
 ) -> RigidBodySplit:
-    """Transform a dense pencil so that its first unknowns are the rigid-body motion.
+    """Transform a dense pencil so that its first unknowns are the rigid-body modes.
 
-    Without rigid-body motion, the result contains the pencil unchanged.
+    If there are no rigid-body modes, the result contains the unchanged pencil.
 
     Symmetric and dissipative models have rigid-body modes X with ``K X = 0`` and ``X'K = 0``. The
     form of these models is preserved by a congruence ``V'PV``, in which the other coordinates are
     orthogonal to X in the inertia. Damping may couple both groups of coordinates. All other models
-    are converted to first-order models, and separated by the invariant subspaces of the poles that
-    are near zero, relative to ``omega``. ``rounding`` is the bound of the rounding errors if it is
-    known.
+    are converted to first-order models. Their rigid-body modes are separated by the invariant
+    subspaces of the poles near zero, relative to ``omega`` [rad/s]. ``rounding`` contains bounds of
+    the rounding errors, if they are known.
     """
     rest, inertia = pencil.coefficients[0], pencil.coefficients[-1]
     X = _compute_null_space(rest, (rounding or _bound_rounding(pencil))[0])
@@ -92,10 +98,10 @@ def split_rigid_body(
 
 
 def split_driven_modes(pencil: Pencil, free: int, rounding: Rounding) -> RigidBodySplit:
-    """Make the rigid-body modes of a projection exact, and omit modes that no input drives.
+    """Set rounding errors of rigid-body modes to zero, and omit modes that no input drives.
 
-    The modes are the first ``free`` unknowns. ``rounding`` contains bounds of the errors of the
-    entries of each matrix.
+    The rigid-body modes are the first ``free`` unknowns of the pencil. ``rounding`` contains bounds
+    of the rounding errors of all matrix entries.
     """
     X = np.eye(pencil.size)[:, :free]
     others = scipy.linalg.null_space((pencil.coefficients[-1] @ X).T)
@@ -105,7 +111,7 @@ def split_driven_modes(pencil: Pencil, free: int, rounding: Rounding) -> RigidBo
 def _split_congruently(
     pencil: Pencil, X: np.ndarray, others: np.ndarray, rounding: Rounding
 ) -> RigidBodySplit:
-    """Project on the motions X that an input drives, and on ``others``, made orthogonal to X."""
+    """Project on the rigid-body modes X that an input drives, and on the motions ``others``."""
     X = _select_driven(pencil, X, rounding)
     V = np.hstack([X, others])
     result, projected = project_with_rigid_body(pencil, V, X.shape[1], rounding)
@@ -113,14 +119,14 @@ def _split_congruently(
 
 
 def select_rigid_body_part(pencil: Pencil, omega: float) -> Pencil | None:
-    """Return the pencil of the rigid-body motion, None if there is no rigid-body motion."""
+    """Return the pencil of the rigid-body modes, or None if there are none."""
     if pencil.free and not pencil.has_uncoupled_motion:
         pencil = _project_obliquely(first_order(pencil, omega), omega)[0]
     return pencil.leading_model(pencil.free) if pencil.free else None
 
 
 def _bound_rounding(pencil: Pencil) -> Rounding:
-    """Return bounds of the rounding errors of the entries of a pencil."""
+    """Return bounds of the rounding errors of all matrix entries of a pencil."""
     limit = ROUNDING_FACTOR * np.finfo(float).eps * pencil.size
     return tuple(limit * np.abs(P) for P in pencil.coefficients)
 
@@ -128,8 +134,8 @@ def _bound_rounding(pencil: Pencil) -> Rounding:
 def _compute_null_space(K: np.ndarray, rounding: np.ndarray) -> np.ndarray:
     """Compute orthonormal columns X with ``K X = 0`` within ``rounding``.
 
-    ``rounding`` contains a bound for each entry, so that errors of stiff entries do not hide soft
-    entries.
+    ``rounding`` contains a bound for each entry of K, so that rounding errors of large entries do
+    not hide small entries.
     """
     rows = rounding.max(axis=1)
     rows = 1 / np.where(rows > 0, rows, 1.0)[:, None]
@@ -138,7 +144,7 @@ def _compute_null_space(K: np.ndarray, rounding: np.ndarray) -> np.ndarray:
     noise = rows * rounding * columns
     lu, _, singular = scipy.linalg.lapack.dgetrf(rows * K * columns)
     inverse = 0.0 if singular else scipy.linalg.lapack.dgecon(lu, 1.0)[0]
-    # the estimate is in another norm, so it has a safety factor
+    # the estimated inverse condition number is in another norm, so it has a safety factor
     if inverse > REGULAR_FACTOR * np.sqrt(len(K)) * np.linalg.norm(noise):
         return np.empty((len(K), 0))
     _, size, Vt = np.linalg.svd(rows * K * columns)
@@ -147,10 +153,11 @@ def _compute_null_space(K: np.ndarray, rounding: np.ndarray) -> np.ndarray:
 
 
 def _select_energy_free(K: np.ndarray, X: np.ndarray, rounding: np.ndarray | None) -> np.ndarray:
-    """Select the motions of X (n, motions) whose energy is a rounding error of the entries of K.
+    """Select the motions in X whose elastic energy is only a rounding error.
 
-    By default, the bound is the sum of all rounding errors. A known ``rounding`` replaces this
-    bound, because a support may be softer than the bound.
+    X has the shape (n, motions). By default, the rounding error of the energy is estimated for
+    random rounding of the entries of K. If bounds ``rounding`` of these entries are known, they
+    determine the rounding error instead.
     """
     if not X.size or not is_symmetric(K):
         return X
@@ -166,9 +173,9 @@ def _select_energy_free(K: np.ndarray, X: np.ndarray, rounding: np.ndarray | Non
 
 
 def estimate_energy_rounding(P: Matrix, V: np.ndarray) -> np.ndarray:
-    """Estimate the errors of ``V'PV`` (k, k) by random rounding of the entries of P.
+    """Estimate the rounding errors of ``V'PV`` (k, k) due to random rounding of the matrix P.
 
-    The rounding errors of the entries are independent, so the squares of their effects add:
+    The rounding errors of the entries of P are independent, so the squares of their effects add up:
     ``eps (sum_ij v_ik^2 P_ij^2 v_jl^2)^(1/2)``.
     """
     squares = V**2
@@ -180,18 +187,18 @@ def estimate_energy_rounding(P: Matrix, V: np.ndarray) -> np.ndarray:
 def find_hidden_support(pencil: Pencil, X: np.ndarray, low: float) -> float:
     """Return the frequency [Hz] below which rounding errors hide the resonance of a support.
 
-    A support of the rigid-body motions X (n, motions) is hidden if it is not stiffer than the
-    random rounding errors of K. The frequency is zero without rigid-body motions.
+    A support of the rigid-body modes X (n, modes) is hidden if its stiffness is not larger than the
+    random rounding errors of K. Without rigid-body modes, the frequency is zero.
 
-    The reduced model omits the stiffness of X. If this stiffness slightly exceeds the rounding
-    errors, X has a support whose stiffness is inaccurate. The function then warns, unless ``low``
-    [Hz], the begin of the band, is far above the resonance of the support.
+    The reduced model omits the stiffness of the modes X. If this stiffness slightly exceeds the
+    rounding errors, the body has a support whose stiffness is inaccurate. The function then warns,
+    unless ``low`` [Hz], the lower end of the band, is far above the resonance of the support.
     """
     K, M = pencil.coefficients[0], pencil.coefficients[-1]
     if pencil.degree != 2 or isinstance(K, Schur) or not X.size or not pencil.symmetric:
         return 0.0
     i, j, value = scipy.sparse.find(K)
-    # the energies of soft modes are small differences of large numbers
+    # extended precision, because the energies of soft modes are small differences of large numbers
     exact = np.asarray(X, dtype=np.longdouble)
     force = np.zeros(exact.shape, dtype=np.longdouble)
     np.add.at(force, i, value.astype(np.longdouble)[:, None] * exact[j])
@@ -214,15 +221,15 @@ def find_hidden_support(pencil: Pencil, X: np.ndarray, low: float) -> float:
 
 
 def _is_force_free(P: np.ndarray, X: np.ndarray, rounding: np.ndarray) -> bool:
-    """Return whether ``P X`` is zero within the ``rounding`` of the entries of P and X."""
+    """Return whether ``P X`` is zero within the ``rounding`` errors of the entries of P."""
     return bool((np.abs(P @ X) <= rounding.sum(axis=1)[:, None] * np.abs(X).max(axis=0)).all())
 
 
 def _select_driven(pencil: Pencil, X: np.ndarray, rounding: Rounding) -> np.ndarray:
-    """Select the rigid-body motions of X that an input moves.
+    """Select the rigid-body modes in X that an input drives.
 
-    All motions are returned if inputs and outputs are not collocated, or if damping couples the
-    motions.
+    All modes are returned if inputs and outputs are not collocated, or if damping acts on the
+    modes.
     """
     *between, inertia = pencil.coefficients
     slowed = not all(_is_force_free(P, X, R) for P, R in zip(between, rounding, strict=False))
@@ -232,8 +239,8 @@ def _select_driven(pencil: Pencil, X: np.ndarray, rounding: Rounding) -> np.ndar
     U, size, _ = np.linalg.svd(X.T @ pencil.B)
     K, momenta = pencil.coefficients[0], inertia @ X
     momenta *= np.sqrt(largest_entry(K)) / largest_entry(momenta)
-    # Rounding errors of K mix X with motions that no input drives. Therefore, inputs are compared
-    # with the response to them.
+    # Rounding errors of K mix the driven modes with modes that no input drives. The limit for
+    # driven modes is therefore computed from the response to the inputs.
     answer = np.linalg.solve(K + momenta @ momenta.T, pencil.B)
     input_rounding = ROUNDING_FACTOR * np.finfo(float).eps * pencil.size * np.abs(pencil.B)
     noise = np.abs(X.T) @ (input_rounding + rounding[0] @ np.abs(answer))
@@ -244,10 +251,10 @@ def _select_driven(pencil: Pencil, X: np.ndarray, rounding: Rounding) -> np.ndar
 def project_with_rigid_body(
     pencil: Pencil, V: np.ndarray, free: int, rounding: Rounding | None = None
 ) -> tuple[Pencil, Pencil]:
-    """Project a dense pencil on V, whose first ``free`` columns are rigid-body motions.
+    """Project a dense pencil on V, whose first ``free`` columns are rigid-body modes.
 
-    In the first result ``V'PV``, rounding errors of zero entries are removed. The second result
-    still contains them.
+    Both results contain ``V'PV``. In the first result, entries that are only rounding errors are
+    set to zero. In the second result, they are not.
     """
     result, parts = pencil.project_exactly(V), []
     for P, noise in zip(result.coefficients, rounding or _bound_rounding(pencil), strict=True):
@@ -260,9 +267,11 @@ def project_with_rigid_body(
 
 
 def _project_obliquely(pencil: Pencil, omega: float) -> tuple[Pencil, np.ndarray]:
-    """Project obliquely on right and left invariant subspaces, poles near zero first.
+    """Separate the poles near zero by right and left invariant subspaces.
 
-    In the first coordinates, chains of integrators appear as exact zeros.
+    Return a pencil whose first unknowns belong to the poles near zero, and its basis. In these
+    unknowns, the rates of integrators are exactly zero. If the separation is not possible, the
+    pencil is returned unchanged.
     """
     rest, inertia = pencil.coefficients
     try:
@@ -291,7 +300,10 @@ def _project_obliquely(pencil: Pencil, omega: float) -> tuple[Pencil, np.ndarray
 
 
 def _find_slow_subspace(rest: np.ndarray, inertia: np.ndarray, omega: float) -> np.ndarray:
-    """Compute an orthonormal basis of the invariant subspace of zero or slow real poles."""
+    """Compute an orthonormal basis of the invariant subspace of poles near zero.
+
+    These are poles that are zero within rounding errors, and slow real poles.
+    """
     shifted = np.linalg.solve(rest + omega * inertia, omega * inertia)
 
     def chosen(x: float, y: float) -> bool:
@@ -305,10 +317,10 @@ def _find_slow_subspace(rest: np.ndarray, inertia: np.ndarray, omega: float) -> 
 
 
 def _order_chains(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rotate A to ``Q'AQ``, which is block triangular with exact zeros.
+    """Rotate A to a block triangular matrix ``Q'AQ`` with exact zeros.
 
-    The first coordinates are constant. The next coordinates change at a rate that the first ones
-    determine, and so on.
+    The coordinates form chains of integrators: the first coordinates are constant, the rates of the
+    next coordinates depend only on the first, and so on.
     """
     A, Q, start = A.copy(), np.eye(len(A)), 0
     while start < len(A):

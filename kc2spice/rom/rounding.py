@@ -1,4 +1,4 @@
-"""Effects of rounding errors of a model's entries on its response."""
+"""Effects of rounding errors in the matrix entries of a model on its response."""
 
 from __future__ import annotations
 
@@ -20,19 +20,20 @@ from kc2spice.rom.response import (
     sample_resonances,
 )
 
-# smallest relative change of a response by rounding errors that the certificate mentions
+# smallest relative change of a response due to rounding errors that the certificate mentions
 STATED_UNCERTAINTY = 1e-9
-ENERGY_ROUNDING = 100.0  # largest elastic energy of a mode that counts as zero, in rounding errors
+ENERGY_ROUNDING = 100.0  # largest response of an entry that counts as zero, in rounding errors
 # numbers found by trials
-ZERO_FREQUENCIES = 50  # number of frequencies of the band at which entries are tested for zero
+ZERO_FREQUENCIES = 50  # number of frequencies at which entries are tested for zero
 ZERO_SHARE = 0.5  # share of these frequencies at which a zero entry must be negligible
-# number of the lowest, and of the sharpest, resonances at which rounding effects are evaluated
+# number of the lowest resonances, and of the sharpest resonances, at which effects of rounding are
+# evaluated
 CHECKED_RESONANCES = 8
-RANDOM_TRIALS = 4  # number of trials with random units of the unknowns
-# Share of the target error below which rounding errors are negligible. Trials differ by a factor of
-# less than 10.
+RANDOM_TRIALS = 4  # largest number of trials with random units of the unknowns
+# Share of the target error below which the effect of rounding is negligible. The effects in
+# different trials differ by a factor of less than 10.
 NEGLIGIBLE_SHARE = 0.01
-TRIAL_FACTOR = 3.0  # safety factor on the largest change in a few trials
+TRIAL_FACTOR = 3.0  # safety factor of the largest change in a few trials
 
 
 def estimate_rounding_uncertainty(
@@ -42,11 +43,12 @@ def estimate_rounding_uncertainty(
     dual: np.ndarray | None = None,
     zero: np.ndarray | bool = False,
 ) -> np.ndarray:
-    """Estimate the relative change of a dense model's response by rounding of the entries.
+    """Estimate the relative change of a response due to rounding of the matrix entries.
 
-    The result is the change at each ``frequency`` [Hz]. By default, this function solves the model
-    and its dual. More accurate solutions ``states`` (frequencies, n, inputs) and ``dual`` replace
-    them. Errors of entries that are ``zero`` by symmetry are relative to their row and column.
+    The result (frequencies,) is the largest relative change of any entry of the response at each
+    ``frequency`` [Hz]. By default, this function solves the model and its dual. More accurate
+    solutions ``states`` (frequencies, n, inputs) and ``dual`` replace these solutions. If an entry
+    is ``zero`` by symmetry, its change is relative to the other entries in its row and column.
     """
     x = pencil.states(2j * np.pi * frequency) if states is None else states
     H = pencil.C @ x + pencil.D
@@ -59,10 +61,11 @@ def estimate_rounding_uncertainty(
 def estimate_rounding_change(
     pencil: Pencil, frequency: np.ndarray, x: np.ndarray, dual: np.ndarray | None = None
 ) -> np.ndarray:
-    """Estimate the change (frequencies, outputs, inputs) of a response by rounding of entries.
+    """Estimate the change of a response due to rounding of the matrix entries.
 
-    The change is the root of the sum of squares of ``eps |y_i P_ij x_j|``, where ``x``
-    (frequencies, n, inputs) are the states, and ``y`` the states of the dual model.
+    The result has the shape (frequencies, outputs, inputs). It is the root of the sum of the
+    squares of ``eps |y_i P_ij x_j|`` with the matrix entries ``P_ij``. ``x`` (frequencies, n,
+    inputs) contains the states, and ``y`` the states of the dual model.
     """
     s = 2j * np.pi * frequency
     y = x if pencil.symmetric and pencil.collocated else dual
@@ -78,11 +81,11 @@ def estimate_rounding_change(
 def find_zero_entries(
     pencil: Pencil, V: np.ndarray, response: Response, band: tuple[float, float]
 ) -> np.ndarray | bool:
-    """Find the entries (outputs, inputs) of a model that are zero by symmetry.
+    """Return a mask (outputs, inputs) of the response entries that are zero by symmetry.
 
-    In the ``response`` of the projection on V, an entry that is zero by symmetry is negligible at
-    nearly all frequencies of the band. At sharp resonances of equal modes, it may be as large as
-    the effect of rounding of the model's entries.
+    ``response`` is the response of the projection on V. In this response, an entry that is zero by
+    symmetry is negligible at nearly all frequencies of the band. At sharp resonances of modes with
+    equal frequencies, the entry may be as large as the effect of rounding of the matrix entries.
     """
     at, ratio = response.select_visible(band)
     chosen = np.union1d(np.argsort(at)[:CHECKED_RESONANCES], np.argsort(ratio)[:CHECKED_RESONANCES])
@@ -111,10 +114,11 @@ def find_zero_entries(
 
 
 def describe_uncertainty(at: np.ndarray, size: np.ndarray, tolerance: float) -> str:
-    """Describe the effect of rounding of the matrices on the response, for the certificate.
+    """Describe the effect of matrix rounding on the response, for the certificate.
 
-    ``size`` is the relative change of the response at the frequencies ``at`` [Hz]. The text is
-    empty if the change is negligible. If the change exceeds ``tolerance``, the function also warns.
+    ``size`` is the relative change of the response at the frequencies ``at`` [Hz]. The description
+    is empty if the change is negligible. If the change exceeds ``tolerance``, the function also
+    warns.
     """
     worst = int(size.argmax())
     text = f"changes the response by {size[worst]:.1e} at {at[worst]:.5g} Hz"
@@ -128,10 +132,10 @@ def describe_uncertainty(at: np.ndarray, size: np.ndarray, tolerance: float) -> 
 
 
 def estimate_removed_stiffness(projected: Pencil, free: Pencil, band: tuple[float, float]) -> float:
-    """Return the change of the response if the stiffness of rigid-body motions is removed.
+    """Return the relative change of the response due to removed stiffness of rigid-body modes.
 
-    This stiffness is a rounding error. The change is evaluated at the lowest relevant frequency,
-    where it is largest.
+    The removed stiffness is a rounding error. ``projected`` contains it, and ``free`` does not. The
+    change is evaluated at the lowest relevant frequency, where it is largest.
     """
     s = 2j * np.pi * grid(band, 2, False)[:1]
     H = free.transfer(s)
@@ -145,13 +149,14 @@ def add_rounding_floor(
     model: IntermediateModel,
     target: float,
 ) -> IntermediateModel:
-    """Return ``model`` with its ``floor``: the effect of rounding errors on the resonances.
+    """Add the effect of rounding errors on the resonances to an intermediate model.
 
-    In other units of the unknowns, the exact response is the same, but the entries of the full
-    model have other rounding errors. The model in random units is projected on the same basis, and
-    the floor is computed from the change of the response. Thin bodies are sensitive to rounding
-    errors, because their elastic forces are small differences of large forces. If the first change
-    is negligible relative to ``target``, the error of the model, no other trials are made.
+    Return the model with this effect in its attribute ``floor``. If the unknowns of the full model
+    have other units, its exact response is the same, but its matrix entries have other rounding
+    errors. The full model in random units is projected on the same basis, and the floor is computed
+    from the change of the response. Thin bodies are sensitive to rounding errors, because their
+    elastic forces are small differences of large forces. If the change in a trial is negligible
+    relative to ``target``, the error of the model, no further trials are made.
     """
     exact = model.response
     at, ratio = exact.select_visible(band)

@@ -1,4 +1,4 @@
-"""Search for the smallest order within a tolerance, for bases of any method."""
+"""Search for the smallest order that meets a tolerance, for bases of any method."""
 
 from __future__ import annotations
 
@@ -13,20 +13,23 @@ from kc2spice.rom.reduced_basis import ReducedBasis, Task
 from kc2spice.rom.reductors.base import Reductor
 from kc2spice.rom.stability import DEFINITE_EVIDENCE, StabilityProof
 
-# Largest number of states for which other methods are tried only for the certificate, which states
-# how many more states definite matrices need. Found by trials, to limit the computing time.
+# Largest number of states for which other projections are tried only to complete the certificate.
+# The certificate states how many more states a model with definite matrices needs. The limit was
+# found by trials and limits the computing time.
 MAX_COMPARED_STATES = 200
 # Largest order of a general projection, relative to the order of a congruence, for which the
-# general projection is used. It must save a tenth of the states, such as 10 states instead of 11,
-# because only a congruence of definite matrices gives resonators, whose form proves stability.
+# general projection is used. It must need about a tenth fewer states, such as 10 states instead of
+# 11. Only a congruence of definite matrices gives resonators, and the form of resonators proves
+# stability.
 SAVING_RATIO = 0.91
 
 
 def find_least_order(basis: ReducedBasis, tolerance: float, states: float = np.inf) -> int | None:
-    """Return the smallest acceptable order with fewer than ``states`` first-order states.
+    """Return the smallest acceptable order of a basis with fewer than ``states`` states.
 
-    The result is None if no order is acceptable. All orders are tried in ascending sequence,
-    because the error may increase with the order, and models of low order take little time.
+    The limit applies to first-order states. The result is None if no order is acceptable. All
+    orders are tried in ascending sequence, because the error may increase with the order, and
+    models of low order need little computing time.
     """
     most = int(min(basis.size, (states - 1) // basis.pencil.degree))
     orders = range(max(basis.fixed, 1), most + 1)
@@ -34,11 +37,11 @@ def find_least_order(basis: ReducedBasis, tolerance: float, states: float = np.i
 
 
 def select_basis(bases: Sequence[ReducedBasis], order: int) -> ReducedBasis:
-    """Return the basis whose model of an order has the smallest error estimate.
+    """Return the basis whose reduced model of the given order has the smallest error estimate.
 
     Raises
     ------
-    UsageError : no basis has enough vectors.
+    UsageError : every basis has fewer vectors than the order.
     """
     most = max(basis.size for basis in bases)
     if order > most:
@@ -57,12 +60,12 @@ def select_basis(bases: Sequence[ReducedBasis], order: int) -> ReducedBasis:
 def select_fewest_states(
     task: Task, reductors: Sequence[Reductor], tolerance: float, *, shorten: bool, keep_form: bool
 ) -> tuple[ReducedBasis, int]:
-    """Return the basis that needs the fewest states, and the order; congruences are preferred.
+    """Return the basis that meets the tolerance with the fewest states, and its order.
 
-    A congruence preserves definite matrices, so that the model consists of passive resonators.
-    Other projections are used only if all ports are signals and a tenth of the states is saved. If
-    ``keep_form`` is true, other projections are never used. If ``shorten`` is true, the reductor
-    tries to find a shorter basis of a congruence.
+    Congruences are preferred. They preserve definite matrices, so that the model consists of
+    passive resonators. Other projections are used only if all ports are signals and the projection
+    needs about a tenth fewer states. If ``keep_form`` is true, other projections are never used. If
+    ``shorten`` is true, the reductor of a congruence tries to find a shorter basis.
 
     Raises
     ------
@@ -76,7 +79,7 @@ def select_fewest_states(
     other = None
     if signals and not (form and form.passive):
         other = _select_fewest(task, others, tolerance, task.states + 1)
-    if other and not form:  # without a form to preserve, a congruence has no advantage
+    if other and not form:  # a congruence has no advantage if there is no form to preserve
         return _prefix_origin(other, f"{other[0].origin}; ")
     most = int(other[1] / share) if other else np.inf
     reductor, basis, order = _select_congruence(task, congruences, tolerance, most + 1, bool(other))
@@ -97,10 +100,10 @@ def select_fewest_states(
 
 
 def _prove_stability(task: Task) -> StabilityProof | None:
-    """Prove stability and passivity of the intermediate model.
+    """Prove the stability and passivity of the intermediate model.
 
     The result is None for a first-order model that is not symmetric, because a congruence does not
-    preserve its properties.
+    preserve the stability of such a model.
     """
     pencil = task.response.pencil
     if pencil.degree == 2 or (pencil.symmetric and pencil.collocated):
@@ -111,10 +114,11 @@ def _prove_stability(task: Task) -> StabilityProof | None:
 def _select_fewest(
     task: Task, reductors: Sequence[Reductor], tolerance: float, states: float
 ) -> tuple[ReducedBasis, int] | None:
-    """Return a basis and an order with fewer than ``states`` states, None if there are none.
+    """Return a basis and an order that meet the tolerance with fewer than ``states`` states.
 
-    In the norm *peak*, the best of all bases is used. In the norm *pointwise*, the first basis is
-    used, because only balancing over the band represents notches.
+    The result is None if there is no such basis. In the norm *peak*, the basis with the fewest
+    states is used. In the norm *pointwise*, the first basis is used, because only balancing over
+    the band represents notches.
     """
     best = None
     for reductor in reductors:
@@ -131,9 +135,10 @@ def _select_fewest(
 def _select_congruence(
     task: Task, reductors: Sequence[Reductor], tolerance: float, states: float, optional: bool
 ) -> tuple[Reductor, ReducedBasis, int | None]:
-    """Select the reductor that gives the smallest order, its basis and the order.
+    """Return the reductor that needs the smallest order, its basis and this order.
 
-    The order is None if no order is acceptable and the result is ``optional``.
+    If no order is acceptable, the order is None, or an error is raised if the result is not
+    ``optional``.
     """
     bases = [(item, item.basis(task)) for item in reductors if item.applies_to(task)]
     rows = [(item, basis) for item, basis in bases if basis is not None]
@@ -148,13 +153,13 @@ def _select_congruence(
 
 
 def _prefix_origin(result: tuple[ReducedBasis, int], text: str) -> tuple[ReducedBasis, int]:
-    """Return ``result`` with ``text`` at the begin of its text for the certificate."""
+    """Replace the origin of a basis, with which its certificate begins, by ``text``."""
     basis, order = result
     return replace(basis, origin=text), order
 
 
 def require_order(bases: Sequence[ReducedBasis], tolerance: float) -> tuple[ReducedBasis, int]:
-    """Return the basis that needs the fewest states, and its order.
+    """Return the basis that meets the tolerance with the fewest states, and its order.
 
     Raises
     ------
@@ -169,7 +174,7 @@ def require_order(bases: Sequence[ReducedBasis], tolerance: float) -> tuple[Redu
 
 
 def make_tolerance_error(bases: Sequence[ReducedBasis], tolerance: float) -> Exception:
-    """Make the error for bases that do not meet the tolerance with any order."""
+    """Return the error for bases that do not meet the tolerance at any order."""
     error = min(basis.error(basis.size) for basis in bases)
     return make_inaccuracy_error(
         "the tolerance is out of reach",

@@ -1,8 +1,8 @@
-"""Soft support of a body without a support, for models that need positive stiffness.
+"""Soft support for the rigid-body modes of models that need positive stiffness.
 
 The rigid-body modes of a body without a support have no stiffness. With a soft support, each
-rigid-body mode has a resonance ``f_s`` far below the band. The relative error of the response at
-the frequency f is ``(f_s / f)^2``.
+rigid-body mode has a resonance frequency ``f_s`` far below the band. The relative error of the
+response at the frequency f is ``(f_s / f)^2``.
 """
 
 from __future__ import annotations
@@ -17,15 +17,19 @@ from kc2spice.rom.linear_model import LinearModel
 # Resonance frequency on the soft support, relative to the lower end of the band. The relative error
 # in the band is at most the square of this ratio.
 SOFT_SUPPORT_RATIO = 1e-4
-SOFT_SUPPORT = "soft_support_hz"  # fact of a model with a soft support
-# largest squared frequency of a rigid-body mode by rounding errors, relative to the next mode
+# name of the fact of a model that contains this resonance frequency
+SOFT_SUPPORT = "soft_support_hz"
+# largest squared frequency of a rigid-body mode due to rounding errors, relative to the squared
+# frequency of the next mode
 ZERO_FREQUENCY_RATIO = 1e-6
-MAX_COUPLING = 1e-8  # largest relative coupling of modes by damping that is a rounding error
-RIGID_ROUNDING = 1e-6  # largest gain of an electrode in a rigid-body mode that is a rounding error
+MAX_COUPLING = 1e-8  # largest relative coupling of modes by damping that counts as a rounding error
+# largest gain of a port in a rigid-body mode that counts as a rounding error, relative to the
+# largest gain of the port
+RIGID_ROUNDING = 1e-6
 
 
 def support_softly(rom: LinearModel, band: tuple[float, float]) -> LinearModel:
-    """Return the modes of a model whose rigid-body modes have a soft support.
+    """Give the rigid-body modes of a model a soft support, in modal coordinates.
 
     The model is returned unchanged if it has no rigid-body modes, if damping couples its modes, or
     if the band begins at 0 Hz.
@@ -40,7 +44,8 @@ def support_softly(rom: LinearModel, band: tuple[float, float]) -> LinearModel:
     Returns
     -------
     LinearModel
-        Model with diagonal matrices, whose stiffness is positive.
+        Model in modal coordinates, with diagonal matrices M, E and K. All entries on the diagonal
+        of K are positive.
 
     Examples
     --------
