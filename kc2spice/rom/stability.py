@@ -1,6 +1,6 @@
-"""Proofs of stability and passivity, from properties of the matrices or from all poles.
+"""Proofs of stability and passivity, from the matrices of a model or from its poles.
 
-The proofs apply to full-order and reduced-order models and do not depend on the method of
+The proofs apply to full-order and reduced-order models. They do not depend on the method of
 reduction.
 """
 
@@ -18,19 +18,20 @@ from kc2spice.linalg.factor import factorise
 from kc2spice.rom.pencil import Matrix, Pencil, Schur, is_symmetric, largest_entry
 from kc2spice.rom.rigid_body import split_rigid_body
 
-# Largest negative eigenvalue, relative to the largest one, that is a rounding error of a
-# congruence.
+# Largest magnitude of a negative eigenvalue that counts as a rounding error of a congruence,
+# relative to the largest eigenvalue.
 NEGATIVE_ROUNDING = 1e-12
-# largest relative growth rate that is a rounding error of an eigenvalue on the imaginary axis
+# largest relative growth rate that counts as a rounding error of a pole on the imaginary axis
 GROWTH_ROUNDING = 1e-8
 DEFINITE_EVIDENCE = "definite matrices"
-MAX_FACTORED_UNKNOWNS = 5_000  # number of unknowns up to which a factorisation takes below 0.1 s
-MISS_PROBABILITY = 1e-12  # probability that Lanczos steps miss a negative eigenvalue
+# number of unknowns up to which a factorisation takes less than 0.1 s
+MAX_FACTORED_UNKNOWNS = 5_000
+MISS_PROBABILITY = 1e-12  # accepted probability that Lanczos steps miss a negative eigenvalue
 # largest number of Lanczos steps, and number of steps between computations of the smallest Ritz
 # value
 MAX_LANCZOS_STEPS = 200
 LANCZOS_INTERVAL = 20
-MAX_POLE_STATES = 1200  # largest number of first-order states of which all poles are computed
+MAX_POLE_STATES = 1200  # largest number of first-order states of a model whose poles are computed
 
 
 @dataclass(frozen=True)
@@ -38,9 +39,9 @@ class StabilityProof:
     """Stability and passivity of a model, and the evidence for both.
 
     If ``stable`` is true, no pole is in the right half-plane, so that no motion grows
-    exponentially; the displacement of a free rigid body may increase linearly. If ``passive`` is
-    true, the ports are proven to deliver no net energy. A property is None if it is unknown.
-    ``proof`` describes the evidence for both properties.
+    exponentially. However, the displacement of a free rigid body may increase linearly. ``stable``
+    is None if the stability is unknown. If ``passive`` is true, the ports are proven to deliver no
+    net energy. ``proof`` describes the evidence for both properties.
     """
 
     stable: bool | None
@@ -51,17 +52,18 @@ class StabilityProof:
 def prove_stability(
     pencil: Pencil, band: tuple[float, float], poles: np.ndarray | None = None
 ) -> StabilityProof:
-    """Prove stability and passivity of a full or reduced model.
+    """Prove the stability and passivity of a full or reduced model, if possible.
 
-    If possible, the form of the matrices is the proof. A second-order model cannot gain energy if M
-    and K are symmetric positive semi-definite and ``E + E' >= 0`` (gyroscopic terms are skew). If
-    also ``C = B'`` and D >= 0, the model is passive: its powers are force times velocity and
-    voltage times current. Likewise, a first-order model is passive between input and output if E is
-    symmetric positive semi-definite and ``A + A' <= 0``.
+    If possible, the proof uses the form of the matrices. A second-order model cannot gain energy if
+    M and K are symmetric positive semi-definite and ``E + E' >= 0``. Gyroscopic terms are allowed
+    in E, because they are skew-symmetric. If also ``C = B'`` and D >= 0, the model is passive, with
+    the powers force times velocity and voltage times current. A first-order model cannot gain
+    energy if E is symmetric positive semi-definite and ``A + A' <= 0``. If also ``C = B'`` and D >=
+    0, it is passive, with the power input times output.
 
-    Without such a form, the poles show whether the model is stable, and passivity is unknown. The
-    poles are not computed for models with more than ``MAX_POLE_STATES`` states. Known ``poles``
-    [1/s] are not computed again.
+    If the matrices do not have such a form, the poles show whether the model is stable, and
+    passivity is unknown. The poles of models with more than ``MAX_POLE_STATES`` states are not
+    computed. If ``poles`` [1/s] are known, they are used.
     """
     try:
         dissipates = is_dissipative(pencil)
@@ -93,9 +95,10 @@ def prove_stability(
 
 
 def _poles(pencil: Pencil, omega: float) -> np.ndarray:
-    """Compute all poles; the poles of a rigid-body motion are computed separately.
+    """Compute all poles [1/s]. The poles of rigid-body modes are computed separately.
 
-    Otherwise, only half of the digits of the two poles of a rigid-body mode would be correct.
+    In a joint computation, only half of the digits of the two poles of a rigid-body mode would be
+    correct.
     """
     result = (
         pencil
@@ -117,12 +120,12 @@ def is_dissipative(pencil: Pencil) -> bool:
     order = pencil.elimination_order
     if not is_semidefinite(others[-1], order):
         return False
-    # with proportional damping, mass and stiffness are sufficient for the proof
+    # with proportional damping, the damping matrix needs no separate proof
     if pencil.rayleigh is None or min(pencil.rayleigh) < 0:
         loss = others[0] if others[1:] else rest
         if not is_semidefinite(loss if isinstance(loss, Schur) else loss + loss.T, order):
             return False
-    # an existing factor of K may also prove that K is definite
+    # an existing factorisation of K may prove that K is definite
     if isinstance(rest, Schur):
         definite = rest.is_proven_definite(pencil.factors.known) and pencil.symmetric
     else:
@@ -133,12 +136,12 @@ def is_dissipative(pencil: Pencil) -> bool:
 def is_semidefinite(matrix: Matrix, order: np.ndarray | None = None) -> bool:
     """Return whether a matrix is symmetric positive semidefinite within rounding errors.
 
-    ``order`` is the elimination order of a sparse matrix if it is known.
+    ``order`` is the elimination order for a sparse matrix, if it is known.
     """
     if isinstance(matrix, Schur):
         if not matrix.symmetric:
             return False
-        if is_semidefinite(-matrix.pp):  # potentials increase the stiffness
+        if is_semidefinite(-matrix.pp):  # electric potentials increase the stiffness
             return is_semidefinite(matrix.uu)
         blocks = [[matrix.uu, matrix.up], [matrix.pu, matrix.pp]]
         return is_semidefinite(scipy.sparse.csc_array(scipy.sparse.block_array(blocks)))
@@ -155,12 +158,14 @@ def is_semidefinite(matrix: Matrix, order: np.ndarray | None = None) -> bool:
 def _lanczos_is_positive(matrix: Matrix, empty: np.ndarray, spread: float) -> bool:
     """Return whether Lanczos steps prove that all eigenvalues are positive.
 
-    Rows that are ``empty`` are ignored. After k steps from a random vector of n numbers, x is the
-    smallest Ritz value. The probability that x exceeds the smallest eigenvalue by more than ``e
-    spread`` is below ``1.648 sqrt(n) exp(-sqrt(e) (2 k - 1))``. For ``e = x / spread``, this is the
-    probability that an eigenvalue is negative. A mass matrix with a unit diagonal has x of about
-    0.1. The proof then takes some 80 products, a tenth of the time of a factorisation. The result
-    is False if x is so small that more than :data:`MAX_LANCZOS_STEPS` steps would be necessary.
+    Rows in the mask ``empty`` are ignored. Let x be the smallest Ritz value after k steps from a
+    random vector of n numbers. ``spread`` is an upper bound of the eigenvalues. The probability
+    that x exceeds the smallest eigenvalue by more than ``e spread`` is below
+    ``1.648 sqrt(n) exp(-sqrt(e) (2 k - 1))``. For ``e = x / spread``, this is a bound of the
+    probability that an eigenvalue is negative. For a mass matrix with a unit diagonal, x is about
+    0.1. The proof then needs about 80 matrix-vector products, which take a tenth of the time of a
+    factorisation. The result is False if x is so small that more than :data:`MAX_LANCZOS_STEPS`
+    steps would be necessary.
 
     Source: J. Kuczynski, H. Wozniakowski, SIAM J. Matrix Anal. Appl. 13 (1992) 1094.
     """
@@ -190,10 +195,11 @@ def _lanczos_is_positive(matrix: Matrix, empty: np.ndarray, spread: float) -> bo
 
 
 def _is_factorisable(matrix: Matrix, order: np.ndarray | None = None) -> bool:
-    """Return whether a sparse matrix is semidefinite, after its diagonal is scaled to one.
+    """Return whether a sparse matrix is positive semidefinite within rounding errors.
 
-    The proof is either that Lanczos steps show positive eigenvalues, or that the matrix with a
-    small multiple of eps added to its diagonal has a Cholesky factor.
+    The diagonal of the matrix is first scaled to one. The matrix is semidefinite if Lanczos steps
+    show that all eigenvalues are positive. Otherwise, a small multiple of eps is added to the
+    diagonal, and the matrix is semidefinite if it then has a Cholesky factor.
     """
     if not largest_entry(matrix):
         return True

@@ -10,19 +10,20 @@ from kc2spice.rom.pencil import Pencil, first_order, largest_entry, make_explici
 from kc2spice.rom.stability import is_semidefinite
 
 ABCD = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-# Masses and algebraic terms below this share of the largest one count as zero.
+# largest relative eigenvalue or singular value of M, E or an algebraic block that counts as zero
 MASSLESS = 1e-13
-# largest relative coupling of modes by damping that is a rounding error
+# largest relative asymmetry, or coupling of modes by damping, that counts as a rounding error
 COUPLING = 1e-10
 
 
 def state_space(pencil: Pencil, top_hz: float | None = None) -> ABCD:
-    """Return A, B, C, D of ``x' = A x + B u``, ``y = C x + D u``.
+    """Convert a model to state-space matrices: ``x' = A x + B u``, ``y = C x + D u``.
 
-    If the model has an energy, the squares of the states are energies. Then ``A + A' <= 0`` for a
-    dissipative model, ``A = -A'`` for a model without losses, and ``A = A'`` for a symmetric
-    first-order model. A decoupled second-order model has one 2 x 2 block per mode. Positions are
-    scaled by ``top_hz``, the end of the band, or by the ratio of stiffness to mass.
+    Return A, B, C and D. If a stored energy is defined for the model, the states are scaled so that
+    their squares are energies. Then ``A + A' <= 0`` for a dissipative model, ``A = -A'`` for a
+    model without losses, and ``A = A'`` for a symmetric first-order model. For a decoupled
+    second-order model, A contains one 2 x 2 block for each mode. Displacements are scaled by
+    ``top_hz`` [Hz], the end of the band, or by the ratio of stiffness to mass.
 
     Raises
     ------
@@ -36,7 +37,7 @@ def state_space(pencil: Pencil, top_hz: float | None = None) -> ABCD:
     top = largest_entry(K) / largest_entry(M) if largest_entry(K) and largest_entry(M) else 1.0
     omega = 2 * np.pi * top_hz if top_hz is not None else float(np.sqrt(top))
     if is_semidefinite(M):
-        # the inertia of a rigid-body motion may be small in the units of its unknown
+        # the inertia of a rigid-body mode may be small in the units of its unknown
         for item in (pencil, pencil.scale_unknowns(omega)):
             mass = np.linalg.eigvalsh(item.coefficients[2])
             if mass[0] > MASSLESS * mass[-1]:
@@ -55,7 +56,7 @@ def state_space(pencil: Pencil, top_hz: float | None = None) -> ABCD:
 
 
 def _normalise_mass(pencil: Pencil) -> Pencil:
-    """Return the model with ``M = 1``, multiplied by the inverse of a regular M."""
+    """Multiply the equations by the inverse of a regular M, so that M becomes a unit matrix."""
     K, E, M = pencil.coefficients
     solved = np.linalg.solve(M, np.hstack([K, E, pencil.B]))
     n = len(M)
@@ -64,9 +65,9 @@ def _normalise_mass(pencil: Pencil) -> Pencil:
 
 
 def _modal_states(pencil: Pencil, omega: float) -> ABCD:
-    """Compute states ``w z`` and ``z'`` of mass-normalised coordinates.
+    """Compute state-space matrices for the states ``w z`` and ``z'``.
 
-    The coordinates are modes if K is symmetric.
+    The coordinates z are mass-normalised. They are modal coordinates if K is symmetric.
     """
     K, E, M = pencil.coefficients
     T, stiffness = _normalise_modes(M, K)
@@ -87,10 +88,11 @@ def _modal_states(pencil: Pencil, omega: float) -> ABCD:
 
 
 def _normalise_modes(M: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return T with ``T'MT = 1``; for a symmetric K, T diagonalises K.
+    """Return mass-normalised coordinates T with ``T'MT = 1``.
 
-    For a symmetric K, the eigenvalues are also returned. If K is definite, the modes are computed
-    from ``M phi = mu K phi``, so that low modes are accurate.
+    If K is symmetric, T also diagonalises K, and the second result contains the eigenvalues.
+    Otherwise the second result is None. If K is definite, the modes are computed from
+    ``M phi = mu K phi``, so that the lowest modes are accurate.
     """
     if largest_entry(K - K.T) > COUPLING * largest_entry(K):
         return scipy.linalg.solve_triangular(scipy.linalg.cholesky(M), np.eye(len(M))), None
@@ -103,9 +105,9 @@ def _normalise_modes(M: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def _eliminate_static(pencil: Pencil) -> Pencil:
-    """Eliminate the coordinates that have neither mass nor damping.
+    """Eliminate the coordinates of a model that have neither mass nor damping.
 
-    Other coordinates without mass come last.
+    In the result, the remaining coordinates without mass come last.
     """
     K, E, M = pencil.coefficients
     mass, V = scipy.linalg.eigh(M)
@@ -126,7 +128,8 @@ def _eliminate_static(pencil: Pencil) -> Pencil:
 def _condense(P: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, r: int, why: str) -> ABCD:
     """Eliminate all unknowns after the first r from ``P x = B u``, ``y = C x + D u``.
 
-    If these unknowns are not determined, the function raises an error with the reason ``why``.
+    If the equations do not determine these unknowns, the function raises an error with the reason
+    ``why``.
     """
     if r == len(P):
         return P, B, C, D
@@ -143,9 +146,10 @@ def _condense(P: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, r: int
 
 
 def _energy_states(pencil: Pencil) -> ABCD:
-    """Compute states whose squares are energies for a symmetric positive definite E.
+    """Convert a first-order model to state-space matrices A, B, C and D.
 
-    Algebraic equations are eliminated.
+    If E is symmetric positive definite, the squares of the states are energies. Algebraic equations
+    are eliminated.
     """
     rest, E = pencil.coefficients
     A, B, C, D = -rest, pencil.B, pencil.C, pencil.D
@@ -163,7 +167,7 @@ def _energy_states(pencil: Pencil) -> ABCD:
 
 
 def _is_singular(matrix: np.ndarray, reference: np.ndarray) -> bool:
-    """Return whether the smallest singular value is a rounding error of ``reference``."""
+    """Return whether a matrix is singular within rounding errors of the ``reference``."""
     return bool(np.linalg.svd(matrix, compute_uv=False)[-1] <= MASSLESS * largest_entry(reference))
 
 
@@ -179,8 +183,8 @@ def _improper_error(why: str) -> UsageError:
 def to_schur_form(pencil: Pencil, top: float) -> Pencil:
     """Convert a model to ``x' = A x + B u`` with A in real Schur form.
 
-    Rates are divided by the angular frequency of ``top`` [Hz]. Gramians and eigenvectors are
-    computed from this form.
+    Rates are divided by the angular frequency of ``top`` [Hz]. Other functions compute Gramians and
+    eigenvectors from this form.
     """
     omega = 2 * np.pi * top
     A, B, C, D = state_space(pencil, top)
@@ -189,7 +193,7 @@ def to_schur_form(pencil: Pencil, top: float) -> Pencil:
 
 
 def to_hertz(pencil: Pencil, top: float) -> Pencil:
-    """Invert the time scale of :func:`to_schur_form`."""
+    """Convert a first-order model from the scaled time of :func:`to_schur_form` to SI units."""
     omega = 2 * np.pi * top
     rest, one = pencil.coefficients
     return Pencil((omega * rest, one), omega * pencil.B, pencil.C, pencil.D, free=pencil.free)

@@ -1,15 +1,17 @@
-"""Reduction of models with structural damping, and removal of masses without effect.
+"""Reduction of models with structural damping, and removal of negligible inertia.
 
-Structural damping ``K + j H`` (for one material ``K (1 + j eta)``) loses the same share of energy
-at every frequency. No causal model has this property without a stiffness that changes over the
-band. Therefore, a circuit only approximates structural damping by a passive model. Each mode gets
-the viscous damping ``h_j / w_j``, which is exact at its resonance. If they are more accurate,
-relaxations are used instead (:mod:`kc2spice.rom.lossy_modes`). The error estimate includes the
-difference. The losses of several materials couple modes; this coupling becomes viscous damping
+Structural damping means a complex stiffness ``K + j H``, or ``K (1 + j eta)`` for one material. A
+body with structural damping loses the same share of energy at every frequency. A causal model has
+this property only if its stiffness changes with frequency. Therefore, a circuit can only
+approximate structural damping by a passive model. Each mode j gets the viscous damping
+``h_j / w_j``, which is exact at its resonance frequency w_j. Relaxations are used instead if they
+are more accurate (:mod:`kc2spice.rom.lossy_modes`). The error estimate includes the error of this
+approximation. The losses of several materials couple modes. This coupling becomes viscous damping
 ``h_ij / (w_i w_j)^(1/2)``.
 
-The poles of an RC ladder or of an overdamped chain are real. If the inertia of such a model has no
-effect in the band, ``E x' + K x = B u`` has half as many states per unknown, and is also passive.
+The poles of an RC ladder or of an overdamped chain are real. If the inertia of such a model has a
+negligible effect in the band, the model ``E x' + K x = B u`` replaces it. This model has half as
+many states per unknown, and is also passive.
 
 Sources: S. H. Crandall, J. Sound Vib. 11 (1970) 3; D. J. Ewins, Modal Testing (2000), 2.4.
 """
@@ -42,21 +44,25 @@ from kc2spice.rom.stability import is_semidefinite, prove_stability
 
 Reductor = Callable[[LinearModel, float, tuple[float, float]], LinearModel]
 
-# safety factor on differences at samples, because differences between the samples are larger
+# safety factor of differences at sample frequencies, because differences between the samples may be
+# larger
 SAFETY_FACTOR = 1.15
 VISCOUS_SHARE = 0.5  # share of the tolerance for the reduction with viscous damping
 MIN_TOLERANCE = 1e-10  # smallest tolerance of a reduction
 DIRECT_SOLUTIONS = 6  # number of direct solutions of the full model that check a causal model
-# Rates of relaxations, relative to the resonance or to the end of the band, whichever is lower.
+# Sets of relaxation rates that are tried, relative to the resonance frequency of the mode or to the
+# end of the band, whichever is lower.
 RELAXATION_RATES = ((1.0,), tuple(np.geomspace(0.03, 3.0, 7)))
-# lowest frequencies over the end of a band from zero: the loss remains at zero frequency
+# lowest frequencies of comparison in a band from zero, relative to the end of the band; structural
+# damping has a loss even at frequencies close to zero
 LOWEST_FREQUENCIES = 10.0 ** -np.arange(9.0, 4.0, -1.0)
-# largest error with relaxations, relative to the error without them, that justifies relaxations
+# largest error with relaxations that justifies their use, relative to the error without relaxations
 MAX_ERROR_RATIO = 0.5
-UNCHANGED_SHARE = 0.1  # largest error of modes that remain unchanged, relative to the error limit
+# largest error of a mode that gets no relaxations, relative to the error limit
+UNCHANGED_SHARE = 0.1
 REAL_POLE_TOLERANCE = 1e-6  # largest relative imaginary part of a real pole
 ZERO_DAMPING = 1e-12  # largest relative eigenvalue of a damping matrix that counts as zero
-MASSLESS_SHARE = 0.5  # share of the tolerance for the removal of masses
+MASSLESS_SHARE = 0.5  # share of the tolerance for the removal of inertia
 
 
 def approximate_causally(
@@ -66,12 +72,12 @@ def approximate_causally(
     band: tuple[float, float],
     norm: Norm,
 ) -> LinearModel:
-    """Return a passive model that approximates a model with structural damping.
+    """Reduce a model with structural damping to a passive model that approximates it.
 
     Parameters
     ----------
-    reduced : function that reduces a model with viscous damping to a tolerance over a band by a
-        congruence.
+    reduced : function that reduces a model with viscous damping by a congruence, to a tolerance
+        over a band.
 
     Raises
     ------
@@ -121,7 +127,7 @@ def _loss_text(model: LinearModel) -> str:
 
 @dataclass
 class _Search:
-    """Search for a passive approximation of structural damping by a reduced model."""
+    """Search for a passive reduced model that approximates structural damping."""
 
     full: LinearModel
     reduced: Reductor
@@ -129,10 +135,10 @@ class _Search:
     norm: Norm
 
     def reduce(self, within: float) -> float:
-        """Reduce the model with viscous damping, and return the error of its modes.
+        """Reduce the model with viscous damping, and return the error of the reduced model.
 
-        If the model with structural damping has lower resonances than the reduction evaluated, the
-        reduction is repeated.
+        ``within`` is the tolerance. If the resonance peaks with structural damping are lower than
+        the peaks of the reduced viscous model, the reduction is repeated with a smaller tolerance.
         """
         self._reduce(within)
         if self.raised > 1:
@@ -140,8 +146,8 @@ class _Search:
         return self.error(self.dashpot_modes)
 
     def _reduce(self, within: float) -> None:
-        """Reduce the model with viscous damping."""
-        # within the band, this damping is at most the structural damping
+        """Reduce the model with viscous damping to a tolerance, and compute its modes."""
+        # within the band, this viscous damping is at most as large as the structural damping
         beta = 1 / (2 * np.pi * self.band[1])
         viscous, other = make_loss_viscous(self.full, beta)
         self.small = small = self.reduced(viscous, within, self.band)
@@ -178,7 +184,7 @@ class _Search:
 
     @cached_property
     def dashpot_modes(self) -> list[Oscillator]:
-        """Modes with one dashpot each; rigid-body modes have no dashpot."""
+        """Modes with one viscous damper each. Rigid-body modes have no damper."""
         share = self._largest_decoupled_share
         return [
             make_viscous_oscillator(k, share * h)
@@ -189,7 +195,7 @@ class _Search:
 
     @cached_property
     def _largest_decoupled_share(self) -> float:
-        """Largest share of the modes' losses that can be subtracted without a negative loss."""
+        """Largest share of each mode's loss that can be subtracted without a negative loss."""
         losses = np.diag(self.H)
         lossy = losses > ZERO_DAMPING * losses.max(initial=0.0)
         if not lossy.any():
@@ -199,7 +205,7 @@ class _Search:
         return float(np.clip(least, 0.0, 1.0))
 
     def model(self, modes: Sequence[Oscillator]) -> LinearModel:
-        """Return the passive model of ``modes``, including losses that couple them."""
+        """Return the passive model that consists of ``modes`` and of losses that couple them."""
         rest = self.H - self._largest_decoupled_share * np.diag(np.diag(self.H))
         pace = np.sqrt(np.where(self.squares > 0, self.squares, 1.0))
         rest = np.where(np.outer(self.squares, self.squares) > 0, rest, 0.0)
@@ -216,7 +222,11 @@ class _Search:
     def with_relaxations(
         self, relative_rates: Sequence[float], tolerance: float
     ) -> list[Oscillator]:
-        """Return the modes, with relaxations in modes whose error then falls considerably."""
+        """Return the modes, with relaxations where these considerably reduce the error.
+
+        ``relative_rates`` are the rates of the relaxations, relative to the resonance frequency of
+        the mode or to the end of the band.
+        """
         frequency, exact = self._comparison_response(self.dashpot_modes)
         s = 2j * np.pi * frequency
         base = Entries.of(exact).base(exact, get_reference_share(self.norm)) + np.finfo(float).tiny
@@ -243,7 +253,7 @@ class _Search:
         return [trial if use else mode for trial, mode, use in both]
 
     def deviation(self, modes: Sequence[Oscillator]) -> float:
-        """Return the largest difference of the model of ``modes`` to structural damping."""
+        """Return the largest relative error of ``modes`` with respect to structural damping."""
         frequency, exact = self._comparison_response(modes)
         ours = self.model(modes).transfer(frequency)
         return float(
@@ -259,7 +269,7 @@ class _Search:
         return max(self.raised, 1.0) * known.error_estimate + SAFETY_FACTOR * self.deviation(modes)
 
     def verified_error(self, result: LinearModel) -> float:
-        """Return the largest relative difference of a model to direct solutions of the full one."""
+        """Return the largest relative error of ``result``, by direct solutions of the full model."""
         low, high = self.band
         sharp = np.sort(Response(result.pencil.dense()).within(self.band)[0])[:DIRECT_SOLUTIONS]
         frequencies = np.r_[
@@ -273,7 +283,10 @@ class _Search:
         return float(off.max())
 
     def _comparison_response(self, modes: Sequence[Oscillator]) -> tuple[np.ndarray, np.ndarray]:
-        """Return frequencies [Hz] at which errors are large, and the structural response there."""
+        """Return frequencies [Hz] for comparisons, and the response with structural damping.
+
+        The frequencies include those at which errors are large.
+        """
         response = Response(self.model(modes).pencil.dense())
         frequency = choose_adaptive_frequencies(response, self.band, False, self.norm)
         frequency = frequency[frequency > 0]
@@ -282,10 +295,10 @@ class _Search:
         return frequency, self.lossy.transfer(2j * np.pi * frequency)
 
     def _peak_amplification(self) -> float:
-        """Return the ratio of peaks with the damping of the reduction to peaks of the structure.
+        """Return the ratio of response peaks with viscous damping to those with structural damping.
 
-        The error of the reduction is relative to the higher peaks, so it is multiplied by the
-        ratio.
+        The error of the reduction is relative to the peaks with viscous damping, so it must be
+        multiplied by this ratio.
         """
         if self.norm == "pointwise":
             return 1.0
@@ -296,13 +309,14 @@ class _Search:
         return float((peaks / (Entries.of(exact).peak + np.finfo(float).tiny)).max())
 
 
-NO_RELAXATIONS = np.empty(0), np.empty(0)  # amplitudes and rates
+NO_RELAXATIONS = np.empty(0), np.empty(0)  # amplitudes and rates of relaxations
 
 
 def make_loss_viscous(model: LinearModel, beta: float) -> tuple[LinearModel, tuple[float, float]]:
-    """Replace structural damping H by viscous damping ``beta H``.
+    """Replace the structural damping H of a model by viscous damping ``beta H``.
 
-    The results are the model, and the factors of M and K in proportional damping.
+    Return the model with viscous damping, and the factors of M and K in its other, proportional
+    damping.
     """
     if model.first_order:
         raise UsageError("structural damping applies only to second-order models", where=model.name)
@@ -349,9 +363,10 @@ def reduce_to_first_order(
     tolerance: float,
     norm: Norm,
 ) -> LinearModel:
-    """Return a passive first-order model with fewer states than ``reduced_model``.
+    """Replace a reduced model with real poles by a passive first-order model.
 
-    If the poles are not real, or if no states are saved, the result is ``reduced_model``.
+    The inertia of ``model`` is omitted, and ``reduced`` reduces the result. If the poles are not
+    real, or if the first-order model does not have fewer states, ``reduced_model`` is returned.
     """
     known = reduced_model.certificate
     if known is None or any(port.domain is ACCELERATION for port in model.ports):
@@ -392,7 +407,7 @@ def reduce_to_first_order(
 
 
 def _is_singular(E: np.ndarray) -> bool:
-    """Return whether a semidefinite damping matrix is singular: an unknown has no damping."""
+    """Return whether a semidefinite damping matrix is singular, so that a motion is undamped."""
     diagonal = E.diagonal()
     if diagonal.min(initial=np.inf) <= ZERO_DAMPING * diagonal.max(initial=0.0):
         return True

@@ -1,4 +1,4 @@
-"""Passive models of a constant loss factor by a relaxing stiffness.
+"""Passive models of a constant loss factor, with a relaxing stiffness.
 
 Structural damping ``K (1 + j eta)`` loses the same share of energy at every frequency. No causal
 model has exactly this property. By the Kramers-Kronig relation, the stiffness increases with
@@ -12,15 +12,16 @@ model),
 
     chi(s) = c_0 + sum_k c_k s / (s + r_k),    all c_k >= 0.
 
-This model is passive. Non-negative least squares over the band determine the amplitudes ``c_k``.
-There is one inner displacement for each term and unknown: the displacement of the damper times
-``sqrt(c_k)``. With them, ``K chi`` is a symmetric model with constant matrices:
+This model is passive. The amplitudes ``c_k`` are fitted over the band by non-negative least
+squares. For each term and each unknown, the model has one inner displacement: the displacement of
+the damper times ``sqrt(c_k)``. With these inner displacements ``q_k``, the stiffness ``K chi`` is
+represented by a symmetric model with constant matrices:
 
     M x'' + E x' + (c_0 + sum c_k) K x - sum sqrt(c_k) K q_k = B u
     (1 / r_k) K q_k' + K (q_k - sqrt(c_k) x) = 0
 
-:func:`add_structural_damping` applies this to a model. :mod:`kc2spice.rom.complex_constants` makes
-piezoelectric bodies with complex material constants.
+:func:`add_structural_damping` adds this damping to a model. :mod:`kc2spice.rom.complex_constants`
+treats piezoelectric bodies with complex material constants.
 """
 
 from __future__ import annotations
@@ -37,7 +38,8 @@ from kc2spice.core.errors import UsageError
 from kc2spice.rom.linear_model import LinearModel
 
 BAND_EXTENSION = 6.0  # factor by which the relaxation rates extend beyond both ends of the band
-DEFAULT_DECADES = 4.0  # number of decades over which a fit extends if the band begins at zero
+# largest number of decades over which a fit extends, up to the end of the band
+DEFAULT_DECADES = 4.0
 POINTS_PER_DECADE = 40  # number of frequencies per decade at which amplitudes are fitted
 # The largest number of relaxations is MAX_PER_DECADE for each decade, plus ADDITIONAL_RELAXATIONS.
 MAX_PER_DECADE = 6
@@ -46,16 +48,16 @@ ADDITIONAL_RELAXATIONS = 8
 
 @dataclass(frozen=True, eq=False)
 class RelaxingStiffness(EqualByContent):
-    """Factor ``chi(s) = constant + sum_k amplitudes_k s / (s + rates_k)`` of stiffness.
+    """Relaxing factor of stiffness ``constant + sum_k amplitudes_k s / (s + rates_k)``.
 
     Attributes
     ----------
     constant : float
-        ``c_0 >= 0``, the factor at zero frequency.
+        Factor at zero frequency, ``c_0 >= 0``.
     amplitudes, rates : (k,) arrays
-        ``c_k > 0`` and ``r_k > 0`` [1/s].
+        Amplitudes ``c_k > 0`` and rates ``r_k > 0`` [1/s] of the relaxations.
     error : float
-        Largest relative difference to the fitted factor in the band.
+        Largest relative difference to the target of the fit in the band.
     """
 
     constant: float
@@ -70,21 +72,21 @@ class RelaxingStiffness(EqualByContent):
 
     @property
     def instantaneous_factor(self) -> float:
-        """Factor of stiffness for a sudden displacement, ``c_0 + sum_k c_k``."""
+        """Factor of stiffness immediately after a sudden displacement, ``c_0 + sum_k c_k``."""
         return float(self.constant + self.amplitudes.sum())
 
 
 def causal_loss_factor(frequency: np.ndarray, loss_factor: float, at: float) -> np.ndarray:
-    """Return the causal factor of stiffness (n,) for a constant loss factor.
+    """Return the complex factor of stiffness of a causal model with a constant loss factor.
 
     Parameters
     ----------
     frequency : (n,) array
         Frequencies [Hz].
     loss_factor : float
-        ``eta``, the reciprocal of a constant Q factor.
+        Loss factor ``eta``, the reciprocal of a constant Q factor.
     at : float
-        Frequency [Hz] at which the factor is ``1 + j eta``.
+        Frequency [Hz] at which the factor of stiffness is ``1 + j eta``.
 
     Examples
     --------
@@ -105,30 +107,33 @@ def fit_relaxing_stiffness(
     sensitivity: Callable[[np.ndarray], np.ndarray] | None = None,
     noncausal: bool = False,
 ) -> RelaxingStiffness:
-    """Fit the fewest relaxations whose loss factor is constant in a band.
+    """Fit a relaxing stiffness with the fewest relaxations to a constant loss factor.
 
     Parameters
     ----------
     loss_factor : float
-        ``eta``, the reciprocal of the Q factor.
+        Loss factor ``eta``, the reciprocal of the Q factor.
     at : float
-        Frequency [Hz] at which the stiffness has the value K.
+        Frequency [Hz] at which the real part of the stiffness is K.
     band : pair of float
         Ends of the band [Hz]. In a band from zero, the loss factor is constant above a
         ten-thousandth of the upper end.
     error : float
-        Largest product of relative difference and ``sensitivity`` in the band.
+        Largest allowed product of the relative difference and ``sensitivity`` in the band.
     sensitivity : callable, optional
-        Function of frequencies (n,) [Hz]. It returns the relative change of the response per
-        relative change of the stiffness (n,), such as the Q factor at a resonance; 1 by default.
+        Function that returns the relative change of the response per relative change of the
+        stiffness (n,) at frequencies (n,) [Hz]. For example, it is the Q factor at a resonance. The
+        default is 1.
     noncausal : bool
-        Whether ``1 + j eta`` is fitted at all frequencies instead of :func:`causal_loss_factor`.
-        The error of a passive model is then at least about ``eta / pi log(f2 / f1)``.
+        Whether the target of the fit is ``1 + j eta`` at all frequencies, instead of
+        :func:`causal_loss_factor`. The error of a passive model in the band from f1 to f2 is then
+        at least about ``eta / pi log(f2 / f1)``.
 
     Returns
     -------
     RelaxingStiffness
-        Fitted factor. If no factor is within ``error``, it is the factor with the smallest error.
+        Fitted factor of stiffness. If no fit is within ``error``, it is the fit with the smallest
+        error.
 
     Raises
     ------
@@ -166,7 +171,10 @@ def fit_relaxing_stiffness(
 def _fit_amplitudes(
     f: np.ndarray, target: np.ndarray, weight: np.ndarray, rates: np.ndarray
 ) -> RelaxingStiffness:
-    """Fit the amplitudes for given rates by non-negative least squares of relative differences."""
+    """Fit non-negative amplitudes of relaxations with given rates by least squares.
+
+    The sum of the squares of weighted relative differences to ``target`` is minimised.
+    """
     s = 2j * np.pi * f[:, None]
     columns = np.column_stack([np.ones(f.size), s / (s + rates)])
     A = columns * (weight / target)[:, None]
@@ -178,26 +186,25 @@ def _fit_amplitudes(
 
 
 def add_structural_damping(model: LinearModel, stiffness: RelaxingStiffness) -> LinearModel:
-    """Return a model whose ``K`` is multiplied by a relaxing stiffness, with inner displacements.
+    """Multiply the stiffness matrix K of a model by a relaxing factor.
 
     Parameters
     ----------
     model : LinearModel
-        Small, symmetric second-order model, whose matrices become dense. The damping of this model
-        remains.
+        Small, symmetric second-order model. Its matrices become dense, and its damping remains.
     stiffness : RelaxingStiffness
-        Factor of K.
+        Relaxing factor of K, with k relaxations.
 
     Returns
     -------
     LinearModel
-        Symmetric model with ``(1 + k) n`` unknowns, of which n have mass. The certificate of
-        ``model`` is not changed. The caller must add the error of ``stiffness``, multiplied by the
-        Q factor at resonances.
+        Symmetric model with ``(1 + k) n`` unknowns: n displacements with mass, and ``k n`` inner
+        displacements. The certificate of ``model`` is not changed. The caller must add the error of
+        ``stiffness``, multiplied by the Q factor at resonances.
 
     Raises
     ------
-    UsageError : the model is a first-order model.
+    UsageError : ``model`` is a first-order model.
     """
     if model.first_order:
         raise UsageError(
@@ -219,19 +226,19 @@ def add_structural_damping(model: LinearModel, stiffness: RelaxingStiffness) -> 
 
 
 def _corner(inner: int) -> np.ndarray:
-    """Return a matrix (1 + inner, 1 + inner) whose only entry belongs to the displacement."""
+    """Return a matrix (1 + inner, 1 + inner) whose only nonzero entry is the first, a one."""
     result = np.zeros((1 + inner, 1 + inner))
     result[0, 0] = 1.0
     return result
 
 
 def _springs(stiffness: RelaxingStiffness) -> np.ndarray:
-    """Return the matrix (1 + k, 1 + k) of springs of unit stiffness to inner displacements."""
+    """Return the stiffness matrix (1 + k, 1 + k) of unit springs to inner displacements."""
     result = np.diag(np.r_[stiffness.instantaneous_factor, np.ones(stiffness.rates.size)])
     result[0, 1:] = result[1:, 0] = -np.sqrt(stiffness.amplitudes)
     return result
 
 
 def _dampers(stiffness: RelaxingStiffness) -> np.ndarray:
-    """Return the matrix (1 + k, 1 + k) of dampers between inner displacements and ground."""
+    """Return the damping matrix (1 + k, 1 + k) of dampers from inner displacements to ground."""
     return np.diag(np.r_[0.0, 1 / stiffness.rates])

@@ -1,4 +1,4 @@
-"""Surrogate models that equal a full-order model over a band within rounding errors."""
+"""Surrogate models that agree with a full-order model over a band within rounding errors."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.reduce import reduce_model
 from kc2spice.rom.rounding import RANDOM_TRIALS, TRIAL_FACTOR
 
-TARGET_ERROR = 1e-10  # largest error of a surrogate model
+TARGET_ERROR = 1e-10  # largest relative error of a surrogate model
 CHECKED_FREQUENCIES = 10  # number of direct solutions that check a surrogate model
 
 
 def make_surrogate(
     model: LinearModel, band: tuple[float, float], *, blocks: int = 10
 ) -> tuple[LinearModel, float]:
-    """Make a projected model that equals the full model over ``band``.
+    """Reduce a full model to a surrogate model that agrees with it over ``band`` [Hz].
 
-    The expansion point of the basis is s = 0. All entries of the response are compared with
-    ``CHECKED_FREQUENCIES`` direct solutions of the full model at irregular frequencies over the
-    band. The second result is the largest error at these frequencies.
+    The surrogate model is a projection on Krylov vectors at s = 0. All entries of its response are
+    compared with ``CHECKED_FREQUENCIES`` direct solutions of the full model at irregular
+    frequencies in the band. The second result is the largest relative error at these frequencies.
 
     Raises
     ------
-    SimulationError : the largest relative error exceeds ``TARGET_ERROR`` and the rounding error of
-        the direct solutions, so that the caller must solve the full model.
+    SimulationError : the largest relative error exceeds both ``TARGET_ERROR`` and the rounding
+        error of the direct solutions. The caller must then solve the full model.
     """
     small = reduce_model(model, order=blocks * len(model.inputs), band=band)
     golden = (np.sqrt(5) - 1) / 2  # irrational, so that checked frequencies are irregular
@@ -53,9 +53,9 @@ def make_surrogate(
 def _solution_rounding(pencil: Pencil, frequency: float, exact: np.ndarray) -> float:
     """Estimate the relative rounding error of a direct solution ``exact`` (outputs, inputs).
 
-    The result is the largest relative change of the solution if the unknowns have other units. Thin
-    bodies have large rounding errors, because their responses are small differences of large
-    forces.
+    The result is the largest relative change of the solution in trials with random units of the
+    unknowns. Thin bodies have large rounding errors, because their elastic forces are small
+    differences of large forces.
     """
     rng, s = np.random.default_rng(0), np.array([2j * np.pi * frequency])
     trials = map(pencil.in_units, rng.uniform(1.0, 2.0, (RANDOM_TRIALS, pencil.size)))

@@ -1,19 +1,22 @@
-"""Fit of Foster's network without negative elements to a measured thermal transient.
+"""Fit of a Foster network without negative elements to a measured thermal transient.
 
-If the power P is switched on or off at t = 0, the temperature is::
+If a power P is switched on or off at t = 0, the temperature is::
 
     T(t) = T_0 +- P Z(t)        Z(t) = sum_k R_k (1 - exp(-t / t_k)),   R_k >= 0
 
-1. Non-negative least squares on a logarithmic grid of time constants (C. L. Lawson, R. J. Hanson,
-   Solving Least Squares Problems, 1974, chapter 23) describe the samples as well as any network
-   does. Most R_k are zero.
-2. The noise is estimated from the differences of successive residuals of this sum, which contain no
-   slow deviation.
-3. Neighbours on the grid are merged to one time constant. The logarithms of all R_k and t_k are
-   refined by bounded least squares.
-4. The two neighbours whose merger describes the samples best are merged. This step is repeated.
-   The result is the sum with the smallest Bayesian information criterion, ``sum (residual /
-   noise)^2 + parameters log(samples)`` (G. Schwarz, Ann. Statist. 6 (1978) 461).
+The fit has four steps:
+
+1. The R_k for a logarithmic grid of time constants t_k are fitted by non-negative least squares
+   (C. L. Lawson, R. J. Hanson, Solving Least Squares Problems, 1974, chapter 23). No network
+   describes the samples better than this sum. Most R_k are zero.
+2. The noise of the samples is estimated from the differences of successive residuals of this sum.
+   These differences contain no slow deviation.
+3. Neighbouring time constants on the grid are merged into one. The logarithms of all R_k and t_k
+   are refined by bounded least squares.
+4. Two neighbouring time constants are merged and all R_k and t_k are refined again, until one time
+   constant remains. Each time, the pair is chosen whose merger describes the samples best. The
+   result is the sum with the smallest Bayesian information criterion, ``sum (residual / noise)^2 +
+   parameters log(samples)`` (G. Schwarz, Ann. Statist. 6 (1978) 461).
 """
 
 from __future__ import annotations
@@ -28,33 +31,37 @@ from scipy.optimize import least_squares, nnls
 from kc2spice.core.equality import EqualByContent
 from kc2spice.rom.heat_network import FosterNetwork, step_basis
 
-PER_DECADE = 8  # number of time constants of the grid in each decade
+PER_DECADE = 8  # number of time constants per decade of the grid
 SHORTEST = 1 / 3  # smallest time constant, relative to the first time after the step
-LONGEST = 10.0  # largest time constant, relative to the last time
-MOST_CONSTANTS = 12  # largest number of time constants of a network, two for each of six decades
-POLISH = 200  # largest number of evaluations of a refinement
-# Tolerances at which a refinement ends, for the sum, the parameters and the slope. They are far
-# below the noise, so that rounding errors of the samples do not change printed digits of the
-# elements.
+LONGEST = 10.0  # largest time constant, relative to the last time of the samples
+MOST_CONSTANTS = 12  # largest number of time constants of a network: two for each of six decades
+POLISH = 200  # largest number of function evaluations in a refinement
+# Tolerances at which a refinement ends, for the sum of squares, the parameters and the gradient.
+# They are far below the noise, so that rounding errors of the samples do not change printed digits
+# of the elements.
 EXACT = {"ftol": 1e-14, "xtol": 1e-11, "gtol": 1e-14}
-# Number of groups of samples in each decade. Least squares compare the mean of the samples of a
-# group with the mean of the network. Within a group, time changes by 5 %, and the network hardly
-# changes.
+# Number of groups of samples per decade of time. The least-squares fit compares the mean of the
+# samples in a group with the mean of the network's response. Within a group, the time changes by 5
+# %, and the response hardly changes.
 GROUPS_PER_DECADE = 50
-ROUNDING = 1e-9  # smallest noise, relative to the largest rise: samples with nine digits
-EMPTY = 1e-9  # largest share of a mode in the resistance that counts as zero
-SPREAD = 50.0  # largest logarithm of the ratio of two resistances in a network
-INSIDE = 1e-9  # distance of start values from the limits of the logarithms
-NNLS_STEPS = 30  # largest number of iterations of the least squares for each time constant
-UNSETTLED = 1 / 3  # time constants above this share of the last time have not settled
+# smallest noise relative to the largest temperature rise, for samples with nine digits
+ROUNDING = 1e-9
+EMPTY = 1e-9  # largest resistance that counts as zero, relative to the largest resistance
+# limit of a resistance in a refinement: logarithm of its ratio to the total resistance
+SPREAD = 50.0
+INSIDE = 1e-9  # smallest distance of start values from the limits of the logarithms
+NNLS_STEPS = 30  # largest number of iterations of the non-negative least squares per time constant
+# share of the last time above which the response of a time constant has not settled
+UNSETTLED = 1 / 3
 
 
 @dataclass(frozen=True, eq=False)
 class StepSamples(EqualByContent):
-    """Temperatures (n,) divided by the power [K/W] at times (n,) [s] after the step.
+    """Samples of a thermal transient: temperatures divided by the power [K/W].
 
-    Deviations are multiplied by ``weight`` (n,). If ``offset`` is true, the temperature before the
-    step is unknown.
+    ``time`` (n,) [s] is the time after the power step, and ``value`` (n,) the sample at this time.
+    Deviations of a fit are multiplied by ``weight`` (n,). If ``offset`` is true, the temperature
+    before the step is unknown.
     """
 
     time: np.ndarray
@@ -64,7 +71,7 @@ class StepSamples(EqualByContent):
 
     @cached_property
     def _groups(self) -> tuple[np.ndarray, np.ndarray]:
-        """First sample of each group, and weight of the group."""
+        """Index of the first sample of each group, and scale factor of the group."""
         after = self.time > 0
         number = np.full(len(self.time), -1)
         logs = np.log10(self.time[after] / self.time[after].min())
@@ -73,10 +80,11 @@ class StepSamples(EqualByContent):
         return first, 1 / np.sqrt(np.add.reduceat(self.weight**2, first))
 
     def average_groups(self, table: np.ndarray) -> np.ndarray:
-        """Return weighted means (groups, columns) of a table (n, columns) over groups of samples.
+        """Return weighted means of the rows of a table over groups of samples.
 
-        The sum of the squared means is the sum of the weighted squares of all samples, less the
-        scatter within the groups.
+        The table (n, columns) has one row for each sample. The result has the shape (groups,
+        columns). The sum of the squared means is the weighted sum of the squares of all rows,
+        without the scatter within the groups.
         """
         first, scale = self._groups
         return np.asarray(
@@ -86,10 +94,11 @@ class StepSamples(EqualByContent):
 
 @dataclass(frozen=True, eq=False)
 class TransientFit(EqualByContent):
-    """Network that is fitted to a transient, and its residuals.
+    """Foster network that is fitted to a thermal transient, and the residuals of the fit.
 
-    ``start`` [K/W] is the temperature before the step, divided by the power. ``residual`` (n,) are
-    weighted residuals. ``noise`` is the standard deviation of the samples with the same weights.
+    ``start`` [K/W] is the temperature before the step, divided by the power. ``residual`` (n,)
+    contains the weighted residuals. ``noise`` is the standard deviation of the noise in the
+    weighted samples.
     """
 
     network: FosterNetwork
@@ -99,12 +108,12 @@ class TransientFit(EqualByContent):
 
     @property
     def rms(self) -> float:
-        """Rms value of the weighted deviation."""
+        """Rms value of the weighted residuals."""
         return float(np.sqrt(np.mean(self.residual**2)))
 
 
 def fit_transient(samples: StepSamples) -> TransientFit:
-    """Fit the network with the fewest time constants whose deviation is within the noise.
+    """Fit the Foster network with the smallest Bayesian information criterion to samples.
 
     Examples
     --------
@@ -134,7 +143,10 @@ def fit_transient(samples: StepSamples) -> TransientFit:
 
 
 def compute_unsettled_share(network: FosterNetwork, last: float) -> float:
-    """Return the share of the resistance that has not settled at the ``last`` time [s]."""
+    """Return the share of a network's resistance that has not settled at the ``last`` time [s].
+
+    The resistances that belong to long time constants have not settled.
+    """
     slow = network.time_constant > UNSETTLED * last
     return float(network.resistance[slow].sum()) / network.total
 
@@ -147,7 +159,7 @@ def _criterion(fit: TransientFit) -> float:
 
 
 def _fit_resistances(samples: StepSamples, constants: np.ndarray) -> tuple[np.ndarray, float]:
-    """Fit the non-negative resistances for given time constants, and the value before the step."""
+    """Fit non-negative resistances for given time constants, and the value before the step."""
     columns = step_basis(samples.time, constants)
     if samples.offset:
         one = np.ones((len(samples.time), 1))
@@ -163,15 +175,16 @@ def _fit_resistances(samples: StepSamples, constants: np.ndarray) -> tuple[np.nd
 def _residual(
     samples: StepSamples, resistance: np.ndarray, constants: np.ndarray, start: float
 ) -> np.ndarray:
-    """Return the weighted residuals of a network."""
+    """Return the weighted differences of the network's step response to the samples."""
     value = start + step_basis(samples.time, constants) @ resistance
     return np.asarray(samples.weight * (value - samples.value))
 
 
 def _join_neighbours(grid: np.ndarray, resistance: np.ndarray) -> np.ndarray:
-    """Replace neighbouring time constants on the grid by one time constant.
+    """Merge neighbouring time constants on the grid that have nonzero resistances.
 
-    A time constant between two points of the grid appears as a resistance at both points.
+    They represent one time constant between two points of the grid, which appears as a resistance
+    at both points.
     """
     used = np.flatnonzero(resistance > EMPTY * resistance.max(initial=0.0))
     if not used.size:
@@ -184,7 +197,10 @@ def _join_neighbours(grid: np.ndarray, resistance: np.ndarray) -> np.ndarray:
 
 
 def _join_pair(samples: StepSamples, constants: np.ndarray) -> np.ndarray:
-    """Replace two neighbours by their geometric mean, where this describes the samples best."""
+    """Replace two neighbouring time constants by their geometric mean.
+
+    Of all pairs, the pair is chosen whose replacement describes the samples best.
+    """
     logs = np.sort(np.log(constants))
     trials = list[tuple[float, np.ndarray]]()
     for k in range(len(logs) - 1):
@@ -219,7 +235,7 @@ def _refine(
         ]
 
     def slopes(x: np.ndarray) -> np.ndarray:
-        """Return the derivatives of the residuals."""
+        """Return the derivatives of the residuals with respect to ``x``."""
         R, t, _ = split(x)
         ratio = time[:, None] / t
         # d/d(log R) = R (1 - exp(-t/t_k)), d/d(log t_k) = -R (t/t_k) exp(-t/t_k)

@@ -1,1 +1,1 @@
-"""Methods of model order reduction, one module each."""
+"""Methods of model order reduction, and functions that the methods have in common."""

@@ -1,4 +1,4 @@
-"""Rational Krylov subspaces: solutions and their derivatives at several expansion points."""
+"""Rational Krylov subspaces: solutions of a model, and their derivatives, at several points."""
 
 from __future__ import annotations
 
@@ -18,28 +18,32 @@ from kc2spice.rom.reductors.greedy_basis import GreedyBasis
 from kc2spice.rom.rigid_body import find_hidden_support
 from kc2spice.rom.rounding import add_rounding_floor, estimate_removed_stiffness
 
-# limits of the computing time, beyond which the method fails; found by trials
+# limits of the computing time, found by trials; the method fails beyond these limits
 MAX_VECTORS = 600  # largest number of vectors of a basis
 MAX_POINTS = 180  # largest number of factorisations
-# number of successive points that must meet the target; a single point may meet it by chance
+# number of successive points whose error must meet the target; the error of a single point may meet
+# it by chance
 CONFIRMATIONS = 2
-MANY_POINTS = 20  # number of factorisations after which a large model causes a warning
+MANY_POINTS = 20  # number of factorisations of a large model that causes a warning
 LARGE_UNKNOWNS = 10_000  # smallest number of unknowns of a large model, found by trials
-USUAL_POINTS = 10  # number of factorisations for the first estimate of the remaining time
-BASIS_SHARE = 0.01  # share of the tolerance at which the basis is complete, found by trials
+USUAL_POINTS = 10  # number of factorisations that the first estimate of the remaining time assumes
+# error at which the basis is complete, as a share of the tolerance; found by trials
+BASIS_SHARE = 0.01
 
 
 class RationalKrylov(Reductor):
-    """Solutions ``P(s)^-1 B`` and their derivatives at greedily chosen points ``s = j w``.
+    """Reduction by rational Krylov vectors at greedily chosen expansion points.
 
-    The projection interpolates the response and its slope at each point. For an unsymmetric model,
-    solutions of the dual model are added. Vectors have the sequence of their points: first zero
-    frequency, then the end of the band, then points of the largest residual.
+    The basis contains the solutions ``P(s)^-1 B`` and their derivatives at points ``s = j w``. The
+    projection interpolates the response and its slope at each point. For an unsymmetric model,
+    solutions of the dual model are added. The vectors have the sequence of their points: first zero
+    frequency, then the end of the band, then points with the largest residual.
 
     Parameters
     ----------
     points : sequence of floats, optional
-        Expansion points in Hz that replace the greedy choice. The vectors have the same sequence.
+        Expansion points in Hz that replace the greedily chosen points. The vectors have the
+        sequence of these points.
 
     Raises
     ------
@@ -68,7 +72,7 @@ class RationalKrylov(Reductor):
         self.points = None if points is None else _frequencies(points)
 
     def basis(self, task: Task) -> ReducedBasis:
-        """Return the projection on vectors in the sequence of their points."""
+        """Return the projection on the Krylov vectors, in the sequence of their points."""
         if self.points is not None:
             search = GreedyBasis(task.core, task.band, static=False)
             for s in 2j * np.pi * self.points:
@@ -89,7 +93,7 @@ class RationalKrylov(Reductor):
 
 
 def _frequencies(points: Sequence[float]) -> np.ndarray:
-    """Return the points as an array of frequencies [Hz]."""
+    """Check the expansion points, and return them as an array of frequencies [Hz]."""
     try:
         result = np.array(points, dtype=float).ravel()
     except (TypeError, ValueError):
@@ -109,9 +113,9 @@ def reduce_by_rational_krylov(
 ) -> IntermediateModel:
     """Return a reduced model with an error within ``target`` over ``band`` [Hz].
 
-    If rounding errors prevent the error ``target``, the error is within ``limit``. The error is
-    computed at the last points, before their solutions were added to the basis. The number of
-    factorisations is limited.
+    If rounding errors prevent this, the error is within ``limit``. The error is computed at the
+    last points, before their solutions are added to the basis. ``most`` is the largest number of
+    factorisations.
 
     Raises
     ------
@@ -135,8 +139,8 @@ def reduce_by_rational_krylov(
                 f"contains at least {modes} resonances; {text}",
                 stacklevel=2,
             )
-        # An error that was computed before the basis was extended no longer applies. A point next
-        # to an earlier point neither extends the basis nor tests other parts of the band.
+        # If the basis was extended, errors before the last one no longer apply. A point next to an
+        # earlier point neither extends the basis nor tests other parts of the band.
         recent = [*recent[-1:], error] if grown or idle else [error]
         idle = 0 if grown else idle + 1
         if CONFIRMATIONS in (met, idle):

@@ -1,6 +1,6 @@
-"""Registry of methods of reduction by name, and the choice of methods for a model.
+"""Registry of reduction methods by name, and the default methods for a model.
 
-Other packages declare methods of reduction as entry points of the group :data:`ENTRY_POINT_GROUP`.
+Other packages declare reduction methods as entry points of the group :data:`ENTRY_POINT_GROUP`.
 """
 
 from __future__ import annotations
@@ -37,24 +37,25 @@ _reductors: dict[str, Reductor] = {reductor.name: reductor for reductor in _BUIL
 
 
 def register_reductor(reductor: Reductor) -> Reductor:
-    """Register a method of reduction for the argument ``method`` of :func:`kc2spice.reduce`.
+    """Register a reduction method for the argument ``method`` of :func:`kc2spice.reduce`.
 
-    A method replaces an earlier method of the same name. Without ``method``, only built-in methods
-    are tried: response POD and the variants of balanced truncation.
+    The method replaces an earlier method of the same name. If :func:`kc2spice.reduce` is called
+    without ``method``, it tries only built-in methods: response POD and the variants of balanced
+    truncation.
 
     Parameters
     ----------
     reductor : Reductor
-        Method with the attribute ``name``.
+        Reduction method with the attribute ``name``.
 
     Returns
     -------
     Reductor
-        The same method.
+        The argument ``reductor``.
 
     Raises
     ------
-    UsageError : the method has no name, or is not an instance of :class:`Reductor`.
+    UsageError : the argument has no name, or is not an instance of :class:`Reductor`.
 
     Examples
     --------
@@ -77,7 +78,7 @@ def register_reductor(reductor: Reductor) -> Reductor:
 
 
 def _require_reductor(value: object, where: str) -> Reductor:
-    """Return the value if it is a reductor with a name; otherwise raise an error."""
+    """Return the value if it is a reductor with a name, or otherwise raise UsageError."""
     if isinstance(value, Reductor) and isinstance(value.name, str) and value.name:
         return value
     expected, got = "an instance of a subclass of kc.Reductor with a name", repr(value)
@@ -96,7 +97,7 @@ def _require_reductor(value: object, where: str) -> Reductor:
 
 @cache
 def _load_installed_reductors() -> None:
-    """Register the methods of installed packages, except names that are already registered."""
+    """Register the reduction methods of installed packages, unless their names are in use."""
     for name in plugin_names(ENTRY_POINT_GROUP):
         where = f"entry point {name} of {ENTRY_POINT_GROUP}"
         reductor = _require_reductor(load_plugin(ENTRY_POINT_GROUP, name), where)
@@ -104,16 +105,16 @@ def _load_installed_reductors() -> None:
 
 
 def list_reductor_names() -> list[str]:
-    """Return the names of all registered and installed methods, built-in methods first."""
+    """Return the names of all registered and installed reduction methods, built-in ones first."""
     _load_installed_reductors()
     return list(_reductors)
 
 
 def require_method_name(name: str, where: str, advice: str) -> None:
-    """Raise an error if no reduction method has this name.
+    """Raise UsageError if no reduction method has this name.
 
-    ``where`` is the argument or option that contains the name. ``advice`` is the next action for
-    the user if no registered name is similar.
+    ``where`` is the argument or option that contains the name. ``advice`` is the hint for the user
+    if no registered name is similar.
     """
     if name not in _reductors and name not in list_reductor_names():
         problem = "this reduction method does not exist"
@@ -121,11 +122,11 @@ def require_method_name(name: str, where: str, advice: str) -> None:
 
 
 def find_reductor(method: str | Reductor) -> Reductor:
-    """Return the method with a name; if ``method`` is a method already, return it.
+    """Return the reduction method with a name, or ``method`` itself if it is a reductor.
 
     Raises
     ------
-    UsageError : no method has this name, or the value is neither a name nor a method.
+    UsageError : no reduction method has this name, or the value is neither a name nor a reductor.
     """
     if not isinstance(method, str):
         return _require_reductor(method, "method")
@@ -136,7 +137,7 @@ def find_reductor(method: str | Reductor) -> Reductor:
 
 
 def list_suited_reductors(task: Task) -> list[Reductor]:
-    """Return the default methods: response POD and balanced truncation.
+    """Return the default methods for a task: response POD and balanced truncation.
 
     Congruences come first. Balancing over the band also represents notches, which are important
     only in the norm *pointwise*.

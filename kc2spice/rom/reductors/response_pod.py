@@ -1,4 +1,4 @@
-"""Proper orthogonal decomposition of frequency responses."""
+"""Reduction by proper orthogonal decomposition (POD) of frequency responses."""
 
 from __future__ import annotations
 
@@ -13,28 +13,29 @@ from kc2spice.rom.reductors.base import Reductor
 from kc2spice.rom.reductors.snapshots import choose_tail_weight, snapshots, weight_states
 from kc2spice.rom.response import Response
 
-# condition number of the stiffness above which the energy of a mode is a rounding error
+# condition number of the stiffness above which the smallest energy of a mode is a rounding error
 MAX_STIFFNESS_CONDITION = 1e12
-# largest relative singular value of snapshots that is a rounding error
+# largest relative singular value of snapshots that counts as a rounding error
 SINGULAR_VALUE_LIMIT = 1e-13
-# limits and factors of the fit of weights, found by trials
-MAX_SHORTENED_ORDER = 150  # largest order for which other weights are tried
+# limits and factors of the fit of snapshot weights, found by trials
+MAX_SHORTENED_ORDER = 150  # largest order for which weights are fitted
 MAX_TRIALS = 12  # largest number of updates of the weights
-MIN_EXTRA_VECTORS = 20  # number of vectors beyond the order from which a better basis is computed
+# smallest number of additional vectors from which a better basis is computed
+MIN_EXTRA_VECTORS = 20
 EXTRA_ERROR_SHARE = 0.5  # largest error with these additional vectors, relative to the tolerance
-# smallest squared factor of a weight in one update, where the error is zero
+# squared factor of a weight in one update where the error is zero
 MIN_WEIGHT = 0.05
-# factor of the weight above the band in each trial; the certificate does not include this range
+# factor of the weights above the band in each trial; the certificate does not include this range
 TAIL_FADING = 0.5
 
 
 class ResponsePod(Reductor):
-    """Proper orthogonal decomposition of the response over the band.
+    """Reduction by proper orthogonal decomposition of the response over the band.
 
-    The first vectors are the static responses of the ports, so static gains are exact. The other
-    vectors are left singular vectors of snapshots of the response. The snapshots have weights for a
-    relative error, and coordinates in which the elastic energy is a sum of squares. If
-    ``two_sided`` is true, snapshots of the dual model are added, which unsymmetric models need.
+    The first basis vectors are the static responses to the ports, so static gains are exact. The
+    other vectors are left singular vectors of snapshots of the response. The snapshots are weighted
+    for a relative error, in coordinates in which the elastic energy is a sum of squares. If
+    ``two_sided`` is true, snapshots of the dual model are added. Unsymmetric models need these.
 
     Examples
     --------
@@ -57,7 +58,7 @@ class ResponsePod(Reductor):
         self.name = "response POD" + (" of both sides" if two_sided else "")
 
     def basis(self, task: Task) -> ReducedBasis:
-        """Return the static responses and the principal directions of all snapshots."""
+        """Return the basis of static responses and of principal directions of all snapshots."""
         core, free = task.core, task.core.free
         energy = _energy_basis(
             core.without_free_motion, 2 * np.pi * task.band[1], task.intermediate.static
@@ -78,11 +79,11 @@ class ResponsePod(Reductor):
     def shorten_basis(
         self, basis: ReducedBasis, order: int, tolerance: float
     ) -> tuple[ReducedBasis, int]:
-        """Return a basis that meets the tolerance with fewer vectors.
+        """Return a basis that meets the tolerance with fewer vectors, and its order.
 
-        At frequencies at which the model with one state fewer has the largest error, the weights of
-        snapshots are increased (Lawson's minimax fit). The weights above the band are decreased in
-        each trial.
+        The weights of snapshots are increased at frequencies at which the model with one state
+        fewer has the largest error (Lawson's minimax fit). The weights above the band are decreased
+        in each trial.
         """
         size, least = (
             min(basis.size, max(3 * order, order + MIN_EXTRA_VECTORS)),
@@ -122,7 +123,7 @@ class ResponsePod(Reductor):
 
 
 def _has_loaded_port(task: Task) -> bool:
-    """Return whether the input of a port is a load, such as a force or a heat flow.
+    """Return whether the model has a port whose input is a load, such as a force or heat flow.
 
     The static response of such a port remains exact.
     """
@@ -130,11 +131,11 @@ def _has_loaded_port(task: Task) -> bool:
 
 
 def _static_responses(task: Task, response: Response) -> np.ndarray:
-    """Compute orthonormal vectors (n, k) that span the static responses.
+    """Compute orthonormal vectors (n, k) that span the static responses of a model.
 
     The unknowns of rigid-body modes are omitted. If damping couples rigid-body modes to other
-    motions, the damping forces of the modes are also loads. For signals, static responses are
-    needed only if the band begins at zero.
+    motions, the damping forces of these modes are also loads. If all ports are signals, static
+    responses are needed only for a band that begins at zero.
     """
     pencil, free = response.pencil, task.core.free
     if free:
@@ -150,7 +151,7 @@ def _static_responses(task: Task, response: Response) -> np.ndarray:
 def _weighted_states(
     task: Task, response: Response, s: np.ndarray, weight: np.ndarray, two_sided: bool
 ) -> list[np.ndarray]:
-    """Return weighted states of the model and, if ``two_sided``, of its dual."""
+    """Return the weighted states of the model and, if ``two_sided`` is true, of its dual."""
     H = task.response.transfer(s)
     result = [weight_states(response, s, weight, H, task.norm)]
     if two_sided:
@@ -160,9 +161,10 @@ def _weighted_states(
 
 
 def _scale_states(states: np.ndarray, factors: np.ndarray) -> np.ndarray:
-    """Multiply the states at each frequency by a factor, and separate real and imaginary parts.
+    """Multiply the states at each frequency by the factor of this frequency.
 
-    The result is (n, 2 frequencies inputs).
+    ``states`` and the result have the shape (n, 2 frequencies inputs), with the real parts before
+    the imaginary parts.
     """
     inputs = states.shape[1] // (2 * len(factors))
     return np.asarray(states * np.tile(np.repeat(factors, inputs), 2))
@@ -171,9 +173,10 @@ def _scale_states(states: np.ndarray, factors: np.ndarray) -> np.ndarray:
 def _energy_basis(pencil: Pencil, omega: float, static: bool) -> np.ndarray:
     """Compute coordinates in which the elastic energy is a sum of squares.
 
-    If the stiffness is not definite, the energy at ``omega`` is used instead. If its matrix is not
-    definite either, the result is the unit matrix. Unless the model is ``static``, its stiffness is
-    singular, even if K has a Cholesky factor by rounding errors.
+    If the stiffness matrix is not definite, the dynamic stiffness at ``omega`` [rad/s] is used
+    instead. If the dynamic stiffness is not definite either, the result is the unit matrix. If
+    ``static`` is false, the stiffness matrix counts as singular, even if rounding errors permit a
+    Cholesky factor.
     """
     rest, inertia = pencil.coefficients[0], pencil.coefficients[-1]
     dynamic = rest + omega**pencil.degree * inertia
@@ -191,14 +194,14 @@ def _energy_basis(pencil: Pencil, omega: float, static: bool) -> np.ndarray:
 
 
 def _orthonormalise(columns: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """Return the vectors ``first`` and the principal directions of ``columns``, orthonormal."""
+    """Return orthonormal vectors: first ``first``, then principal directions of ``columns``."""
     for _ in range(2):  # a single projection would leave rounding errors
         columns = columns - first @ (first.T @ columns)
     return np.asarray(np.linalg.qr(np.hstack([first, _principal_directions(columns)[0]]))[0])
 
 
 def _significant_range(columns: np.ndarray) -> np.ndarray:
-    """Return principal directions whose singular values exceed rounding errors."""
+    """Return the principal directions of ``columns`` that exceed rounding errors."""
     U, size = _principal_directions(columns)
     return np.asarray(
         U[:, size > SINGULAR_VALUE_LIMIT * max(size.max(initial=0.0), np.finfo(float).tiny)]

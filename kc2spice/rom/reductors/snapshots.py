@@ -1,8 +1,8 @@
-"""Snapshots of a frequency response: frequencies and weights.
+"""Snapshots of a frequency response for reductions: frequencies and weights.
 
 A contact also excites a body above the band. A basis that is fitted only to the band has large
-errors above the band. Therefore, if a model has mechanical ports, there are additional snapshots at
-higher frequencies with a small weight (the *tail*).
+errors above the band. Therefore, a model with mechanical ports has additional snapshots at higher
+frequencies, with small weights (the *tail*).
 """
 
 from __future__ import annotations
@@ -15,29 +15,30 @@ from kc2spice.rom.error_estimate import ErrorEstimator
 from kc2spice.rom.linear_model import LinearModel, Norm
 from kc2spice.rom.response import Response, grid, sample_resonances
 
-# Number of points of each grid, a linear and a logarithmic one. There are additional snapshots at
-# every resonance, so the grid represents the response between resonances.
+# Number of points in the linear grid and in the logarithmic grid over the band. Every resonance has
+# additional snapshots, so the grids represent the response between resonances.
 GRID_POINTS = 101
 # settings of the snapshots above the band, found by trials
 TAIL_REACH = 8.0  # highest frequency of the snapshots, relative to the end of the band
 TAIL_POINTS = 150
-# Exponent with which the weight decreases above the band. The spectrum of contact forces decreases,
-# because they are smooth functions of time.
+# Exponent with which the weights decrease above the band. The spectrum of contact forces also
+# decreases, because contact forces are smooth functions of time.
 TAIL_DECAY = 4
-# Smallest and largest weight at the end of the band. With these weights, launches of the paper's
-# chip by reduced models of 20 to 31 states had errors of at most 3e-4. With weights of only up to
-# 1e-2, the errors were larger.
+# Smallest and largest weight of the tail at the end of the band. With these weights, the simulated
+# launches of the paper's chip had errors of at most 3e-4 for reduced models of 20 to 31 states.
+# With weights of only up to 1e-2, the errors were larger.
 TAIL_WEIGHTS = 4e-3, 5e-2
-# weight relative to the square root of the tolerance, because squared errors are minimised
+# weight of the tail relative to the square root of the tolerance, because squared errors are
+# minimised
 TAIL_PER_ROOT = 120.0
-# smallest reference of the error of an entry, relative to the entry's peak, keyed by norm
+# smallest divisor of the error of an entry, relative to the entry's peak, keyed by norm
 MIN_REFERENCE_SHARE = {"pointwise": 1e-6, "peak": 1.0}
 
 
 class Snapshots(NamedTuple):
     """Frequencies [Hz] of snapshots in the band and above the band.
 
-    ``above_weight`` are the weights of the frequencies above the band.
+    ``above_weight`` contains the weights of the snapshots above the band.
     """
 
     inside: np.ndarray
@@ -46,13 +47,13 @@ class Snapshots(NamedTuple):
 
     @property
     def s(self) -> np.ndarray:
-        """Laplace variables of all snapshots [1/s]."""
+        """Values of the Laplace variable s [1/s] at all snapshots."""
         return np.asarray(2j * np.pi * np.r_[self.inside, self.above])
 
     def weights(self, inside: np.ndarray | float = 1.0, above: float = 1.0) -> np.ndarray:
         """Return the weights of all snapshots.
 
-        ``inside`` are the weights in the band. The weights above the band are multiplied by
+        ``inside`` contains the weights in the band. The weights above the band are multiplied by
         ``above``.
         """
         weight = np.broadcast_to(inside, self.inside.shape)
@@ -60,7 +61,10 @@ class Snapshots(NamedTuple):
 
 
 def choose_tail_weight(model: LinearModel, tolerance: float | None) -> float | None:
-    """Return the weight of snapshots above the band; None without mechanical ports."""
+    """Return the weight of the snapshots just above the band.
+
+    The result is None for a model without mechanical ports, which needs no such snapshots.
+    """
     if not any(port.moving for port in model.ports):
         return None
     return float(np.clip(TAIL_PER_ROOT * np.sqrt(tolerance or 0.0), *TAIL_WEIGHTS))
@@ -69,9 +73,10 @@ def choose_tail_weight(model: LinearModel, tolerance: float | None) -> float | N
 def snapshots(
     estimator: ErrorEstimator, response: Response, tail: float | None = None
 ) -> Snapshots:
-    """Return frequencies over the band, at its resonances, and above the band.
+    """Choose snapshots over the band, at its resonances, and above the band.
 
-    ``tail`` is the weight at the end of the band; None omits frequencies above the band.
+    ``tail`` is the weight of snapshots above the band, at the end of the band. If it is None, there
+    are no snapshots above the band.
     """
     low, high = estimator.band
     at, ratio = response.within(estimator.band)
@@ -87,12 +92,13 @@ def snapshots(
 def weight_states(
     response: Response, s: np.ndarray, weight: np.ndarray, complete: np.ndarray, norm: Norm
 ) -> np.ndarray:
-    """Return the real and imaginary parts of the states with weights for a relative error.
+    """Return the states of a response at ``s``, weighted for a relative error.
 
-    If ports exchange energy, the square of a state is an energy, and each state is divided by the
-    square root of the response of its port. Otherwise, each state is divided by its length. The
-    response of the ``complete`` model includes rigid-body modes. In the norm *peak*, states are
-    divided by peaks.
+    If the model is symmetric and collocated, the square of a state is an energy. The state vector
+    for the input at a port is then divided by the square root of the response of this port.
+    Otherwise, each state vector is divided by its length. In the norm *peak*, the divisor is the
+    largest in the band. ``complete`` is the response of the model including rigid-body modes. Real
+    parts come before imaginary parts in the result (n, 2 frequencies inputs).
     """
     x = response.states(s)
     pencil = response.pencil
@@ -108,9 +114,10 @@ def weight_states(
 
 
 def _lengths(x: np.ndarray, H: np.ndarray, complete: np.ndarray, norm: Norm) -> np.ndarray:
-    """Return lengths (frequencies, inputs) of the states x, in the unit of a response.
+    """Return the lengths (frequencies, inputs) of the state vectors x, as divisors of x.
 
-    H is the response of the states, without the rigid-body modes that ``complete`` includes.
+    H is the response without rigid-body modes, and ``complete`` the response with them. Where
+    rigid-body modes increase the response, the lengths are increased in proportion.
     """
     size = np.linalg.norm(x, axis=1)
     if norm == "peak":

@@ -1,4 +1,4 @@
-"""Checks and scaling of the vectors that a method of reduction returns."""
+"""Checks and scaling of the basis vectors that a reduction method returns."""
 
 from __future__ import annotations
 
@@ -8,25 +8,26 @@ import numpy as np
 
 from kc2spice.core.errors import UsageError
 
-# A unit vector is dependent if its distance to the span of earlier vectors is less than 450 eps.
-# Rounding errors in a QR factorisation of a few hundred vectors are about 1e-14.
+# A unit vector counts as dependent if its distance to the span of earlier vectors is less than 450
+# eps. The rounding errors in a QR factorisation of a few hundred vectors are about 1e-14.
 DEPENDENT_BY_ROUNDING = 1e-13
-# Largest condition number of V. Rounding errors change the softest direction of V'KV by about eps
-# times the square of this number, which is a relative change below 3e-10.
+# Largest condition number of a basis V that is not orthonormalised. Rounding errors change the
+# smallest eigenvalue of V'KV by about eps times the square of this number: a relative change below
+# 3e-10.
 MAX_CONDITION = 1e3
 
 
 def require_vectors(value: Any, where: str, shape: tuple[int, int | None]) -> np.ndarray:
-    """Return vectors as a real matrix whose columns are linearly independent.
+    """Check basis vectors, and return them as a real matrix with independent columns.
 
     Parameters
     ----------
     value : array_like
         Vectors, one in each column.
     where : str
-        Name of the argument in errors.
+        Name of the argument, for error messages.
     shape : tuple
-        Number of rows, and of columns unless it is None.
+        Required numbers of rows and columns. If the number of columns is None, any is accepted.
 
     Raises
     ------
@@ -70,11 +71,11 @@ def require_vectors(value: Any, where: str, shape: tuple[int, int | None]) -> np
 
 
 def scale_to_unit_norm(V: np.ndarray) -> np.ndarray:
-    """Return the vectors with norms between 0.7 and 1.5.
+    """Scale vectors so that their norms are between 0.7 and 1.5.
 
-    The factors are powers of two, so there are no rounding errors and orthonormal vectors do not
-    change. The scale of a vector changes no response. However, without scaling, a mass of 1e-22
-    beside masses of 1 would count as zero.
+    The factors are powers of two, so there are no rounding errors, and orthonormal vectors do not
+    change. The scale of a basis vector has no effect on the response of the reduced model. However,
+    without scaling, a reduced mass of 1e-22 beside masses of 1 would count as zero.
 
     >>> scale_to_unit_norm(np.array([[0.6, 3e-11], [0.8, 4e-11]])).round(2)
     array([[0.6 , 0.52],
@@ -86,11 +87,12 @@ def scale_to_unit_norm(V: np.ndarray) -> np.ndarray:
 
 
 def improve_condition(V: np.ndarray) -> np.ndarray:
-    """Return vectors that span the same spaces, but are far from linearly dependent.
+    """Return basis vectors that span the same spaces as V, but are well-conditioned.
 
-    Vectors may be almost dependent: for example, a static response is nearly a sum of many modes.
-    If the condition number of V exceeds a thousand, the result is Q of ``V = Q R``. For each q, the
-    first q columns of Q and of V span the same space. Otherwise V is returned unchanged.
+    The columns of V may be almost dependent: for example, a static response is nearly a sum of many
+    modes. If the condition number of V exceeds a thousand, the matrix Q of the factorisation
+    ``V = Q R`` is returned. For each q, the first q columns of Q and of V span the same space.
+    Otherwise, V is returned unchanged.
 
     >>> abs(improve_condition(np.array([[1.0, 1.0], [0.0, 1e-6]]))).round(9)
     array([[1., 0.],
@@ -136,5 +138,5 @@ def _find_dependent_column(V: np.ndarray) -> int | None:
 
 
 def _describe_size(V: np.ndarray) -> str:
-    """Describe the numbers of rows and columns in words."""
+    """Return a description of the numbers of rows and columns, for error messages."""
     return f"{V.shape[0]} rows and {V.shape[1]} columns"
