@@ -28,7 +28,7 @@ NODE_UNITS = {domain.kind_of_law: domain.across.factor for domain in TABLE}
 
 @dataclass(frozen=True)
 class Network:
-    """Laws that are joined directly or through other laws.
+    """Network of laws that are connected to each other, directly or through other laws.
 
     ``joins`` maps the name of each net to its pins. ``results`` maps the name of each result to a
     linear combination of waves. ``sweeps`` maps each pair ``(part, key)`` to the name of the source

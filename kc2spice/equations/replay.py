@@ -59,7 +59,7 @@ def _meets_part_without_law(laws: SceneLaws, name: str, pin: str) -> bool:
 def _may_change_net(build: Build, name: str, pin: str) -> bool:
     """Return whether a part may change the value on the net of a pin.
 
-    A signal input of a part of kc2spice draws no current.
+    A signal input of a built-in part does not, because it draws no current.
     """
     end = build.scene.terminals[name, pin]
     return end.flow != "-" or end.signal_out or build.scene.parts[name].netlist
@@ -68,7 +68,7 @@ def _may_change_net(build: Build, name: str, pin: str) -> bool:
 def select_networks_to_solve(
     laws: SceneLaws, waves: Waveforms, replayed: Mapping[str, str]
 ) -> list[Network]:
-    """Return the networks of the scene that sources do not completely determine.
+    """Return the networks with unknowns that recorded sources do not completely determine.
 
     ``replayed`` maps nets to the kind of their pins. A source on each of these nets reproduces the
     result of ngspice in ``waves``. If every net of a network has such a source, the network

@@ -92,7 +92,7 @@ class SceneLaws:
 
     @cached_property
     def parts_without_law(self) -> tuple[str, ...]:
-        """Names of the parts without a law, which prevent the integration of the whole scene."""
+        """Names of the parts without a law. They prevent the integration of the whole scene."""
         return tuple(filterfalse(self.equations.__contains__, self.parts_with_cards))
 
     @cached_property

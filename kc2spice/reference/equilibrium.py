@@ -35,7 +35,7 @@ class Interval:
             self.F = self.F + device.into @ slope @ device.inputs
             self.const = self.const + device.into @ out
         self.linear = not self.curved
-        # equations with a time derivative
+        # mask of the equations that contain a time derivative
         self.rows = np.abs(system.G[:, : system.size]).max(axis=1) > 0.0
         for device in system.devices:
             if device.stores is not None:

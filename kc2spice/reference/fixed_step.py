@@ -35,15 +35,15 @@ from kc2spice.reference.system import System
 
 GAMMA = 1.0 - np.sqrt(0.5)
 MAX_ITERATIONS = 60  # iterations of a stage, including changes of device modes
-SINGLE_SWITCH_ITERATION = 30  # number of iterations after which devices switch modes singly
-GUARD_ROUNDING = 1e-15  # largest rounding error of a guard, which ends a mode if negative
+SINGLE_SWITCH_ITERATION = 30  # iteration from which only one device at a time changes its mode
+GUARD_ROUNDING = 1e-15  # largest magnitude of a negative guard that is a rounding error
 ZERO_LOAD = 1e-100  # largest load that counts as zero, because no solver resolves it
 # rate at which an unsupported body moves only as a rigid body, relative to the body's fastest rate
 DRIFT_RATE_RATIO = 3e-8
 
 
 class _BodyIntegrator:
-    """Integrator of ``sum_k P_k d^k x/dt^k = B a`` with steps of fixed length.
+    """Integrator of a body ``sum_k P_k d^k x/dt^k = B a`` with time steps of fixed length.
 
     The body starts at rest, in equilibrium with the initial inputs ``a`` of its ports.
 

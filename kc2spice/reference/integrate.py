@@ -220,7 +220,7 @@ class Radau:
         p, t = self.interval, self.t + h * RADAU_NODES
         sources = p.system.source_values(t, p.within)
         scale = self.rtol * (1.0 + np.abs(self.z))
-        # errors of inactive states do not propagate
+        # errors of unknowns that are not active do not propagate
         scale = np.where(self.active, scale, 1e3 * scale)
         last = 0.0
         for k in range(_MAX_NEWTON_STEPS):

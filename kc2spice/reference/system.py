@@ -32,9 +32,10 @@ class PlacedDevice:
     """Device in a system: its inputs are ``inputs @ X``, and ``into`` adds its outputs to ``f``."""
 
     law: L.Device
-    inputs: np.ndarray  # (m, N)
-    into: np.ndarray  # (n, k)
-    stores: np.ndarray | None  # (n, stored); None if the stored quantities are the states
+    inputs: np.ndarray  # (m, N) matrix from X to the inputs
+    into: np.ndarray  # (n, k) matrix from the outputs to f
+    # (n, stored) matrix from the stored quantities to g; None if these quantities are the states
+    stores: np.ndarray | None
     states: np.ndarray  # indices of the device's states among the unknowns
     first: int  # index of the device's first output among the outputs of all devices
 
@@ -70,10 +71,10 @@ class System:
     power ``X' dissipated X`` [W].
     """
 
-    G: np.ndarray  # (n, N)
-    F: np.ndarray  # (n, N)
+    G: np.ndarray  # (n, N) matrix of the stored quantities g
+    F: np.ndarray  # (n, N) matrix of the right-hand sides f
     const: np.ndarray
-    differential: np.ndarray  # (n,) bool
+    differential: np.ndarray  # (n,) mask of the unknowns that have a time derivative
     velocity: np.ndarray  # (m,) indices of velocities among the unknowns
     moved: np.ndarray  # (m,) indices of the corresponding displacements
     sources: tuple[L.IdealSource, ...]
@@ -82,12 +83,12 @@ class System:
     linear: tuple[PlacedDevice, ...]
     initial_values: tuple[InitialValue, ...]
     names: tuple[str, ...]
-    now: np.ndarray  # (W, N)
+    now: np.ndarray  # (W, N) matrix from X to the waves
     rated: np.ndarray
-    direct: np.ndarray  # (W, K)
+    direct: np.ndarray  # (W, K) matrix from the outputs of all devices to the waves
     constant: np.ndarray
-    stored: np.ndarray  # (N, N)
-    lifted: np.ndarray  # (N,)
+    stored: np.ndarray  # (N, N) quadratic form of the stored energy
+    lifted: np.ndarray  # (N,) linear form of the stored energy
     dissipated: np.ndarray
 
     @property
@@ -585,7 +586,7 @@ def _add_source(law: L.IdealSource, into: _Assembly) -> None:
     form = into.subtract_pins(law, "out", "ret")
     if law.prescribes_flow:
         into.S[:, k] += form
-        into.convert_to_velocity(form)  # needed for the power of the source
+        into.convert_to_velocity(form)  # the power of the source needs the velocity
     else:
         into.add_constraint(form, k)
 

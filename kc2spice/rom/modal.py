@@ -228,7 +228,8 @@ def _compute_modal_data_from_poles(
         return None
     K, E, M = model.pencil.dense().coefficients
     n, one = len(K), np.eye(len(K))
-    scale = np.sqrt(np.abs(np.diag(K)).max() / np.abs(np.diag(M)).max())  # rad/s
+    # typical angular frequency [rad/s]
+    scale = np.sqrt(np.abs(np.diag(K)).max() / np.abs(np.diag(M)).max())
     left = np.block([[np.zeros((n, n)), one], [-K, -scale * E]])
     right = np.block([[one, np.zeros((n, n))], [np.zeros((n, n)), scale**2 * M]])
     values, dual, eigenvectors = scipy.linalg.eig(left, right, left=True, right=True)

@@ -186,7 +186,7 @@ def _generate_fits(
 
 
 def _enforce_passivity(model: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None:
-    """Compute the nearest passive state space with the same poles, or None without a solution.
+    """Compute the nearest passive state space with the same poles, None if this fails.
 
     The deviation is minimised over C and D subject to the bounded real lemma: a linear matrix
     inequality in C, D and the matrix P of a storage function ``x'Px`` (S. Grivet-Talocia, B.
@@ -252,7 +252,10 @@ def _enforce_passivity(model: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None
 
 
 def _fit_passive(fit: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None:
-    """Return the passive state space with the poles of ``fit`` that is nearest to the samples."""
+    """Return the passive state space with the poles of ``fit`` that is nearest to the samples.
+
+    The result is None if no passive state space is found.
+    """
     if (np.linalg.eigvals(fit[0]).real >= 0).any():
         return None
     if is_passive(*fit):
@@ -309,7 +312,8 @@ def refine_poles(
     top = 2 * np.pi * float(f[-1])
     s, real = 2j * np.pi * f / top, np.abs(poles.imag) == 0
     step = float(np.median(np.diff(f))) / float(f[-1])
-    turning = np.arange(len(poles) + int(np.sum(~real))) >= len(poles)  # imaginary parts
+    # mask of the imaginary parts
+    turning = np.arange(len(poles) + int(np.sum(~real))) >= len(poles)
     least = np.log(np.where(turning, max(f[0] / f[-1], step), MIN_DECAY_RATIO * step))
     most = np.log(np.where(turning, highest, MAX_DECAY_RATIO))
     parts = np.r_[np.abs(poles.real), poles.imag[~real]] / top

@@ -29,7 +29,7 @@ from kc2spice.rom.pencil import Matrix, Pencil, Schur, to_dense
 MAX_ALL_MODES = 700  # number of unknowns up to which all modes are computed as fast as a few modes
 MODE_BAND_RATIO = 2.0  # highest frequency of a retained mode, relative to the end of the band
 MIN_MODES = 10  # smallest number of computed modes
-MAX_PARAMETERS = 4  # more parameters would need hundreds of full models
+MAX_PARAMETERS = 4  # largest number of parameters; more would need hundreds of full models
 # degree of polynomials, keyed by number of parameters
 DEFAULT_DEGREES = {0: 0, 1: 6, 2: 5, 3: 4, 4: 3}
 DEGREE_STEP = 2  # increase of the degree if the polynomials are inaccurate over wide ranges

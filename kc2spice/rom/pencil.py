@@ -1,8 +1,8 @@
 """Linear models ``P(s) x = B u``, ``y = C x + D u`` with a matrix polynomial ``P(s)``.
 
 The polynomial and the matrices B, C, D are called a pencil. A coefficient may be a Schur
-complement. It is never computed as a large dense matrix, because solvers need only its products
-with vectors and the solution of linear systems.
+complement. Its dense matrix is not needed, because solvers only multiply it by vectors and solve
+linear systems.
 """
 
 from __future__ import annotations
@@ -319,7 +319,7 @@ class Pencil:
     def at(self, s: complex) -> Matrix:
         """Return the matrix ``P(s)`` with rows and columns of the eliminated unknowns.
 
-        The matrix is real if s is real, and if the model is undamped and ``s^2`` is real.
+        The matrix is real if s is real, or if the model is undamped and ``s^2`` is real.
         """
         powers = [s**k for k in range(3)]
         if self.undamped and complex(powers[2]).imag == 0:

@@ -339,7 +339,8 @@ def _prescribed_basis(task: Task, reductor: Reductor) -> ReducedBasis:
 def warn_of_rounding_errors(rom: LinearModel, floor: float, tolerance: float | None) -> None:
     """Warn if rounding errors of the full model's entries change its response too much.
 
-    The limits of the change ``floor`` are the ``tolerance`` and the error estimate of ``rom``.
+    The function warns if this relative change ``floor``, or the error estimate of ``rom``, exceeds
+    the ``tolerance``.
     """
     if tolerance is None:
         return

@@ -31,8 +31,8 @@ RESONANCE_OFFSETS = np.array([0.0, 0.25, 0.5, 1.0, 2.0, 5.0, 15.0, 60.0])
 # number of frequencies in the linear grid and in the logarithmic grid of a band; found by trials
 GRID_FREQUENCIES = 200
 # smallest and largest model whose eigenvectors are computed; found by trials
-MIN_UNKNOWNS = 12  # unknowns
-MAX_STATES = 2000  # first-order states
+MIN_UNKNOWNS = 12  # number of unknowns above which eigenvectors are computed
+MAX_STATES = 2000  # largest number of first-order states
 DECOUPLING_TOLERANCE = 1e-10  # largest relative difference between decoupled and direct solutions
 # ratio of successive squared frequencies above which the lower mode is a rigid-body mode
 RIGID_MODE_RATIO = 1e8

@@ -23,7 +23,7 @@ from kc2spice.rom.response import (
 # smallest relative change of a response due to rounding errors that the certificate mentions
 STATED_UNCERTAINTY = 1e-9
 ENERGY_ROUNDING = 100.0  # largest response of an entry that counts as zero, in rounding errors
-# numbers found by trials
+# the following numbers were found by trials
 ZERO_FREQUENCIES = 50  # number of frequencies at which entries are tested for zero
 ZERO_SHARE = 0.5  # share of these frequencies at which a zero entry must be negligible
 # number of the lowest resonances, and of the sharpest resonances, at which effects of rounding are

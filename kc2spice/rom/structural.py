@@ -269,7 +269,7 @@ class _Search:
         return max(self.raised, 1.0) * known.error_estimate + SAFETY_FACTOR * self.deviation(modes)
 
     def verified_error(self, result: LinearModel) -> float:
-        """Return the largest relative error of ``result``, by direct solutions of the full model."""
+        """Return the largest relative error of ``result``, with direct solutions as reference."""
         low, high = self.band
         sharp = np.sort(Response(result.pencil.dense()).within(self.band)[0])[:DIRECT_SOLUTIONS]
         frequencies = np.r_[
@@ -365,8 +365,8 @@ def reduce_to_first_order(
 ) -> LinearModel:
     """Replace a reduced model with real poles by a passive first-order model.
 
-    The inertia of ``model`` is omitted, and ``reduced`` reduces the result. If the poles are not
-    real, or if the first-order model does not have fewer states, ``reduced_model`` is returned.
+    The function ``reduced`` reduces ``model`` without its inertia. If the poles are not real, or if
+    the first-order model does not have fewer states, ``reduced_model`` is returned.
     """
     known = reduced_model.certificate
     if known is None or any(port.domain is ACCELERATION for port in model.ports):

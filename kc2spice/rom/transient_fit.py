@@ -41,8 +41,8 @@ POLISH = 200  # largest number of function evaluations in a refinement
 # of the elements.
 EXACT = {"ftol": 1e-14, "xtol": 1e-11, "gtol": 1e-14}
 # Number of groups of samples per decade of time. The least-squares fit compares the mean of the
-# samples in a group with the mean of the network's response. Within a group, the time changes by 5
-# %, and the response hardly changes.
+# samples in a group with the mean of the network's response. The response hardly changes within a
+# group, because the time changes by only 5 %.
 GROUPS_PER_DECADE = 50
 # smallest noise relative to the largest temperature rise, for samples with nine digits
 ROUNDING = 1e-9

@@ -109,7 +109,7 @@ def _matrix(value: Any, where: str, rows: int) -> np.ndarray:
     expected = f"a real array of {rows} rows, one for each coordinate of task.model"
     try:
         V = np.asarray(value)
-    except ValueError:  # lists of different lengths
+    except ValueError:  # rows of different lengths
         V = np.empty(0, dtype=object)
     if V.dtype.kind == "c":
         advice = "use real and imaginary parts: np.linalg.qr(np.hstack([V.real, V.imag]))[0]"
