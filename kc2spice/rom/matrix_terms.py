@@ -103,9 +103,10 @@ def find_terms(full: Full, axes: Sequence[ParameterAxis], frame: LinearModel) ->
         values = {axis.name: axis.value(x) for axis, x in pairs}
         model = full(values) if any(coordinates) else frame
         if model.order != frame.order:
-            raise _no_terms_error(frame.name, "the mesh changes its cells within the ranges")
+            problem = "the number of mesh cells changes within the ranges"
+            raise _no_terms_error(frame.name, problem)
         if np.abs(model.B - frame.B).max() > EXACT * np.abs(frame.B).max():
-            raise _no_terms_error(frame.name, "the places of its heat sources change")
+            raise _no_terms_error(frame.name, "the positions of its heat sources change")
         K, E = map(scipy.sparse.csc_array, model.pencil.coefficients)
         return {"E": E, "K": K}
 
@@ -171,7 +172,7 @@ def _drop_rounding(terms: Sequence[Any], largest: np.ndarray) -> list[Any]:
 
 def _no_terms_error(where: str, problem: str) -> UsageError:
     return UsageError(
-        f"not a parameter of a netlist of heat: {problem}",
+        f"unsupported parameter of a heat netlist: {problem}",
         where=where,
         expected="film coefficients, resistances, conductivities, densities, specific heats, and "
         "lengths and areas of layers",

@@ -560,7 +560,8 @@ def add_dielectric_loss(model: Resonators, tangent: float) -> Resonators:
     electrical = [k for k, port in enumerate(model.ports) if port.electrical]
     if known is None or not electrical:
         raise UsageError(
-            "a loss tangent needs a dielectric, which this body lacks", where="damping.loss_tangent"
+            "this body has no dielectric, so it cannot have a loss tangent",
+            where="damping.loss_tangent",
         )
     D = model.D[np.ix_(electrical, electrical)]
     motional = np.sum((model.gain[:, electrical] / model.omega[:, None]) ** 2)

@@ -326,16 +326,16 @@ def compute_natural_modes(
 
 def _require_symmetric(model: LinearModel, frame: LinearModel | None) -> LinearModel:
     if model.first_order or not model.symmetric:
-        expected = "a symmetric model of second order with collocated ports"
+        expected = "a symmetric second-order model with collocated ports"
         raise UsageError(
-            "this part has no model with parameters", where=model.name, expected=expected
+            "the model of this part cannot have parameters", where=model.name, expected=expected
         )
     if frame is not None and model.order != frame.order:
         raise UsageError(
             "the number of mesh cells changes within the ranges of the parameters",
             where=model.name,
             got=f"{model.order} and {frame.order} unknowns",
-            expected="ranges with the same mesh at all values",
+            expected="ranges in which the mesh has the same number of cells",
         )
     return model
 

@@ -220,7 +220,9 @@ def _certify(task: RangeTask) -> tuple[ResonatorsOverRanges, float]:
         if error <= tolerance:
             return result, error
         if degree is None:
-            problem = "the error cannot be estimated over the ranges of the parameters"
+            problem = (
+                "the error of the reduced model is too large over the ranges of the parameters"
+            )
             got = f"{error:.2g} at a point that was not used for the reduction"
             raise make_range_error(problem, dense_model.frame.name, got, tolerance)
 

@@ -180,5 +180,5 @@ def make_tolerance_error(bases: Sequence[ReducedBasis], tolerance: float) -> Exc
         "the tolerance is out of reach",
         f"estimate {error:.1e} with {bases[0].size} states",
         tolerance,
-        "ask for a larger tolerance or a narrower band",
+        "use a larger tolerance or a narrower band",
     )
