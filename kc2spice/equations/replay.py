@@ -40,7 +40,7 @@ def find_replayed_nets(laws: SceneLaws) -> dict[str, str] | None:
         pins_joined |= dict.fromkeys(pins, pins)
     for net, name, pin, law_pin in laws.links:
         prescribed = map(partial(prescribes_value, laws.laws), pins_joined.get(law_pin, (law_pin,)))
-        if _meets_part_without_law(laws, name, pin) and not any(prescribed):
+        if _joins_part_without_law(laws, name, pin) and not any(prescribed):
             kind = result.get(net, "signal")
             result[net] = laws.kinds[law_pin] if kind == "signal" else kind
     if not laws.laws or not set(result.values()) <= set(SOURCE_KINDS):
@@ -48,7 +48,7 @@ def find_replayed_nets(laws: SceneLaws) -> dict[str, str] | None:
     return result
 
 
-def _meets_part_without_law(laws: SceneLaws, name: str, pin: str) -> bool:
+def _joins_part_without_law(laws: SceneLaws, name: str, pin: str) -> bool:
     """Return whether a part without a law, on the net of a pin, may change the net's value."""
     for part, end in laws.build.scene.joined_pins(name, pin):
         if part in laws.parts_without_law and _may_change_net(laws.build, part, end):

@@ -97,9 +97,9 @@ class Interval:
         for device, mode in self.curved:
             terms = np.abs(device.inputs) @ sizes
             points = list(zip((device.inputs @ X).T, terms.T, strict=True))
-            f += np.abs(device.into) @ _add_terms(device.law.evaluate, points, mode)
+            f += np.abs(device.into) @ _sum_absolute_terms(device.law.evaluate, points, mode)
             if device.stores is not None:
-                g += np.abs(device.stores) @ _add_terms(device.law.store, points, mode)
+                g += np.abs(device.stores) @ _sum_absolute_terms(device.law.store, points, mode)
         return f, g
 
     def compute_slopes(self, t: float, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -144,7 +144,7 @@ class Interval:
 
 
 @dataclass(frozen=True, eq=False)
-class _TangentLaw(Device):
+class _LinearisedLaw(Device):
     """Linearisation of a law at the inputs ``point``."""
 
     law: Device
@@ -197,7 +197,7 @@ class LimitedTangents:
                 point = device.law.limit_change(e, self.points.get(device, e))
                 self.points[device] = point
                 if np.any(point != e):
-                    now, limited = replace(device, law=_TangentLaw(device.law, point)), True
+                    now, limited = replace(device, law=_LinearisedLaw(device.law, point)), True
             curved.append((now, mode))
         if limited:
             interval = copy(interval)
@@ -212,7 +212,7 @@ def _evaluate(
     return np.array([function(e, mode) for e in inputs.T]).T
 
 
-def _add_terms(
+def _sum_absolute_terms(
     function: Callable[[np.ndarray, Any], tuple[np.ndarray, ...]],
     points: Iterable[tuple[np.ndarray, np.ndarray]],
     mode: Any,

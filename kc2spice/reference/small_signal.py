@@ -101,7 +101,7 @@ class LinearisedSystem:
         Return an array of shape (ny,).
         """
         X = self._solve_unknowns(w, amplitudes)
-        return self._term_sizes(slice(None), X[:, None], np.array([w]))[:, 0]
+        return self._compute_term_sizes(slice(None), X[:, None], np.array([w]))[:, 0]
 
     def _solve_unknowns(self, w: complex, amplitudes: np.ndarray) -> np.ndarray:
         """Return the vector ``X`` (N,) of amplitudes for sources ``amplitudes e^(w t)``."""
@@ -113,7 +113,7 @@ class LinearisedSystem:
         z = np.linalg.solve(P[:, :n] / size[:, None], -P[:, n:] @ sources / size)
         return np.concatenate((z, sources))
 
-    def _term_sizes(self, columns: slice, X: np.ndarray, rates: np.ndarray) -> np.ndarray:
+    def _compute_term_sizes(self, columns: slice, X: np.ndarray, rates: np.ndarray) -> np.ndarray:
         """Return ``|C0| |X| + |C1| |X rates|`` (ny, m) with selected ``columns`` of C0 and C1."""
         now, rated = self._sizes
         return np.asarray(now[:, columns] @ np.abs(X) + rated[:, columns] @ np.abs(X * rates))
@@ -203,7 +203,7 @@ class LinearisedSystem:
         unknowns = np.zeros((n, rates.size), dtype=complex)
         unknowns[cols], unknowns[algebraic] = shapes, follow @ shapes
         out = self.C0[:, :n] @ unknowns + (self.C1[:, :n] @ unknowns) * rates
-        terms = self._term_sizes(slice(n), unknowns, rates)
+        terms = self._compute_term_sizes(slice(n), unknowns, rates)
         # input matrix for sources e^(w t): Bs + w (Bd - Gs) - w^2 Gd
         Gs, Gd = self.G[:, n : n + k], self.G[:, n + k :]
         Bs, Bd = self.F[:, n : n + k], self.F[:, n + k :]
@@ -222,7 +222,7 @@ class LinearisedSystem:
             if np.abs(free).max(initial=0.0) > _MAX_RIGID_EFFECT * scale or moving:
                 return None
         level = self.C0[:, : n + k] @ np.concatenate([rest, s0]) + self.system.constant
-        static_gains, slope_responses = self._follow_lines(motion, rates, shapes, drives)
+        static_gains, slope_responses = self._compute_line_responses(motion, rates, shapes, drives)
         return Modes(
             rates,
             out,
@@ -234,7 +234,7 @@ class LinearisedSystem:
             slope_responses,
         )
 
-    def _follow_lines(
+    def _compute_line_responses(
         self, motion: _FreeMotion, rates: np.ndarray, shapes: np.ndarray, drives: list[np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the static gains and the slope responses (sources, ny) of the outputs.

@@ -607,7 +607,7 @@ def _add_device(law: L.Device, into: _Assembly) -> None:
     inputs = np.array([*forms, *states]).reshape(-1, into.size)
     outputs = np.array([*through, *states, *driven]).reshape(-1, into.size).T
     if law.linear:
-        _add_linear(law, into, inputs, outputs)
+        _add_linear_device(law, into, inputs, outputs)
         return
     if not law.has_stored_quantities:
         into.M += states.T @ states
@@ -616,7 +616,9 @@ def _add_device(law: L.Device, into: _Assembly) -> None:
     into.attached.append((law, inputs, outputs))
 
 
-def _add_linear(law: L.Device, into: _Assembly, inputs: np.ndarray, outputs: np.ndarray) -> None:
+def _add_linear_device(
+    law: L.Device, into: _Assembly, inputs: np.ndarray, outputs: np.ndarray
+) -> None:
     """Add the constant matrices, the energy and the loss of a linear device to the equations."""
     still = np.zeros(len(inputs))
     mode = law.mode(still)

@@ -104,9 +104,9 @@ def find_terms(full: Full, axes: Sequence[ParameterAxis], frame: LinearModel) ->
         model = full(values) if any(coordinates) else frame
         if model.order != frame.order:
             problem = "the number of mesh cells changes within the ranges"
-            raise _no_terms_error(frame.name, problem)
+            raise _make_no_terms_error(frame.name, problem)
         if np.abs(model.B - frame.B).max() > EXACT * np.abs(frame.B).max():
-            raise _no_terms_error(frame.name, "the positions of its heat sources change")
+            raise _make_no_terms_error(frame.name, "the positions of its heat sources change")
         K, E = map(scipy.sparse.csc_array, model.pencil.coefficients)
         return {"E": E, "K": K}
 
@@ -151,10 +151,12 @@ def find_terms(full: Full, axes: Sequence[ParameterAxis], frame: LinearModel) ->
                 chosen.append(powers)
                 break
         else:
-            raise _no_terms_error(axis.name, "its matrices are no sum with this key as a factor")
+            raise _make_no_terms_error(
+                axis.name, "its matrices are no sum with this key as a factor"
+            )
     result = interpolate(chosen)
     if len(axes) > 1 and not is_exact(result, CHECKED[: len(axes)]):
-        raise _no_terms_error(frame.name, "its matrices are no sum with these keys as factors")
+        raise _make_no_terms_error(frame.name, "its matrices are no sum with these keys as factors")
     return result
 
 
@@ -170,7 +172,7 @@ def _drop_rounding(terms: Sequence[Any], largest: np.ndarray) -> list[Any]:
     return result
 
 
-def _no_terms_error(where: str, problem: str) -> UsageError:
+def _make_no_terms_error(where: str, problem: str) -> UsageError:
     return UsageError(
         f"unsupported parameter of a heat netlist: {problem}",
         where=where,

@@ -397,7 +397,7 @@ def integrate_modes(
     ``drive`` (n, modes) is linear between the times ``t`` (n,). Return the displacements z and
     their rates z', two arrays of shape (n, modes).
     """
-    a, b = _oscillator_roots(omega, damp)
+    a, b = _compute_oscillator_roots(omega, damp)
     if (b == a.conj()).all():  # then x_b is the complex conjugate of x_a
         x_a = integrate_roots(a, t, drive)
         x_b = x_a.conj()
@@ -422,7 +422,8 @@ def integrate_roots(roots: np.ndarray, t: np.ndarray, drive: np.ndarray) -> np.n
         side = math.isqrt(count - 1) + 1
         shape = (side, side, roots.size)
         grow, push = (
-            np.resize(item, shape) for item in _step_propagators(roots, t[part], drive[part])
+            np.resize(item, shape)
+            for item in _compute_step_propagators(roots, t[part], drive[part])
         )
         for k in range(1, side):
             push[:, k] += grow[:, k] * push[:, k - 1]
@@ -435,7 +436,7 @@ def integrate_roots(roots: np.ndarray, t: np.ndarray, drive: np.ndarray) -> np.n
     return states
 
 
-def _oscillator_roots(omega: np.ndarray, damp: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _compute_oscillator_roots(omega: np.ndarray, damp: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the slow and the fast roots of ``s^2 + damp s + omega^2`` for all modes.
 
     Roots of a mode that are nearly equal are replaced by roots with a difference of 2e-4 times
@@ -449,7 +450,7 @@ def _oscillator_roots(omega: np.ndarray, damp: np.ndarray) -> tuple[np.ndarray, 
     return np.where(fast.imag == 0, omega**2 / fast, fast.conj()), fast
 
 
-def _step_propagators(
+def _compute_step_propagators(
     roots: np.ndarray, t: np.ndarray, drive: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the propagator ``e^(ah)`` and the contribution of the load for each time step.

@@ -117,7 +117,7 @@ def _select_fit(f: np.ndarray, S: np.ndarray, noise: float, where: str) -> ABCD:
     as accurate as the best fit without enforced passivity. If there is no such model, the most
     accurate passive model is returned.
     """
-    fits = _generate_fits(f, S, noise, where)
+    fits = _fit_increasing_orders(f, S, noise, where)
     result, least = None, np.inf
     for left, fit in fits:
         if left > least:
@@ -125,7 +125,7 @@ def _select_fit(f: np.ndarray, S: np.ndarray, noise: float, where: str) -> ABCD:
         model = _fit_passive(fit, f, S)
         if model is None:
             continue
-        error = _deviation(_transfer(model, f), S)
+        error = _compute_rms_deviation(_compute_transfer(model, f), S)
         if error < least:
             result, least = model, error
         if error < PASSIVITY_RATIO * fits[0][0]:
@@ -143,7 +143,7 @@ def _select_fit(f: np.ndarray, S: np.ndarray, noise: float, where: str) -> ABCD:
     return result
 
 
-def _generate_fits(
+def _fit_increasing_orders(
     f: np.ndarray, S: np.ndarray, noise: float, where: str
 ) -> list[tuple[float, ABCD]]:
     """Fit models with increasing numbers of poles.
@@ -173,7 +173,7 @@ def _generate_fits(
             model = _realise_state_space(*refine_poles(f, S, np.asarray(fit.poles), reach))
             if len(model[0]) > MAX_STATES:
                 break
-            result.append((_deviation(_transfer(model, f), S), model))
+            result.append((_compute_rms_deviation(_compute_transfer(model, f), S), model))
             if is_passive(*model):
                 break
         if len(model[0]) > MAX_STATES:
@@ -266,7 +266,11 @@ def _fit_passive(fit: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None:
         if model is not None
     ]
     models = [model for model in tried if model is not None]
-    return min(models, key=lambda model: _deviation(_transfer(model, f), S), default=None)
+    return min(
+        models,
+        key=lambda model: _compute_rms_deviation(_compute_transfer(model, f), S),
+        default=None,
+    )
 
 
 def _scale_to_passive(model: ABCD) -> ABCD | None:
@@ -284,12 +288,12 @@ def _scale_to_passive(model: ABCD) -> ABCD | None:
     return A, B, C / (1 + excess), D / (1 + excess)
 
 
-def _transfer(model: ABCD, f: np.ndarray) -> np.ndarray:
+def _compute_transfer(model: ABCD, f: np.ndarray) -> np.ndarray:
     """Return the transfer matrices of a state-space model at the frequencies ``f`` [Hz]."""
     return make_explicit_pencil(*model).transfer(2j * np.pi * f)
 
 
-def _deviation(one: np.ndarray, other: np.ndarray) -> float:
+def _compute_rms_deviation(one: np.ndarray, other: np.ndarray) -> float:
     """Return the rms difference of two responses, relative to the largest entry of ``other``."""
     return float(np.sqrt(np.mean(np.abs(one - other) ** 2)) / np.abs(other).max())
 
@@ -349,7 +353,7 @@ def refine_poles(
         """Return the derivatives of the residuals with respect to the pole parameters ``x``."""
         Q, coefficients, _ = project(x)
         result = []
-        for change in _pole_derivatives(s, unpack(x), real, coefficients):
+        for change in _yield_pole_derivatives(s, unpack(x), real, coefficients):
             rows = np.concatenate([change.real, change.imag])
             result.append((Q @ (Q.T @ rows) - rows).ravel())
         return np.column_stack(result)
@@ -394,7 +398,7 @@ def _recover_residues(coefficients: np.ndarray, real: np.ndarray) -> np.ndarray:
     return result
 
 
-def _pole_derivatives(
+def _yield_pole_derivatives(
     s: np.ndarray, p: np.ndarray, real: np.ndarray, coefficients: np.ndarray
 ) -> Iterator[np.ndarray]:
     """Yield the derivatives of the fit with respect to the logarithms of pole parts.
@@ -467,7 +471,7 @@ def is_passive(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> bo
     values = np.linalg.eigvals(H)
     size = np.abs(values).max()
     crossing = np.abs(values[np.abs(values.real) < 1e-9 * size].imag) / (2 * np.pi)
-    gain = np.linalg.norm(_transfer((A, B, C, D), crossing), 2, axis=(1, 2))
+    gain = np.linalg.norm(_compute_transfer((A, B, C, D), crossing), 2, axis=(1, 2))
     return bool((gain <= g * (1 - PASSIVITY_MARGIN)).all())
 
 

@@ -108,7 +108,7 @@ def parallel_branches(model: LinearModel) -> ParallelBranches | None:
     ):
         return None
     matrices = model.pencil.dense().coefficients
-    elastance, resistance, inductance = map(_common_value, matrices)
+    elastance, resistance, inductance = map(_find_common_value, matrices)
     if elastance != 0 or resistance is None or inductance is None:
         return None
     capacitance, lead = float(model.D[0, 0]), CircuitBranch(resistance, inductance)
@@ -125,7 +125,7 @@ def parallel_branches(model: LinearModel) -> ParallelBranches | None:
     return ParallelBranches(capacitance, branches, lead)
 
 
-def _common_value(matrix: np.ndarray) -> float | None:
+def _find_common_value(matrix: np.ndarray) -> float | None:
     """Return the value that all off-diagonal entries of a matrix have in common.
 
     The result is None if these entries differ, are negative, or exceed a diagonal entry. Without

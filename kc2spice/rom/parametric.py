@@ -243,7 +243,9 @@ def reduce_over_parameters(
         progress(number + 1, len(points))
         values = {axis.name: axis.value(v) for axis, v in zip(stiffness_axes, x, strict=True)}
         models.append(_require_symmetric(model_at(middle | values), frame))
-    V = _orthonormalise([_modes_and_statics(model.pencil, band) for model in models], frame.M)
+    V = _orthonormalise(
+        [_compute_modes_and_static_responses(model.pencil, band) for model in models], frame.M
+    )
     pencils = [model.pencil.project(V) for model in models]
     rows = {
         "M": [p.coefficients[2] for p in pencils],
@@ -294,7 +296,7 @@ def project_on_modes(model: LinearModel, top: float) -> Pencil:
     The basis also contains the part of the static responses that the modes do not represent.
     """
     return model.pencil.project(
-        _orthonormalise([_modes_and_statics(model.pencil, (0.0, top))], model.M)
+        _orthonormalise([_compute_modes_and_static_responses(model.pencil, (0.0, top))], model.M)
     )
 
 
@@ -340,7 +342,7 @@ def _require_symmetric(model: LinearModel, frame: LinearModel | None) -> LinearM
     return model
 
 
-def _modes_and_statics(pencil: Pencil, band: tuple[float, float]) -> np.ndarray:
+def _compute_modes_and_static_responses(pencil: Pencil, band: tuple[float, float]) -> np.ndarray:
     """Compute mode shapes, and the part of the static responses outside the span of these modes.
 
     The modes have frequencies up to :data:`MODE_BAND_RATIO` times the end of the ``band`` [Hz].

@@ -74,12 +74,12 @@ def read_parametric_model(path: Path | str) -> ModelOverRanges:
     if _contains_heat(path):
         return read_heat_over_ranges(path)
     try:
-        return _build(*read_arrays(path, _ARRAY_NAMES), path.stem)
+        return _build_resonators(*read_arrays(path, _ARRAY_NAMES), path.stem)
     except Exception as error:  # a damaged file can cause almost any exception in the parsers
         raise make_damage_error(path, error) from None
 
 
-def _build(
+def _build_resonators(
     arrays: dict[str, np.ndarray], record: dict[str, Any], name: str
 ) -> ResonatorsOverRanges:
     """Check the arrays and the JSON record of a file, and create the model from them."""

@@ -92,8 +92,8 @@ class FlowReference:
         frequency = np.r_[[0.0] * (band[0] == 0.0), np.geomspace(low, high, FREQUENCIES)]
         uncertainty = 0.0
         if parts.inner.order > DENSE:
-            model, parts, uncertainty = _project(model, parts, band, tolerance)
-        response = _respond(model, parts, frequency)
+            model, parts, uncertainty = _project_on_responses(model, parts, band, tolerance)
+        response = _compute_response(model, parts, frequency)
         rounding = np.full(response.shape[1:], ROUNDING)
         n = len(parts.at)
         rounding[:n, :n] *= np.abs(model.pencil.coefficients[0]).diagonal()[parts.at].max()
@@ -106,14 +106,14 @@ class FlowReference:
         ``parts`` is the division of the reduced model. The error includes the uncertainty of the
         reference.
         """
-        ours = _respond(model, parts, self.frequency)
+        ours = _compute_response(model, parts, self.frequency)
         base = Entries.of(self.response).base(self.response, self.share)
         apart = np.maximum(np.abs(ours - self.response) - self.rounding, 0.0)
         relative = apart / (base + np.finfo(float).tiny)
         return float(relative.max(initial=0.0)) + self.uncertainty
 
 
-def _project(
+def _project_on_responses(
     model: LinearModel, parts: PrescribedTemperatures, band: tuple[float, float], tolerance: float
 ) -> tuple[LinearModel, PrescribedTemperatures, float]:
     """Project a large model on its responses in the ``band`` [Hz].
@@ -137,7 +137,7 @@ def _project(
     return small, divided, space.error
 
 
-def _respond(
+def _compute_response(
     model: LinearModel, parts: PrescribedTemperatures, frequency: np.ndarray
 ) -> np.ndarray:
     """Return the response of heat flows and temperatures of a divided model.
@@ -156,7 +156,7 @@ def _respond(
     result = []
     for s in 2j * np.pi * frequency:
         coupling = K_ei + s * E_ei
-        X = _solve(K_ee + s * E_ee, np.hstack([-coupling, b, -s * c]))
+        X = _solve_linear_system(K_ee + s * E_ee, np.hstack([-coupling, b, -s * c]))
         cold, by_flow, lag = np.split(X, [len(at), len(at) + count], axis=1)
         inner = b.T @ by_flow
         flows, warm = K_ii + s * E_ii + coupling.T @ cold, direct + b.T @ cold
@@ -167,7 +167,7 @@ def _respond(
     return np.array(result)
 
 
-def _solve(matrix: sparse.csc_array | np.ndarray, right: np.ndarray) -> np.ndarray:
+def _solve_linear_system(matrix: sparse.csc_array | np.ndarray, right: np.ndarray) -> np.ndarray:
     """Solve a dense or a sparse linear system."""
     if isinstance(matrix, np.ndarray):
         return np.asarray(np.linalg.solve(matrix, right))

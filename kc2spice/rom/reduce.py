@@ -150,7 +150,7 @@ def reduce_to(fom: LinearModel, target: Target) -> LinearModel:
     require_valid(target)
     if fom.structural:
         return _reduce_structural_damping(fom, target)
-    rom, tolerance = _reduce(fom, target), target.tolerance
+    rom, tolerance = _reduce_viscous(fom, target), target.tolerance
     if tolerance is None or target.contact or target.method or fom.first_order:
         return rom
     return reduce_to_first_order(fom, rom, _make_congruence(target), tolerance, target.norm)
@@ -176,7 +176,7 @@ class Target:
     space: BlockArnoldi | None = None
 
 
-def _reduce(fom: LinearModel, target: Target) -> LinearModel:
+def _reduce_viscous(fom: LinearModel, target: Target) -> LinearModel:
     """Reduce a model with viscous damping."""
     pencil = eliminate_algebraic_unknowns(fom.pencil)
     band = choose_band(fom, pencil, target.band)
@@ -280,7 +280,7 @@ def find_basis_of_order(
     key = find_reductor(target.method).name if target.method is not None else ""
     if key not in bases:
         if target.method is not None:
-            bases[key] = [_prescribed_basis(task, reductors[0])]
+            bases[key] = [_compute_prescribed_basis(task, reductors[0])]
         else:
             suited = (item for item in reductors if item.congruence and item.applies_to(task))
             candidates = (item.basis(task) for item in suited)
@@ -293,16 +293,16 @@ def find_basis_within(
 ) -> tuple[ReducedBasis, int]:
     """Return the basis that needs the fewest states for the tolerance, and its order."""
     assert target.tolerance is not None
-    tolerance = _tolerance_beside_rounding(target.tolerance, task.intermediate)
+    tolerance = _subtract_rounding_error(target.tolerance, task.intermediate)
     if target.method is not None:
-        return require_order([_prescribed_basis(task, reductors[0])], tolerance)
+        return require_order([_compute_prescribed_basis(task, reductors[0])], tolerance)
     basis, order = select_fewest_states(
         task, reductors, tolerance, shorten=not target.contact, keep_form=target.keep_form
     )
     return (basis, order) if target.contact else find_lower_order(basis, order, tolerance)
 
 
-def _tolerance_beside_rounding(tolerance: float, intermediate: IntermediateModel) -> float:
+def _subtract_rounding_error(tolerance: float, intermediate: IntermediateModel) -> float:
     """Subtract the rounding error from the tolerance.
 
     If the difference is too small for a reduction, return the tolerance itself.
@@ -313,7 +313,7 @@ def _tolerance_beside_rounding(tolerance: float, intermediate: IntermediateModel
     return remaining if enough else tolerance
 
 
-def _prescribed_basis(task: Task, reductor: Reductor) -> ReducedBasis:
+def _compute_prescribed_basis(task: Task, reductor: Reductor) -> ReducedBasis:
     """Return the basis of a prescribed reduction method.
 
     Raises
@@ -367,7 +367,7 @@ def _make_congruence(
     """Return a function that reduces a model by a congruence, within a tolerance over a band."""
 
     def congruence(fom: LinearModel, tolerance: float, band: tuple[float, float]) -> LinearModel:
-        return _reduce(
+        return _reduce_viscous(
             fom, replace(target, tolerance=tolerance, order=None, band=band, keep_form=True)
         )
 

@@ -72,7 +72,7 @@ def fit_output_matrix(
         pencil, x = response.pencil, response.states(s) / columns
         weight = np.ones((len(s), 1, x.shape[2]))
         for _ in range(MAX_ROUNDS):
-            C = _least_squares(x * weight, target * weight) * rows[:, None]
+            C = _solve_least_squares(x * weight, target * weight) * rows[:, None]
             error = np.abs(C @ (x * columns) + pencil.D - H) / (peak + np.finfo(float).tiny)
             if not sufficient < error.max() < HOPELESS_RATIO * tolerance:
                 break
@@ -116,7 +116,7 @@ def fit_relaxations(basis: ReducedBasis, order: int, tolerance: float) -> tuple[
     return best
 
 
-def _least_squares(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def _solve_least_squares(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Compute the real matrix C that minimises the sum of the squares of ``C x - y``.
 
     The sum includes all frequencies, outputs and inputs.

@@ -74,18 +74,22 @@ def fit_minimax(
 
     def residuals(x: np.ndarray) -> np.ndarray:
         """Return the weighted residuals of the fit."""
-        return _stack_parts(weight[:, None] * (_model(x, count, s, upper) - target) / scale)
+        return _stack_parts(
+            weight[:, None] * (_evaluate_model(x, count, s, upper) - target) / scale
+        )
 
     def slopes(x: np.ndarray) -> np.ndarray:
         """Return the derivatives of the residuals with respect to ``x``."""
-        return _stack_parts(weight[:, None, None] * _slopes(x, count, s, upper) / scale[:, None])
+        return _stack_parts(
+            weight[:, None, None] * _compute_slopes(x, count, s, upper) / scale[:, None]
+        )
 
     for k in range(MAX_ROUNDS):
         fit = scipy.optimize.least_squares(
             residuals, x, jac=slopes, method="lm", x_scale="jac", max_nfev=ROUND_EVALUATIONS
         )
         x = fit.x
-        size = np.abs((_model(x, count, s, upper) - target) / scale).max(axis=1)
+        size = np.abs((_evaluate_model(x, count, s, upper) - target) / scale).max(axis=1)
         if size.max() < best[1]:
             best = x, float(size.max())
         if best[1] <= enough or (k >= CHECKED_ROUNDS and best[1] > HOPELESS_RATIO * enough > 0):
@@ -96,7 +100,7 @@ def fit_minimax(
     return np.exp(x[:count]), x[count:].reshape(count, ports), error
 
 
-def _model(
+def _evaluate_model(
     x: np.ndarray, count: int, s: np.ndarray, upper: tuple[np.ndarray, np.ndarray]
 ) -> np.ndarray:
     """Evaluate the ``upper`` triangle of ``sum_k g_k g_k' / (s + r_k)`` at all ``s``.
@@ -108,10 +112,10 @@ def _model(
     return np.asarray((1 / (s[:, None] + rates)) @ products)
 
 
-def _slopes(
+def _compute_slopes(
     x: np.ndarray, count: int, s: np.ndarray, upper: tuple[np.ndarray, np.ndarray]
 ) -> np.ndarray:
-    """Return the derivatives of :func:`_model` with respect to ``log r_k`` and ``g_k``.
+    """Return the derivatives of :func:`_evaluate_model` with respect to ``log r_k`` and ``g_k``.
 
     The result has the shape (n, entries, unknowns).
     """

@@ -178,8 +178,8 @@ def reduce_over_ranges(task: RangeTask) -> ResonatorsOverRanges:
             )
         return model
 
-    result, error = _certify(replace(task, full=compute_full))
-    middle = result.at(_values_at(result.parameter_axes, np.zeros(len(task.axes))))
+    result, error = _reduce_and_check(replace(task, full=compute_full))
+    middle = result.at(_compute_values_at(result.parameter_axes, np.zeros(len(task.axes))))
     proof = prove_stability(middle.pencil.dense(), task.band)
     certificate = certify_over_ranges(task, error, FULL_CHECKS + 1, proof)
     known = interpolate_facts(result.axes, result.exponents, facts)
@@ -188,7 +188,7 @@ def reduce_over_ranges(task: RangeTask) -> ResonatorsOverRanges:
     return replace(result, certificate=certificate, facts=known)
 
 
-def _certify(task: RangeTask) -> tuple[ResonatorsOverRanges, float]:
+def _reduce_and_check(task: RangeTask) -> tuple[ResonatorsOverRanges, float]:
     """Return the resonators, and :data:`SAFETY_FACTOR` times their largest error.
 
     The error is the largest difference to full models. If the dense model or the resonators differ
@@ -203,7 +203,9 @@ def _certify(task: RangeTask) -> tuple[ResonatorsOverRanges, float]:
             task.full, axes, band, degree=degree, progress=task.progress
         )
         draws = sobol.random(FULL_CHECKS) * 2 - 1
-        points = [_values_at(dense_model.parameter_axes, x) for x in (*draws, np.sign(draws[0]))]
+        points = [
+            _compute_values_at(dense_model.parameter_axes, x) for x in (*draws, np.sign(draws[0]))
+        ]
         checks = []
         for k, values in enumerate(points):
             task.progress(k, len(points))
@@ -212,22 +214,20 @@ def _certify(task: RangeTask) -> tuple[ResonatorsOverRanges, float]:
             )
             checks.append((values, space.estimator(band, task.norm), space.error))
         degree = choose_higher_degree(dense_model)
-        error = SAFETY_FACTOR * _difference(dense_model, checks)
+        error = SAFETY_FACTOR * _compute_largest_difference(dense_model, checks)
         if error > tolerance and degree is not None:
             continue
         result, inner = make_resonators(dense_model, band, RESONATOR_SHARE * tolerance, task.norm)
-        error = SAFETY_FACTOR * max(inner, _difference(result, checks))
+        error = SAFETY_FACTOR * max(inner, _compute_largest_difference(result, checks))
         if error <= tolerance:
             return result, error
         if degree is None:
-            problem = (
-                "the error of the reduced model is too large over the ranges of the parameters"
-            )
+            problem = "the reduced model is inaccurate over the ranges of the parameters"
             got = f"{error:.2g} at a point that was not used for the reduction"
             raise make_range_error(problem, dense_model.frame.name, got, tolerance)
 
 
-def _difference(
+def _compute_largest_difference(
     model: DenseParametricModel | ResonatorsOverRanges,
     checks: Sequence[tuple[Values, ErrorEstimator, float]],
 ) -> float:
@@ -283,7 +283,7 @@ def make_resonators(
     tolerance.
     """
     modes = _ModesOverRanges(dense_model, band)
-    points = list(_check_points(dense_model, band, norm))
+    points = list(_yield_check_points(dense_model, band, norm))
     best = np.inf
     for moments in range(1, KRYLOV_BLOCKS + 1):
         space = _ReducedSpace(modes, moments)
@@ -297,7 +297,7 @@ def make_resonators(
                     break
                 error = 0.0
                 for x, estimator in points:
-                    model = result.at(_values_at(result.parameter_axes, x))
+                    model = result.at(_compute_values_at(result.parameter_axes, x))
                     error = max(error, estimator.error(Response(model.pencil)))
                     if error > tolerance:
                         break
@@ -319,7 +319,9 @@ def make_range_error(problem: str, name: str, got: str, tolerance: float) -> Sim
     )
 
 
-def _values_at(parameter_axes: Mapping[str, ParameterAxis], x: np.ndarray) -> dict[str, float]:
+def _compute_values_at(
+    parameter_axes: Mapping[str, ParameterAxis], x: np.ndarray
+) -> dict[str, float]:
     """Return the parameter values at coordinates ``x`` of the first axes.
 
     All other parameters have the value in the middle of their range.
@@ -330,7 +332,7 @@ def _values_at(parameter_axes: Mapping[str, ParameterAxis], x: np.ndarray) -> di
     return {name: known.get(name, axis.middle) for name, axis in parameter_axes.items()}
 
 
-def _check_points(
+def _yield_check_points(
     dense_model: DenseParametricModel, band: tuple[float, float], norm: Norm
 ) -> Iterator[tuple[np.ndarray, ErrorEstimator]]:
     """Yield points of the ranges, each with an error estimator that uses the dense model.
@@ -341,7 +343,9 @@ def _check_points(
     draws = scipy.stats.qmc.Sobol(count, seed=3).random(CHECK_POINTS) * 2 - 1
     corners = sorted(product((1.0, -1.0), repeat=count), key=lambda x: abs(sum(x)), reverse=True)
     for x in (np.zeros(count), *map(np.array, corners), *draws):
-        response = Response(dense_model.at(_values_at(dense_model.parameter_axes, x)).pencil)
+        response = Response(
+            dense_model.at(_compute_values_at(dense_model.parameter_axes, x)).pencil
+        )
         yield x, ErrorEstimator(response, band, False, norm)
 
 
@@ -365,14 +369,14 @@ class _ModesOverRanges:
         self.free, self.moved = 0, False
         line = np.cos(np.pi * (np.arange(GRID_POINTS[self.axes]) + 0.5) / GRID_POINTS[self.axes])
         self.grid = np.array([np.zeros(self.axes), *product(line, repeat=self.axes)])
-        points = list(map(self._all_modes, self.grid))
+        points = list(map(self._compute_all_modes, self.grid))
         last = min(p.w2.size for p in points) - 1
         while self.free < last and any(
             p.w2[self.free] < ZERO_FREQUENCY_RATIO * p.w2[self.free + 1] for p in points
         ):
             self.free += 1
         # if a port moves the body, the rigid-body modes are retained
-        self.moved = any(map(self._is_moved, points))
+        self.moved = any(map(self._excites_rigid_body, points))
         if self.moved and band[0] <= 0:
             raise UsageError(
                 "if a body has parameters but no support, its band must begin above 0 Hz",
@@ -391,11 +395,11 @@ class _ModesOverRanges:
 
     def at(self, x: np.ndarray) -> _DenseModes:
         """Return the modes at coordinates ``x`` that :meth:`_select_elastic` selects."""
-        return self._select_elastic(self._all_modes(x))
+        return self._select_elastic(self._compute_all_modes(x))
 
-    def _all_modes(self, x: np.ndarray) -> _DenseModes:
+    def _compute_all_modes(self, x: np.ndarray) -> _DenseModes:
         """Return all modes of the dense model at coordinates ``x`` of the axes."""
-        model = self.dense_model.at(_values_at(self.dense_model.parameter_axes, x))
+        model = self.dense_model.at(_compute_values_at(self.dense_model.parameter_axes, x))
         return _DenseModes(model, *scipy.linalg.eigh(model.K, model.M))
 
     @property
@@ -403,7 +407,7 @@ class _ModesOverRanges:
         """Resonance frequency [Hz] of an unsupported body on its soft support."""
         return SOFT_SUPPORT_RATIO * self.band[0]
 
-    def _is_moved(self, p: _DenseModes) -> bool:
+    def _excites_rigid_body(self, p: _DenseModes) -> bool:
         """Return whether a port excites a rigid-body mode."""
         share = np.abs(p.V.T @ p.model.B)
         largest = share[: self.free].max(axis=0, initial=0.0)
@@ -442,7 +446,7 @@ class _ReducedSpace:
         pairs = list(map(self._solve_ritz, modes.points))
         self.w2 = np.array([w2 for w2, _ in pairs])
         self.Z = [Z for _, Z in pairs]
-        self._known: dict[tuple[int, int], tuple[np.ndarray, np.ndarray] | None] = {}
+        self._blocks_by_range: dict[tuple[int, int], tuple[np.ndarray, np.ndarray] | None] = {}
 
     def _project_responses(self, p: _DenseModes) -> np.ndarray:
         """Return the responses to the ports' loads, in coordinates of the modes not retained."""
@@ -473,17 +477,20 @@ class _ReducedSpace:
         middle of the ranges. The result is None if a frame differs too much from the frame in the
         middle.
         """
-        if (a, b) not in self._known:
+        if (a, b) not in self._blocks_by_range:
             M, first, rows = self.modes.points[0].model.M, self.Z[0][:, a:b], []
             for p, w2, Z in zip(self.modes.points, self.w2, self.Z, strict=True):
                 U, near, R = np.linalg.svd(Z[:, a:b].T @ M @ first)
                 if near.min() < MIN_OVERLAP:
-                    self._known[a, b] = None
+                    self._blocks_by_range[a, b] = None
                     return None
                 Q = U @ R
                 rows.append(((Q.T * w2[a:b]) @ Q, Q.T @ (Z[:, a:b].T @ p.model.B)))
-            self._known[a, b] = np.array([k for k, _ in rows]), np.array([g for _, g in rows])
-        return self._known[a, b]
+            self._blocks_by_range[a, b] = (
+                np.array([k for k, _ in rows]),
+                np.array([g for _, g in rows]),
+            )
+        return self._blocks_by_range[a, b]
 
     def fit_polynomials(
         self, gap: float, degree: int, tolerance: float
@@ -504,7 +511,7 @@ class _ReducedSpace:
         blocks = [(K, g) for K, g in filter(None, result) if (np.abs(g) / port).max() > ZERO_GAIN]
         exponents = list_exponents(modes.axes, degree)
         fit = np.linalg.pinv(polynomials(modes.grid, exponents))
-        ratio = min(_least_damping_ratio(p, modes.band) for p in modes.points)
+        ratio = min(_find_least_damping_ratio(p, modes.band) for p in modes.points)
         fine = (
             COEFFICIENT_RESOLUTION
             * tolerance
@@ -560,7 +567,7 @@ class _ReducedSpace:
         )
 
 
-def _least_damping_ratio(p: _DenseModes, band: tuple[float, float]) -> float:
+def _find_least_damping_ratio(p: _DenseModes, band: tuple[float, float]) -> float:
     """Return the smallest damping ratio of the elastic modes in the band."""
     alpha, beta = p.model.rayleigh or (0.0, 0.0)
     w = np.sqrt(p.w2[p.w2 < (MODE_BAND_RATIO * 2 * np.pi * band[1]) ** 2])

@@ -167,7 +167,7 @@ class Response:
     @cached_property
     def _poles(self) -> np.ndarray:
         """Finite poles [1/s] of the pencil ``core``."""
-        return self.core.poles() if self.modes is None else _finite_poles(*self.modes[2])
+        return self.core.poles() if self.modes is None else _compute_finite_poles(*self.modes[2])
 
     @cached_property
     def _oscillating_poles(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -267,7 +267,7 @@ def _compute_eigenvectors(pencil: Pencil) -> Modes | None:
         return None
     result = X[:n], inverse @ inner[:, extended.size :], (1 - values, values / shift)
     s = 1j * np.array([0.03, 0.3, 1.0, 3.0])
-    s *= float(np.median(np.abs(_finite_poles(*result[2])))) or 1.0
+    s *= float(np.median(np.abs(_compute_finite_poles(*result[2])))) or 1.0
     try:
         exact = pencil.states(s)
     except SimulationError:
@@ -277,7 +277,7 @@ def _compute_eigenvectors(pencil: Pencil) -> Modes | None:
     return result if (apart < DECOUPLING_TOLERANCE * np.abs(exact).max(axis=1)).all() else None
 
 
-def _finite_poles(rest: np.ndarray, inertia: np.ndarray) -> np.ndarray:
+def _compute_finite_poles(rest: np.ndarray, inertia: np.ndarray) -> np.ndarray:
     """Return the finite poles from the diagonals that :func:`_compute_eigenvectors` returns."""
     finite = _mask_finite_poles(rest)
     return np.asarray(-rest[finite] / inertia[finite])

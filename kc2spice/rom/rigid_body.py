@@ -80,7 +80,7 @@ def split_rigid_body(
     """
     rest, inertia = pencil.coefficients[0], pencil.coefficients[-1]
     X = _compute_null_space(rest, (rounding or _bound_rounding(pencil))[0])
-    X = _select_energy_free(rest, X, None if rounding is None else rounding[0])
+    X = _select_zero_energy_motions(rest, X, None if rounding is None else rounding[0])
     rounding = rounding or _bound_rounding(pencil)
     free = X.shape[1]
     if not free:
@@ -152,7 +152,9 @@ def _compute_null_space(K: np.ndarray, rounding: np.ndarray) -> np.ndarray:
     return np.linalg.qr(columns[:, None] * Vt[size <= limit].T)[0]
 
 
-def _select_energy_free(K: np.ndarray, X: np.ndarray, rounding: np.ndarray | None) -> np.ndarray:
+def _select_zero_energy_motions(
+    K: np.ndarray, X: np.ndarray, rounding: np.ndarray | None
+) -> np.ndarray:
     """Select the motions in X whose elastic energy is only a rounding error.
 
     X has the shape (n, motions). By default, the rounding error of the energy is estimated for

@@ -80,13 +80,13 @@ def select_fewest_states(
     if signals and not (form and form.passive):
         other = _select_fewest(task, others, tolerance, task.states + 1)
     if other and not form:  # a congruence has no advantage if there is no form to preserve
-        return _prefix_origin(other, f"{other[0].origin}; ")
+        return _replace_origin(other, f"{other[0].origin}; ")
     most = int(other[1] / share) if other else np.inf
     reductor, basis, order = _select_congruence(task, congruences, tolerance, most + 1, bool(other))
     if order is None:
         assert other is not None
         text = f"{other[0].origin}, where a congruence needs more than {most} states; "
-        return _prefix_origin(other, text)
+        return _replace_origin(other, text)
     if shorten:
         basis, order = reductor.shorten_basis(basis, order, tolerance)
         order = find_least_order(basis, tolerance, basis.states(order)) or order
@@ -152,7 +152,7 @@ def _select_congruence(
     return *rows[k], order
 
 
-def _prefix_origin(result: tuple[ReducedBasis, int], text: str) -> tuple[ReducedBasis, int]:
+def _replace_origin(result: tuple[ReducedBasis, int], text: str) -> tuple[ReducedBasis, int]:
     """Replace the origin of a basis, with which its certificate begins, by ``text``."""
     basis, order = result
     return replace(basis, origin=text), order

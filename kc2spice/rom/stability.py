@@ -83,7 +83,7 @@ def prove_stability(
             None, False, f"nothing: {states} states are too many to know all poles"
         )
     omega = 2 * np.pi * band[1]
-    values = _poles(pencil, omega) if poles is None else poles
+    values = _compute_poles(pencil, omega) if poles is None else poles
     limit = GROWTH_ROUNDING * np.maximum(np.abs(values), omega)
     grows = values.real > limit
     rounded = states * np.finfo(float).eps * np.abs(values).max(initial=0.0)
@@ -94,7 +94,7 @@ def prove_stability(
     return StabilityProof(not grows.any(), False, "poles")
 
 
-def _poles(pencil: Pencil, omega: float) -> np.ndarray:
+def _compute_poles(pencil: Pencil, omega: float) -> np.ndarray:
     """Compute all poles [1/s]. The poles of rigid-body modes are computed separately.
 
     In a joint computation, only half of the digits of the two poles of a rigid-body mode would be

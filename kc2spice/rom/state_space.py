@@ -32,7 +32,7 @@ def state_space(pencil: Pencil, top_hz: float | None = None) -> ABCD:
     """
     pencil = pencil.dense()
     if pencil.degree == 1:
-        return _energy_states(pencil)
+        return _make_energy_state_space(pencil)
     K, _, M = pencil.coefficients
     top = largest_entry(K) / largest_entry(M) if largest_entry(K) and largest_entry(M) else 1.0
     omega = 2 * np.pi * top_hz if top_hz is not None else float(np.sqrt(top))
@@ -41,7 +41,7 @@ def state_space(pencil: Pencil, top_hz: float | None = None) -> ABCD:
         for item in (pencil, pencil.scale_unknowns(omega)):
             mass = np.linalg.eigvalsh(item.coefficients[2])
             if mass[0] > MASSLESS * mass[-1]:
-                return _modal_states(item, omega)
+                return _make_modal_state_space(item, omega)
         pencil = _eliminate_static(pencil)
     elif _is_singular(M, M):
         raise UsageError(
@@ -50,8 +50,8 @@ def state_space(pencil: Pencil, top_hz: float | None = None) -> ABCD:
             expected="a regular or a symmetric positive semi-definite M",
         )
     else:
-        return _modal_states(_normalise_mass(pencil), omega)
-    A, B, C, D = _energy_states(first_order(pencil, omega))
+        return _make_modal_state_space(_normalise_mass(pencil), omega)
+    A, B, C, D = _make_energy_state_space(first_order(pencil, omega))
     return A, omega * B, C / omega, D
 
 
@@ -64,7 +64,7 @@ def _normalise_mass(pencil: Pencil) -> Pencil:
     return Pencil(parts, solved[:, 2 * n :], pencil.C, pencil.D)
 
 
-def _modal_states(pencil: Pencil, omega: float) -> ABCD:
+def _make_modal_state_space(pencil: Pencil, omega: float) -> ABCD:
     """Compute state-space matrices for the states ``w z`` and ``z'``.
 
     The coordinates z are mass-normalised. They are modal coordinates if K is symmetric.
@@ -117,15 +117,19 @@ def _eliminate_static(pencil: Pencil) -> Pencil:
     still = np.abs(size) <= MASSLESS * max(largest_entry(E), np.finfo(float).tiny)
     light, static = V[:, none] @ U[:, ~still], V[:, none] @ U[:, still]
     if max(largest_entry(E @ static), largest_entry(E.T @ static)) > COUPLING * largest_entry(E):
-        raise _improper_error("massless coordinates are coupled by damping alone")
+        raise _make_improper_error("massless coordinates are coupled by damping alone")
     T, r = np.hstack([V[:, ~none], light, static]), len(M) - static.shape[1]
     why = "massless, undamped coordinates without stiffness"
-    K, B, C, D = _condense(T.T @ K @ T, T.T @ pencil.B, pencil.C @ T, pencil.D, r, why)
+    K, B, C, D = _eliminate_last_unknowns(
+        T.T @ K @ T, T.T @ pencil.B, pencil.C @ T, pencil.D, r, why
+    )
     M = np.diag(np.r_[mass[~none], np.zeros(light.shape[1])])
     return Pencil((K, (T.T @ E @ T)[:r, :r], M), B, C, D)
 
 
-def _condense(P: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, r: int, why: str) -> ABCD:
+def _eliminate_last_unknowns(
+    P: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, r: int, why: str
+) -> ABCD:
     """Eliminate all unknowns after the first r from ``P x = B u``, ``y = C x + D u``.
 
     If the equations do not determine these unknowns, the function raises an error with the reason
@@ -134,7 +138,7 @@ def _condense(P: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, r: int
     if r == len(P):
         return P, B, C, D
     if _is_singular(P[r:, r:], P):
-        raise _improper_error(why)
+        raise _make_improper_error(why)
     elimination = scipy.linalg.solve(P[r:, r:], np.hstack([P[r:, :r], B[r:]]))
     B, D = B[:r] - P[:r, r:] @ elimination[:, r:], D + C[:, r:] @ elimination[:, r:]
     return (
@@ -145,7 +149,7 @@ def _condense(P: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, r: int
     )
 
 
-def _energy_states(pencil: Pencil) -> ABCD:
+def _make_energy_state_space(pencil: Pencil) -> ABCD:
     """Convert a first-order model to state-space matrices A, B, C and D.
 
     If E is symmetric positive definite, the squares of the states are energies. Algebraic equations
@@ -162,7 +166,7 @@ def _energy_states(pencil: Pencil) -> ABCD:
     U, size, Vt = scipy.linalg.svd(E)
     r = int((size > MASSLESS * max(size[0], np.finfo(float).tiny)).sum())
     why = "algebraic equations that do not determine their unknowns"
-    rest, B, C, D = _condense(U.T @ rest @ Vt.T, U.T @ B, C @ Vt.T, D, r, why)
+    rest, B, C, D = _eliminate_last_unknowns(U.T @ rest @ Vt.T, U.T @ B, C @ Vt.T, D, r, why)
     return -rest / size[:r, None], B / size[:r, None], C, D
 
 
@@ -171,7 +175,7 @@ def _is_singular(matrix: np.ndarray, reference: np.ndarray) -> bool:
     return bool(np.linalg.svd(matrix, compute_uv=False)[-1] <= MASSLESS * largest_entry(reference))
 
 
-def _improper_error(why: str) -> UsageError:
+def _make_improper_error(why: str) -> UsageError:
     return UsageError(
         f"the model has no state-space form: {why}",
         where="state space",

@@ -100,13 +100,13 @@ def approximate_causally(
     apart = search.deviation(modes)
     added = f" and {inner} relaxations" if inner else ""
     method = (
-        f"{known.method}; structural damping{_loss_text(model)} by viscous damping of each mode"
+        f"{known.method}; structural damping{_describe_loss(model)} by viscous damping of each mode"
         f"{added}, which differs by {apart:.1e}"
     )
     estimate = max(error, SAFETY_FACTOR * search.verified_error(result))
     if estimate > tolerance:
         warnings.warn(
-            f"structural damping{_loss_text(model)} at all frequencies is not causal: the "
+            f"structural damping{_describe_loss(model)} at all frequencies is not causal: the "
             f"nearest passive model differs by {apart:.2g}, more than the tolerance of "
             f"{tolerance:g}",
             stacklevel=4,
@@ -121,7 +121,7 @@ def approximate_causally(
     return replace(result, certificate=certificate)
 
 
-def _loss_text(model: LinearModel) -> str:
+def _describe_loss(model: LinearModel) -> str:
     return f" of {model.loss_factor:g}" if model.loss_factor else ""
 
 

@@ -216,29 +216,29 @@ def add_structural_damping(model: LinearModel, stiffness: RelaxingStiffness) -> 
     inner = len(stiffness.rates)
     return replace(
         model,
-        M=np.kron(_corner(inner), M),
-        E=np.kron(_corner(inner), E) + np.kron(_dampers(stiffness), K),
-        K=np.kron(_springs(stiffness), K),
+        M=np.kron(_make_corner_matrix(inner), M),
+        E=np.kron(_make_corner_matrix(inner), E) + np.kron(_make_damper_matrix(stiffness), K),
+        K=np.kron(_make_spring_matrix(stiffness), K),
         B=np.vstack([model.B, np.zeros((inner * model.order, model.B.shape[1]))]),
         C=np.hstack([model.C, np.zeros((model.C.shape[0], inner * model.order))]),
         rayleigh=None,
     )
 
 
-def _corner(inner: int) -> np.ndarray:
+def _make_corner_matrix(inner: int) -> np.ndarray:
     """Return a matrix (1 + inner, 1 + inner) whose only nonzero entry is the first, a one."""
     result = np.zeros((1 + inner, 1 + inner))
     result[0, 0] = 1.0
     return result
 
 
-def _springs(stiffness: RelaxingStiffness) -> np.ndarray:
+def _make_spring_matrix(stiffness: RelaxingStiffness) -> np.ndarray:
     """Return the stiffness matrix (1 + k, 1 + k) of unit springs to inner displacements."""
     result = np.diag(np.r_[stiffness.instantaneous_factor, np.ones(stiffness.rates.size)])
     result[0, 1:] = result[1:, 0] = -np.sqrt(stiffness.amplitudes)
     return result
 
 
-def _dampers(stiffness: RelaxingStiffness) -> np.ndarray:
+def _make_damper_matrix(stiffness: RelaxingStiffness) -> np.ndarray:
     """Return the damping matrix (1 + k, 1 + k) of dampers from inner displacements to ground."""
     return np.diag(np.r_[0.0, 1 / stiffness.rates])

@@ -37,7 +37,7 @@ def make_surrogate(
     exact = model.transfer(frequency)
     errors = relative_size(small.transfer(frequency) - exact, exact)
     error, worst = float(errors.max()), int(errors.max(axis=(1, 2)).argmax())
-    if error > TARGET_ERROR and error > _solution_rounding(
+    if error > TARGET_ERROR and error > _estimate_solution_rounding(
         model.pencil, frequency[worst], exact[worst]
     ):
         raise SimulationError(
@@ -50,7 +50,7 @@ def make_surrogate(
     return small, error
 
 
-def _solution_rounding(pencil: Pencil, frequency: float, exact: np.ndarray) -> float:
+def _estimate_solution_rounding(pencil: Pencil, frequency: float, exact: np.ndarray) -> float:
     """Estimate the relative rounding error of a direct solution ``exact`` (outputs, inputs).
 
     The result is the largest relative change of the solution in trials with random units of the

@@ -129,17 +129,17 @@ def fit_transient(samples: StepSamples) -> TransientFit:
     low, high = SHORTEST * after.min(), LONGEST * after.max()
     grid = np.geomspace(low, high, int(np.ceil(PER_DECADE * np.log10(high / low))) + 1)
     resistance, start = _fit_resistances(samples, grid)
-    residual = _residual(samples, resistance, grid, start)
+    residual = _compute_residual(samples, resistance, grid, start)
     size = float(np.max(np.abs(samples.weight * (samples.value - start)), initial=0.0))
     noise = max(float(np.sqrt(0.5 * np.mean(np.diff(residual) ** 2))), ROUNDING * size)
-    constants = _join_neighbours(grid, resistance)
+    constants = _merge_neighbours(grid, resistance)
     while len(constants) > MOST_CONSTANTS:
-        constants = _join_pair(samples, constants)
-    fits = [_refine(samples, constants, (low, high), noise)]
+        constants = _merge_best_pair(samples, constants)
+    fits = [_refine_network(samples, constants, (low, high), noise)]
     while len(fits[-1].network.resistance) > 1:
-        constants = _join_pair(samples, fits[-1].network.time_constant)
-        fits.append(_refine(samples, constants, (low, high), noise))
-    return min(fits, key=_criterion)
+        constants = _merge_best_pair(samples, fits[-1].network.time_constant)
+        fits.append(_refine_network(samples, constants, (low, high), noise))
+    return min(fits, key=_compute_information_criterion)
 
 
 def compute_unsettled_share(network: FosterNetwork, last: float) -> float:
@@ -151,7 +151,7 @@ def compute_unsettled_share(network: FosterNetwork, last: float) -> float:
     return float(network.resistance[slow].sum()) / network.total
 
 
-def _criterion(fit: TransientFit) -> float:
+def _compute_information_criterion(fit: TransientFit) -> float:
     """Return the Bayesian information criterion of a fit."""
     parameters = 2 * len(fit.network.resistance)
     excess = float(np.sum((fit.residual / fit.noise) ** 2))
@@ -172,7 +172,7 @@ def _fit_resistances(samples: StepSamples, constants: np.ndarray) -> tuple[np.nd
     return solution[:n], float(solution[n] - solution[n + 1]) if samples.offset else 0.0
 
 
-def _residual(
+def _compute_residual(
     samples: StepSamples, resistance: np.ndarray, constants: np.ndarray, start: float
 ) -> np.ndarray:
     """Return the weighted differences of the network's step response to the samples."""
@@ -180,7 +180,7 @@ def _residual(
     return np.asarray(samples.weight * (value - samples.value))
 
 
-def _join_neighbours(grid: np.ndarray, resistance: np.ndarray) -> np.ndarray:
+def _merge_neighbours(grid: np.ndarray, resistance: np.ndarray) -> np.ndarray:
     """Merge neighbouring time constants on the grid that have nonzero resistances.
 
     They represent one time constant between two points of the grid, which appears as a resistance
@@ -196,7 +196,7 @@ def _join_neighbours(grid: np.ndarray, resistance: np.ndarray) -> np.ndarray:
     return np.asarray(np.exp(logs))
 
 
-def _join_pair(samples: StepSamples, constants: np.ndarray) -> np.ndarray:
+def _merge_best_pair(samples: StepSamples, constants: np.ndarray) -> np.ndarray:
     """Replace two neighbouring time constants by their geometric mean.
 
     Of all pairs, the pair is chosen whose replacement describes the samples best.
@@ -206,12 +206,12 @@ def _join_pair(samples: StepSamples, constants: np.ndarray) -> np.ndarray:
     for k in range(len(logs) - 1):
         trial = np.exp(np.r_[logs[:k], 0.5 * (logs[k] + logs[k + 1]), logs[k + 2 :]])
         resistance, start = _fit_resistances(samples, trial)
-        residual = _residual(samples, resistance, trial, start)
+        residual = _compute_residual(samples, resistance, trial, start)
         trials.append((float(residual @ residual), trial))
     return min(trials, key=itemgetter(0))[1]
 
 
-def _refine(
+def _refine_network(
     samples: StepSamples, constants: np.ndarray, limits: tuple[float, float], noise: float
 ) -> TransientFit:
     """Refine resistances and time constants within ``limits`` [s] by least squares."""
@@ -257,4 +257,4 @@ def _refine(
     R, t, start = split(solution.x)
     order = np.argsort(t)
     network = FosterNetwork(R[order], t[order])
-    return TransientFit(network, start, _residual(samples, R, t, start), noise)
+    return TransientFit(network, start, _compute_residual(samples, R, t, start), noise)

@@ -69,7 +69,7 @@ class RationalKrylov(Reductor):
     )
 
     def __init__(self, points: Sequence[float] | None = None) -> None:
-        self.points = None if points is None else _frequencies(points)
+        self.points = None if points is None else _require_frequencies(points)
 
     def basis(self, task: Task) -> ReducedBasis:
         """Return the projection on the Krylov vectors, in the sequence of their points."""
@@ -92,7 +92,7 @@ class RationalKrylov(Reductor):
         return task.project(search.basis)
 
 
-def _frequencies(points: Sequence[float]) -> np.ndarray:
+def _require_frequencies(points: Sequence[float]) -> np.ndarray:
     """Check the expansion points, and return them as an array of frequencies [Hz]."""
     try:
         result = np.array(points, dtype=float).ravel()

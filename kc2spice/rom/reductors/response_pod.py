@@ -60,13 +60,15 @@ class ResponsePod(Reductor):
     def basis(self, task: Task) -> ReducedBasis:
         """Return the basis of static responses and of principal directions of all snapshots."""
         core, free = task.core, task.core.free
-        energy = _energy_basis(
+        energy = _compute_energy_basis(
             core.without_free_motion, 2 * np.pi * task.band[1], task.intermediate.static
         )
         response = Response(core.project(scipy.linalg.block_diag(np.eye(free), energy)))
-        static = _static_responses(task, response)
+        static = _compute_static_responses(task, response)
         points = snapshots(task.estimator, response, choose_tail_weight(task.fom, task.tolerance))
-        states = _weighted_states(task, response, points.s, points.weights(), self.two_sided)
+        states = _compute_weighted_states(
+            task, response, points.s, points.weights(), self.two_sided
+        )
         vectors = _orthonormalise(np.hstack(states)[free:], static)
         pencil = response.pencil.project(scipy.linalg.block_diag(np.eye(free), vectors))
         pencil = task.with_rigid_body(replace(pencil, free=free))
@@ -101,12 +103,14 @@ class ResponsePod(Reductor):
         s, inside = points.s, slice(points.inside.size)
         H = task.response.transfer(s[inside])
         base = task.estimator.reference[1].base(H, task.estimator.share) + np.finfo(float).tiny
-        states = _weighted_states(task, response, s, np.ones(len(s)), not task.collocated)
+        states = _compute_weighted_states(task, response, s, np.ones(len(s)), not task.collocated)
         weight, tail, best = np.ones(points.inside.size), 1.0, basis
         for _ in range(MAX_TRIALS):
             factors = points.weights(weight, tail)
             columns = np.hstack([_scale_states(side, factors) for side in states])[basis.fixed :]
-            V = scipy.linalg.block_diag(np.eye(basis.fixed), _principal_directions(columns)[0])
+            V = scipy.linalg.block_diag(
+                np.eye(basis.fixed), _compute_principal_directions(columns)[0]
+            )
             turned = None if basis.vectors is None else basis.vectors[:, :size] @ V
             projected = replace(pencil.project(V), free=pencil.free)
             trial = replace(basis, pencil=projected, vectors=turned)
@@ -130,7 +134,7 @@ def _has_loaded_port(task: Task) -> bool:
     return any(port.loaded for port in task.fom.ports)
 
 
-def _static_responses(task: Task, response: Response) -> np.ndarray:
+def _compute_static_responses(task: Task, response: Response) -> np.ndarray:
     """Compute orthonormal vectors (n, k) that span the static responses of a model.
 
     The unknowns of rigid-body modes are omitted. If damping couples rigid-body modes to other
@@ -141,14 +145,14 @@ def _static_responses(task: Task, response: Response) -> np.ndarray:
     if free:
         K, E, _ = pencil.coefficients
         loads = [pencil.B[free:], E[free:, :free], E[:free, free:].T]
-        return _significant_range(np.linalg.solve(K[free:, free:], np.hstack(loads)))
+        return _select_significant_directions(np.linalg.solve(K[free:, free:], np.hstack(loads)))
     from_rest = task.estimator.static and task.band[0] == 0
     if task.intermediate.static and (from_rest or _has_loaded_port(task)):
-        return _significant_range(response.states(np.zeros(1))[0].real)
+        return _select_significant_directions(response.states(np.zeros(1))[0].real)
     return np.empty((pencil.size, 0))
 
 
-def _weighted_states(
+def _compute_weighted_states(
     task: Task, response: Response, s: np.ndarray, weight: np.ndarray, two_sided: bool
 ) -> list[np.ndarray]:
     """Return the weighted states of the model and, if ``two_sided`` is true, of its dual."""
@@ -170,7 +174,7 @@ def _scale_states(states: np.ndarray, factors: np.ndarray) -> np.ndarray:
     return np.asarray(states * np.tile(np.repeat(factors, inputs), 2))
 
 
-def _energy_basis(pencil: Pencil, omega: float, static: bool) -> np.ndarray:
+def _compute_energy_basis(pencil: Pencil, omega: float, static: bool) -> np.ndarray:
     """Compute coordinates in which the elastic energy is a sum of squares.
 
     If the stiffness matrix is not definite, the dynamic stiffness at ``omega`` [rad/s] is used
@@ -197,18 +201,20 @@ def _orthonormalise(columns: np.ndarray, first: np.ndarray) -> np.ndarray:
     """Return orthonormal vectors: first ``first``, then principal directions of ``columns``."""
     for _ in range(2):  # a single projection would leave rounding errors
         columns = columns - first @ (first.T @ columns)
-    return np.asarray(np.linalg.qr(np.hstack([first, _principal_directions(columns)[0]]))[0])
+    return np.asarray(
+        np.linalg.qr(np.hstack([first, _compute_principal_directions(columns)[0]]))[0]
+    )
 
 
-def _significant_range(columns: np.ndarray) -> np.ndarray:
+def _select_significant_directions(columns: np.ndarray) -> np.ndarray:
     """Return the principal directions of ``columns`` that exceed rounding errors."""
-    U, size = _principal_directions(columns)
+    U, size = _compute_principal_directions(columns)
     return np.asarray(
         U[:, size > SINGULAR_VALUE_LIMIT * max(size.max(initial=0.0), np.finfo(float).tiny)]
     )
 
 
-def _principal_directions(columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _compute_principal_directions(columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Compute the left singular vectors and the singular values of ``columns``."""
     # the triangular factor has the same singular values and fewer rows
     if columns.shape[1] > 2 * columns.shape[0]:

@@ -107,13 +107,13 @@ def weight_states(
         least = MIN_REFERENCE_SHARE[norm] * np.abs(np.einsum("fii->fi", H)).max(axis=0)
         size = np.sqrt(np.maximum(np.abs(np.einsum("fii->fi", complete)), least))
     else:
-        size = _lengths(x, H, complete, norm)
+        size = _compute_lengths(x, H, complete, norm)
     x = x * (weight[:, None] / (size + np.finfo(float).tiny))[:, None, :]
     columns = np.moveaxis(x, 0, 1).reshape(x.shape[1], -1)
     return np.hstack([columns.real, columns.imag])
 
 
-def _lengths(x: np.ndarray, H: np.ndarray, complete: np.ndarray, norm: Norm) -> np.ndarray:
+def _compute_lengths(x: np.ndarray, H: np.ndarray, complete: np.ndarray, norm: Norm) -> np.ndarray:
     """Return the lengths (frequencies, inputs) of the state vectors x, as divisors of x.
 
     H is the response without rigid-body modes, and ``complete`` the response with them. Where

@@ -34,7 +34,7 @@ def require_vectors(value: Any, where: str, shape: tuple[int, int | None]) -> np
     UsageError : the value is not a matrix of this shape, contains numbers that are not real or not
         finite, or has dependent columns.
     """
-    V, (rows, columns) = _matrix(value, where, shape[0]), shape
+    V, (rows, columns) = _require_real_matrix(value, where, shape[0]), shape
     if len(V) != rows or columns not in (None, V.shape[1]):
         expected = f"{rows} rows, one for each coordinate of task.model"
         if columns is not None:
@@ -104,7 +104,7 @@ def improve_condition(V: np.ndarray) -> np.ndarray:
     return np.linalg.qr(V)[0]
 
 
-def _matrix(value: Any, where: str, rows: int) -> np.ndarray:
+def _require_real_matrix(value: Any, where: str, rows: int) -> np.ndarray:
     """Return the vectors as a two-dimensional array of real numbers."""
     expected = f"a real array of {rows} rows, one for each coordinate of task.model"
     try:
