@@ -65,9 +65,9 @@ class Network:
         """Return the part of the network that contains only the laws with these names."""
         joins, results, sweeps = dict[str, tuple[str, ...]](), {}, {}
         for net, pins in self.joins.items():
-            within = tuple(pin for pin in pins if get_law_name(pin) in names)
-            if within:
-                joins[net] = within
+            selected_pins = tuple(pin for pin in pins if get_law_name(pin) in names)
+            if selected_pins:
+                joins[net] = selected_pins
         for name, item in self.results.items():
             if get_law_name(item.waves[0]) in names:
                 results[name] = item

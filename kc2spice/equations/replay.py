@@ -102,10 +102,12 @@ def _make_recorded_source(net: str, kind: str, waves: Waveforms) -> IdealSource:
     # When a contact closes, time points are picoseconds apart, and the differences between them are
     # rounding errors.
     shortest = SHORTEST_INTERVAL * float(np.ptp(times))
-    places = [0]
+    sample_indices = [0]
     for k in range(1, times.size):
-        if times[k] - times[places[-1]] >= shortest:
-            places.append(k)
+        if times[k] - times[sample_indices[-1]] >= shortest:
+            sample_indices.append(k)
     return IdealSource(
-        f"net {net}", SOURCE_KINDS[kind], RecordedWave(times[places], values[places])
+        f"net {net}",
+        SOURCE_KINDS[kind],
+        RecordedWave(times[sample_indices], values[sample_indices]),
     )

@@ -67,9 +67,11 @@ class Interval:
     def compute_energy(self, t: float, z: np.ndarray) -> float:
         """Compute the stored energy [J] of all laws at the time ``t``."""
         X = self.append_sources(t, z)
-        item = zip(self.system.devices, self.device_inputs(t, z), self.modes, strict=True)
-        devices = sum(device.law.energy(e, mode) for device, e, mode in item)
-        return float(X @ self.system.stored @ X + self.system.lifted @ X + devices)
+        devices_with_inputs = zip(
+            self.system.devices, self.device_inputs(t, z), self.modes, strict=True
+        )
+        device_energy = sum(device.law.energy(e, mode) for device, e, mode in devices_with_inputs)
+        return float(X @ self.system.stored @ X + self.system.lifted @ X + device_energy)
 
     def compute_stored_quantities(self, X: np.ndarray) -> np.ndarray:
         """Return the stored quantities ``g``, an array of shape (n, nt)."""
@@ -125,8 +127,12 @@ class Interval:
 
     def compute_guards(self, t: float, z: np.ndarray) -> np.ndarray:
         """Return the guards of all devices in one array, in the sequence of the devices."""
-        item = zip(self.system.devices, self.device_inputs(t, z), self.modes, strict=True)
-        return np.concatenate([np.empty(0), *(d.law.guards(e, mode) for d, e, mode in item)])
+        devices_with_inputs = zip(
+            self.system.devices, self.device_inputs(t, z), self.modes, strict=True
+        )
+        return np.concatenate(
+            [np.empty(0), *(d.law.guards(e, mode) for d, e, mode in devices_with_inputs)]
+        )
 
     def solve_algebraic(self, t: float, z: np.ndarray) -> np.ndarray:
         """Return ``z`` with the algebraic unknowns that solve the algebraic equations."""
@@ -191,14 +197,17 @@ class LimitedTangents:
         """
         X, curved, limited = interval.append_sources(t, z), [], False
         for device, mode in interval.curved:
-            now = device
+            placed_device = device
             if type(device.law).limit_change is not Device.limit_change:
                 e = device.inputs @ X
                 point = device.law.limit_change(e, self.points.get(device, e))
                 self.points[device] = point
                 if np.any(point != e):
-                    now, limited = replace(device, law=_LinearisedLaw(device.law, point)), True
-            curved.append((now, mode))
+                    placed_device, limited = (
+                        replace(device, law=_LinearisedLaw(device.law, point)),
+                        True,
+                    )
+            curved.append((placed_device, mode))
         if limited:
             interval = copy(interval)
             interval.curved = curved
@@ -260,9 +269,9 @@ def solve_dc(system: System, source: str, values: np.ndarray) -> dict[str, np.nd
     """
     z, result = None, []
     for value in np.asarray(values, dtype=float):
-        now = _fix_sources(system, {source: value})
-        z, modes = find_equilibrium(now, z)
-        result.append(_compute_waves(now, z, modes))
+        system_at_value = _fix_sources(system, {source: value})
+        z, modes = find_equilibrium(system_at_value, z)
+        result.append(_compute_waves(system_at_value, z, modes))
     columns = zip(*map(dict.values, result), strict=True)
     swept = dict(zip(result[0], map(np.array, columns), strict=True))
     return {"sweep": np.asarray(values, dtype=float)} | swept
@@ -282,8 +291,8 @@ def _fix_sources(system: System, values: dict[str, float]) -> System:
 
 
 def _compute_waves(system: System, z: np.ndarray, modes: list[Any]) -> dict[str, float]:
-    rest, t = Interval(_fix_sources(system, {}), modes, 0.0), np.zeros(1)
-    waves = rest.waves(t, z[:, None], np.zeros((z.size, 1)))
+    interval, t = Interval(_fix_sources(system, {}), modes, 0.0), np.zeros(1)
+    waves = interval.waves(t, z[:, None], np.zeros((z.size, 1)))
     return {name: float(wave[0]) for name, wave in waves.items()}
 
 
@@ -319,39 +328,46 @@ def find_equilibrium(
 
     Without an initial ``guess``, the first Newton steps follow a motion with strong friction.
     """
-    rest, n = _StaticEquations(system), system.size
+    static_equations, n = _StaticEquations(system), system.size
     z = np.zeros(n) if guess is None else guess.copy()
     z[system.velocity] = 0.0
-    if rest.h.size and guess is None:
-        z = z + np.linalg.lstsq(rest.H, rest.h - rest.H @ z, rcond=None)[0]
-    friction, forces, places = np.zeros((n, n)), system.velocity, system.moved
+    if static_equations.h.size and guess is None:
+        H, h = static_equations.H, static_equations.h
+        z = z + np.linalg.lstsq(H, h - H @ z, rcond=None)[0]
+    friction, forces, moved = np.zeros((n, n)), system.velocity, system.moved
     # in a system without masses, the row of a net's displacement is the force balance of this net
-    if guess is not None and not places.size:
-        forces = places = _find_net_displacements(system)
-    friction[forces, places] = 1.0
+    if guess is not None and not moved.size:
+        forces = moved = _find_net_displacements(system)
+    friction[forces, moved] = 1.0
     # A guess is usually close to the equilibrium, so Newton's method without friction comes first.
     # If Newton's method fails, the steps follow an overdamped motion.
-    pace, direct = (1e-6, 0) if guess is None else (1e13, _MAX_NEWTON_STEPS)
+    pseudo_time_step, direct = (1e-6, 0) if guess is None else (1e13, _MAX_NEWTON_STEPS)
     start, tangents = z, LimitedTangents()
     for count in range(_MAX_ITERATIONS):
         if direct and count == direct:
-            z, pace, tangents = start, 1e-6, LimitedTangents()
-        interval, limited = tangents.linearise(rest.make_interval(z), 0.0, z)
-        f, J = rest.equations(interval, z)
-        step = _compute_newton_step(rest, interval, z, f, J - friction / pace if pace < 1e13 else J)
+            z, pseudo_time_step, tangents = start, 1e-6, LimitedTangents()
+        interval, limited = tangents.linearise(static_equations.make_interval(z), 0.0, z)
+        f, J = static_equations.equations(interval, z)
+        step = _compute_newton_step(
+            static_equations,
+            interval,
+            z,
+            f,
+            J - friction / pseudo_time_step if pseudo_time_step < 1e13 else J,
+        )
         small = np.abs(step).max(initial=0.0) <= 1e-11 * (1e-3 + np.abs(z).max(initial=0.0))
-        if guess is not None and not small and count >= direct and f[forces] @ step[places] < 0.0:
-            pace *= 0.01  # beyond a turning point, a long step would oppose the forces
+        if guess is not None and not small and count >= direct and f[forces] @ step[moved] < 0.0:
+            pseudo_time_step *= 0.01  # beyond a turning point, a long step would oppose the forces
             continue
         z = z + step
         if (
-            pace >= 1e13
+            pseudo_time_step >= 1e13
             and small
             and not limited
             and not np.any(interval.compute_guards(0.0, z) < -1e-18)
         ):
             return _set_initial_speeds(system, z), interval.modes
-        pace = min(10.0 * pace, 1e13)
+        pseudo_time_step = min(10.0 * pseudo_time_step, 1e13)
     raise SimulationError(
         "the search for an equilibrium does not converge",
         where="operating point",
@@ -381,21 +397,21 @@ def _compute_newton_step(
     u, sing, _ = np.linalg.svd(full)
     rank = int((sing > 1e-15 * sing[0]).sum())
     if rank < n + m:
-        idle = u[:, rank:]
-        conserved = (idle[:n] / size[:n, None]).T
-        short = np.abs(idle.T @ right) > 1e-9 * np.abs(right).max(initial=1e-300)
+        null_vectors = u[:, rank:]
+        conserved = (null_vectors[:n] / size[:n, None]).T
+        inconsistent = np.abs(null_vectors.T @ right) > 1e-9 * np.abs(right).max(initial=1e-300)
         stored, slope = interval.at(0.0, z)[0], interval.compute_slopes(0.0, z)[0]
-        add = np.hstack((conserved @ slope, np.zeros((len(conserved), m))))
-        drop = -conserved @ stored
-        level = np.maximum(np.abs(add).max(axis=1), 1e-300)
-        if short.any() and np.abs(right).max() > 1e-12:
+        charge_rows = np.hstack((conserved @ slope, np.zeros((len(conserved), m))))
+        charge_residual = -conserved @ stored
+        level = np.maximum(np.abs(charge_rows).max(axis=1), 1e-300)
+        if inconsistent.any() and np.abs(right).max() > 1e-12:
             raise SimulationError(
                 "a part has no support, so it has no equilibrium",
                 where="operating point",
                 hint="add a support, or set the key position of a mass that starts in flight",
             )
-        full = np.vstack((full, add / level[:, None]))
-        right = np.concatenate((right, drop / level))
+        full = np.vstack((full, charge_rows / level[:, None]))
+        right = np.concatenate((right, charge_residual / level))
     return np.linalg.lstsq(full, right, rcond=1e-15)[0][:n]
 
 

@@ -80,11 +80,11 @@ class _BodyIntegrator:
     def finish_stage(self, e: np.ndarray, second: bool) -> None:
         """Update the states of the body for the device inputs ``e`` at the end of the stage."""
         x, v = self._past
-        now = self._free + self.answers @ self.law.loads(e)
-        self._v = self.rate * (now - x)
+        displacement = self._free + self.answers @ self.law.loads(e)
+        self._v = self.rate * (displacement - x)
         self._a = self.rate * (self._v - v)
         if second:
-            self.x, self.v = now, self._v
+            self.x, self.v = displacement, self._v
 
 
 def _make_solver(pencil: Any, s: float) -> Callable[[np.ndarray], np.ndarray]:
@@ -213,9 +213,9 @@ class _StepIntegrator:
         The device modes become the modes at the end of this step.
         """
         stored = self.make_interval(t).at(t, z)[0]
-        within = t + GAMMA * self.h
-        first = self._solve_stage(within, z, stored, False)
-        inner = self.make_interval(within).at(within, first)[0]
+        stage_time = t + GAMMA * self.h
+        first = self._solve_stage(stage_time, z, stored, False)
+        inner = self.make_interval(stage_time).at(stage_time, first)[0]
         last = self._solve_stage(
             t + self.h, first, stored + (1 - GAMMA) / GAMMA * (inner - stored), True
         )

@@ -202,14 +202,14 @@ class Radau:
     def take_step(self, h: float) -> Step | None:
         """Return a step of length ``h``, or None if Newton's method diverges or overflows."""
         self._factorise(h)
-        still = np.zeros((self.z.size, 3))
+        zero_increments = np.zeros((self.z.size, 3))
         if self.before is None:
-            return self._solve_stages(h, still)
+            return self._solve_stages(h, zero_increments)
         # If the previous step was much shorter, the extrapolation of its polynomial amplifies
         # rounding errors, and an exponential law overflows. The unknowns at the start are then a
         # better initial guess.
         predicted = self.before.at(self.t + h * RADAU_NODES) - self.z[:, None]
-        return self._solve_stages(h, predicted) or self._solve_stages(h, still)
+        return self._solve_stages(h, predicted) or self._solve_stages(h, zero_increments)
 
     @np.errstate(over="ignore", invalid="ignore")
     def _solve_stages(self, h: float, Z: np.ndarray) -> Step | None:
@@ -287,12 +287,14 @@ class Radau:
         sources = p.system.source_values(t, p.within)
         # The error is computed from the stored quantities ``g``. Their derivative ``M`` is not
         # used, because it was computed at an earlier state.
-        late = p.compute_stored_quantities(
+        stage_stores = p.compute_stored_quantities(
             np.concatenate((step.first[:, None] + step.increments, sources))
         )
-        moved = np.where(self.rows, (late - self.g[:, None]) @ _ERROR_COEFFICIENTS / h, 0.0)
+        stored_error = np.where(
+            self.rows, (stage_stores - self.g[:, None]) @ _ERROR_COEFFICIENTS / h, 0.0
+        )
         scale = self.rtol * (1.0 + np.maximum(np.abs(self.z), np.abs(step.last)))
-        error = self._solve_system(self.f + moved, 0)
+        error = self._solve_system(self.f + stored_error, 0)
         return _compute_rms((error / scale)[self.active])
 
 
@@ -366,17 +368,17 @@ class Trajectory:
     def energy(self) -> EnergyBalance:
         """Energy balance of the run, from energies at its start and end, and integrated powers."""
         # for supplied and for lost energies: their sum, and the sum of their magnitudes
-        came, went = np.zeros(2), np.zeros(2)
+        supplied, lost = np.zeros(2), np.zeros(2)
         for segment in self.segments:
             for sums, energies in zip(
-                (came, went), _sum_energies(self.system, segment), strict=True
+                (supplied, lost), _sum_energies(self.system, segment), strict=True
             ):
                 sums += np.sum(energies), np.abs(energies).sum()
         begin, end = self.segments[0], self.segments[-1]
         before = begin.interval.compute_energy(begin.steps[0].start, begin.steps[0].first)
         after = end.interval.compute_energy(end.steps[-1].end, end.steps[-1].last)
-        residual = came[0] - went[0] + before - after
-        return EnergyBalance(float(residual), float(came[1] + went[1] + abs(before)))
+        residual = supplied[0] - lost[0] + before - after
+        return EnergyBalance(float(residual), float(supplied[1] + lost[1] + abs(before)))
 
 
 def solve_transient(
@@ -452,11 +454,11 @@ def _find_triggered_guard(
 
 def _switch_mode(system: System, modes: list[Any], fired: int) -> list[Any]:
     """Return the device modes after the guard with the index ``fired`` fell to zero."""
-    item = zip(system.devices, modes, strict=True)
-    counts = [len(d.law.guards(np.zeros(len(d.inputs)), mode)) for d, mode in item]
+    devices_with_modes = zip(system.devices, modes, strict=True)
+    counts = [len(d.law.guards(np.zeros(len(d.inputs)), mode)) for d, mode in devices_with_modes]
     k = int(np.searchsorted(np.cumsum(counts), fired, side="right"))
-    now = system.devices[k].law.next_mode(modes[k], fired - sum(counts[:k]))
-    return [*modes[:k], now, *modes[k + 1 :]]
+    next_mode = system.devices[k].law.next_mode(modes[k], fired - sum(counts[:k]))
+    return [*modes[:k], next_mode, *modes[k + 1 :]]
 
 
 def _integrate_interval(
@@ -481,9 +483,9 @@ def _integrate_interval(
     while solver.t < end * (1 - 1e-16):
         step, h_next = solver.find_step(min(h or solver.choose_first_step(end), limit), end)
         after = interval.compute_guards(step.end, step.last)
-        wrong = np.flatnonzero((before < 0.0) & (after < before))
-        if wrong.size:
-            return steps, int(wrong[0])
+        still_falling = np.flatnonzero((before < 0.0) & (after < before))
+        if still_falling.size:
+            return steps, int(still_falling[0])
         fell = np.flatnonzero((after < 0.0) & (before >= 0.0))
         step, fired = _locate_zero(interval, solver, step, fell) if fell.size else (step, None)
         inputs = interval.device_inputs(step.end, step.last)
@@ -527,15 +529,15 @@ def _locate_zero(
         rough = Step(t0, h, step.first, stages, step.differential)
         return solver.take_step(h) or rough
 
-    at, guard = min((find_root(int(k)), int(k)) for k in fell)
-    h = max(at - t0, 1e-12 * step.length)  # positive, even if ``at`` is rounded to t0
+    zero_time, guard = min((find_root(int(k)), int(k)) for k in fell)
+    h = max(zero_time - t0, 1e-12 * step.length)  # positive, even if zero_time rounds to t0
     result = shorten_step(h)
     for _ in range(2):  # the polynomial is less accurate than the end of a step
-        miss = float(interval.compute_guards(t0 + h, result.last)[guard])
+        guard_at_end = float(interval.compute_guards(t0 + h, result.last)[guard])
         rate = (guard_value(t0 + h, guard) - guard_value(t0 + 0.999 * h, guard)) / (0.001 * h)
-        if rate >= 0.0 or not 1e-17 <= abs(miss / rate) <= 0.01 * h:
+        if rate >= 0.0 or not 1e-17 <= abs(guard_at_end / rate) <= 0.01 * h:
             break
-        h -= miss / rate
+        h -= guard_at_end / rate
         result = shorten_step(h)
     return result, guard
 
@@ -548,22 +550,22 @@ def _sum_energies(system: System, segment: Segment) -> tuple[list[float], list[f
     """
     interval, steps = segment.interval, segment.steps
     t = np.concatenate([*map(attrgetter("stage_times"), steps)])
-    w = np.outer([*map(attrgetter("length"), steps)], RADAU_WEIGHTS).ravel()
+    weights = np.outer([*map(attrgetter("length"), steps)], RADAU_WEIGHTS).ravel()
     z, r = map(np.hstack, zip(*map(Step.evaluate_stages, steps), strict=True))
     X = interval.append_sources(t, z)
-    came, went = [], []
+    supplied, lost = [], []
     waves = interval.waves(t, z, r) if system.sources else {}
     for source in system.sources:
         if not source.sets_signal:
-            name, what = source.name, ".rate" if source.domain.has_position else ""
-            across = waves[f"{name}.out{what}"] - waves[f"{name}.ret{what}"]
-            came.append(float(-waves[f"{name}.out.through"] * across @ w))
+            name, suffix = source.name, ".rate" if source.domain.has_position else ""
+            across = waves[f"{name}.out{suffix}"] - waves[f"{name}.ret{suffix}"]
+            supplied.append(float(-waves[f"{name}.out.through"] * across @ weights))
     if system.dissipated.any():
-        went.append(float(np.einsum("it,ij,jt,t", X, system.dissipated, X, w, optimize=True)))
+        lost.append(float(np.einsum("it,ij,jt,t", X, system.dissipated, X, weights, optimize=True)))
     for device, mode in zip(system.devices, interval.modes, strict=True):
         law = device.law
         if type(law).loss is not Device.loss:
-            gained = np.array([law.loss(e, mode) for e in (device.inputs @ X).T])
-            went.append(float(np.maximum(gained, 0.0) @ w))
-            came.append(float(-np.minimum(gained, 0.0) @ w))
-    return came, went
+            loss_powers = np.array([law.loss(e, mode) for e in (device.inputs @ X).T])
+            lost.append(float(np.maximum(loss_powers, 0.0) @ weights))
+            supplied.append(float(-np.minimum(loss_powers, 0.0) @ weights))
+    return supplied, lost

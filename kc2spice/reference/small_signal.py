@@ -211,24 +211,24 @@ class LinearisedSystem:
         drives = [reading @ form for form in forms]
         drive = sum(d * rates[:, None] ** j for j, d in enumerate(drives))
         s0 = self.system.source_values(0.0, 0.0)[:k]
-        rest = np.linalg.lstsq(J, -Bs @ s0 - self.system.const, rcond=1e-14)[0]
-        off = (self.z0 - rest)[cols]
+        static_solution = np.linalg.lstsq(J, -Bs @ s0 - self.system.const, rcond=1e-14)[0]
+        deviation = (self.z0 - static_solution)[cols]
         if drifting.size:
             free = drifting @ inverse @ ((Bs - Gs)[rows] - cut @ Bs[~rows])
             scale = np.linalg.norm(inverse @ (Bs - Gs)[rows]) + 1e-300
-            moving = np.linalg.norm(drifting @ off) > _MAX_RIGID_EFFECT * (
+            moving = np.linalg.norm(drifting @ deviation) > _MAX_RIGID_EFFECT * (
                 np.linalg.norm(self.z0) + 1e-300
             )
             if np.abs(free).max(initial=0.0) > _MAX_RIGID_EFFECT * scale or moving:
                 return None
-        level = self.C0[:, : n + k] @ np.concatenate([rest, s0]) + self.system.constant
+        level = self.C0[:, : n + k] @ np.concatenate([static_solution, s0]) + self.system.constant
         static_gains, slope_responses = self._compute_line_responses(motion, rates, shapes, drives)
         return Modes(
             rates,
             out,
             terms,
             np.asarray(drive),
-            reading @ off,
+            reading @ deviation,
             level,
             static_gains,
             slope_responses,
@@ -447,15 +447,15 @@ class ExponentialSolution:
         unit = np.eye(len(self.waves))
         for k, wave in self.sines:
             jw = np.array([2j * np.pi * wave.frequency])
-            answer = self.linear.respond((jw if axis is None else axis(jw))[0], unit[k])[outputs]
-            on = t >= wave.start
-            turned = np.exp(jw[0] * (t - wave.start)) * on
-            y += wave.amplitude * (turned[:, None] * answer).imag
+            response = self.linear.respond((jw if axis is None else axis(jw))[0], unit[k])[outputs]
+            started = t >= wave.start
+            phasor = np.exp(jw[0] * (t - wave.start)) * started
+            y += wave.amplitude * (phasor[:, None] * response).imag
         for first, last, amplitudes in self._list_intervals(moved):
             inside = (t >= first) & (t < last) if last < self.stop else t >= first
             if inside.any():
-                grown = np.exp(np.outer(t[inside] - first, moved))
-                y[inside] += (grown @ (self.modes.out[outputs] * amplitudes).T).real
+                growth = np.exp(np.outer(t[inside] - first, moved))
+                y[inside] += (growth @ (self.modes.out[outputs] * amplitudes).T).real
         return y
 
     def _list_intervals(self, moved: np.ndarray) -> list[tuple[float, float, np.ndarray]]:
@@ -464,20 +464,20 @@ class ExponentialSolution:
         ``moved`` contains the rates (m,) at which the amplitudes change within an interval.
         """
         poles, drive = self.modes.rates, self.modes.drive
-        begun: dict[float, np.ndarray] = {0.0: self.modes.start.astype(complex)}
+        amplitude_jumps: dict[float, np.ndarray] = {0.0: self.modes.start.astype(complex)}
         for t, k, jump in self.kinks:
-            begun[t] = begun.get(t, 0.0) + jump * drive[:, k] / poles**2
+            amplitude_jumps[t] = amplitude_jumps.get(t, 0.0) + jump * drive[:, k] / poles**2
         for k, wave in self.sines:
             w = 2 * np.pi * wave.frequency
-            kick = wave.amplitude * w / (poles**2 + w**2) * drive[:, k]
-            begun[wave.start] = begun.get(wave.start, 0.0) + kick
-        times = sorted(begun)
-        result, now = [], np.zeros(poles.size, dtype=complex)
+            jump_by_sine = wave.amplitude * w / (poles**2 + w**2) * drive[:, k]
+            amplitude_jumps[wave.start] = amplitude_jumps.get(wave.start, 0.0) + jump_by_sine
+        times = sorted(amplitude_jumps)
+        result, amplitudes = [], np.zeros(poles.size, dtype=complex)
         for k, t in enumerate(times):
-            now = now + begun[t]
+            amplitudes = amplitudes + amplitude_jumps[t]
             end = times[k + 1] if k + 1 < len(times) else self.stop
-            result.append((t, end, now))
-            now = now * np.exp(moved * (end - t))
+            result.append((t, end, amplitudes))
+            amplitudes = amplitudes * np.exp(moved * (end - t))
         return result
 
     def find_peak_amplitudes(self) -> np.ndarray:
@@ -514,8 +514,10 @@ class ExponentialSolution:
         corners = self.corners
         outer = np.unique(np.concatenate([corners[:8], corners[-8:]]))
         delays = np.geomspace(0.1 / np.abs(self.modes.rates).max(), self.stop, 120)
-        close = (outer[:, None] + delays).ravel()
-        return np.unique(np.concatenate([spread, close[close <= self.stop]]))
+        times_after_corners = (outer[:, None] + delays).ravel()
+        return np.unique(
+            np.concatenate([spread, times_after_corners[times_after_corners <= self.stop]])
+        )
 
 
 def solve_noise(
@@ -526,11 +528,11 @@ def solve_noise(
     The unit of the density is the unit of the result per root Hz. ``joins`` has the format that
     :func:`kc2spice.reference.system.assemble_system` describes.
     """
-    answering = (
+    noise_laws = (
         L.PortBody(law.name, law.model, law.ports) if isinstance(law, L.SecondOrderBody) else law
         for law in laws
     )
-    system = assemble_system(answering, joins)
+    system = assemble_system(noise_laws, joins)
     point = find_equilibrium(system)
     power = [
         _compute_noise_power(LinearisedSystem(system, s, point), of, s) for s in 2j * np.pi * f

@@ -516,18 +516,18 @@ def _add_body(law: L.SecondOrderBody, into: _Assembly) -> None:
     v = slice(nq + x.start, nq + x.stop)
     (K, E, *inertia), B, C, D = law.model.pencil.coefficients, law.model.B, law.model.C, law.model.D
     M = inertia[0] if inertia else np.zeros_like(E)
-    heat = any(port.kind in L.FLOW_DRIVEN for port in law.ports)
+    is_thermal = any(port.kind in L.FLOW_DRIVEN for port in law.ports)
     into.M[x, v] += M
     into.A[x, x] -= K
     into.A[x, v] -= E
-    motion, volts = np.zeros((C.shape[1], n)), {}
-    motion[:, x] = np.eye(C.shape[1])
-    shaken = {}
+    displacement_forms, voltage_forms = np.zeros((C.shape[1], n)), {}
+    displacement_forms[:, x] = np.eye(C.shape[1])
+    acceleration_forms = {}
     for k, port in enumerate(law.ports):
         if port.kind in L.CHARGE_OUTPUTS:
-            volts[k] = into.subtract_pins(law, port.name, port.ret)
+            voltage_forms[k] = into.subtract_pins(law, port.name, port.ret)
         elif port.kind == ACCELERATION.name:
-            shaken[k] = into.find_form(law, port.name)
+            acceleration_forms[k] = into.find_form(law, port.name)
 
     def direct_form(k: int, forms: Mapping[int, np.ndarray]) -> np.ndarray:
         """Return the contribution of the matrix D to output ``k``."""
@@ -536,11 +536,15 @@ def _add_body(law: L.SecondOrderBody, into: _Assembly) -> None:
     for k, port in enumerate(law.ports):
         if port.kind == ACCELERATION.name:
             into.A[x] += np.outer(B[:, k], into.find_form(law, port.name))
-            into.flows[f"{law.name}.{port.name}"] = (C[k] @ motion, np.zeros(n), 0.0)
+            into.flows[f"{law.name}.{port.name}"] = (C[k] @ displacement_forms, np.zeros(n), 0.0)
         elif port.kind in L.CHARGE_OUTPUTS:
-            into.A[x] += np.outer(B[:, k], volts[k])
-            charge = C[k] @ motion + direct_form(k, volts) + direct_form(k, shaken)
-            into.M += np.outer(volts[k], charge)
+            into.A[x] += np.outer(B[:, k], voltage_forms[k])
+            charge = (
+                C[k] @ displacement_forms
+                + direct_form(k, voltage_forms)
+                + direct_form(k, acceleration_forms)
+            )
+            into.M += np.outer(voltage_forms[k], charge)
             into.flows[f"{law.name}.{port.name}"] = (np.zeros(n), charge, 0.0)
         elif port.name in law.states:  # u = C x + D F; the force F on the part is an unknown
             at = into.state_index[f"{law.name}.{port.name}"]
@@ -548,33 +552,41 @@ def _add_body(law: L.SecondOrderBody, into: _Assembly) -> None:
             into.A[x, at] += B[:, k]
             form = into.subtract_pins(law, port.name, port.ret)
             into.A[:, at] -= form
-            into.A[at] += form - C[k] @ motion
+            into.A[at] += form - C[k] @ displacement_forms
             for j, other in enumerate(law.ports):
                 if D[k, j] and other.name in law.states:
                     into.A[at, into.state_index[f"{law.name}.{other.name}"]] -= D[k, j]
-            for j, form in shaken.items():
+            for j, form in acceleration_forms.items():
                 into.A[at] -= D[k, j] * form
             into.flows[f"{law.name}.{port.name}"] = (force, np.zeros(n), 0.0)
             into.add_energy(
-                *(("dissipated", force, D[k, k]) if heat else ("stored", force, 0.5 * D[k, k]))
+                *(
+                    ("dissipated", force, D[k, k])
+                    if is_thermal
+                    else ("stored", force, 0.5 * D[k, k])
+                )
             )
-    moving = np.zeros((C.shape[1], n))
-    moving[:, v] = np.eye(C.shape[1])
+    velocity_forms = np.zeros((C.shape[1], n))
+    velocity_forms[:, v] = np.eye(C.shape[1])
     for k, port in enumerate(law.ports):
         if port.kind == ACCELERATION.name:  # adds v' B a, the power that the acceleration supplies
             work = np.zeros((C.shape[1] + 1,) * 2)
             work[-1, :-1] = work[:-1, -1] = -0.5 * B[:, k]
-            into.add_energy("dissipated", np.vstack([moving, into.find_form(law, port.name)]), work)
-    if heat:
-        into.add_energy("stored", motion, 0.5 * E)
-        into.add_energy("dissipated", motion, K)
+            into.add_energy(
+                "dissipated", np.vstack([velocity_forms, into.find_form(law, port.name)]), work
+            )
+    if is_thermal:
+        into.add_energy("stored", displacement_forms, 0.5 * E)
+        into.add_energy("dissipated", displacement_forms, K)
         return
-    into.add_energy("stored", motion, 0.5 * K)
-    into.add_energy("stored", moving, 0.5 * M)
-    into.add_energy("dissipated", moving, E)
-    if volts:
-        keys = list(volts)
-        into.add_energy("stored", np.array(list(volts.values())), 0.5 * D[np.ix_(keys, keys)])
+    into.add_energy("stored", displacement_forms, 0.5 * K)
+    into.add_energy("stored", velocity_forms, 0.5 * M)
+    into.add_energy("dissipated", velocity_forms, E)
+    if voltage_forms:
+        keys = list(voltage_forms)
+        into.add_energy(
+            "stored", np.array(list(voltage_forms.values())), 0.5 * D[np.ix_(keys, keys)]
+        )
 
 
 def _add_source(law: L.IdealSource, into: _Assembly) -> None:
@@ -620,9 +632,9 @@ def _add_linear_device(
     law: L.Device, into: _Assembly, inputs: np.ndarray, outputs: np.ndarray
 ) -> None:
     """Add the constant matrices, the energy and the loss of a linear device to the equations."""
-    still = np.zeros(len(inputs))
-    mode = law.mode(still)
-    (out, slope), (_, stored_slope) = law.evaluate(still, mode), law.store(still, mode)
+    zero_inputs = np.zeros(len(inputs))
+    mode = law.mode(zero_inputs)
+    (out, slope), (_, stored_slope) = law.evaluate(zero_inputs, mode), law.store(zero_inputs, mode)
     into.A += outputs @ slope @ inputs
     into.const += outputs @ out
     into.M += into.find_store_rows(law, outputs) @ stored_slope @ inputs

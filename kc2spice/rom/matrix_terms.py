@@ -123,8 +123,10 @@ def find_terms(full: Full, axes: Sequence[ParameterAxis], frame: LinearModel) ->
         largest = np.abs(rows).max(axis=0)
         terms = {}
         for letter in LETTERS:
-            known = [item[letter] for item in samples]
-            terms[letter] = _drop_rounding([sum_products(w, known) for w in weights], largest)
+            sample_matrices = [item[letter] for item in samples]
+            terms[letter] = _drop_rounding(
+                [sum_products(w, sample_matrices) for w in weights], largest
+            )
         active = [bool(E.nnz or K.nnz) for E, K in zip(terms["E"], terms["K"], strict=True)]
         E, K = ([m for m, use in zip(terms[k], active, strict=True) if use] for k in LETTERS)
         return MatrixTerms(tuple(axes), scales, powers[active], tuple(E), tuple(K))
@@ -132,11 +134,11 @@ def find_terms(full: Full, axes: Sequence[ParameterAxis], frame: LinearModel) ->
     def is_exact(terms: MatrixTerms, coordinates: tuple[float, ...]) -> bool:
         """Return whether the sum of the terms equals the full model at these coordinates."""
         pairs = zip(axes, coordinates, strict=True)
-        ours = terms.at({axis.name: axis.value(x) for axis, x in pairs})
+        sum_of_terms = terms.at({axis.name: axis.value(x) for axis, x in pairs})
         for letter, matrix in matrices_at(coordinates).items():
             largest = sum_products(np.ones(len(terms.powers)), map(abs, getattr(terms, letter)))
             limit = EXACT * (largest + abs(matrix))
-            excess = (abs(ours[letter] - matrix) - limit).max()
+            excess = (abs(sum_of_terms[letter] - matrix) - limit).max()
             if excess > NEGLIGIBLE * abs(matrix).max():
                 return False
         return True
@@ -144,10 +146,10 @@ def find_terms(full: Full, axes: Sequence[ParameterAxis], frame: LinearModel) ->
     chosen: list[tuple[int, ...]] = []
     for k, axis in enumerate(axes):
         for powers in POWERS if axis.low else POWERS[:2]:
-            alone: list[tuple[int, ...]] = [(0,)] * len(axes)
-            alone[k] = powers
+            trial_powers: list[tuple[int, ...]] = [(0,)] * len(axes)
+            trial_powers[k] = powers
             place = tuple(CHECKED[0] * (n == k) for n in range(len(axes)))
-            if is_exact(interpolate(alone), place):
+            if is_exact(interpolate(trial_powers), place):
                 chosen.append(powers)
                 break
         else:

@@ -290,13 +290,15 @@ def make_highest_modes_massless(model: Resonators, tolerance: float | None = Non
     for count in range(_count_quasi_static(model, band[1]), 0, -1):
         result = _remove_inertia(model, count)
         error = certificate.error_estimate
-        light = Response(result.linear().pencil)
-        error += estimator.error(light)
+        massless_response = Response(result.linear().pencil)
+        error += estimator.error(massless_response)
         if tolerance is None or error <= tolerance:
             cut = result.omega[result.order - result.massless] / (2 * np.pi)
             method = f"{certificate.method}; no inertia from {cut:.3g} Hz on, measured"
-            more = dict(estimate_errors_above_band(model.ports, exact, light, band))
-            above = tuple((f, before + more.get(f, 0.0)) for f, before in certificate.above)
+            added_errors = dict(
+                estimate_errors_above_band(model.ports, exact, massless_response, band)
+            )
+            above = tuple((f, before + added_errors.get(f, 0.0)) for f, before in certificate.above)
             return replace(
                 result,
                 certificate=replace(certificate, error_estimate=error, method=method, above=above),
@@ -307,16 +309,16 @@ def make_highest_modes_massless(model: Resonators, tolerance: float | None = Non
 def _count_quasi_static(model: Resonators, top: float) -> int:
     """Count the highest modes whose inertia has a negligible effect up to ``top`` [Hz]."""
     moved = [port.moving for port in model.ports]
-    down = np.argsort(model.omega)[::-1]
-    omega, ratio = model.omega[down], 2 * np.pi * top / model.omega[down]
-    share = (model.gain[down][:, moved] / omega[:, None]) ** 2
+    descending = np.argsort(model.omega)[::-1]
+    omega, ratio = model.omega[descending], 2 * np.pi * top / model.omega[descending]
+    share = (model.gain[descending][:, moved] / omega[:, None]) ** 2
     share /= share.sum(axis=0) + np.finfo(float).tiny
-    missing = np.cumsum(share * ratio[:, None] ** 2, axis=0).max(axis=1)
+    omitted_inertia = np.cumsum(share * ratio[:, None] ** 2, axis=0).max(axis=1)
     limit = np.where(
-        model.damp[down] < 2 * MAX_RINGING_RATIO * omega, RINGING_ERROR, MASSLESS_ERROR
+        model.damp[descending] < 2 * MAX_RINGING_RATIO * omega, RINGING_ERROR, MASSLESS_ERROR
     )
-    beyond = np.flatnonzero((missing <= limit) & (MIN_FREQUENCY_RATIO * ratio <= 1))
-    return int(beyond[-1]) + 1 if beyond.size else 0
+    acceptable = np.flatnonzero((omitted_inertia <= limit) & (MIN_FREQUENCY_RATIO * ratio <= 1))
+    return int(acceptable[-1]) + 1 if acceptable.size else 0
 
 
 def _remove_inertia(model: Resonators, count: int) -> Resonators:
@@ -332,13 +334,13 @@ def _remove_inertia(model: Resonators, count: int) -> Resonators:
     low, high = order[:-count], order[-count:]
     omega, damp, gain = model.omega[high], model.damp[high], model.gain[high].copy()
     gain[:, [port.domain is ACCELERATION for port in model.ports]] = 0.0
-    pace = damp / omega**2
-    if np.ptp(pace) <= EQUAL_TIMES_TOLERANCE * pace.max():
+    relaxation_times = damp / omega**2
+    if np.ptp(relaxation_times) <= EQUAL_TIMES_TOLERANCE * relaxation_times.max():
         _, size, shapes = np.linalg.svd(gain / omega[:, None], full_matrices=False)
         significant = size > ZERO_SINGULAR_VALUE * size[0]
         omega = np.full(int(significant.sum()), omega[0])
         damp, gain = (
-            pace[0] * omega**2,
+            relaxation_times[0] * omega**2,
             omega[:, None] * size[significant, None] * shapes[significant],
         )
         gain *= np.sign(gain[np.arange(len(gain)), np.abs(gain).argmax(axis=1)])[:, None]
@@ -374,16 +376,18 @@ def simulate_chip(
     ``z = (x_a - x_b)/(a - b)``. For piecewise linear loads, the formulas are exact at any time step
     h. A mode without inertia has only one state. The chip starts in equilibrium with ``load[0]``.
     """
-    drive, heavy = load @ model.gain.T, model.order - model.massless
+    drive, inertial = load @ model.gain.T, model.order - model.massless
     z = np.empty_like(drive)
-    z[:, :heavy], rate = integrate_modes(
-        model.omega[:heavy], model.damp[:heavy], t, drive[:, :heavy]
+    z[:, :inertial], rate = integrate_modes(
+        model.omega[:inertial], model.damp[:inertial], t, drive[:, :inertial]
     )
-    z[:, heavy:] = drive[:, heavy:] / model.omega[heavy:] ** 2
+    z[:, inertial:] = drive[:, inertial:] / model.omega[inertial:] ** 2
     # undamped massless states respond without delay
-    slow = heavy + np.flatnonzero(model.damp[heavy:])
-    damp = model.damp[slow]
-    z[:, slow] = integrate_roots(-(model.omega[slow] ** 2) / damp, t, drive[:, slow] / damp).real
+    delayed = inertial + np.flatnonzero(model.damp[inertial:])
+    damp = model.damp[delayed]
+    z[:, delayed] = integrate_roots(
+        -(model.omega[delayed] ** 2) / damp, t, drive[:, delayed] / damp
+    ).real
     stored = (rate**2).sum(axis=1) / 2 + ((model.omega * z) ** 2).sum(axis=1) / 2
     stored += np.einsum("nk,kl,nl->n", load, model.D, load) / 2
     return z @ model.gain + load @ model.D, stored
@@ -536,9 +540,9 @@ def fit_foster_network(
         A = np.column_stack([np.ones(len(f)), 1 / (1 + s / rates)]) / target[:, None]
         one = np.r_[np.ones(len(f)), np.zeros(len(f))]
         a = scipy.optimize.nnls(np.concatenate([A.real, A.imag]), one)[0]
-        off = float(np.abs(A @ a - 1).max())
-        if off < best:
-            best, result = off, (a, rates)
+        trial_error = float(np.abs(A @ a - 1).max())
+        if trial_error < best:
+            best, result = trial_error, (a, rates)
         if best <= error:
             break
     return *result, best
@@ -567,7 +571,7 @@ def add_dielectric_loss(model: Resonators, tangent: float) -> Resonators:
     D = model.D[np.ix_(electrical, electrical)]
     motional = np.sum((model.gain[:, electrical] / model.omega[:, None]) ** 2)
     clamped_loss = compute_clamped_tangent(tangent, float(motional / np.trace(D)))
-    amplitude, rates, off = fit_foster_network(
+    amplitude, rates, fit_error = fit_foster_network(
         clamped_loss, known.band_hz, LOSS_ERROR_SHARE * min(tangent, 0.01)
     )
     w, V = np.linalg.eigh(D)
@@ -581,7 +585,7 @@ def add_dielectric_loss(model: Resonators, tangent: float) -> Resonators:
     clamped = model.D.copy()
     clamped[np.ix_(electrical, electrical)] = amplitude[0] * D
     method = f"{known.method}; a loss tangent of {tangent:g} at 1 kHz by {used.sum()} relaxations "
-    method += f"within {off:.1e} of a constant one"
+    method += f"within {fit_error:.1e} of a constant one"
     return replace(
         model,
         omega=np.r_[model.omega, omega],
@@ -589,5 +593,5 @@ def add_dielectric_loss(model: Resonators, tangent: float) -> Resonators:
         gain=np.vstack([model.gain, gain]),
         D=clamped,
         massless=model.massless + len(omega),
-        certificate=replace(known, error_estimate=known.error_estimate + off, method=method),
+        certificate=replace(known, error_estimate=known.error_estimate + fit_error, method=method),
     )

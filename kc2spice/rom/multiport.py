@@ -92,10 +92,10 @@ def fit_multiport(f: np.ndarray, Y: np.ndarray, noise: float, where: str) -> Lin
     one = np.eye(ports)
     S = np.linalg.solve(one + R * Y, one - R * Y)
     model = _convert_to_charges(*_select_fit(f, S, noise, where), R)
-    answer = 2j * np.pi * f[:, None, None] * model.transfer(f)
+    response = 2j * np.pi * f[:, None, None] * model.transfer(f)
     peak = np.abs(Y).max(axis=0)
     # the entry of two ports without coupling is zero, so it is compared with the largest peak
-    deviation = np.abs(answer - Y) / np.where(peak > 0, peak, peak.max())
+    deviation = np.abs(response - Y) / np.where(peak > 0, peak, peak.max())
     worst = np.unravel_index(int(deviation.argmax()), deviation.shape)
     error, at = float(deviation[worst]), float(f[worst[0]])
     rms = float(np.sqrt(np.mean(deviation**2)))
@@ -119,8 +119,8 @@ def _select_fit(f: np.ndarray, S: np.ndarray, noise: float, where: str) -> ABCD:
     """
     fits = _fit_increasing_orders(f, S, noise, where)
     result, least = None, np.inf
-    for left, fit in fits:
-        if left > least:
+    for deviation, fit in fits:
+        if deviation > least:
             break
         model = _fit_passive(fit, f, S)
         if model is None:
@@ -153,7 +153,7 @@ def _fit_increasing_orders(
     skrf = import_optional("skrf", where)
     network = skrf.Network(frequency=skrf.Frequency.from_f(f, unit="hz"), s=S, z0=1.0)
     result: list[tuple[float, ABCD]] = []
-    useless = 0
+    failures = 0
     for poles in range(2, MAX_POLES + 1, 3):
         fit = skrf.vectorFitting.VectorFitting(network)
         fit.max_iterations = FITTING_ITERATIONS
@@ -168,9 +168,11 @@ def _fit_increasing_orders(
         parameters = (2 + poles) + poles + (3 + 2 * poles) * S[0].size
         if result and parameters > MAX_PARAMETER_SHARE * 2 * S.size:
             break
-        least = min((item for item, _ in result), default=np.inf)
-        for reach in MAX_FREQUENCY_RATIOS:
-            model = _realise_state_space(*refine_poles(f, S, np.asarray(fit.poles), reach))
+        previous_deviation = min((item for item, _ in result), default=np.inf)
+        for frequency_ratio in MAX_FREQUENCY_RATIOS:
+            model = _realise_state_space(
+                *refine_poles(f, S, np.asarray(fit.poles), frequency_ratio)
+            )
             if len(model[0]) > MAX_STATES:
                 break
             result.append((_compute_rms_deviation(_compute_transfer(model, f), S), model))
@@ -178,9 +180,14 @@ def _fit_increasing_orders(
                 break
         if len(model[0]) > MAX_STATES:
             break
-        left = min(item for item, _ in result)
-        useless = useless + 1 if left > (1 - MIN_IMPROVEMENT) * least else 0
-        if left < max(NOISE_FACTOR * noise, GOOD_DEVIATION) or useless == MAX_FAILURES:
+        smallest_deviation = min(item for item, _ in result)
+        failures = (
+            failures + 1 if smallest_deviation > (1 - MIN_IMPROVEMENT) * previous_deviation else 0
+        )
+        if (
+            smallest_deviation < max(NOISE_FACTOR * noise, GOOD_DEVIATION)
+            or failures == MAX_FAILURES
+        ):
             break
     return sorted(result, key=lambda item: item[0])
 
@@ -260,12 +267,12 @@ def _fit_passive(fit: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None:
         return None
     if is_passive(*fit):
         return fit
-    tried = [
+    candidates = [
         _scale_to_passive(model)
         for model in (fit, _enforce_passivity(fit, f, S))
         if model is not None
     ]
-    models = [model for model in tried if model is not None]
+    models = [model for model in candidates if model is not None]
     return min(
         models,
         key=lambda model: _compute_rms_deviation(_compute_transfer(model, f), S),
@@ -317,14 +324,16 @@ def refine_poles(
     s, real = 2j * np.pi * f / top, np.abs(poles.imag) == 0
     step = float(np.median(np.diff(f))) / float(f[-1])
     # mask of the imaginary parts
-    turning = np.arange(len(poles) + int(np.sum(~real))) >= len(poles)
-    least = np.log(np.where(turning, max(f[0] / f[-1], step), MIN_DECAY_RATIO * step))
-    most = np.log(np.where(turning, highest, MAX_DECAY_RATIO))
+    is_imaginary_part = np.arange(len(poles) + int(np.sum(~real))) >= len(poles)
+    lower_bounds = np.log(
+        np.where(is_imaginary_part, max(f[0] / f[-1], step), MIN_DECAY_RATIO * step)
+    )
+    upper_bounds = np.log(np.where(is_imaginary_part, highest, MAX_DECAY_RATIO))
     parts = np.r_[np.abs(poles.real), poles.imag[~real]] / top
     start = np.clip(
-        np.log(np.maximum(parts, np.exp(least))),
-        least + BOUND_DISTANCE / 4,
-        most - BOUND_DISTANCE / 4,
+        np.log(np.maximum(parts, np.exp(lower_bounds))),
+        lower_bounds + BOUND_DISTANCE / 4,
+        upper_bounds - BOUND_DISTANCE / 4,
     )
     target = S.reshape(len(f), -1)
     target = np.concatenate([target.real, target.imag])
@@ -362,7 +371,7 @@ def refine_poles(
         residual,
         start,
         slopes,
-        bounds=(least, most),
+        bounds=(lower_bounds, upper_bounds),
         x_scale="jac",
         xtol=1e-10,
         ftol=1e-10,

@@ -352,12 +352,12 @@ def _compute_modes_and_static_responses(pencil: Pencil, band: tuple[float, float
     square = 0.0 if pencil.factorised else -((top / 3) ** 2)
     inverse = pencil.pencil_solver(square)
     _, V = compute_natural_modes(pencil, MODE_BAND_RATIO * top, square, inverse)
-    still = inverse.solve(pencil.B)
+    static_responses = inverse.solve(pencil.B)
     # the basis also contains the derivative of the response with respect to s^2
-    still = np.column_stack([still, inverse.solve(M @ still)])
+    static_responses = np.column_stack([static_responses, inverse.solve(M @ static_responses)])
     for _ in range(2):
-        still = still - V @ (V.T @ (M @ still))
-    return np.column_stack([V, still])
+        static_responses = static_responses - V @ (V.T @ (M @ static_responses))
+    return np.column_stack([V, static_responses])
 
 
 def _orthonormalise(columns: Sequence[np.ndarray], M: Matrix) -> np.ndarray:

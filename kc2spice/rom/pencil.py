@@ -547,8 +547,8 @@ class Pencil:
         full = self.coefficients if self.is_dense else self.dense().coefficients
         sizes = list(map(largest_entry, full))
         if omega is None:
-            tops = sizes[0] / sizes[-1] if sizes[0] and sizes[-1] else 1.0
-            omega = float(tops ** (1 / self.degree))
+            ratio = sizes[0] / sizes[-1] if sizes[0] and sizes[-1] else 1.0
+            omega = float(ratio ** (1 / self.degree))
         scale = 1 / max([omega**k * size for k, size in enumerate(sizes)] + [np.finfo(float).tiny])
         parts = tuple(scale * omega**k * P for k, P in enumerate(full))
         rest, inertia = first_order(Pencil(parts, self.B, self.C, self.D), 1.0).coefficients
@@ -630,8 +630,8 @@ def detect_rayleigh(pencil: Pencil) -> Pencil:
     gram = [[float((P * Q).sum()) for Q in basis] for P in basis]
     result = np.linalg.lstsq(gram, [float((P * E).sum()) for P in basis], rcond=None)[0]
     result = np.where(np.abs(result) > EQUALITY_TOLERANCE * largest_entry(E), result, 0.0)
-    rest = E - result[0] * basis[0] - result[1] * basis[1]
-    if (result < 0).any() or largest_entry(rest) > EQUALITY_TOLERANCE * largest_entry(E):
+    remainder = E - result[0] * basis[0] - result[1] * basis[1]
+    if (result < 0).any() or largest_entry(remainder) > EQUALITY_TOLERANCE * largest_entry(E):
         return pencil
     rayleigh = float(result[0] / largest_entry(M)), float(result[1] / largest_entry(K))
     return replace(pencil, rayleigh=rayleigh)
@@ -647,10 +647,10 @@ def eliminate_massless(pencil: Pencil) -> Pencil:
     rest, *others = pencil.coefficients
     if isinstance(rest, Schur) or pencil.rayleigh is not None or pencil.size < 2:
         return pencil
-    free = ~mask_unknowns_with_entries(others)
-    if not free.any() or free.all():
+    massless = ~mask_unknowns_with_entries(others)
+    if not massless.any() or massless.all():
         return pencil
-    keep, p = np.flatnonzero(~free), np.flatnonzero(free)
+    keep, p = np.flatnonzero(~massless), np.flatnonzero(massless)
     rest = scipy.sparse.csc_array(rest)
     blocks = [
         scipy.sparse.csc_array(rest[i][:, j])
@@ -661,8 +661,10 @@ def eliminate_massless(pencil: Pencil) -> Pencil:
         return pencil
     try:
         lift = schur.inner.solve(pencil.B[p])
-        turned = factorise_two_sided(blocks[3], symmetric=is_equal(blocks[3], blocks[3].T))[1]
-        back = turned.solve(pencil.C[:, p].T)
+        transposed_factor = factorise_two_sided(
+            blocks[3], symmetric=is_equal(blocks[3], blocks[3].T)
+        )[1]
+        back = transposed_factor.solve(pencil.C[:, p].T)
     except SimulationError:
         return pencil
     B = pencil.B[keep] - schur.up @ lift

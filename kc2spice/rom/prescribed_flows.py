@@ -106,10 +106,10 @@ class FlowReference:
         ``parts`` is the division of the reduced model. The error includes the uncertainty of the
         reference.
         """
-        ours = _compute_response(model, parts, self.frequency)
+        response = _compute_response(model, parts, self.frequency)
         base = Entries.of(self.response).base(self.response, self.share)
-        apart = np.maximum(np.abs(ours - self.response) - self.rounding, 0.0)
-        relative = apart / (base + np.finfo(float).tiny)
+        difference = np.maximum(np.abs(response - self.response) - self.rounding, 0.0)
+        relative = difference / (base + np.finfo(float).tiny)
         return float(relative.max(initial=0.0)) + self.uncertainty
 
 
@@ -132,8 +132,8 @@ def _project_on_responses(
     inner = parts.inner
     K, E = (W.T @ (matrix @ W) for matrix in inner.pencil.coefficients)
     inside = LinearModel(E=E, K=K, B=W.T @ inner.B, ports=inner.ports)
-    first, rest = np.arange(n), np.arange(n, V.shape[1])
-    divided = replace(parts, at=first, others=rest, psi=W.T @ parts.psi, inner=inside)
+    first, other_indices = np.arange(n), np.arange(n, V.shape[1])
+    divided = replace(parts, at=first, others=other_indices, psi=W.T @ parts.psi, inner=inside)
     return small, divided, space.error
 
 
@@ -157,13 +157,16 @@ def _compute_response(
     for s in 2j * np.pi * frequency:
         coupling = K_ei + s * E_ei
         X = _solve_linear_system(K_ee + s * E_ee, np.hstack([-coupling, b, -s * c]))
-        cold, by_flow, lag = np.split(X, [len(at), len(at) + count], axis=1)
+        dynamic_response, by_flow, deviation = np.split(X, [len(at), len(at) + count], axis=1)
         inner = b.T @ by_flow
-        flows, warm = K_ii + s * E_ii + coupling.T @ cold, direct + b.T @ cold
+        flows, temperatures = (
+            K_ii + s * E_ii + coupling.T @ dynamic_response,
+            direct + b.T @ dynamic_response,
+        )
         if np.abs(s * parts.stored).max(initial=0.0) < np.abs(K_ii).max(initial=0.0):
-            flows = parts.conductance + s * (parts.stored + c.T @ lag)
-            warm = parts.shares + b.T @ lag
-        result.append(np.block([[flows, -warm.T], [warm, inner]]))
+            flows = parts.conductance + s * (parts.stored + c.T @ deviation)
+            temperatures = parts.shares + b.T @ deviation
+        result.append(np.block([[flows, -temperatures.T], [temperatures, inner]]))
     return np.array(result)
 
 

@@ -357,14 +357,14 @@ class Reduction:
         UsageError : the model is not strictly stable, or the intermediate model has more than 2000
             states.
         """
-        values = compute_hankel_singular_values(self._task)
-        if values is None:
+        singular_values = compute_hankel_singular_values(self._task)
+        if singular_values is None:
             raise UsageError(
                 "this model has no Hankel singular values",
                 where=self.model.name,
                 expected="a model whose poles all decay, with a static response",
             )
-        return values
+        return singular_values
 
     def reduce(
         self,

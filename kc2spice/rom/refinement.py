@@ -99,20 +99,20 @@ def fit_relaxations(basis: ReducedBasis, order: int, tolerance: float) -> tuple[
     H, base = estimator.exact.transfer(s), estimator.reference[1].peak + np.finfo(float).tiny
     best, sufficient = (basis, order), SUFFICIENT_RATIO * tolerance / SAFETY_FACTOR
     origin = f"{basis.origin}fitted rates and gains; "
-    for fewer in range(order - 1, 0, -1):
-        if fewer * (1 + ports) > MAX_FIT_PARAMETERS:
+    for trial_order in range(order - 1, 0, -1):
+        if trial_order * (1 + ports) > MAX_FIT_PARAMETERS:
             break
-        rates, T = scipy.linalg.eigh(*basis.pencil.leading_model(fewer).coefficients)
+        rates, T = scipy.linalg.eigh(*basis.pencil.leading_model(trial_order).coefficients)
         if rates[0] <= 0:
             break
-        start = rates, T.T @ basis.pencil.B[:fewer]
+        start = rates, T.T @ basis.pencil.B[:trial_order]
         rates, gains, error = fit_minimax(*start, s, H - basis.pencil.D, base, sufficient)
-        parts = np.diag(rates), np.eye(fewer)
+        parts = np.diag(rates), np.eye(trial_order)
         pencil = Pencil(parts, gains, gains.T.copy(), basis.pencil.D)
         trial = replace(basis, pencil=pencil, origin=origin, vectors=None)
-        if error > sufficient or not trial.is_acceptable(fewer, tolerance):
+        if error > sufficient or not trial.is_acceptable(trial_order, tolerance):
             break
-        best = trial, fewer
+        best = trial, trial_order
     return best
 
 

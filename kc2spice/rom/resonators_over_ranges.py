@@ -202,9 +202,10 @@ def _reduce_and_check(task: RangeTask) -> tuple[ResonatorsOverRanges, float]:
         dense_model = reduce_over_parameters(
             task.full, axes, band, degree=degree, progress=task.progress
         )
-        draws = sobol.random(FULL_CHECKS) * 2 - 1
+        random_points = sobol.random(FULL_CHECKS) * 2 - 1
         points = [
-            _compute_values_at(dense_model.parameter_axes, x) for x in (*draws, np.sign(draws[0]))
+            _compute_values_at(dense_model.parameter_axes, x)
+            for x in (*random_points, np.sign(random_points[0]))
         ]
         checks = []
         for k, values in enumerate(points):
@@ -340,9 +341,9 @@ def _yield_check_points(
     The points are the middle of the ranges, all corners, and random points.
     """
     count = len(dense_model.parameter_axes)
-    draws = scipy.stats.qmc.Sobol(count, seed=3).random(CHECK_POINTS) * 2 - 1
+    random_points = scipy.stats.qmc.Sobol(count, seed=3).random(CHECK_POINTS) * 2 - 1
     corners = sorted(product((1.0, -1.0), repeat=count), key=lambda x: abs(sum(x)), reverse=True)
-    for x in (np.zeros(count), *map(np.array, corners), *draws):
+    for x in (np.zeros(count), *map(np.array, corners), *random_points):
         response = Response(
             dense_model.at(_compute_values_at(dense_model.parameter_axes, x)).pencil
         )
@@ -501,8 +502,8 @@ class _ReducedSpace:
         result is None if the mode shapes of a block do not change smoothly.
         """
         modes, dense_model = self.modes, self.modes.dense_model
-        apart = np.log(self.w2[:, 1:] / self.w2[:, :-1]).min(axis=0) > gap
-        ends = [0, *(np.flatnonzero(apart) + 1), self.w2.shape[1]]
+        separated = np.log(self.w2[:, 1:] / self.w2[:, :-1]).min(axis=0) > gap
+        ends = [0, *(np.flatnonzero(separated) + 1), self.w2.shape[1]]
         result = [self._make_block(int(a), int(b)) for a, b in pairwise(ends)]
         if any(block is None for block in result):
             return None
@@ -512,7 +513,7 @@ class _ReducedSpace:
         exponents = list_exponents(modes.axes, degree)
         fit = np.linalg.pinv(polynomials(modes.grid, exponents))
         ratio = min(_find_least_damping_ratio(p, modes.band) for p in modes.points)
-        fine = (
+        resolution = (
             COEFFICIENT_RESOLUTION
             * tolerance
             * (NOTCH_RESOLUTION if len(dense_model.frame.ports) > 1 else 1.0)
@@ -531,11 +532,13 @@ class _ReducedSpace:
             pivots = np.diagonal(L, axis1=1, axis2=2)
             rows = slice(at, at + K.shape[1])
             at += K.shape[1]
-            below[:, rows, rows] = round_coefficients(np.tril(L, -1), fine * ratio * pivots.min())
-            diagonal.append(round_coefficients(np.log(pivots), fine * ratio))
+            below[:, rows, rows] = round_coefficients(
+                np.tril(L, -1), resolution * ratio * pivots.min()
+            )
+            diagonal.append(round_coefficients(np.log(pivots), resolution * ratio))
             gain.append(
                 round_coefficients(
-                    g, fine * np.minimum(np.abs(g).max(axis=(0, 1)) + ZERO_GAIN * port, port)
+                    g, resolution * np.minimum(np.abs(g).max(axis=(0, 1)) + ZERO_GAIN * port, port)
                 )
             )
         electrical = [k for k, item in enumerate(dense_model.frame.ports) if item.electrical]
@@ -556,11 +559,11 @@ class _ReducedSpace:
             diagonal=np.hstack(diagonal),
             below=below,
             gain=np.concatenate(gain, axis=1),
-            capacitance=round_coefficients(np.log(pivots), fine),
+            capacitance=round_coefficients(np.log(pivots), resolution),
             shared=round_coefficients(
-                np.tril(F, -1), fine * (pivots.min() if pivots.size else 1.0)
+                np.tril(F, -1), resolution * (pivots.min() if pivots.size else 1.0)
             ),
-            rayleigh=round_coefficients(np.log(np.where(damped, damping, 1.0)), fine),
+            rayleigh=round_coefficients(np.log(np.where(damped, damping, 1.0)), resolution),
             damped=(bool(damped[:, 0].all()), bool(damped[:, 1].all())),
             facts=facts,
             name=dense_model.frame.name,

@@ -75,8 +75,8 @@ class Response:
     @cached_property
     def modes(self) -> Modes | None:
         """Decoupled coordinates ``(T, L, diagonals)``, or None if they do not exist."""
-        pays = MIN_UNKNOWNS < self.core.size <= MAX_STATES / self.core.degree
-        return self._decoupling or (_compute_eigenvectors(self.core) if pays else None)
+        use_eigenvectors = MIN_UNKNOWNS < self.core.size <= MAX_STATES / self.core.degree
+        return self._decoupling or (_compute_eigenvectors(self.core) if use_eigenvectors else None)
 
     @cached_property
     def dual(self) -> Response:

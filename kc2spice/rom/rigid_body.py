@@ -164,8 +164,8 @@ def _select_zero_energy_motions(
     if not X.size or not is_symmetric(K):
         return X
     energy = np.asarray(ExactMatrix(X.T) @ (ExactMatrix(K) @ X), dtype=float)
-    turn, size, _ = np.linalg.svd(energy)
-    X = X @ turn
+    rotation, size, _ = np.linalg.svd(energy)
+    X = X @ rotation
     noise = (
         ENERGY_FACTOR * estimate_energy_rounding(K, X)
         if rounding is None
@@ -204,8 +204,8 @@ def find_hidden_support(pencil: Pencil, X: np.ndarray, low: float) -> float:
     exact = np.asarray(X, dtype=np.longdouble)
     force = np.zeros(exact.shape, dtype=np.longdouble)
     np.add.at(force, i, value.astype(np.longdouble)[:, None] * exact[j])
-    turn, size, _ = np.linalg.svd(np.asarray(exact.T @ force, dtype=float))
-    X = X @ turn
+    rotation, size, _ = np.linalg.svd(np.asarray(exact.T @ force, dtype=float))
+    X = X @ rotation
     random = np.diag(estimate_energy_rounding(K, X))
     mass = np.einsum("ij,ij->j", X, M @ X)
     if not (mass > 0).all():
@@ -234,8 +234,8 @@ def _select_driven(pencil: Pencil, X: np.ndarray, rounding: Rounding) -> np.ndar
     modes.
     """
     *between, inertia = pencil.coefficients
-    slowed = not all(_is_force_free(P, X, R) for P, R in zip(between, rounding, strict=False))
-    if slowed or not pencil.collocated:
+    damped = not all(_is_force_free(P, X, R) for P, R in zip(between, rounding, strict=False))
+    if damped or not pencil.collocated:
         return X
     X = X @ np.linalg.inv(np.linalg.cholesky(X.T @ inertia @ X)).T
     U, size, _ = np.linalg.svd(X.T @ pencil.B)
@@ -243,9 +243,9 @@ def _select_driven(pencil: Pencil, X: np.ndarray, rounding: Rounding) -> np.ndar
     momenta *= np.sqrt(largest_entry(K)) / largest_entry(momenta)
     # Rounding errors of K mix the driven modes with modes that no input drives. The limit for
     # driven modes is therefore computed from the response to the inputs.
-    answer = np.linalg.solve(K + momenta @ momenta.T, pencil.B)
+    response = np.linalg.solve(K + momenta @ momenta.T, pencil.B)
     input_rounding = ROUNDING_FACTOR * np.finfo(float).eps * pencil.size * np.abs(pencil.B)
-    noise = np.abs(X.T) @ (input_rounding + rounding[0] @ np.abs(answer))
+    noise = np.abs(X.T) @ (input_rounding + rounding[0] @ np.abs(response))
     moved = int((size > largest_entry(noise)).sum())
     return np.asarray(X @ U[:, :moved])
 
@@ -327,11 +327,11 @@ def _order_chains(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     A, Q, start = A.copy(), np.eye(len(A)), 0
     while start < len(A):
         _, size, Vt = np.linalg.svd(A[start:, start:])
-        still = int((size <= CHAIN_RATE_RATIO * max(1.0, size[0])).sum())
-        if not still:
+        constant = int((size <= CHAIN_RATE_RATIO * max(1.0, size[0])).sum())
+        if not constant:
             break
-        turn = scipy.linalg.block_diag(np.eye(start), np.roll(Vt, still, axis=0).T)
-        A, Q = turn.T @ A @ turn, Q @ turn
-        A[start:, start : start + still] = 0.0
-        start += still
+        rotation = scipy.linalg.block_diag(np.eye(start), np.roll(Vt, constant, axis=0).T)
+        A, Q = rotation.T @ A @ rotation, Q @ rotation
+        A[start:, start : start + constant] = 0.0
+        start += constant
     return A, Q

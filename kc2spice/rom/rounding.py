@@ -97,20 +97,22 @@ def find_zero_entries(
         return False
     x = response.states(2j * np.pi * f)
     H = response.pencil.C @ x + response.pencil.D
-    faint = response.entries(f, H).negligible(H)
-    suspect = (faint[: len(f) - len(peaks)].mean(axis=0) > ZERO_SHARE) & ~faint.all(axis=0)
+    negligible = response.entries(f, H).negligible(H)
+    suspect = (negligible[: len(f) - len(peaks)].mean(axis=0) > ZERO_SHARE) & ~negligible.all(
+        axis=0
+    )
     if suspect.any():
-        rows = np.flatnonzero((~faint & suspect).any(axis=(1, 2)))
-        both = pencil.symmetric and pencil.collocated
+        rows = np.flatnonzero((~negligible & suspect).any(axis=(1, 2)))
+        self_dual = pencil.symmetric and pencil.collocated
         dual = (
             None
-            if both or not pencil.is_dense
+            if self_dual or not pencil.is_dense
             else pencil.transposed().states(2j * np.pi * f[rows])
         )
-        if both or dual is not None:
+        if self_dual or dual is not None:
             limit = ENERGY_ROUNDING * estimate_rounding_change(pencil, f[rows], V @ x[rows], dual)
-            faint[rows] |= (np.abs(H[rows]) <= limit) & suspect
-    return np.asarray(faint.all(axis=0))
+            negligible[rows] |= (np.abs(H[rows]) <= limit) & suspect
+    return np.asarray(negligible.all(axis=0))
 
 
 def describe_uncertainty(at: np.ndarray, size: np.ndarray, tolerance: float) -> str:
@@ -168,13 +170,13 @@ def add_rounding_floor(
     H = exact.transfer(2j * np.pi * points)
     entries = exact.entries(np.union1d(points, grid(band, 50, False)))
     rng = np.random.default_rng(0)
-    apart = 0.0
+    largest_change = 0.0
     for t in rng.uniform(1.0, 2.0, (RANDOM_TRIALS, pencil.size)):
-        again = Response(pencil.in_units(t).project(V / t[:, None]))
-        size = relative_size(again.transfer(2j * np.pi * points) - H, H, entries)
+        scaled_response = Response(pencil.in_units(t).project(V / t[:, None]))
+        size = relative_size(scaled_response.transfer(2j * np.pi * points) - H, H, entries)
         size[:, exact.cancelled_entries(2j * np.pi * points) & ~entries.zero] = 0.0
-        apart = max(apart, TRIAL_FACTOR * float(size.max()))
-        if apart < NEGLIGIBLE_SHARE * target:
+        largest_change = max(largest_change, TRIAL_FACTOR * float(size.max()))
+        if largest_change < NEGLIGIBLE_SHARE * target:
             break
-    proof = f"{model.proof}, and rounding changes it by {apart:.0e}"
-    return replace(model, floor=max(model.floor, apart), proof=proof)
+    proof = f"{model.proof}, and rounding changes it by {largest_change:.0e}"
+    return replace(model, floor=max(model.floor, largest_change), proof=proof)

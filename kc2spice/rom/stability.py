@@ -213,9 +213,9 @@ def _is_factorisable(matrix: Matrix, order: np.ndarray | None = None) -> bool:
     if matrix.shape[0] > MAX_FACTORED_UNKNOWNS and _lanczos_is_positive(scaled, empty, spread):
         return True
     shift = NEGATIVE_ROUNDING * spread
-    lift = scipy.sparse.diags_array(np.where(empty, 1.0, shift))
+    added_diagonal = scipy.sparse.diags_array(np.where(empty, 1.0, shift))
     try:
-        factorise(scipy.sparse.csc_array(scaled + lift), definite=True, order=order)
+        factorise(scipy.sparse.csc_array(scaled + added_diagonal), definite=True, order=order)
     except SimulationError:
         return False
     return True

@@ -114,8 +114,8 @@ def _eliminate_static(pencil: Pencil) -> Pencil:
     none = mass <= MASSLESS * mass[-1]
     damping = V[:, none].T @ E @ V[:, none]
     size, U = scipy.linalg.eigh(0.5 * (damping + damping.T))
-    still = np.abs(size) <= MASSLESS * max(largest_entry(E), np.finfo(float).tiny)
-    light, static = V[:, none] @ U[:, ~still], V[:, none] @ U[:, still]
+    undamped = np.abs(size) <= MASSLESS * max(largest_entry(E), np.finfo(float).tiny)
+    light, static = V[:, none] @ U[:, ~undamped], V[:, none] @ U[:, undamped]
     if max(largest_entry(E @ static), largest_entry(E.T @ static)) > COUPLING * largest_entry(E):
         raise _make_improper_error("massless coordinates are coupled by damping alone")
     T, r = np.hstack([V[:, ~none], light, static]), len(M) - static.shape[1]

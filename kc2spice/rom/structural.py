@@ -90,24 +90,24 @@ def approximate_causally(
         if error <= tolerance:
             break
         trial = search.with_relaxations(rates, tolerance)
-        fewer = search.error(trial)
-        if fewer < MAX_ERROR_RATIO * error:
-            modes, error = trial, fewer
+        trial_error = search.error(trial)
+        if trial_error < MAX_ERROR_RATIO * error:
+            modes, error = trial, trial_error
     result, known = search.model(modes), search.small.certificate
     assert known is not None
-    answer = prove_stability(result.pencil, band)
-    inner = sum(mode.rates.size for mode in modes)
-    apart = search.deviation(modes)
-    added = f" and {inner} relaxations" if inner else ""
+    proof = prove_stability(result.pencil, band)
+    relaxation_count = sum(mode.rates.size for mode in modes)
+    difference = search.deviation(modes)
+    added = f" and {relaxation_count} relaxations" if relaxation_count else ""
     method = (
         f"{known.method}; structural damping{_describe_loss(model)} by viscous damping of each mode"
-        f"{added}, which differs by {apart:.1e}"
+        f"{added}, which differs by {difference:.1e}"
     )
     estimate = max(error, SAFETY_FACTOR * search.verified_error(result))
     if estimate > tolerance:
         warnings.warn(
             f"structural damping{_describe_loss(model)} at all frequencies is not causal: the "
-            f"nearest passive model differs by {apart:.2g}, more than the tolerance of "
+            f"nearest passive model differs by {difference:.2g}, more than the tolerance of "
             f"{tolerance:g}",
             stacklevel=4,
         )
@@ -115,8 +115,8 @@ def approximate_causally(
         known,
         error_estimate=estimate,
         method=method,
-        stable=answer.stable if known.stable else known.stable,
-        passive=known.passive and answer.passive,
+        stable=proof.stable if known.stable else known.stable,
+        passive=known.passive and proof.passive,
     )
     return replace(result, certificate=certificate)
 
@@ -255,10 +255,10 @@ class _Search:
     def deviation(self, modes: Sequence[Oscillator]) -> float:
         """Return the largest relative error of ``modes`` with respect to structural damping."""
         frequency, exact = self._comparison_response(modes)
-        ours = self.model(modes).transfer(frequency)
+        response = self.model(modes).transfer(frequency)
         return float(
             Entries.of(exact)
-            .relative_sizes(ours - exact, exact, get_reference_share(self.norm))
+            .relative_sizes(response - exact, exact, get_reference_share(self.norm))
             .max()
         )
 
@@ -277,10 +277,10 @@ class _Search:
         ]
         full = self.full.transfer(frequencies)
         entries = Entries.of(self._comparison_response(self.dashpot_modes)[1])
-        off = entries.relative_sizes(
+        errors = entries.relative_sizes(
             result.transfer(frequencies) - full, full, get_reference_share(self.norm)
         )
-        return float(off.max())
+        return float(errors.max())
 
     def _comparison_response(self, modes: Sequence[Oscillator]) -> tuple[np.ndarray, np.ndarray]:
         """Return frequencies [Hz] for comparisons, and the response with structural damping.
@@ -381,24 +381,27 @@ def reduce_to_first_order(
     K, E, _ = pencil.coefficients
     if isinstance(K, Schur) or not is_semidefinite(E) or _is_singular(E):
         return reduced_model
-    light = LinearModel(
+    massless_model = LinearModel(
         A=-K, E=E, B=pencil.B, C=pencil.C, D=pencil.D, ports=model.ports, name=model.name
     )
     frequency = grid(known.band_hz, DIRECT_SOLUTIONS, False)
     try:
-        exact, ours = model.transfer(frequency), light.transfer(frequency)
+        exact, massless_response = model.transfer(frequency), massless_model.transfer(frequency)
     except SimulationError:
         return reduced_model
     share = get_reference_share(norm)
-    mass = SAFETY_FACTOR * float(Entries.of(exact).relative_sizes(ours - exact, exact, share).max())
-    if mass > MASSLESS_SHARE * tolerance:
+    inertia_error = SAFETY_FACTOR * float(
+        Entries.of(exact).relative_sizes(massless_response - exact, exact, share).max()
+    )
+    if inertia_error > MASSLESS_SHARE * tolerance:
         return reduced_model
-    small = reduced(light, tolerance - mass, known.band_hz)
+    small = reduced(massless_model, tolerance - inertia_error, known.band_hz)
     certificate = small.certificate
     if certificate is None or small.order >= states or not certificate.passive:
         return reduced_model
-    method = f"{certificate.method}; without inertia, which changes the response by {mass:.1e}"
-    error = certificate.error_estimate + mass
+    method = f"{certificate.method}; without inertia, which changes the response by "
+    method += f"{inertia_error:.1e}"
+    error = certificate.error_estimate + inertia_error
     return replace(
         small,
         certificate=replace(certificate, error_estimate=error, method=method),

@@ -180,9 +180,9 @@ def _fit_amplitudes(
     A = columns * (weight / target)[:, None]
     target_rows = np.concatenate([weight, np.zeros(f.size)])
     amplitudes = scipy.optimize.nnls(np.concatenate([A.real, A.imag]), target_rows)[0]
-    used = amplitudes[1:] > 0
+    nonzero = amplitudes[1:] > 0
     error = float(np.abs(columns @ amplitudes / target - 1).max())
-    return RelaxingStiffness(float(amplitudes[0]), amplitudes[1:][used], rates[used], error)
+    return RelaxingStiffness(float(amplitudes[0]), amplitudes[1:][nonzero], rates[nonzero], error)
 
 
 def add_structural_damping(model: LinearModel, stiffness: RelaxingStiffness) -> LinearModel:

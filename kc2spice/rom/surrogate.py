@@ -59,4 +59,6 @@ def _estimate_solution_rounding(pencil: Pencil, frequency: float, exact: np.ndar
     """
     rng, s = np.random.default_rng(0), np.array([2j * np.pi * frequency])
     trials = map(pencil.in_units, rng.uniform(1.0, 2.0, (RANDOM_TRIALS, pencil.size)))
-    return TRIAL_FACTOR * max(relative_error(again.transfer(s), exact[None]) for again in trials)
+    return TRIAL_FACTOR * max(
+        relative_error(scaled_pencil.transfer(s), exact[None]) for scaled_pencil in trials
+    )

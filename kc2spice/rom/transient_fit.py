@@ -186,11 +186,11 @@ def _merge_neighbours(grid: np.ndarray, resistance: np.ndarray) -> np.ndarray:
     They represent one time constant between two points of the grid, which appears as a resistance
     at both points.
     """
-    used = np.flatnonzero(resistance > EMPTY * resistance.max(initial=0.0))
-    if not used.size:
+    nonzero = np.flatnonzero(resistance > EMPTY * resistance.max(initial=0.0))
+    if not nonzero.size:
         return np.asarray(np.sqrt(grid[:1] * grid[-1:]))
     logs = list[float]()
-    for run in np.split(used, np.flatnonzero(np.diff(used) > 1) + 1):
+    for run in np.split(nonzero, np.flatnonzero(np.diff(nonzero) > 1) + 1):
         for pair in np.array_split(run, (len(run) + 1) // 2):
             logs.append(float(np.average(np.log(grid[pair]), weights=resistance[pair])))
     return np.asarray(np.exp(logs))
@@ -216,11 +216,11 @@ def _refine_network(
 ) -> TransientFit:
     """Refine resistances and time constants within ``limits`` [s] by least squares."""
     resistance, start = _fit_resistances(samples, constants)
-    used = resistance > EMPTY * resistance.max(initial=0.0)
-    if not used.any():
-        used[0], resistance[0] = True, np.finfo(float).tiny
-    logs = np.r_[np.log(resistance[used]), np.log(constants[used])]
-    count = int(used.sum())
+    nonzero = resistance > EMPTY * resistance.max(initial=0.0)
+    if not nonzero.any():
+        nonzero[0], resistance[0] = True, np.finfo(float).tiny
+    logs = np.r_[np.log(resistance[nonzero]), np.log(constants[nonzero])]
+    count = int(nonzero.sum())
     time = np.maximum(samples.time, 0.0)
 
     def split(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:

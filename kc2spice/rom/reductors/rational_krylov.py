@@ -82,13 +82,19 @@ class RationalKrylov(Reductor):
         search = GreedyBasis(task.core, task.band)
         end = 2j * np.pi * task.band[1]
         search.extend(end, *search.solve(end))
-        met, limit = 0, task.core.size
-        while met < CONFIRMATIONS and search.basis.shape[1] < limit and search.points < MAX_POINTS:
+        confirmations, limit = 0, task.core.size
+        while (
+            confirmations < CONFIRMATIONS
+            and search.basis.shape[1] < limit
+            and search.points < MAX_POINTS
+        ):
             try:
                 error, grown = search.check(search.next_point())
             except SimulationError:  # no candidate is left
                 break
-            met = met + 1 if max(error, search.change) <= target or not grown else 0
+            confirmations = (
+                confirmations + 1 if max(error, search.change) <= target or not grown else 0
+            )
         return task.project(search.basis)
 
 
@@ -122,13 +128,13 @@ def reduce_by_rational_krylov(
     SimulationError : the error exceeds even ``limit``.
     """
     search = GreedyBasis(pencil, band)
-    met, error, recent, idle = 0, np.inf, [np.inf], 0
+    confirmations, error, recent, idle = 0, np.inf, [np.inf], 0
     timer = ConvergenceTimer(target, CONFIRMATIONS, USUAL_POINTS, "frequency")
     end = 2j * np.pi * band[1]
     search.extend(end, *search.solve(end))
     while search.points < most and search.basis.shape[1] < MAX_VECTORS:
         error, grown = search.check(search.next_point())
-        met = met + 1 if max(error, search.change) <= target else 0
+        confirmations = confirmations + 1 if max(error, search.change) <= target else 0
         timer.end_step(max(error, search.change))
         if search.points == MANY_POINTS + 1 and pencil.size >= LARGE_UNKNOWNS:
             modes = search.response.within(band)[0].size
@@ -143,7 +149,7 @@ def reduce_by_rational_krylov(
         # earlier point neither extends the basis nor tests other parts of the band.
         recent = [*recent[-1:], error] if grown or idle else [error]
         idle = 0 if grown else idle + 1
-        if CONFIRMATIONS in (met, idle):
+        if CONFIRMATIONS in (confirmations, idle):
             break
     worst = max(recent)
     proof = f"compared with the full model at {search.points} frequencies"

@@ -111,12 +111,12 @@ class ResponsePod(Reductor):
             V = scipy.linalg.block_diag(
                 np.eye(basis.fixed), _compute_principal_directions(columns)[0]
             )
-            turned = None if basis.vectors is None else basis.vectors[:, :size] @ V
+            rotated_vectors = None if basis.vectors is None else basis.vectors[:, :size] @ V
             projected = replace(pencil.project(V), free=pencil.free)
-            trial = replace(basis, pencil=projected, vectors=turned)
+            trial = replace(basis, pencil=projected, vectors=rotated_vectors)
             while order > least:
-                fewer = Response(trial.pencil.leading_model(order - 1)).transfer(s[inside])
-                error = np.abs(fewer - H) / base
+                trial_response = Response(trial.pencil.leading_model(order - 1)).transfer(s[inside])
+                error = np.abs(trial_response - H) / base
                 if error.max() > tolerance or not trial.is_acceptable(order - 1, tolerance):
                     break
                 best, order = trial, order - 1
@@ -146,8 +146,8 @@ def _compute_static_responses(task: Task, response: Response) -> np.ndarray:
         K, E, _ = pencil.coefficients
         loads = [pencil.B[free:], E[free:, :free], E[:free, free:].T]
         return _select_significant_directions(np.linalg.solve(K[free:, free:], np.hstack(loads)))
-    from_rest = task.estimator.static and task.band[0] == 0
-    if task.intermediate.static and (from_rest or _has_loaded_port(task)):
+    needed_at_zero = task.estimator.static and task.band[0] == 0
+    if task.intermediate.static and (needed_at_zero or _has_loaded_port(task)):
         return _select_significant_directions(response.states(np.zeros(1))[0].real)
     return np.empty((pencil.size, 0))
 
