@@ -741,7 +741,7 @@ def sweep(
               3 Ohm          4      ok
               6 Ohm          2      ok
     """
-    from kc2spice.workflow.sweep.engine import run_points, sweep_of_plan
+    from kc2spice.workflow.sweep.engine import make_sweep_of_plan, run_points
     from kc2spice.workflow.sweep.grid import make_plan
     from kc2spice.workflow.sweep.point import Job, read_scene_text
     from kc2spice.workflow.sweep.row_store import columns
@@ -754,7 +754,7 @@ def sweep(
     source = read_scene_text(str(scene)) if by_name else load_scene(scene)
     plan = make_plan({key: tuple(item) for key, item in values.items()})
     with naming_arguments("values"):
-        definition = sweep_of_plan(Job(source), plan, dict.fromkeys(plan.keys, ""))
+        definition = make_sweep_of_plan(Job(source), plan, dict.fromkeys(plan.keys, ""))
     result: dict[int, Any] = {}
     with ExitStack() as stack, warnings.catch_warnings():
         warnings.simplefilter("ignore")

@@ -43,7 +43,7 @@ NAMES_BY_MODULE = {
     "kc2spice.core.argument_names": "name_arguments name_options",
     "kc2spice.core.cache": "load_or_build",
     "kc2spice.core.domains": (
-        "CONSERVATIVE DOMAINS PORTS QUANTITIES SPICE_UNITS TABLE across_of domain_of"
+        "CONSERVATIVE DOMAINS PORTS QUANTITIES SPICE_UNITS TABLE find_across_quantity find_domain"
     ),
     "kc2spice.core.equality": "have_same_content",
     "kc2spice.core.errors": (
@@ -55,9 +55,9 @@ NAMES_BY_MODULE = {
     "kc2spice.core.magnets": "EMTable TEST_CURRENTS compute_test_forces current_products",
     "kc2spice.core.memory": "available_bytes",
     "kc2spice.core.mesh_error": "MESH_ERROR_PREFIX MESH_QUANTITIES list_mesh_errors",
-    "kc2spice.core.plugins": "load_plugin plugin_names",
+    "kc2spice.core.plugins": "load_plugin list_entry_points",
     "kc2spice.core.prefix": "format_quantity format_value_and_limit",
-    "kc2spice.core.probe_values": "mean_frequency",
+    "kc2spice.core.probe_values": "compute_mean_frequency",
     "kc2spice.core.progress": (
         "Clock ConvergenceTimer ERROR_BUDGET StepTimer follow_stage ignore_progress"
     ),
@@ -85,7 +85,7 @@ NAMES_BY_MODULE = {
     "kc2spice.fem.enrichment": "assemble_enrichment evaluate_shape_functions make_enrichment",
     "kc2spice.fem.heat_conduction": (
         "HeatSolid assemble_faces assemble_heat find_common_faces find_face_nodes "
-        "find_point_shares split_nodes"
+        "find_point_shares duplicate_face_nodes"
     ),
     "kc2spice.fem.magnet_field": (
         "LOWER SPHERE assemble_field compute_catch_table count_compared_positions"
@@ -96,7 +96,7 @@ NAMES_BY_MODULE = {
         "reduce_to_loops"
     ),
     "kc2spice.fem.materials": "Material material",
-    "kc2spice.fem.mesh_cells": "CellBlock make_quadratic_mesh require_right_handed",
+    "kc2spice.fem.mesh_cells": "CellBlock make_quadratic_mesh reject_folded_elements",
     "kc2spice.fem.mesh_file": "measure_extent read_mesh",
     "kc2spice.fem.recovery": "compute_energy_products",
     "kc2spice.fem.solid": "Solid assemble_solid compute_node_shares",
@@ -141,7 +141,7 @@ NAMES_BY_MODULE = {
     "kc2spice.parts.bodies._heat_keys": "HeatBodyKeys",
     "kc2spice.parts.bodies._linear_body": "LinearBody",
     "kc2spice.parts.bodies._pictures": "OBLIQUE_SHIFT draw_deformed draw_modes",
-    "kc2spice.parts.bodies.bimorph": "BimorphKeys bimorph_body",
+    "kc2spice.parts.bodies.bimorph": "BimorphKeys make_bimorph_blocks",
     "kc2spice.parts.bodies.body": "BodyKeys device",
     "kc2spice.parts.bodies.heat_body": "make_heat_device",
     "kc2spice.parts.control.pid": "Control pid_subcircuit settling_time",
@@ -158,8 +158,8 @@ NAMES_BY_MODULE = {
     "kc2spice.parts.magnetics.ring_magnet_coils": "coils_subcircuit",
     "kc2spice.parts.mechanics": "mass",
     "kc2spice.parts.mechanics._touching": "ContactPair find_separation ring_gaps",
-    "kc2spice.parts.mechanics.mass": "point_mass",
-    "kc2spice.parts.mechanics.sphere": "SphereKeys rigid_sphere",
+    "kc2spice.parts.mechanics.mass": "declare_point_mass",
+    "kc2spice.parts.mechanics.sphere": "SphereKeys declare_sphere",
     "kc2spice.physics": "DeclaredPart branch coils contact law",
     "kc2spice.physics.cards": "subcircuit_items",
     "kc2spice.physics.contact": "ContactForce SPACING_NOTE declare_contact",
@@ -183,7 +183,7 @@ NAMES_BY_MODULE = {
     "kc2spice.report.run_page": "format_operating_point format_results format_summary write_run",
     "kc2spice.report.sweep_page": "_plot_histogram compute_yields",
     "kc2spice.rom": "pencil stability",
-    "kc2spice.rom.band": "compute_elastic_modes find_band_end choose_natural_band",
+    "kc2spice.rom.band": "compute_elastic_eigenvalues find_band_end choose_natural_band",
     "kc2spice.rom.blocks": "make_block_model decouple_states",
     "kc2spice.rom.branch_fit": "fit_one_port",
     "kc2spice.rom.certification": "certify",
@@ -193,12 +193,12 @@ NAMES_BY_MODULE = {
     ),
     "kc2spice.rom.enriched": "ReductionsByOrder find_last_change response compute_time_errors",
     "kc2spice.rom.error_estimate": "relative_error",
-    "kc2spice.rom.first_step": "intermediate_model",
+    "kc2spice.rom.first_step": "build_intermediate_model",
     "kc2spice.rom.free_body": "find_free_body",
     "kc2spice.rom.heat_network": "FosterNetwork HeatLadder find_heat_ladder",
     "kc2spice.rom.instability": "explain_instability",
     "kc2spice.rom.io": "read_rom write_rom",
-    "kc2spice.rom.linear_model": "Certificate LinearModel Port with_potentials",
+    "kc2spice.rom.linear_model": "Certificate LinearModel Port make_piezoelectric_model",
     "kc2spice.rom.lossy_modes": (
         "assemble_oscillators fit_relaxing_oscillator make_viscous_oscillator"
     ),
@@ -251,10 +251,10 @@ NAMES_BY_MODULE = {
     "kc2spice.scene.settings": "Probe Rom",
     "kc2spice.sim": "ngspice",
     "kc2spice.sim.ngspice": "RetriesFailedError find_ngspice run_deck run_with_retries write_files",
-    "kc2spice.sim.output": "classify_log list_alterations read_raw",
+    "kc2spice.sim.output": "find_failure list_alterations read_raw",
     "kc2spice.sim.shared": "run_shared",
     "kc2spice.synthesis": "parameter_ranges ringing terminals",
-    "kc2spice.synthesis.circuit_error": "estimate_circuit_error require_circuit",
+    "kc2spice.synthesis.circuit_error": "estimate_circuit_error require_circuit_tolerance",
     "kc2spice.synthesis.header": "part_header rom_comments",
     "kc2spice.synthesis.parametric_resonators": "parametric_subcircuit",
     "kc2spice.synthesis.realize": "subcircuit",
@@ -272,11 +272,11 @@ NAMES_BY_MODULE = {
     "kc2spice.workflow.sweep": "engine",
     "kc2spice.workflow.sweep.engine": "load_named_sweep make_sweep",
     "kc2spice.workflow.sweep.grid": "make_plan",
-    "kc2spice.workflow.sweep.point": "PointResult SceneText read_scene_text",
+    "kc2spice.workflow.sweep.point": "PointResult SceneInput read_scene_text",
     "kc2spice.workflow.sweep.row_store": "RowStore columns write_csv",
     "kc2spice.workflow.sweep.workers": "dask_workers local_workers",
     "kc2spice.workflow.time_step": "choose_largest_step",
-    "kc2spice.workflow.verdict": "list_checks with_undecided",
+    "kc2spice.workflow.verdict": "list_checks add_undecided_warnings",
     "kc2spice.workflow.verify": "bodies",
     "kc2spice.workflow.verify.bodies": "compare_responses",
     "kc2spice.workflow.verify.differences": (

@@ -23,7 +23,7 @@ import numpy as np
 from docs_numbers import date_and_commit
 
 from kc2spice.bodies.impedance import analyse_impedance
-from kc2spice.core.figure import Curve, Figure, Panel, scale_axis
+from kc2spice.core.figure import Curve, Figure, Panel, get_axis_label_and_factor
 from kc2spice.core.progress import Clock
 from kc2spice.report.figures import write_pngs
 from kc2spice.rom.linear_model import LinearModel
@@ -440,7 +440,7 @@ def drawn(name: str, entry: Mapping[str, Any], figures: Path) -> None:
     with np.load(out / "waveforms.npz", allow_pickle=False) as waves:
         scale = plan.get("against", next(iter(waves)))
         x, y = waves[scale].real, waves[plan["of"]]
-    x_label, unit = scale_axis(scale, x)
+    x_label, unit = get_axis_label_and_factor(scale, x)
     at, values = np.array(plan["points"], dtype=float).T
     factor, y = plan.get("factor", 1.0), np.abs(y) if np.iscomplexobj(y) else y
     unit = plan.get("x_factor", unit)

@@ -47,7 +47,7 @@ def quarter(kick):
     n, model = SECTORS, device.model
     b, C0, K = model.B[:, -1] / n, model.D[-1, -1] / n, model.K
     k_pV, lift = -device.lift[:, 0] / n, np.zeros(device.lift.shape[0])
-    if isinstance(K, Schur):  # undo kc2spice.rom.linear_model.with_potentials
+    if isinstance(K, Schur):  # undo kc2spice.rom.linear_model.make_piezoelectric_model
         K_uu, K_up, K_pp = K.uu / n, K.up / n, -K.pp / n
         lift = factorise(sparse.csc_array(K_pp), definite=True).solve(k_pV)
     else:

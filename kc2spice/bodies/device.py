@@ -11,7 +11,7 @@ equations are
                      Q'K_up'P z - Q'K_pp Q p - Q'K_pp R V = 0
         charge = R'K_pp R V + R'K_pp Q p - R'K_up'P z,        y = S'P z,
 
-where y are the outputs of the ports. The function :func:`kc2spice.rom.linear_model.with_potentials`
+where y are the outputs of the ports. :func:`kc2spice.rom.linear_model.make_piezoelectric_model`
 eliminates p exactly from these equations.
 
 :class:`BondedBlocks` are blocks that are bonded where they touch: layers, rings, beams. The edges
@@ -46,11 +46,11 @@ from kc2spice.fem.solid import (
     Solid,
     assemble_solid,
     compute_area,
-    compute_displaced_volume,
     compute_node_shares,
+    compute_volume_gradient,
 )
 from kc2spice.linalg.factor import require_memory_for_factors
-from kc2spice.rom.linear_model import LinearModel, Port, with_potentials
+from kc2spice.rom.linear_model import LinearModel, Port, make_piezoelectric_model
 from kc2spice.rom.pencil import Schur
 
 # Square root of the shift [rad/s] of an unsupported body, relative to its slowest wave speed
@@ -82,7 +82,7 @@ def make_pressure_load(port: Port, solid: Solid, facets: np.ndarray) -> PortLoad
     The pressure p acts against the outward normal n: the nodal forces are ``-p int N n dS`` with
     the shape functions N. The output of the port is the displaced volume ``-int u n dS``.
     """
-    return PortLoad(port, -compute_displaced_volume(solid, facets), facets)
+    return PortLoad(port, -compute_volume_gradient(solid, facets), facets)
 
 
 def get_area_name(port: str) -> str:
@@ -192,7 +192,7 @@ def make_undamped_model(solid: Solid, setup: BoundaryConditions) -> FiniteElemen
     columns += [
         (port, -(P.T @ (mass @ compute_rigid_translation(solid, a)))) for port, a in setup.base
     ]
-    model = with_potentials(
+    model = make_piezoelectric_model(
         M=sparse.csc_array(P.T @ mass @ P),
         K_uu=sparse.csc_array(P.T @ K_uu @ P),
         K_up=P.T @ K_up @ Q,

@@ -134,7 +134,7 @@ class EnrichedModel:
 
     ``operators`` are the matrices of the additional functions. ``factors`` are the factorised
     blocks of K and P of these functions; a factor is None if its block is empty. The function
-    ``solve_at_rest`` multiplies by ``(K + shift M)^-1`` of the mesh.
+    ``solve_shifted`` multiplies by ``(K + shift M)^-1`` of the mesh.
     """
 
     device: FiniteElementModel
@@ -144,7 +144,7 @@ class EnrichedModel:
     P: BlockMatrix
     M: BlockMatrix
     factors: tuple[Factor | None, Factor | None]
-    solve_at_rest: Callable[[np.ndarray], np.ndarray]
+    solve_shifted: Callable[[np.ndarray], np.ndarray]
 
     def extend_responses(self, z: np.ndarray, voltages: np.ndarray) -> tuple[Pair, Pair]:
         """Extend responses of the mesh to all unknowns, and compute their static residuals.
@@ -183,10 +183,10 @@ class EnrichedModel:
         ((z, more_u), (q, more_p)), K = self._split_blocks(residual), self.device.model.K
         if isinstance(K, Schur):
             q = K.inner.solve(q)
-            z = self.solve_at_rest(z - K.up @ q)
+            z = self.solve_shifted(z - K.up @ q)
             q = q - K.inner.solve(K.pu @ z)
         else:
-            z = self.solve_at_rest(z)
+            z = self.solve_shifted(z)
         return np.vstack([z, 0.0 * more_u]), np.vstack([q, 0.0 * more_p])
 
     def _split_blocks(self, pair: Pair) -> list[list[np.ndarray]]:
@@ -197,12 +197,12 @@ class EnrichedModel:
 
 def enrich_model(
     device: FiniteElementModel,
-    solve_at_rest: Callable[[np.ndarray], np.ndarray],
+    solve_shifted: Callable[[np.ndarray], np.ndarray],
     sectors: int = 1,
 ) -> EnrichedModel:
     """Add cubic shape functions to the model of a device.
 
-    The function ``solve_at_rest`` multiplies by ``(K + shift M)^-1`` of the mesh. The device
+    The function ``solve_shifted`` multiplies by ``(K + shift M)^-1`` of the mesh. The device
     consists of ``sectors`` equal solids, of which one is meshed.
     """
     model, enrichment = device.model, make_enrichment(device.solid)
@@ -220,7 +220,7 @@ def enrich_model(
         BlockMatrix(P, p.T, p, more.P),
         BlockMatrix(model.M, m.T, m, more.M),
         (_factorise(more.K), _factorise(more.P)),
-        solve_at_rest,
+        solve_shifted,
     )
 
 

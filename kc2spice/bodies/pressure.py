@@ -67,7 +67,7 @@ from kc2spice.core.errors import SimulationError
 from kc2spice.fem.body_keys import Damping
 from kc2spice.fem.materials import Material
 from kc2spice.fem.solid import Solid, assemble_solid
-from kc2spice.rom.linear_model import LinearModel, Port, with_potentials
+from kc2spice.rom.linear_model import LinearModel, Port, make_piezoelectric_model
 
 CELLS_PER_NODE = 3  # number of cells of the graded mesh between two nodes of the basis functions
 CELL_GROWTH = 1.3  # ratio of successive cell sizes outside of the contact
@@ -482,7 +482,7 @@ def _model_free_sphere(
     mass = float(along @ momentum)
     slow = np.linalg.eigvalsh(body.material.C)[0] / body.material.density / radius**2
     loads = _compute_basis_loads(solid, shape, np.flatnonzero(under))[unknowns]
-    model = with_potentials(
+    model = make_piezoelectric_model(
         M=M,
         K_uu=K,
         K_up=sparse.csc_array(momentum[:, None]),

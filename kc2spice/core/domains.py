@@ -337,16 +337,16 @@ def _list_pin_units() -> Iterator[tuple[str, str]]:
 PIN_UNITS = tuple(_list_pin_units())
 
 
-def domain_of(unit: str, flow: str) -> Domain | None:
+def find_domain(unit: str, flow: str) -> Domain | None:
     """Return the domain of a pin from the units that 1 V and 1 A represent.
 
     The result is None for signals and unknown units.
 
     Examples
     --------
-    >>> domain_of("um", "N").name
+    >>> find_domain("um", "N").name
     'translation'
-    >>> domain_of("V", "-") is None
+    >>> find_domain("V", "-") is None
     True
     """
     for domain in CONSERVATIVE:
@@ -356,12 +356,12 @@ def domain_of(unit: str, flow: str) -> Domain | None:
     return None
 
 
-def across_of(unit: str) -> Quantity | None:
+def find_across_quantity(unit: str) -> Quantity | None:
     """Return the quantity across pins with this unit; None if no domain has this unit.
 
     Examples
     --------
-    >>> across_of("um").factor
+    >>> find_across_quantity("um").factor
     1e-06
     """
     for domain in CONSERVATIVE:

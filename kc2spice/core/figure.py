@@ -127,7 +127,7 @@ def format_axis_label(name: str, unit: str) -> str:
     return f"{name} in {unit}" if unit else name
 
 
-def scale_axis(name: str, x: np.ndarray) -> tuple[str, float]:
+def get_axis_label_and_factor(name: str, x: np.ndarray) -> tuple[str, float]:
     """Return the label of the x axis, and the factor from SI units to the unit of the axis.
 
     ``name`` is ``time``, ``frequency`` or a swept key, and ``x`` are its values in SI units.

@@ -382,7 +382,7 @@ class Device(ABC):
         """Return the outputs ``out`` (k,) without their derivatives."""
         return self.evaluate(e, mode)[0]
 
-    def evaluate_store(self, e: np.ndarray, mode: Any) -> np.ndarray:
+    def evaluate_stored_quantities(self, e: np.ndarray, mode: Any) -> np.ndarray:
         """Return the stored quantities without their derivatives."""
         return self.store(e, mode)[0]
 

@@ -14,6 +14,6 @@ class Named(Protocol):
         """Name of the object in a scene or in a netlist."""
 
 
-def names_of(items: Iterable[Named]) -> list[str]:
+def list_names(items: Iterable[Named]) -> list[str]:
     """Return the names of ``items`` in their order."""
     return [item.name for item in items]

@@ -19,12 +19,12 @@ def _list_entry_points(group: str) -> tuple[EntryPoint, ...]:
     return tuple(entry_points(group=group))
 
 
-def plugin_names(group: str) -> tuple[str, ...]:
+def list_entry_points(group: str) -> tuple[str, ...]:
     """Return the names of the entry points of a group; no module is imported.
 
     Examples
     --------
-    >>> plugin_names("kc2spice.no_such_group")
+    >>> list_entry_points("kc2spice.no_such_group")
     ()
     """
     return tuple(map(attrgetter("name"), _list_entry_points(group)))

@@ -119,16 +119,16 @@ def _clip_to_window(
 def _evaluate_range(take: str, scale: np.ndarray, values: np.ndarray, level: float) -> float | None:
     """Compute the value ``take`` of a probe from all points of a wave."""
     if np.iscomplexobj(values) and take in ("max", "argmax"):
-        place, largest = response_maximum(scale.real, np.abs(values))
+        place, largest = find_response_maximum(scale.real, np.abs(values))
         return largest if take == "max" else place
     if np.iscomplexobj(values) and take == "min":
-        return response_minimum(scale.real, np.abs(values))
+        return find_response_minimum(scale.real, np.abs(values))
     sizes = np.abs(values) if np.iscomplexobj(values) else values
     result = _PROBE_FUNCTIONS[take](scale, sizes, level)
     return None if result is None else float(result)
 
 
-def response_maximum(frequency: np.ndarray, size: np.ndarray) -> tuple[float, float]:
+def find_response_maximum(frequency: np.ndarray, size: np.ndarray) -> tuple[float, float]:
     """Return frequency and value of the largest magnitude of a response.
 
     The maximum may lie between two points. Near the pole ``a + j w0`` a response is ``R / (j w - a
@@ -141,7 +141,7 @@ def response_maximum(frequency: np.ndarray, size: np.ndarray) -> tuple[float, fl
     because the points are then too far apart.
 
     >>> w = np.array([9.0, 10.1, 11.2])
-    >>> place, value = response_maximum(w, np.abs(1 / (1j * (w - 10) + 1)))
+    >>> place, value = find_response_maximum(w, np.abs(1 / (1j * (w - 10) + 1)))
     >>> print(f"{place:.6f} {value:.6f}")
     10.000000 1.000000
     """
@@ -160,15 +160,15 @@ def response_maximum(frequency: np.ndarray, size: np.ndarray) -> tuple[float, fl
     return float(position - linear / (2 * square)), float(largest / math.sqrt(least))
 
 
-def response_minimum(frequency: np.ndarray, size: np.ndarray) -> float:
+def find_response_minimum(frequency: np.ndarray, size: np.ndarray) -> float:
     """Return the smallest magnitude of a response.
 
     The minimum may lie between two points. It is the maximum of the reciprocal response.
     """
-    return 1 / response_maximum(frequency, 1 / size)[1] if size.all() else 0.0
+    return 1 / find_response_maximum(frequency, 1 / size)[1] if size.all() else 0.0
 
 
-def mean_frequency(scale: np.ndarray, values: np.ndarray) -> float | None:
+def compute_mean_frequency(scale: np.ndarray, values: np.ndarray) -> float | None:
     """Return the mean frequency of a wave over the last half of its scale.
 
     A cycle is the interval between two points at which the wave rises through its mean. The result
@@ -184,7 +184,7 @@ def mean_frequency(scale: np.ndarray, values: np.ndarray) -> float | None:
     return float((k.size - 1) / abs(places[-1] - places[0]))
 
 
-def first_crossing(scale: np.ndarray, values: np.ndarray, level: float) -> float | None:
+def find_first_crossing(scale: np.ndarray, values: np.ndarray, level: float) -> float | None:
     """Return the first position on the scale where the interpolated values cross ``level``."""
     above = values >= level
     changes = np.flatnonzero(above[1:] != above[:-1])
@@ -212,8 +212,8 @@ _PROBE_FUNCTIONS: dict[str, Callable[[np.ndarray, np.ndarray, float], float | No
     "peak_to_peak": lambda scale, values, _: np.ptp(values),
     "mean": lambda scale, values, _: _time_average(scale, values),
     "rms": lambda scale, values, _: math.sqrt(_time_average(scale, values**2)),
-    "frequency": lambda scale, values, _: mean_frequency(scale, values),
-    "crossing": first_crossing,
+    "frequency": lambda scale, values, _: compute_mean_frequency(scale, values),
+    "crossing": find_first_crossing,
 }
 
 

@@ -58,7 +58,7 @@ class HeatSolid:
             weights = 2 * np.pi * weights * np.asarray(basis.global_coordinates())[0]
         return weights if self.areas is None else weights * self.areas[cells, None]
 
-    def find_adjacent_cells(self, facets: np.ndarray) -> np.ndarray:
+    def find_adjacent_cell_numbers(self, facets: np.ndarray) -> np.ndarray:
         """Return, for each of the ``facets``, the number of one adjacent element."""
         return np.asarray(self.geometry.mesh.f2t[0, facets])
 
@@ -109,7 +109,7 @@ def assemble_faces(solid: HeatSolid, facets: np.ndarray) -> sparse.csc_array:
     """
     basis = solid.geometry.facet_basis(facets, solid.geometry.quadrature)
     weights, nodes = (
-        solid.compute_weights(basis, solid.find_adjacent_cells(facets)),
+        solid.compute_weights(basis, solid.find_adjacent_cell_numbers(facets)),
         basis.element_dofs.T,
     )
     matrix = np.zeros(())
@@ -159,7 +159,7 @@ def find_point_shares(solid: HeatSolid, point: np.ndarray) -> np.ndarray:
     return result
 
 
-def split_nodes(geometry: Solid, facets: np.ndarray) -> Solid:
+def duplicate_face_nodes(geometry: Solid, facets: np.ndarray) -> Solid:
     """Return the mesh with each node on inner ``facets`` duplicated, one node per side.
 
     Two elements keep a common node if they are connected by faces that are not in ``facets``, for
@@ -199,7 +199,10 @@ def assemble_interface(solid: HeatSolid, facets: np.ndarray) -> sparse.csc_array
         geometry.facet_basis(facets, geometry.quadrature, side=side) for side in (0, 1)
     )
     nodes = np.vstack([first.element_dofs, second.element_dofs]).T
-    weights, matrix = solid.compute_weights(first, solid.find_adjacent_cells(facets)), np.zeros(())
+    weights, matrix = (
+        solid.compute_weights(first, solid.find_adjacent_cell_numbers(facets)),
+        np.zeros(()),
+    )
     functions = zip(list_local_functions(first), list_local_functions(second), strict=True)
     for ((N, _), (M, _)), w in zip(functions, weights.T[:, :, None, None], strict=True):
         jump = np.concatenate([N, -M], axis=1)

@@ -118,7 +118,7 @@ def is_product_mesh(blocks: Sequence[CellBlock]) -> bool:
     return bool(blocks) and all(block.is_product for block in blocks)
 
 
-def require_right_handed(points: np.ndarray, blocks: Sequence[CellBlock], where: str) -> None:
+def reject_folded_elements(points: np.ndarray, blocks: Sequence[CellBlock], where: str) -> None:
     """Reject elements whose Jacobian determinant changes sign between corners.
 
     Raises

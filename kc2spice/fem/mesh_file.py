@@ -36,10 +36,14 @@ from kc2spice.fem.mesh_cells import (
     find_edge_nodes,
     is_product_mesh,
     make_quadratic_mesh,
-    require_right_handed,
+    reject_folded_elements,
 )
-from kc2spice.fem.mesh_formats import MESHIO_READERS, require_plain_content, require_unv_elements
-from kc2spice.fem.mesh_nodes import merge_nodes, require_joined
+from kc2spice.fem.mesh_formats import (
+    MESHIO_READERS,
+    reject_unsupported_content,
+    require_unv_elements,
+)
+from kc2spice.fem.mesh_nodes import merge_nodes, reject_unconnected_solids
 
 STEP_SUFFIXES = (".step", ".stp")
 CAD_SUFFIXES = (*STEP_SUFFIXES, ".brep")
@@ -340,7 +344,7 @@ def _read_content(path: Path) -> bytes:
     if path.suffix.lower() == ".unv":
         require_unv_elements(data, str(path))
     if path.suffix.lower() in MESHIO_READERS:
-        require_plain_content(path.suffix.lower(), data, str(path))
+        reject_unsupported_content(path.suffix.lower(), data, str(path))
     if path.suffix.lower() in STEP_SUFFIXES and b"DOCUMENT_FILE" in _STEP_STRING_OR_COMMENT.sub(
         b"", data
     ):
@@ -377,14 +381,14 @@ def _assemble_mesh(
     record = json.loads(str(arrays["record"]))
     if not blocks:
         raise _make_empty_mesh_error(dimension, max(map(itemgetter(1), record), default=0), where)
-    require_right_handed(points, blocks, where)
+    reject_folded_elements(points, blocks, where)
     same = np.arange(len(points))
     if merge:
         same = merge_nodes(points, blocks, merge)
         blocks = [block.renumber(same) for block in blocks]
     if merge != 0:
         owners = {name: arrays[f"group{k}"] for k, (name, d) in enumerate(record) if d == dimension}
-        require_joined(points, blocks, owners, where)
+        reject_unconnected_solids(points, blocks, owners, where)
     mesh, number, parent = make_quadratic_mesh(points, blocks)
     groups: dict[str, Group] = {}
     for k, (name, d) in enumerate(record):

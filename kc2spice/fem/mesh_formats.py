@@ -87,7 +87,7 @@ _ELEMENT_LINE = re.compile(rb"^[ \t]*\*ELEMENT[ \t]*,.*", re.IGNORECASE | re.MUL
 _ELEMENT_SET_NAME = re.compile(rb"ELSET\s*=\s*([^,\s]+)", re.IGNORECASE)
 
 
-def require_plain_content(suffix: str, data: bytes, where: str) -> None:
+def reject_unsupported_content(suffix: str, data: bytes, where: str) -> None:
     """Reject mesh files that include other files or that meshio would read incorrectly.
 
     Raises

@@ -58,7 +58,7 @@ def _find_shortest_edge(points: np.ndarray, cells: np.ndarray) -> float:
     return float(np.linalg.norm(points[cells[:, i]] - points[cells[:, j]], axis=-1).min())
 
 
-def require_joined(
+def reject_unconnected_solids(
     points: np.ndarray,
     blocks: Sequence[CellBlock],
     owners: Mapping[str, np.ndarray],

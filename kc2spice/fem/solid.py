@@ -317,7 +317,7 @@ def compute_node_shares(
     return np.asarray(shares / shares.sum())
 
 
-def compute_displaced_volume(solid: Solid, facets: np.ndarray) -> np.ndarray:
+def compute_volume_gradient(solid: Solid, facets: np.ndarray) -> np.ndarray:
     """Return the volume that boundary facets displace per unit displacement of each node.
 
     The displaced volume is ``int N n dS`` (d nodes,) [m^2] with the shape functions N and the

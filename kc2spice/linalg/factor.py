@@ -22,8 +22,8 @@ from kc2spice.linalg.processor import use_fast_kernels
 from kc2spice.linalg.solver import (
     DirectSolver,
     factorise_with_solver,
+    get_supplied_solver,
     solve_with_factor,
-    supplied_solver,
 )
 
 USABLE_MEMORY_SHARE = 0.9
@@ -72,7 +72,7 @@ def require_memory_for_factors(
     # The bandwidth is at most the number of rows. The computation of the bandwidth takes as long as
     # an assembly, so the first check uses the number of rows instead.
     if (
-        supplied_solver() is not None
+        get_supplied_solver() is not None
         or size * FILL_FACTOR * rows**1.5 <= USABLE_MEMORY_SHARE * available_bytes()
     ):
         return
@@ -225,7 +225,7 @@ def factorise(
     """
     if not definite:
         return factorise_two_sided(matrix, symmetric=True)[0]
-    solver = supplied_solver()
+    solver = get_supplied_solver()
     if (
         solver is not None
         and (factor := _factorise_definite_with_solver(solver, matrix)) is not None
@@ -296,7 +296,7 @@ def factorise_quasi_definite(matrix: scipy.sparse.csc_array) -> Factor:
     ------
     SimulationError : the matrix is singular.
     """
-    order = find_elimination_order(matrix) if supplied_solver() is None else None
+    order = find_elimination_order(matrix) if get_supplied_solver() is None else None
     if order is not None:
         minus = matrix.diagonal() < 0
         trial = np.random.default_rng(0).standard_normal(matrix.shape[0])
@@ -325,7 +325,7 @@ def factorise_two_sided(matrix: scipy.sparse.csc_array, *, symmetric: bool) -> P
     SimulationError : the matrix is singular.
     """
     matrix = scipy.sparse.csc_array(matrix)
-    solver = supplied_solver()
+    solver = get_supplied_solver()
     if solver is not None:
         return _factorise_pair_with_solver(solver, matrix, symmetric)
     trial = np.random.default_rng(0).standard_normal((matrix.shape[0], 1))

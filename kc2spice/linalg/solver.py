@@ -88,7 +88,7 @@ def require_solver(name: str | None, where: str) -> str | None:
     return name
 
 
-def supplied_solver() -> DirectSolver | None:
+def get_supplied_solver() -> DirectSolver | None:
     """Return the solver that :func:`use_solver` selected, None for the built-in solvers."""
     return _supplied.get()
 

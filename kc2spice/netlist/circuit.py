@@ -210,7 +210,7 @@ class Circuit(Card):
     @property
     def subcircuits(self) -> tuple[Circuit, ...]:
         """Subcircuits whose definitions are items of this circuit."""
-        return items_of(self.items, Circuit)
+        return select_items(self.items, Circuit)
 
     def map_items(self, change: Callable[[Item], Item]) -> Circuit:
         """Return the circuit with ``change`` applied to each item, inside subcircuits first."""
@@ -228,7 +228,7 @@ def key_by_lower_name(values: Mapping[str, Value]) -> dict[str, Value]:
     return dict(zip(map(str.lower, values), values.values(), strict=True))
 
 
-def items_of(items: Iterable[object], kind: type[Kind]) -> tuple[Kind, ...]:
+def select_items(items: Iterable[object], kind: type[Kind]) -> tuple[Kind, ...]:
     """Return the items of one class, such as all elements, in their order."""
     return tuple(item for item in items if isinstance(item, kind))
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from kc2spice.core.domains import describe_units
 from kc2spice.core.errors import UsageError
-from kc2spice.netlist.circuit import Circuit, Directive, Element, Item, items_of
+from kc2spice.netlist.circuit import Circuit, Directive, Element, Item, select_items
 from kc2spice.netlist.elements import Line, attach_comments
 from kc2spice.netlist.expression import literal_value, split_terms
 from kc2spice.netlist.library import Subcircuit
@@ -353,7 +353,7 @@ class Deck:
     def _pin_units(self) -> set[str]:
         """Units of library pins and of element values in the deck."""
         pins = chain.from_iterable(part.pins for part in self.parts)
-        elements = items_of(self.items, Element)
+        elements = select_items(self.items, Element)
         return set(map(attrgetter("unit"), chain(pins, elements)))
 
     @property
@@ -409,7 +409,7 @@ class Deck:
     def option_value(self, key: str) -> str | None:
         """Return the value of an option; None if the deck does not set the option."""
         result = None
-        for card in items_of(self.circuit.items, Directive):
+        for card in select_items(self.circuit.items, Directive):
             for word in card.words if card.keyword in OPTION_CARDS else ():
                 name, _, value = word.partition("=")
                 if name.lower() == key and value:

@@ -21,8 +21,8 @@ from kc2spice.netlist.expression import Trace, literal_value, parse_vector
 from kc2spice.netlist.include_scan import (
     ANALYSES,
     PRINT_OPTIONS,
-    accuracy_options,
     check_deck_effects,
+    read_accuracy_options,
     read_checked_circuit,
 )
 from kc2spice.netlist.printers.ngspice import Printer
@@ -274,7 +274,7 @@ def _compare_options(
 ) -> dict[str, tuple[str | None, str | None]]:
     """Return the old and the new value of each accuracy option that differs."""
     before = {item.key: item.text for item in original.options if item.key not in PRINT_OPTIONS}
-    now = accuracy_options(cards)
+    now = read_accuracy_options(cards)
 
     def parse_value(text: str | None) -> float | str | None:
         """Return the value of an option as a number, or as text if it is no number."""

@@ -123,11 +123,11 @@ def literal_value(text: str, *, where: str = "expression") -> float | None:
 def walk_tree(tree: Tree) -> Iterator[Tree]:
     """Yield a tree and all its subtrees."""
     yield tree
-    for child in operands_of(tree):
+    for child in list_operands(tree):
         yield from walk_tree(child)
 
 
-def operands_of(tree: Tree) -> tuple[Tree, ...]:
+def list_operands(tree: Tree) -> tuple[Tree, ...]:
     """Return the operands of the outermost operation of ``tree``."""
     below = tree.arguments if isinstance(tree, Call) else vars(tree).values()
     return tuple(item for item in below if isinstance(item, Tree))

@@ -24,7 +24,7 @@ from kc2spice.netlist.circuit import (
     Item,
     Model,
     Parameters,
-    items_of,
+    select_items,
 )
 from kc2spice.netlist.expression import (
     Binary,
@@ -129,11 +129,11 @@ class _CircuitTranslator:
         syntax: Syntax,
     ) -> None:
         self.circuit, self.syntax = circuit, syntax
-        defined = items_of(circuit.items, Function)
+        defined = select_items(circuit.items, Function)
         self.functions = functions | {function.name.lower() for function in defined}
-        local = {model.name.lower(): model for model in items_of(circuit.items, Model)}
+        local = {model.name.lower(): model for model in select_items(circuit.items, Model)}
         self.models = {**models, **local}
-        elements = items_of(circuit.items, Element)
+        elements = select_items(circuit.items, Element)
         coupled = (element.sources for element in elements if element.kind == "k")
         self.coupled = {name.lower() for names in coupled for name in names}
         self.elements = {element.key: element for element in elements}

@@ -372,7 +372,7 @@ def _find_deck_effects(
     card: Statement, outside: bool, part: bool
 ) -> Iterator[tuple[str, str, str]]:
     """Yield each effect of a card on the whole deck, with the expected text and a remedy."""
-    key, options = card.keyword, accuracy_options((card,))
+    key, options = card.keyword, read_accuracy_options((card,))
     if parts := _find_separate_suffix(card):
         hint = f"write {parts[0]}{parts[1]} in place of {parts[0]} {parts[1]}"
         yield "has a blank between a number and its unit", "a number without blanks", hint
@@ -443,7 +443,7 @@ def _find_decimal_comma(card: Statement) -> str:
     return words[0] if words and _DECIMAL_COMMA.fullmatch(words[0]) else ""
 
 
-def accuracy_options(cards: Iterable[Statement]) -> Mapping[str, str]:
+def read_accuracy_options(cards: Iterable[Statement]) -> Mapping[str, str]:
     """Return the values of options that affect results; ``""`` for a flag.
 
     If an option is repeated, the last value is effective.

@@ -17,7 +17,7 @@ from kc2spice.core import __version__
 from kc2spice.core.errors import UsageError
 from kc2spice.core.files import suggest_file
 from kc2spice.core.untrusted_files import decode_text, read_bounded
-from kc2spice.netlist.circuit import Circuit, Element, Param, Pin, electrical_pins, items_of
+from kc2spice.netlist.circuit import Circuit, Element, Param, Pin, electrical_pins, select_items
 from kc2spice.netlist.expression import literal_value
 from kc2spice.netlist.prefixes import with_prefix
 from kc2spice.netlist.printers.ngspice import Printer, locate_cards
@@ -248,7 +248,7 @@ def parse_subcircuits(text: str, file: str) -> list[Subcircuit]:
 
 def _instantiated_names(circuit: Circuit) -> Iterator[str]:
     """Yield the lower-case names of the subcircuits that a circuit instantiates."""
-    for item in items_of(circuit.items, Element):
+    for item in select_items(circuit.items, Element):
         if item.kind == "x":
             yield item.model.lower()
     for inner in circuit.subcircuits:

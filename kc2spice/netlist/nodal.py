@@ -15,7 +15,7 @@ from itertools import filterfalse
 import numpy as np
 
 from kc2spice.core.errors import UsageError
-from kc2spice.netlist.circuit import Circuit, Element, Parameters, items_of
+from kc2spice.netlist.circuit import Circuit, Element, Parameters, select_items
 from kc2spice.netlist.expression import Tree, evaluate_parameter, parse_expression
 
 GROUND = "0"
@@ -85,7 +85,7 @@ class NodalCircuit:
     def parameters(self) -> list[tuple[str, Tree]]:
         """Expressions of the parameters, keyed by lower-case name, in the order of the cards."""
         result: list[tuple[str, Tree]] = []
-        for card in items_of(self.circuit.items, Parameters):
+        for card in select_items(self.circuit.items, Parameters):
             for key, text in card.values.items():
                 result.append((key.lower(), parse_expression(text)))
         return result
@@ -93,7 +93,7 @@ class NodalCircuit:
     @cached_property
     def elements(self) -> list[tuple[Element, Tree | float]]:
         """Each element with the expression of its value; the value of a source is zero."""
-        items = items_of(self.circuit.items, Element)
+        items = select_items(self.circuit.items, Element)
         return list(zip(items, map(_parse_value, items), strict=True))
 
     def equations(

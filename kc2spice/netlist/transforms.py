@@ -73,7 +73,7 @@ def library_stem(part: Subcircuit) -> str:
     return part.filename.rpartition(".")[0] or part.filename
 
 
-def parameter_owners(part: Subcircuit) -> Iterator[tuple[str, Circuit]]:
+def list_parameterised_subcircuits(part: Subcircuit) -> Iterator[tuple[str, Circuit]]:
     """Yield every subcircuit of a library, with its name in keys ``param.NAME.…``.
 
     In these keys, the main subcircuit has the name of the library file. A helper has a separate
@@ -89,7 +89,7 @@ def parameter_defaults(deck: Deck) -> dict[str, float]:
     """Return the default value of every numeric parameter, keyed by ``PART.NAME``."""
     result = {}
     for part in deck.parts:
-        for library, item in parameter_owners(part):
+        for library, item in list_parameterised_subcircuits(part):
             for name, text in item.defaults.items():
                 with contextlib.suppress(ValueError):  # the default is an expression
                     result[f"{library}.{name}"] = float(text)
@@ -124,7 +124,7 @@ def _change_parameter(part: Subcircuit, library: str, name: str, value: float) -
             _require_in_range(param, library, value)
             params[k] = replace(param, default=value)
     lines = dict(zip(map(parameter_line, part.params), map(parameter_line, params), strict=True))
-    for where, item in parameter_owners(part):
+    for where, item in list_parameterised_subcircuits(part):
         if where == library and name in item.defaults:
             defaults = {**item.defaults, name: format_number(value)}
             before = instance_comment(item.name, item.pins, item.defaults)

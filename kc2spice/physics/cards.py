@@ -19,7 +19,7 @@ import numpy as np
 
 from kc2spice.core.domains import QUANTITIES, Quantity
 from kc2spice.core.errors import UsageError
-from kc2spice.core.naming import names_of
+from kc2spice.core.naming import list_names
 from kc2spice.netlist.circuit import Element, Item, Model, Parameters
 from kc2spice.netlist.elements import Line, attach_comments, pivot_cards
 from kc2spice.netlist.expression import (
@@ -34,7 +34,7 @@ from kc2spice.netlist.expression import (
 )
 from kc2spice.netlist.spelling import LEAK_RATE, format_number
 from kc2spice.physics.declaration import TEMPERATURE, Branch, Declaration
-from kc2spice.physics.linkages import FluxLinkages, find_linkages
+from kc2spice.physics.linkages import FluxLinkages, find_flux_linkages
 from kc2spice.physics.lookups import CELL_NODE, WEIGHT_NODE, Lookups, TableFunction, has_tables
 from kc2spice.physics.symbolic import (
     ONE,
@@ -121,7 +121,7 @@ def _write_items(
     for name, tree in declaration.constant_trees.items():
         yield Parameters({name: f"{{{format_tree(tree)}}}"})
     nodes, rest = _list_variable_trees(declaration), reference_pin_name(declaration)
-    linkages = find_linkages(declaration)
+    linkages = find_flux_linkages(declaration)
     lookups = Lookups(tables, _list_laws(declaration, linkages), rest)
     if lookups.argument:
         nodes = {**nodes, **lookups.node_trees(), **_list_inner_voltages(declaration, linkages)}
@@ -373,7 +373,7 @@ def _write_mass(declaration: Declaration, b: Branch) -> Iterator[Line]:
     ]
     weight = declaration.direct_flow(b)
     constant_weight = add_trees(
-        substitute_names(weight, dict.fromkeys(names_of(frame_branches), ZERO))
+        substitute_names(weight, dict.fromkeys(list_names(frame_branches), ZERO))
     )
     if constant_weight != ZERO:
         yield Element.of(f"Iweight_{n}", v, base, f"{{{format_tree(constant_weight)}}}")

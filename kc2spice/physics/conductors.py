@@ -47,7 +47,7 @@ class ConductorKeys(Section):
             cls.model_fields[name] = cls.model_fields.pop(name)
 
 
-def conductor_values(keys: Section) -> tuple[float | None, float]:
+def get_conductor_values(keys: Section) -> tuple[float | None, float]:
     """Return the temperature coefficient [1/K] and the reference temperature [K] of a part.
 
     The temperature coefficient is None if no key of the part states it.
@@ -62,7 +62,7 @@ def is_heated(part: Part, scene: DeclaredScene) -> bool:
     return HEAT in part.pins or scene.is_target(part.name, HEAT)
 
 
-def refuse_conductor_keys(part: Part, scene: DeclaredScene) -> Iterator[UsageError]:
+def list_useless_key_errors(part: Part, scene: DeclaredScene) -> Iterator[UsageError]:
     """Yield an error for each conductor key without effect, if the heat pin is not connected."""
     if is_heated(part, scene):
         return

@@ -42,7 +42,7 @@ from typing import Any
 
 from kc2spice.core.domains import AMBIENT, HEAT, QUANTITIES, Domain
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, unknown
-from kc2spice.core.naming import names_of
+from kc2spice.core.naming import list_names
 from kc2spice.core.quantities import Section
 from kc2spice.netlist.circuit import Param
 from kc2spice.netlist.expression import (
@@ -342,9 +342,11 @@ class Declaration:
                 raise _make_unknown_name_error(
                     self.name, what, unknown, known, self._make_coordinate_hint(unknown)
                 )
-        self._check_names("energy", self._parse_field("energy"), set(names_of(self.displacements)))
         self._check_names(
-            "coenergy", self._parse_field("coenergy"), set(names_of(self.acting_branches))
+            "energy", self._parse_field("energy"), set(list_names(self.displacements))
+        )
+        self._check_names(
+            "coenergy", self._parse_field("coenergy"), set(list_names(self.acting_branches))
         )
         earlier = {*self.states}
         for b in self.measured_branches:
@@ -501,7 +503,7 @@ class Declaration:
     @cached_property
     def coordinates(self) -> tuple[str, ...]:
         """Names of the coordinates of all branches."""
-        return tuple(names_of(self.branches))
+        return tuple(list_names(self.branches))
 
     @cached_property
     def rates(self) -> tuple[str, ...]:

@@ -213,7 +213,7 @@ class Junction(Device):
         charge, farad, _ = self._compute_charge(float(e[0]))
         return np.array([charge]), np.array([[farad, *np.zeros(len(e) - 1)]])
 
-    def evaluate_store(self, e: np.ndarray, mode: Any) -> np.ndarray:
+    def evaluate_stored_quantities(self, e: np.ndarray, mode: Any) -> np.ndarray:
         """Return the charge [C] that the junction stores."""
         return np.array([self._compute_charge(float(e[0]))[0]])
 

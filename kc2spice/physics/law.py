@@ -13,7 +13,7 @@ import numpy as np
 from kc2spice.core.domains import TRANSLATION
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.laws import AcrossInput, Device, Flow, LawPin
-from kc2spice.core.naming import names_of
+from kc2spice.core.naming import list_names
 from kc2spice.netlist.expression import Name, Number, Tree, substitute_names
 from kc2spice.physics.declaration import LOOPS, Branch, Declaration
 from kc2spice.physics.symbolic import (
@@ -83,7 +83,7 @@ class DeclaredLaw(Device):
     def pin_pairs(self) -> tuple[tuple[str, str], ...]:
         """Pairs of a pin of the part and the full name of the corresponding law pin."""
         inner = {LOOPS, *self.declaration.inner}
-        pins = filterfalse(inner.__contains__, names_of(self.pins))
+        pins = filterfalse(inner.__contains__, list_names(self.pins))
         return tuple((pin, f"{self.name}.{pin}") for pin in pins)
 
     @property
@@ -140,7 +140,7 @@ class DeclaredLaw(Device):
     @property
     def states(self) -> tuple[str, ...]:
         """Names of the states: currents, followed by the states of the declaration."""
-        return (*names_of(self._through_branches), *self.declaration.states)
+        return (*list_names(self._through_branches), *self.declaration.states)
 
     @property
     def has_stored_quantities(self) -> bool:
@@ -297,7 +297,7 @@ class DeclaredLaw(Device):
         """Return the outputs of the law without derivatives."""
         return self._evaluate(self._output_only_function, e, mode)
 
-    def evaluate_store(self, e: np.ndarray, mode: Any) -> np.ndarray:
+    def evaluate_stored_quantities(self, e: np.ndarray, mode: Any) -> np.ndarray:
         """Return the stored quantities without derivatives."""
         return self._evaluate(self._storage_only_function, e, mode)
 

@@ -19,7 +19,7 @@ from itertools import chain
 import numpy as np
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.naming import names_of
+from kc2spice.core.naming import list_names
 from kc2spice.netlist.expression import Name, Tree, substitute_names
 from kc2spice.physics.declaration import Branch, Declaration
 from kc2spice.physics.lookups import Lookups, has_tables
@@ -61,7 +61,7 @@ class FluxLinkages:
     @property
     def current_names(self) -> list[str]:
         """Names of the currents in the order of the branches."""
-        return names_of(self.branches)
+        return list_names(self.branches)
 
     @cached_property
     def motion_voltages(self) -> tuple[Tree, ...]:
@@ -93,7 +93,7 @@ class FluxLinkages:
         return mean, mean * np.linalg.inv(matrix)
 
 
-def find_linkages(declaration: Declaration) -> FluxLinkages | None:
+def find_flux_linkages(declaration: Declaration) -> FluxLinkages | None:
     """Return the flux linkages of a declaration; None if no flux linkage contains a table."""
     branches = tuple(b for b in declaration.acting_branches if b.flows)
     result = FluxLinkages(declaration, branches)

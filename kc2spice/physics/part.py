@@ -14,7 +14,7 @@ import numpy as np
 from kc2spice.core import laws
 from kc2spice.core.domains import HEAT, HEAT_PINS, SIGNALS, TRANSLATION, VELOCITY
 from kc2spice.core.errors import UsageError
-from kc2spice.core.naming import names_of
+from kc2spice.core.naming import list_names
 from kc2spice.core.waveforms import Waveforms, integrate_cumulatively
 from kc2spice.netlist.circuit import Circuit, Item, Param, Pin
 from kc2spice.netlist.expression import Tree
@@ -30,10 +30,10 @@ from kc2spice.physics.cards import (
     reference_pin_name,
     subcircuit_items,
 )
-from kc2spice.physics.conductors import conductor_values, is_heated, refuse_conductor_keys
+from kc2spice.physics.conductors import get_conductor_values, is_heated, list_useless_key_errors
 from kc2spice.physics.declaration import Branch, Declaration
 from kc2spice.physics.law import DeclaredLaw
-from kc2spice.physics.linkages import find_linkages
+from kc2spice.physics.linkages import find_flux_linkages
 from kc2spice.physics.lookups import TableFunction
 from kc2spice.physics.symbolic import differentiate_tree, evaluate_tree, find_kinks, find_names
 from kc2spice.scene.checks import Balance, Check
@@ -66,7 +66,7 @@ _INNER_NODE_PATTERN = rf"(?:{_INNER_PREFIXES})_.+|(?:edge|poly)\d+|tick"  # name
 _MAX_UNEXPLAINED_SHARE = 1e-3  # largest accepted relative error of the energy balance
 
 
-def sweep_numerics(part: Part, scene: DeclaredScene) -> Iterator[Numerics]:
+def list_sweep_numerics(part: Part, scene: DeclaredScene) -> Iterator[Numerics]:
     """Yield a smaller tolerance of Newton's method if the analysis is ``dc`` or ``op``."""
     if scene.analysis.type in ("dc", "op"):
         change = "1e-6", "change at which Newton's method stops: nonlinear parts"
@@ -124,7 +124,7 @@ class DeclaredPart(PartType[KeysT]):
 
     def problems(self, part: Part[KeysT], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield errors for keys of the part that have no effect."""
-        yield from refuse_conductor_keys(part, scene)
+        yield from list_useless_key_errors(part, scene)
 
     def pins(self, part: Part[KeysT], scene: JoinedScene) -> tuple[Terminal, ...]:
         """Return the pins of the part in the order of its subcircuit."""
@@ -172,7 +172,7 @@ class DeclaredPart(PartType[KeysT]):
     def numerics(self, part: Part[KeysT], scene: WiredScene) -> Iterator[Numerics]:
         """Yield a smaller tolerance for dc sweeps if the declaration is nonlinear."""
         if not self.declare_part(part, scene).linear:
-            yield from sweep_numerics(part, scene)
+            yield from list_sweep_numerics(part, scene)
 
     # --- results ----------------------------------------------------------------------------------
 
@@ -230,7 +230,7 @@ class DeclaredPart(PartType[KeysT]):
             yield from self.check_operating_point(part, build, waves)
         if "time" in waves:
             yield from balance_energy(d, part, known, waves)
-            positions = known.keys() & set(names_of(d.displacements))
+            positions = known.keys() & set(list_names(d.displacements))
             forces = map(d.direct_flow, d.acting_branches)
             for tree in dict.fromkeys(chain.from_iterable(map(find_kinks, forces))):
                 if positions.isdisjoint(find_names(tree)):  # a kink without position is no impact
@@ -286,7 +286,7 @@ def _attach_heat_pin(declaration: Declaration, part: Part) -> Declaration:
     """Return a declaration with a heat pin; the same declaration if it offers no heat pin."""
     if not declaration.offers_heat_pin:
         return declaration
-    coefficient, reference = conductor_values(part.keys)
+    coefficient, reference = get_conductor_values(part.keys)
     return declaration.with_heat_pin(coefficient, reference)
 
 
@@ -405,8 +405,8 @@ def declared_subcircuit(
     from kc2spice.synthesis.header import parameter_defaults_of, part_header  # loads scipy
 
     d, pins = declaration, tuple(pins) or make_pins(declaration)
-    ends = tuple(names_of(pins))
-    linkages = find_linkages(d)
+    ends = tuple(list_names(pins))
+    linkages = find_flux_linkages(d)
     inner = [
         *map(checked, d.signals),
         *d.inner,

@@ -35,8 +35,8 @@ from kc2spice.netlist.expression import (
     Number,
     Tree,
     Unary,
+    list_operands,
     map_operands,
-    operands_of,
     parse_expression,
     substitute_names,
     walk_tree,
@@ -522,7 +522,7 @@ def find_kinks(tree: Tree) -> tuple[Tree, ...]:
 
     The argument of ``max(0, e)``, for example, is e. Arguments of inner functions are first.
     """
-    result = [*chain.from_iterable(map(find_kinks, operands_of(tree)))]
+    result = [*chain.from_iterable(map(find_kinks, list_operands(tree)))]
     match tree:
         case Call("clip", (value,)):
             result += _clip_excesses(value)

@@ -78,7 +78,9 @@ class Interval:
         g: np.ndarray = self.system.G @ X
         for device, mode in self.curved:
             if device.stores is not None:
-                g += device.stores @ _evaluate(device.law.evaluate_store, device.inputs @ X, mode)
+                g += device.stores @ _evaluate(
+                    device.law.evaluate_stored_quantities, device.inputs @ X, mode
+                )
         return g
 
     def compute_right_sides(self, X: np.ndarray) -> np.ndarray:

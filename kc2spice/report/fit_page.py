@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from kc2spice.core.figure import Curve, Figure, Panel, scale_axis
+from kc2spice.core.figure import Curve, Figure, Panel, get_axis_label_and_factor
 from kc2spice.report.html import PageSection, write_page
 
 
@@ -120,7 +120,7 @@ def plot_fit(
     The panels show magnitude and phase of the three impedances, and the deviation of the fitted
     impedance. ``Y``, ``before`` and ``after`` are admittances [S].
     """
-    x, factor = scale_axis("frequency", f)
+    x, factor = get_axis_label_and_factor("frequency", f)
     f = factor * f
     three = {"measured": (Y, "o"), "scene": (before, "--"), "fitted": (after, "-")}
 

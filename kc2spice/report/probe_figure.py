@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from kc2spice.core.figure import Curve, Figure, Panel, format_axis_label, scale_axis
+from kc2spice.core.figure import Curve, Figure, Panel, format_axis_label, get_axis_label_and_factor
 from kc2spice.core.prefix import format_quantity
 from kc2spice.core.sound_level import LEVEL_UNIT, SoundLevel, compute_level
 from kc2spice.core.waveforms import Waveforms
@@ -78,7 +78,7 @@ def _plot_unit(
     """
     scale = next(iter(waves.data))
     x = waves[scale].real
-    label, factor = scale_axis(scale, x)
+    label, factor = get_axis_label_and_factor(scale, x)
     log_x = scale == "frequency" and bool(x[0] > 0 and x[-1] / x[0] > WIDE_RANGE)
     complex_ = any(_is_response(probe, waves) for probe in probes.values())
     decibels = unit.startswith(LEVEL_UNIT)

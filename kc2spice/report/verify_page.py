@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from kc2spice.core.figure import Curve, Figure, Panel, format_axis_label, scale_axis
+from kc2spice.core.figure import Curve, Figure, Panel, format_axis_label, get_axis_label_and_factor
 from kc2spice.core.prefix import format_quantity, format_ratio, format_value_and_limit
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.report.html import PageSection, format_metric, format_times, write_page
@@ -143,7 +143,7 @@ def plot_comparison(
     """
     (first, exact), *others = solutions.items()
     scale = next(iter(exact))
-    label, factor = scale_axis(scale, exact[scale].real)
+    label, factor = get_axis_label_and_factor(scale, exact[scale].real)
     common = set.intersection(*map(set, solutions.values())) - {scale}
     selected = _find_largest_wave_names(filter(common.__contains__, exact), exact, units)
     if not selected or np.ptp(exact[scale]) == 0:
@@ -168,7 +168,7 @@ def plot_comparison(
     yield Figure(f"{name}_differences", f"{title}: differences", caption, (panel,))
 
 
-def plot_solutions(name: str, curves: Solutions) -> Iterator[Figure]:
+def plot_port_responses(name: str, curves: Solutions) -> Iterator[Figure]:
     """Plot the response of each port of a body to a load on the same port.
 
     ``curves`` contains the responses of each model, keyed by the label of the model.

@@ -40,7 +40,7 @@ def choose_natural_band(pencil: Pencil) -> tuple[float, float]:
     """
     try:
         if pencil.degree == 2 and pencil.symmetric:
-            rates = compute_elastic_modes(pencil, BAND_MODES)
+            rates = compute_elastic_eigenvalues(pencil, BAND_MODES)
         else:
             rates = (
                 _compute_all_rates(pencil)
@@ -68,7 +68,7 @@ def choose_natural_band(pencil: Pencil) -> tuple[float, float]:
     return 0.0, float(BAND_MARGIN * rates[-1] / (2 * np.pi))
 
 
-def compute_elastic_modes(pencil: Pencil, count: int) -> np.ndarray:
+def compute_elastic_eigenvalues(pencil: Pencil, count: int) -> np.ndarray:
     """Compute the ``count`` lowest squared natural frequencies [rad^2/s^2].
 
     The model must be symmetric and of second order. Rigid-body modes do not count. If the model has
@@ -131,7 +131,7 @@ def find_band_end(pencil: Pencil, count: int, high: float) -> float:
     if pencil.degree != 2 or not pencil.symmetric or pencil.size <= count + 2:
         return high
     try:
-        rates = compute_elastic_modes(pencil, count)
+        rates = compute_elastic_eigenvalues(pencil, count)
     except (SimulationError, UsageError, ArpackError, LinAlgError):
         return high
     if rates.size < count:

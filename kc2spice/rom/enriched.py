@@ -19,7 +19,7 @@ from scipy.linalg import LinAlgError, eig
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.rom.constraints import eliminate_algebraic_unknowns
 from kc2spice.rom.definite import is_definite
-from kc2spice.rom.first_step import intermediate_model
+from kc2spice.rom.first_step import build_intermediate_model
 from kc2spice.rom.linear_model import LinearModel, Norm, make_linear_model
 from kc2spice.rom.modal import Resonators, integrate_roots, resonators, simulate_chip
 from kc2spice.rom.pencil import Pencil
@@ -83,7 +83,7 @@ class ReductionsByOrder:
             return make_linear_model(pencil.project(self._space.vectors(states)), ports)
         wide = band[0], BAND_RATIO * band[1]
         return make_linear_model(
-            intermediate_model(pencil, wide, TARGET_ERROR, MAX_ERROR).pencil, ports
+            build_intermediate_model(pencil, wide, TARGET_ERROR, MAX_ERROR).pencil, ports
         )
 
 

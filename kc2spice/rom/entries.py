@@ -22,7 +22,7 @@ ZERO_ENTRY = 1e-11
 BALANCING_STEPS = 40  # each iteration halves the logarithm of the remaining scale factor
 
 
-def get_reference_share(norm: str) -> float:
+def get_min_divisor_share(norm: str) -> float:
     """Return the smallest divisor of the errors of an entry, relative to the entry's peak."""
     return PEAK_SHARE if norm == "pointwise" else 1.0
 
@@ -76,7 +76,7 @@ class Entries:
         mean = _compute_geometric_mean(np.abs(H), self.rows, self.columns)
         return np.asarray(np.abs(H) <= ZERO_ENTRY * np.maximum(mean, scale))
 
-    def relative_sizes(
+    def relative_errors(
         self, difference: np.ndarray, H: np.ndarray, share: float = PEAK_SHARE
     ) -> np.ndarray:
         """Return the relative magnitude of a ``difference`` from the response H.

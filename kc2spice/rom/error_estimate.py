@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.rom.entries import PEAK_SHARE, Entries, get_reference_share
+from kc2spice.rom.entries import PEAK_SHARE, Entries, get_min_divisor_share
 from kc2spice.rom.linear_model import LinearModel, Norm, Port
 from kc2spice.rom.response import (
     FLANK_DISTANCE,
@@ -145,7 +145,7 @@ class ErrorEstimator:
     @property
     def share(self) -> float:
         """Smallest value by which errors of an entry are divided, relative to the entry's peak."""
-        return get_reference_share(self.norm)
+        return get_min_divisor_share(self.norm)
 
     @cached_property
     def _significant_entries(self) -> np.ndarray:
@@ -259,10 +259,10 @@ def relative_size(
     """Return relative errors (..., outputs, inputs) for a difference from a reference response.
 
     By default, the scales ``entries`` are computed from the reference. See
-    :meth:`kc2spice.rom.entries.Entries.relative_sizes`.
+    :meth:`kc2spice.rom.entries.Entries.relative_errors`.
     """
     entries = entries or Entries.of(reference)
-    return entries.relative_sizes(difference, reference)
+    return entries.relative_errors(difference, reference)
 
 
 def make_inaccuracy_error(message: str, got: str, limit: float, hint: str) -> SimulationError:

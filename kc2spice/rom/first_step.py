@@ -57,7 +57,7 @@ MAX_DENSE_STATES = 2000  # states of models whose many resonances prevent conver
 MAX_DIRECT_UNKNOWNS = 150
 
 
-def intermediate_model(
+def build_intermediate_model(
     pencil: Pencil,
     band: tuple[float, float],
     target: float,

@@ -150,7 +150,7 @@ def find_heat_ladder(model: LinearModel) -> HeatLadder | None:
     return HeatLadder(1 / conductance, capacity, float(model.D[0, 0]))
 
 
-def require_form(form: str | None, where: str) -> NetworkForm | None:
+def parse_network_form(form: str | None, where: str) -> NetworkForm | None:
     """Check the name of a network form and return the form; None if no form is requested.
 
     Raises
@@ -167,7 +167,7 @@ def require_form(form: str | None, where: str) -> NetworkForm | None:
     )
 
 
-def shape_network(network: FosterNetwork, form: NetworkForm, port: Port) -> LinearModel:
+def make_network_model(network: FosterNetwork, form: NetworkForm, port: Port) -> LinearModel:
     """Return the model of a network in Foster's or Cauer's form."""
     return network.ladder().linear(port) if form == "cauer" else network.linear(port)
 

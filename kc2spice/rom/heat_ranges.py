@@ -25,10 +25,10 @@ import numpy as np
 import scipy
 
 from kc2spice.core.errors import SimulationError, UsageError
-from kc2spice.core.naming import names_of
-from kc2spice.rom.entries import get_reference_share
+from kc2spice.core.naming import list_names
+from kc2spice.rom.entries import get_min_divisor_share
 from kc2spice.rom.error_estimate import ErrorEstimator
-from kc2spice.rom.first_step import intermediate_model
+from kc2spice.rom.first_step import build_intermediate_model
 from kc2spice.rom.heat_over_ranges import HeatOverRanges
 from kc2spice.rom.interface_modes import make_no_congruence_error, reduce_with_interfaces
 from kc2spice.rom.interface_split import (
@@ -87,7 +87,7 @@ class HeatReduction:
         self._frame = self._compute_full({axis.name: axis.middle for axis in axes})
         self._terms = find_terms(self._compute_full, axes, self._frame)
         self._term_facts = tuple(self._facts)
-        self._prescribed = [name for name in names_of(self._frame.ports) if name in prescribed]
+        self._prescribed = [name for name in list_names(self._frame.ports) if name in prescribed]
 
     def reduce(self, task: RangeTask) -> HeatOverRanges:
         """Reduce the heat models over the parameter ranges of the task.
@@ -200,15 +200,17 @@ class _Ranges:
         if self.prescribed:
             flows = FlowReference.of(model, parts, task.band, task.norm, task.tolerance)
         if self.flows:  # the basis includes the responses to prescribed temperatures
-            sources = names_of(parts.inner.ports[: len(parts.shares)])
-            live = [name for name in names_of(inner.ports) if name in sources]
+            sources = list_names(parts.inner.ports[: len(parts.shares)])
+            live = [name for name in list_names(inner.ports) if name in sources]
             inner = inner.select(live) if live else inner
         if inner.order <= DENSE:
             inner, _ = transform_to_modal_coordinates(inner)
         limits = 0.01 * self.task.tolerance, 0.3 * self.task.tolerance
-        space = intermediate_model(inner.pencil, self.task.band, *limits)
+        space = build_intermediate_model(inner.pencil, self.task.band, *limits)
         estimator = space.estimator(self.task.band, self.task.norm)
-        return _Reference(self, values, parts, flows, names_of(inner.ports), estimator, space.error)
+        return _Reference(
+            self, values, parts, flows, list_names(inner.ports), estimator, space.error
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,7 +247,7 @@ class _Reference:
 
     def _compute_static_error(self, ours: PrescribedTemperatures) -> float:
         """Return the largest relative error of the static responses to prescribed temperatures."""
-        share = get_reference_share(self.ranges.task.norm)
+        share = get_min_divisor_share(self.ranges.task.norm)
         size = float(self.parts.inner.pencil.coefficients[0].diagonal().max())
         result = 0.0
         pairs = (

@@ -14,7 +14,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from kc2spice.core.domains import THERMAL
-from kc2spice.core.naming import names_of
+from kc2spice.core.naming import list_names
 from kc2spice.rom.linear_model import LinearModel, Port
 
 DENSE = 1500  # largest number of unknowns of a model whose modes are computed
@@ -56,7 +56,7 @@ class PrescribedTemperatures:
 def split_prescribed(model: LinearModel, prescribed: Sequence[str]) -> PrescribedTemperatures:
     """Divide a heat model into the ports ``prescribed`` and all other unknowns."""
     K, E = map(sparse.csc_array, model.pencil.coefficients)
-    names = names_of(model.ports)
+    names = list_names(model.ports)
     of_ports = [names.index(name) for name in prescribed]
     at = model.B[:, of_ports].argmax(axis=0)
     others = np.setdiff1d(np.arange(model.order), at)

@@ -167,7 +167,7 @@ class LinearModel:
     model, and the unit matrix in a first-order model. ``rayleigh = (alpha, beta)`` replaces ``E``
     by ``alpha M + beta K``. ``K`` (or ``A``) may be a Schur complement
     (:class:`kc2spice.rom.pencil.Schur`), which eliminates massless unknowns exactly without a dense
-    matrix; see :func:`with_potentials`.
+    matrix; see :func:`make_piezoelectric_model`.
 
     ``ports`` lists conservative ports and signals in the order of the columns of B. The rows of C
     follow the same order (an input has no row, an output no column). By default, the ports are
@@ -484,7 +484,7 @@ class LinearModel:
         return f"<p>{escape(repr(self))}</p><table>{head}{rows}</table>"
 
 
-def with_potentials(
+def make_piezoelectric_model(
     *,
     M: Matrix,
     K_uu: Matrix,

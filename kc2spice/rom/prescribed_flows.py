@@ -29,8 +29,8 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from kc2spice.core.domains import THERMAL
-from kc2spice.rom.entries import Entries, get_reference_share
-from kc2spice.rom.first_step import intermediate_model
+from kc2spice.rom.entries import Entries, get_min_divisor_share
+from kc2spice.rom.first_step import build_intermediate_model
 from kc2spice.rom.interface_split import DENSE, ROUNDING, PrescribedTemperatures
 from kc2spice.rom.linear_model import LinearModel, Norm, Port
 
@@ -98,7 +98,7 @@ class FlowReference:
         n = len(parts.at)
         rounding[:n, :n] *= np.abs(model.pencil.coefficients[0]).diagonal()[parts.at].max()
         rounding[n:, n:] = 0.0
-        return cls(frequency, response, uncertainty, rounding, get_reference_share(norm))
+        return cls(frequency, response, uncertainty, rounding, get_min_divisor_share(norm))
 
     def error(self, model: LinearModel, parts: PrescribedTemperatures) -> float:
         """Return the largest relative error of the response of a reduced ``model``.
@@ -121,7 +121,7 @@ def _project_on_responses(
     Return the smaller model, its division, and its error, which is far below the ``tolerance``.
     """
     limits = (share * tolerance for share in REFERENCE_SHARE)
-    space = intermediate_model(drive_unknowns(model, parts).pencil, band, *limits)
+    space = build_intermediate_model(drive_unknowns(model, parts).pencil, band, *limits)
     assert space.basis is not None  # the basis is None only for small models
     n, at, others = len(parts.at), parts.at, parts.others
     W, _ = np.linalg.qr(np.hstack([space.basis, parts.psi]))

@@ -29,7 +29,7 @@ from kc2spice.rom.band import choose_natural_band
 from kc2spice.rom.certification import certify, certify_with_full_order
 from kc2spice.rom.constraints import eliminate_algebraic_unknowns
 from kc2spice.rom.definite import expects_cholesky, is_definite
-from kc2spice.rom.first_step import intermediate_model
+from kc2spice.rom.first_step import build_intermediate_model
 from kc2spice.rom.intermediate import IntermediateModel
 from kc2spice.rom.linear_model import LinearModel, Norm
 from kc2spice.rom.pencil import Pencil
@@ -242,7 +242,7 @@ def make_verified_first_step(
         else:
             # a prescribed order may exceed the number of states of a deflated model
             deflated = target.order is None
-            result = intermediate_model(pencil, band, goal, limit, deflated=deflated)
+            result = build_intermediate_model(pencil, band, goal, limit, deflated=deflated)
     finally:
         proof = prove_stability(pencil, band, result.poles if result else None)
         if proof.stable is False:

@@ -33,7 +33,7 @@ import scipy
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.rom.error_estimate import ErrorEstimator
-from kc2spice.rom.first_step import intermediate_model
+from kc2spice.rom.first_step import build_intermediate_model
 from kc2spice.rom.linear_model import LinearModel, Norm
 from kc2spice.rom.parametric import (
     DenseParametricModel,
@@ -210,7 +210,7 @@ def _reduce_and_check(task: RangeTask) -> tuple[ResonatorsOverRanges, float]:
         checks = []
         for k, values in enumerate(points):
             task.progress(k, len(points))
-            space = intermediate_model(
+            space = build_intermediate_model(
                 task.full(values).pencil, band, 0.01 * tolerance, 0.3 * tolerance
             )
             checks.append((values, space.estimator(band, task.norm), space.error))

@@ -29,7 +29,7 @@ import scipy
 from kc2spice.core.domains import ACCELERATION
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.rom.constraints import eliminate_algebraic_unknowns
-from kc2spice.rom.entries import Entries, get_reference_share
+from kc2spice.rom.entries import Entries, get_min_divisor_share
 from kc2spice.rom.error_estimate import choose_adaptive_frequencies
 from kc2spice.rom.linear_model import LinearModel, Norm
 from kc2spice.rom.lossy_modes import (
@@ -229,7 +229,9 @@ class _Search:
         """
         frequency, exact = self._comparison_response(self.dashpot_modes)
         s = 2j * np.pi * frequency
-        base = Entries.of(exact).base(exact, get_reference_share(self.norm)) + np.finfo(float).tiny
+        base = (
+            Entries.of(exact).base(exact, get_min_divisor_share(self.norm)) + np.finfo(float).tiny
+        )
         losses = np.diag(self.H)
         trials: list[Oscillator] = []
         before: list[float] = []
@@ -258,7 +260,7 @@ class _Search:
         response = self.model(modes).transfer(frequency)
         return float(
             Entries.of(exact)
-            .relative_sizes(response - exact, exact, get_reference_share(self.norm))
+            .relative_errors(response - exact, exact, get_min_divisor_share(self.norm))
             .max()
         )
 
@@ -277,8 +279,8 @@ class _Search:
         ]
         full = self.full.transfer(frequencies)
         entries = Entries.of(self._comparison_response(self.dashpot_modes)[1])
-        errors = entries.relative_sizes(
-            result.transfer(frequencies) - full, full, get_reference_share(self.norm)
+        errors = entries.relative_errors(
+            result.transfer(frequencies) - full, full, get_min_divisor_share(self.norm)
         )
         return float(errors.max())
 
@@ -389,9 +391,9 @@ def reduce_to_first_order(
         exact, massless_response = model.transfer(frequency), massless_model.transfer(frequency)
     except SimulationError:
         return reduced_model
-    share = get_reference_share(norm)
+    share = get_min_divisor_share(norm)
     inertia_error = SAFETY_FACTOR * float(
-        Entries.of(exact).relative_sizes(massless_response - exact, exact, share).max()
+        Entries.of(exact).relative_errors(massless_response - exact, exact, share).max()
     )
     if inertia_error > MASSLESS_SHARE * tolerance:
         return reduced_model

@@ -280,7 +280,7 @@ def _with_inner_names(scene: Scene) -> Scene:
     return replace(scene, meters=meters)
 
 
-def metered_pins(part: Part, scene: Scene) -> dict[str, Domain]:
+def list_metered_pins(part: Part, scene: Scene) -> dict[str, Domain]:
     """Return the pins of a part at which a flow can be measured, with their domains.
 
     Pins on ground are excluded. In a domain whose flow is a power, the reference pin, such as
@@ -296,13 +296,13 @@ def metered_pins(part: Part, scene: Scene) -> dict[str, Domain]:
     return result
 
 
-def powered_pins(part: Part, scene: Scene) -> dict[str, Domain]:
+def list_power_input_pins(part: Part, scene: Scene) -> dict[str, Domain]:
     """Return the pins through which power enters a part, all of one domain.
 
     The domain is electrical if the part has electrical pins; otherwise it is the domain of the
     first pin.
     """
-    pins = metered_pins(part, scene)
+    pins = list_metered_pins(part, scene)
     domains = [*pins.values()]
     powered = ELECTRICAL if ELECTRICAL in domains else next(iter(domains), None)
     return {pin: domain for pin, domain in pins.items() if domain is powered}
@@ -321,8 +321,8 @@ def _list_metered_pins(scene: Scene) -> Iterator[Pin]:
         part = scene.parts.get(name)
         if part is None or not scene.has_subcircuit(part):
             continue
-        powered = powered_pins(part, scene)
-        for pin, domain in metered_pins(part, scene).items():
+        powered = list_power_input_pins(part, scene)
+        for pin, domain in list_metered_pins(part, scene).items():
             flow = domain.through_variable.name
             first = domain is ELECTRICAL and pin == next(iter(powered))
             # a body may report this current without an ammeter

@@ -18,13 +18,13 @@ from operator import mul
 from kc2spice.core.domains import ACCELERATION, TRANSLATION, VELOCITY
 from kc2spice.core.errors import UsageError
 from kc2spice.scene.model import Part, Scene
-from kc2spice.scene.part_records import PERPENDICULAR_COSINE, FrameShake, ShakenFrame
+from kc2spice.scene.part_records import PERPENDICULAR_COSINE, AcceleratedFrame, FrameAcceleration
 
 # units of pins that move a body or sense a motion
 MOTION_UNITS = (TRANSLATION.across.pin_unit, VELOCITY.pin_unit)
 
 
-def find_frames(scene: Scene) -> dict[tuple[str, str], ShakenFrame]:
+def find_frames(scene: Scene) -> dict[tuple[str, str], AcceleratedFrame]:
     """Return the accelerated frame of each pin whose displacement is relative to such a frame.
 
     Raises
@@ -38,7 +38,7 @@ def find_frames(scene: Scene) -> dict[tuple[str, str], ShakenFrame]:
             bodies[part.name] = shaken
     if not bodies:
         return {}
-    result = dict[str, ShakenFrame]()
+    result = dict[str, AcceleratedFrame]()
     for name, pins in bodies.items():
         for pin, frame in pins.items():
             _set_frame(result, scene.nets[name, pin], frame, f"{name}.{pin}")
@@ -55,7 +55,7 @@ def find_frames(scene: Scene) -> dict[tuple[str, str], ShakenFrame]:
     return {pin: result[net] for pin, net in scene.nets.items() if net in result}
 
 
-def _find_body_frames(part: Part, scene: Scene) -> dict[str, ShakenFrame]:
+def _find_body_frames(part: Part, scene: Scene) -> dict[str, AcceleratedFrame]:
     """Return the accelerated frame of each moving pin of a body.
 
     The result is empty for a body whose acceleration pins are not joined.
@@ -74,8 +74,8 @@ def _find_body_frames(part: Part, scene: Scene) -> dict[str, ShakenFrame]:
         for source, net in accelerations.items():
             share = _compute_cosine(directions.get(pin), directions.get(source))
             if share is None or abs(share) > PERPENDICULAR_COSINE:
-                shakes.append(FrameShake(net, (part.name, source), share))
-        result[pin] = ShakenFrame(part.name, tuple(shakes))
+                shakes.append(FrameAcceleration(net, (part.name, source), share))
+        result[pin] = AcceleratedFrame(part.name, tuple(shakes))
     return result
 
 
@@ -99,7 +99,9 @@ def _moving_pins(part: Part, scene: Scene, *, listening: bool = False) -> list[s
     return result
 
 
-def _set_frame(known: dict[str, ShakenFrame], net: str, frame: ShakenFrame, where: str) -> None:
+def _set_frame(
+    known: dict[str, AcceleratedFrame], net: str, frame: AcceleratedFrame, where: str
+) -> None:
     """Store the reference frame of a net in ``known``; reject a net in two different frames."""
     if net == "0":
         return
@@ -116,7 +118,7 @@ def _set_frame(known: dict[str, ShakenFrame], net: str, frame: ShakenFrame, wher
         )
 
 
-def _spread_frame(part: Part, scene: Scene, known: dict[str, ShakenFrame]) -> None:
+def _spread_frame(part: Part, scene: Scene, known: dict[str, AcceleratedFrame]) -> None:
     """Store the reference frame of one net of a part for all moving nets of the part."""
     nets = scene.nets_of(part.name, _moving_pins(part, scene))
     frame = next(filter(None, map(known.get, nets)), None)
@@ -125,7 +127,7 @@ def _spread_frame(part: Part, scene: Scene, known: dict[str, ShakenFrame]) -> No
             _set_frame(known, net, frame, part.name)
 
 
-def _require_one_frame(part: Part, scene: Scene, known: Mapping[str, ShakenFrame]) -> None:
+def _require_one_frame(part: Part, scene: Scene, known: Mapping[str, AcceleratedFrame]) -> None:
     """Reject a part that compares displacements relative to different frames."""
     if part.reduced:
         return
@@ -147,7 +149,7 @@ def _require_one_frame(part: Part, scene: Scene, known: Mapping[str, ShakenFrame
         )
 
 
-def _describe_frame(frame: ShakenFrame | None) -> str:
+def _describe_frame(frame: AcceleratedFrame | None) -> str:
     """Describe a frame in words; None is the frame of the ground."""
     return (
         "the frame of the ground" if frame is None else f"the frame that {frame.description} shakes"
@@ -155,7 +157,10 @@ def _describe_frame(frame: ShakenFrame | None) -> str:
 
 
 def _require_inertial_force(
-    part: Part, scene: Scene, known: Mapping[str, ShakenFrame], shaken: Mapping[str, ShakenFrame]
+    part: Part,
+    scene: Scene,
+    known: Mapping[str, AcceleratedFrame],
+    shaken: Mapping[str, AcceleratedFrame],
 ) -> None:
     """Reject a part with inertia that has no pin for the acceleration of its frame."""
     if shaken:

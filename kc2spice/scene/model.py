@@ -21,23 +21,23 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, Protocol, cas
 import numpy as np
 from typing_extensions import TypeVar
 
-from kc2spice.core.domains import SIGNAL, Domain, Quantity, across_of, domain_of
+from kc2spice.core.domains import SIGNAL, Domain, Quantity, find_across_quantity, find_domain
 from kc2spice.core.errors import UsageError, unknown, wrong
 from kc2spice.core.mesh_error import describe_mesh_errors
 from kc2spice.core.quantities import Section
 from kc2spice.core.workspace import Workspace
 from kc2spice.netlist.circuit import Element, Item
 from kc2spice.scene.part_records import (
+    AcceleratedFrame,
     DcSweep,
     EquilibriumConditions,
     Governed,
     HighestFrequency,
-    LargestRealPart,
+    LargestRealPartFrequency,
     Neglected,
     Numerics,
     SampledSource,
     SceneResults,
-    ShakenFrame,
     State,
     StepLimit,
     SweptSource,
@@ -140,12 +140,12 @@ class Terminal:
     @property
     def domain(self) -> Domain | None:
         """Physical domain of the pin; None for a signal."""
-        return domain_of(self.unit, self.flow)
+        return find_domain(self.unit, self.flow)
 
     @property
     def across(self) -> Quantity | None:
         """Across quantity of the pin; None for a signal without a domain."""
-        return across_of(self.unit)
+        return find_across_quantity(self.unit)
 
 
 @dataclass(frozen=True)
@@ -446,7 +446,7 @@ class GovernedScene(DeclaredScene):
     movers: Mapping[str, str] = field(default_factory=dict)
     initial_states: Mapping[str, State] = field(default_factory=dict)
     without_cards: frozenset[str] = frozenset()
-    frames: Mapping[tuple[str, str], ShakenFrame] = field(default_factory=dict)
+    frames: Mapping[tuple[str, str], AcceleratedFrame] = field(default_factory=dict)
 
     def record(self, part: Part) -> PartRecord[object] | None:
         """Return the record of a part.
@@ -965,7 +965,7 @@ class PartType(Generic[KeysT]):
 
     def main_metrics(
         self, part: Part[KeysT], build: Build
-    ) -> Mapping[str, Probe | LargestRealPart]:
+    ) -> Mapping[str, Probe | LargestRealPartFrequency]:
         """Return the metrics that every simulator can compute, as probes of results."""
         return {}
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from kc2spice.core.figure import Curve, Figure, Panel, scale_axis
+from kc2spice.core.figure import Curve, Figure, Panel, get_axis_label_and_factor
 from kc2spice.core.waveforms import Waveforms, integrate_cumulatively
 from kc2spice.scene.checks import Check, Metric
 from kc2spice.scene.model import Build
@@ -74,7 +74,7 @@ def noise_checks(waves: Waveforms) -> Iterator[Check]:
 def noise_figures(waves: Waveforms, unit: str) -> Iterator[Figure]:
     """Plot the spectral density of the output noise, and the rms noise up to each frequency."""
     f, density = waves["frequency"].real, np.abs(waves[NOISE_WAVE])
-    label, factor = scale_axis("frequency", f)
+    label, factor = get_axis_label_and_factor("frequency", f)
     log = bool(f[0] > 0 and f[-1] / f[0] > 20)
     rising = np.sqrt(integrate_cumulatively(density**2, f))
     rows = (

@@ -133,7 +133,7 @@ class SceneResults:
 
 
 @dataclass(frozen=True)
-class LargestRealPart:
+class LargestRealPartFrequency:
     """Frequency at which the real part of a response has its largest magnitude."""
 
     of: str
@@ -237,7 +237,7 @@ class Numerics:
 
 
 @dataclass(frozen=True)
-class FrameShake:
+class FrameAcceleration:
     """Acceleration signal of a reference frame, at the ``pin`` of a body.
 
     ``net`` is the netlist node of the pin. ``along`` is the cosine of the angle between the
@@ -250,11 +250,11 @@ class FrameShake:
 
 
 @dataclass(frozen=True)
-class ShakenFrame:
+class AcceleratedFrame:
     """Frame of reference of a net, with the accelerations that act along its motion."""
 
     body: str
-    shakes: tuple[FrameShake, ...]
+    shakes: tuple[FrameAcceleration, ...]
 
     @property
     def node_shares(self) -> frozenset[tuple[str, float | None]]:

@@ -19,7 +19,7 @@ from importlib import import_module
 import numpy as np
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.plugins import load_plugin, plugin_names
+from kc2spice.core.plugins import list_entry_points, load_plugin
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.expression import join_terms
 from kc2spice.netlist.spelling import require_name
@@ -160,7 +160,7 @@ def type_names() -> tuple[str, ...]:
         if name.endswith(SHARED_MODULE_SUFFIX):
             import_module(module)
     built_in = (name for name in modules if not name.endswith(SHARED_MODULE_SUFFIX))
-    return tuple(sorted({*_types, *plugin_names(PARTS_PACKAGE), *built_in}))
+    return tuple(sorted({*_types, *list_entry_points(PARTS_PACKAGE), *built_in}))
 
 
 @cache

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from kc2spice.core.domains import ACOUSTIC
 from kc2spice.core.errors import UsageError, did_you_mean, unknown
-from kc2spice.scene.compose import metered_pins, powered_pins
+from kc2spice.scene.compose import list_metered_pins, list_power_input_pins
 from kc2spice.scene.model import Build, Part, Scene
 from kc2spice.scene.resolve import resolve, with_vectors
 from kc2spice.scene.results import collect_results, find_noise_output
@@ -134,7 +134,7 @@ def _list_results(build: Build, waiting: Collection[str]) -> list[str]:
 
 def _list_metered_results(part: Part, scene: Scene, known: Collection[str]) -> Iterator[str]:
     """Yield flows and powers of a part that probes may read in addition to ``known`` results."""
-    n, pins, powered = part.name, metered_pins(part, scene), powered_pins(part, scene)
+    n, pins, powered = part.name, list_metered_pins(part, scene), list_power_input_pins(part, scene)
     separate = scene.has_subcircuit(part)
     for domain in dict.fromkeys(powered.values()):
         through = domain.through_variable

@@ -17,7 +17,7 @@ from kc2spice.core.domains import FLOW_SYMBOLS, Domain
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.quantities import quantity
 from kc2spice.netlist.powers import PowerTerm
-from kc2spice.scene.compose import metered_pins, powered_pins
+from kc2spice.scene.compose import list_metered_pins, list_power_input_pins
 from kc2spice.scene.keys import list_schema_keys
 from kc2spice.scene.model import Build, Part
 from kc2spice.scene.part_records import DcSweep, Powers, SceneResults, SweptSource, Vector
@@ -93,12 +93,12 @@ def _collect_metered_results(build: Build, known: Mapping[str, Vector]) -> dict[
     result: dict[str, Vector] = {}
     for name, pin in build.scene.meters:
         part = build.scene.parts[name]
-        domain = metered_pins(part, build.scene)[pin]
+        domain = list_metered_pins(part, build.scene)[pin]
         through = domain.through_variable
         read = Vector(f"i({build.meter_name(part, pin)})", through.factor, through.unit)
         result[f"{name}.{pin}.{through.name}"] = read
         result[f"{name}.{pin}.{domain.across.symbol}"] = build.across(part, pin)
-        if not domain.reference and pin == next(iter(powered_pins(part, build.scene))):
+        if not domain.reference and pin == next(iter(list_power_input_pins(part, build.scene))):
             result[f"{name}.{through.name}"] = read
     for quantity_name, symbol in FLOW_SYMBOLS.items():
         for part in _list_probed_parts(build, quantity_name):
@@ -137,7 +137,7 @@ def collect_powers(build: Build, known: Collection[str]) -> dict[str, Powers]:
             result[f"{part.name}.power"] = power
     for name, pin in build.scene.meters:
         part = build.scene.parts[name]
-        domain = metered_pins(part, build.scene)[pin]
+        domain = list_metered_pins(part, build.scene)[pin]
         if f"{name}.{pin}.power" in build.scene.probed_results:
             result[f"{name}.{pin}.power"] = (_pin_power_term(part, pin, domain, build),)
     return result
@@ -148,7 +148,7 @@ def _find_part_power(part: Part, build: Build, known: Collection[str]) -> Powers
 
     The terms are the powers at the pins of the part, or products of results of the part.
     """
-    pins = powered_pins(part, build.scene)
+    pins = list_power_input_pins(part, build.scene)
     at_pins = tuple(_pin_power_term(part, pin, domain, build) for pin, domain in pins.items())
     if at_pins and all(term.through in known for term in at_pins):
         power = at_pins

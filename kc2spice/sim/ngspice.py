@@ -34,7 +34,7 @@ from kc2spice.sim.output import (
     FailedRunError,
     Failure,
     FailureKind,
-    find_altered_run,
+    find_alteration_error,
     find_run_failure,
     last_scale_value,
     read_partial,
@@ -171,7 +171,7 @@ def run_deck(
             waves = Waveforms(waves_by_name(deck, vectors), facts)
             last = float(vectors["time"][-1]) if "time" in vectors else math.nan
             failed = find_run_failure(deck, str(main), text, last=last)
-            failed = failed or find_altered_run(deck, str(main), text)
+            failed = failed or find_alteration_error(deck, str(main), text)
         if failed is not None:
             place = f"the whole log is {log.name} in the same directory"
             failed.hint = "; ".join(filter(None, (failed.hint, place)))

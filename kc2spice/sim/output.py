@@ -110,7 +110,7 @@ class Failure:
     partial: Waveforms | None = None
 
 
-def classify_log(text: str) -> Failure:
+def find_failure(text: str) -> Failure:
     """Return the failure that ``text``, the log of one run, reports.
 
     If the log reports no failure, the cause is None.
@@ -192,7 +192,7 @@ def find_run_failure(
     the run is compared with the end time of the deck, because ngspice can stop a transient early
     without a message.
     """
-    report, stop = classify_log(text), deck.stop
+    report, stop = find_failure(text), deck.stop
     reported = report.cause is not None or code != 0
     early = last is not None and stop is not None and not abs(last - stop) <= 1e-9 * stop
     if not reported and not early:
@@ -216,7 +216,7 @@ def find_run_failure(
     return error
 
 
-def find_altered_run(deck: Deck, where: str, text: str) -> FailedRunError | None:
+def find_alteration_error(deck: Deck, where: str, text: str) -> FailedRunError | None:
     """Return the error for a run in which ngspice has changed or ignored cards of ``deck``.
 
     ``text`` is the log. Return None if the deck is trusted, or if ngspice ignored only model

@@ -33,7 +33,7 @@ from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.scope import INCLUDES
 from kc2spice.scene.part_records import SampledSource
 from kc2spice.sim.ngspice import partial_waves, waves_by_name
-from kc2spice.sim.output import find_altered_run, find_run_failure, read_raw, read_statistics
+from kc2spice.sim.output import find_alteration_error, find_run_failure, read_raw, read_statistics
 
 
 def _make_structure(**fields: Any) -> Any:
@@ -161,7 +161,7 @@ def run_shared(
         library.clear()
     time = vectors.get("time", np.zeros(1))
     failed = find_run_failure(deck, deck.name, log, int(not ran), float(time[-1]))
-    failed = failed or find_altered_run(deck, deck.name, log)
+    failed = failed or find_alteration_error(deck, deck.name, log)
     if failed is not None:
         failed.failure = replace(failed.failure, partial=partial_waves(deck, vectors, log))
         raise failed

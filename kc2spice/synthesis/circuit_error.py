@@ -19,7 +19,7 @@ from kc2spice.core.errors import GateMissedError, SimulationError
 from kc2spice.netlist.circuit import Circuit, Pin
 from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.nodal import NodalCircuit
-from kc2spice.rom.entries import Entries, get_reference_share
+from kc2spice.rom.entries import Entries, get_min_divisor_share
 from kc2spice.rom.linear_model import LinearModel, Norm, Port
 from kc2spice.rom.response import DirectResponse, Response, drop_points_near_poles, sample_band
 from kc2spice.synthesis.heat import is_heat_model
@@ -210,8 +210,8 @@ class _RelativeError:
             peak = self.exact.peaks(frequency, H)
             peak[framed] = np.abs(expected[:, framed]).max(axis=0)
             self.entries = Entries.of(expected, peak, self.exact.zero)
-        share = get_reference_share(self.norm)
-        apart = self.entries.relative_sizes(
+        share = get_min_divisor_share(self.norm)
+        apart = self.entries.relative_errors(
             self.circuit_response.transfer(frequency) - expected, expected, share
         )
         return np.asarray(apart.max(axis=(1, 2)))
@@ -232,7 +232,7 @@ def _select_frequencies(exact: Response, band: tuple[float, float], unknowns: in
     return result
 
 
-def require_circuit(part: Subcircuit, model: LinearModel, tolerance: float) -> None:
+def require_circuit_tolerance(part: Subcircuit, model: LinearModel, tolerance: float) -> None:
     """Raise an error if the error estimate of a part with its circuit exceeds the tolerance.
 
     Rounding of the model's matrices may change the response by as much as the circuit error. A
@@ -250,7 +250,7 @@ def require_circuit(part: Subcircuit, model: LinearModel, tolerance: float) -> N
         return
     total = f"{reduction.error_estimate:.2g}"
     got = f"{total}, of which {share:.2g} at {frequency:.6g} Hz by its elements"
-    if share <= PERTURBATION_SPREAD * rounding_effect(model, frequency):
+    if share <= PERTURBATION_SPREAD * estimate_rounding_effect(model, frequency):
         message = (
             f"{part.name}: error estimate {got}: rounding errors of the original matrices cause "
             f"an error of the same size"
@@ -266,7 +266,7 @@ def require_circuit(part: Subcircuit, model: LinearModel, tolerance: float) -> N
     )
 
 
-def rounding_effect(model: LinearModel, frequency: float) -> float:
+def estimate_rounding_effect(model: LinearModel, frequency: float) -> float:
     """Return the largest relative change of a model's response due to rounding of its matrices.
 
     The largest change of all response entries in :data:`PERTURBATION_COUNT` random roundings is
@@ -291,4 +291,4 @@ def rounding_effect(model: LinearModel, frequency: float) -> float:
     except SimulationError:
         return np.inf
     entries = Entries.of(exact[None])
-    return float(max(entries.relative_sizes(item - exact, exact).max() for item in changed))
+    return float(max(entries.relative_errors(item - exact, exact).max() for item in changed))

@@ -65,7 +65,7 @@ def rom_comments(reduction: ReductionSummary, certificate: Certificate) -> tuple
     return f"* rom: {reduction.summary}", first.replace("* rom:", "*  ", 1), *more
 
 
-def mesh_comment(facts: Mapping[str, float]) -> str:
+def mesh_error_text(facts: Mapping[str, float]) -> str:
     """Return the text of the mesh error estimate, or the note that it is not estimated."""
     text = describe_mesh_errors(facts)
     return f"error estimate of the full model: {text}" if text else NOT_ESTIMATED

@@ -27,7 +27,7 @@ from kc2spice.netlist.spelling import format_number, require_distinct
 from kc2spice.netlist.spelling import require_name as checked_name
 from kc2spice.rom.heat_over_ranges import HeatOverRanges
 from kc2spice.rom.matrix_terms import compute_factors
-from kc2spice.synthesis.header import mesh_comment
+from kc2spice.synthesis.header import mesh_error_text
 from kc2spice.synthesis.heat import (
     ZERO_SHARE,
     HeatModes,
@@ -105,7 +105,7 @@ def heat_subcircuit_over_ranges(
     others = list(sample_range(model, parameters))
     return make_subcircuit(
         rom, name, pins, base, tuple(parameters), head, (about, body), others=others,
-        mesh=mesh_comment(rom.facts), **words,
+        mesh=mesh_error_text(rom.facts), **words,
     )  # fmt: skip
 
 

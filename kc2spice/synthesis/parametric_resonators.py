@@ -27,7 +27,7 @@ from kc2spice.rom.ranges import ModelOverRanges
 from kc2spice.rom.resonators_over_ranges import ResonatorsOverRanges
 from kc2spice.rom.soft_support import SOFT_SUPPORT
 from kc2spice.synthesis.circuit_error import MICRO
-from kc2spice.synthesis.header import mesh_comment
+from kc2spice.synthesis.header import mesh_error_text
 from kc2spice.synthesis.mode_cards import (
     RINGING_WEIGHTS,
     StepWeights,
@@ -160,7 +160,7 @@ def parametric_subcircuit(
     ]
     params = (*parameters, *([DAMPING_PARAMETER] if any(model.damped) else []))
     words = {"title": title, "rating": rating, "within": ", parameters within their ranges,"}
-    words["mesh"] = mesh_comment(rom.facts)
+    words["mesh"] = mesh_error_text(rom.facts)
     head, others = header or Header(model.name, "-"), list(sample_range(model, parameters))
     about = [_describe_resonators(model.ports, base)]
     if soft := rom.facts.get(SOFT_SUPPORT):

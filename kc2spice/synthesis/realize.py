@@ -16,7 +16,7 @@ import numpy as np
 
 from kc2spice.core.domains import HEAT, HEAT_PINS
 from kc2spice.core.errors import UsageError
-from kc2spice.core.naming import names_of
+from kc2spice.core.naming import list_names
 from kc2spice.netlist.circuit import Circuit, Element, Param, Pin
 from kc2spice.netlist.elements import Line, attach_comments, pivot_cards
 from kc2spice.netlist.library import Header, ReductionSummary, Subcircuit
@@ -28,7 +28,7 @@ from kc2spice.synthesis.branches import NETWORK_COMMENT, branch_cards
 from kc2spice.synthesis.circuit_error import accelerates_frame, estimate_circuit_error
 from kc2spice.synthesis.header import (
     OUTWARDS_TEXT,
-    mesh_comment,
+    mesh_error_text,
     netlist_pins,
     parameter_defaults_of,
     part_header,
@@ -46,8 +46,8 @@ from kc2spice.synthesis.state_blocks import write_blocks
 from kc2spice.synthesis.terminals import (
     CROSS_ROUNDING,
     INNER_NODE_PATTERN,
-    charge_ports,
-    loaded_nodes,
+    loaded_node_pattern,
+    mask_charge_ports,
     model_terminals,
     reference_pin,
     require_distinct_pins,
@@ -194,7 +194,7 @@ def subcircuit(
     if noise:
         about = [*about, *_NOISE_COMMENT.split("\n")]
     cards = about, body
-    mesh = mesh_comment(rom.facts)
+    mesh = mesh_error_text(rom.facts)
     return make_subcircuit(
         rom,
         name,
@@ -250,7 +250,7 @@ def heat_pins(rom: LinearModel, name: str) -> tuple[tuple[Pin, ...], str]:
     ends = tuple(chain.from_iterable(map(netlist_pins, rom.ports)))
     pins = (*ends, common)
     require_distinct_pins(
-        pins, (INNER_NODE_PATTERN, HEAT_NODE_PATTERN, *map(loaded_nodes, ends)), name
+        pins, (INNER_NODE_PATTERN, HEAT_NODE_PATTERN, *map(loaded_node_pattern, ends)), name
     )
     return pins, common.name
 
@@ -292,7 +292,7 @@ def make_subcircuit(
     certificate, (about, body) = rom.certificate, cards
     band = f" up to {certificate.band_hz[1]:g} Hz" if certificate else ""
     first = ("", *pivot_cards(base)) if base else ()
-    names, items = tuple(names_of(pins)), attach_comments([*first, *body])
+    names, items = tuple(list_names(pins)), attach_comments([*first, *body])
     circuit = Circuit(name, names, parameter_defaults_of(params), items)
     reduction = None
     if certificate is not None:
@@ -379,7 +379,7 @@ def _decouple_modes(rom: LinearModel) -> Resonators | None:
     if result is None or not is_conservative(rom):
         return None
     frames = list(map(accelerates_frame, rom.ports))
-    unclamped = np.logical_and(charge_ports(rom), np.diag(rom.D) <= 0)
+    unclamped = np.logical_and(mask_charge_ports(rom), np.diag(rom.D) <= 0)
     relaxing = np.abs(result.gain[result.inertia == 0.0][:, np.logical_or(frames, unclamped)])
     return (
         None if (relaxing > CROSS_ROUNDING * np.abs(result.gain).max(initial=0.0)).any() else result

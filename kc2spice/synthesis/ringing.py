@@ -55,7 +55,7 @@ class Ringing:
         )
 
 
-def time_per_point(states: int) -> float:
+def estimate_time_per_point(states: int) -> float:
     """Return the CPU time [s] of ngspice per time point for a body with ``states`` states."""
     return POINT_SECONDS + STATE_SECONDS * states
 
@@ -93,7 +93,7 @@ def estimate_ringing(part: str, rom: LinearModel, stop: float, reltol: float) ->
     spans = np.diff(until, prepend=0.0)  # time [s] for which each mode is the fastest ringing mode
     points = float(omega @ spans) / (12 * reltol) ** (1 / 3)
     last = omega[lasts >= stop]
-    seconds = points * time_per_point(model.order)
+    seconds = points * estimate_time_per_point(model.order)
     return Ringing(part, points, seconds, float(last.max(initial=0.0)) / (2 * math.pi))
 
 
@@ -113,7 +113,7 @@ def warn_of_long_run(build: Build, deck: Deck) -> None:
     points = scene.stop / build.largest_step.step
     if points > MANY_POINTS:
         models = [model for model in build.models.values() if isinstance(model, LinearModel)]
-        seconds = points * time_per_point(sum(model.order for model in models))
+        seconds = points * estimate_time_per_point(sum(model.order for model in models))
         step = format_quantity(build.largest_step.step, "s", 3)
         warnings.warn(
             f"this run needs at least {points:.2g} time points and {seconds:.2g} s of CPU time, "

@@ -231,7 +231,7 @@ def weigh_inputs(
     return tuple(result)
 
 
-def charge_ports(rom: LinearModel) -> list[bool]:
+def mask_charge_ports(rom: LinearModel) -> list[bool]:
     """Return, for each port of a model, whether its output is a charge."""
     return list(map(attrgetter("charged"), rom.ports))
 
@@ -243,7 +243,7 @@ def model_terminals(rom: LinearModel, D: np.ndarray, where: str) -> list[PortTer
     ------
     UsageError : a port has a wrong number of pins, or a capacitance is negative.
     """
-    several = sum(charge_ports(rom)) > 1
+    several = sum(mask_charge_ports(rom)) > 1
     result, column, row = [], 0, 0
     for port in rom.ports:
         pins = tuple(map(checked_name, port.terminals))
@@ -316,7 +316,7 @@ def subcircuit_pins(terminals: Sequence[PortTerminal], name: str) -> tuple[tuple
     for t in terminals:
         pins = netlist_pins(t.port)
         if t.port.loaded:
-            inner.append(loaded_nodes(pins[0]))
+            inner.append(loaded_node_pattern(pins[0]))
         if t.port.conservative:
             (paired if t.port.paired else moving).extend(pins)
         else:
@@ -328,7 +328,7 @@ def subcircuit_pins(terminals: Sequence[PortTerminal], name: str) -> tuple[tuple
     return result, common.name
 
 
-def loaded_nodes(pin: Pin) -> str:
+def loaded_node_pattern(pin: Pin) -> str:
     """Return the pattern of the internal node names of a port whose input is a flow."""
     return f"[uf]{pin.name.lower()}"
 

@@ -144,7 +144,7 @@ class _SettingSearch:
             return
         try:
             run = self.runs.run_at(self.steps_by_setting(combination))
-            errors = run_errors(run, self.run_all_at(REFERENCE_STEPS), self.names)
+            errors = compute_metric_errors(run, self.run_all_at(REFERENCE_STEPS), self.names)
             errors = {name: error + self.unrefined_errors[name] for name, error in errors.items()}
         except (SimulationError, UsageError) as error:
             why = " ".join(f"{error.message} {error.got or ''}".split())
@@ -168,7 +168,7 @@ class _SettingSearch:
                 point := self.points.get(_describe_settings(setting.refined_keys(steps)))
             ) is not None:
                 reference = self.runs.run_at({setting.name: REFERENCE_STEPS})
-                change = run_errors(point.run, reference, self.names)
+                change = compute_metric_errors(point.run, reference, self.names)
             self.errors_by_setting[setting.name, steps] = {
                 n: max(result[n], change[n]) for n in self.names
             }
@@ -185,7 +185,7 @@ class _SettingSearch:
         ]
         return max(sum(map(itemgetter(name), errors)) for name in self.names)
 
-    def safe_error(self, point: _TimedRun) -> float:
+    def larger_error(self, point: _TimedRun) -> float:
         """Return the larger of the error and the error bound of a combination."""
         return max(point.error, self.error_bound(point))
 
@@ -194,10 +194,10 @@ class _SettingSearch:
 
         Of several equally fast combinations, return the most accurate one.
         """
-        accurate = [point for point in self.points.values() if self.safe_error(point) <= limit]
+        accurate = [point for point in self.points.values() if self.larger_error(point) <= limit]
         least = min(map(attrgetter("time"), accurate), default=0.0)
         fastest = [point for point in accurate if point.time <= EQUAL_TIME_RATIO * least]
-        return min(fastest, key=self.safe_error, default=None)
+        return min(fastest, key=self.larger_error, default=None)
 
     def run_combinations(self, limit: float, progress: Progress) -> None:
         """Run combinations with one changed setting, then search the fastest combinations.
@@ -219,7 +219,7 @@ class _SettingSearch:
                     where="bench",
                     got=failed["why"],
                 )
-        for bound in sorted({limit, self.safe_error(self.points[_describe_settings({})])}):
+        for bound in sorted({limit, self.larger_error(self.points[_describe_settings({})])}):
             self._search_neighbours(bound, progress)
 
     def _search_neighbours(self, limit: float, progress: Progress) -> None:
@@ -233,7 +233,7 @@ class _SettingSearch:
             known = count
             start = self.find_cheapest(limit)
             direction = 1 if start is None else -1
-            start = start or min(self.points.values(), key=self.safe_error)
+            start = start or min(self.points.values(), key=self.larger_error)
             progress("search", None, f"{known} settings, now {_describe_settings(start.settings)}")
             for number, steps in enumerate(start.combination):
                 neighbour = REFINEMENT_STEPS.index(steps) + direction
@@ -374,7 +374,7 @@ def _measure_convergence(
         comparable = name in moved and max(moved[name], changed[name]) < np.inf
         if comparable and exact.values[name].any():
             present.append(name)
-    check = run_errors(finer, exact, present)
+    check = compute_metric_errors(finer, exact, present)
     search.names = tuple(name for name in check if keep_all or check[name] <= MAX_METRIC_CHANGE)
     if not search.names:
         raise SimulationError(
@@ -387,7 +387,7 @@ def _measure_convergence(
     return check
 
 
-def run_errors(run: Run, exact: Run, names: Sequence[str]) -> Errors:
+def compute_metric_errors(run: Run, exact: Run, names: Sequence[str]) -> Errors:
     """Return the relative error of each of the metrics ``names``.
 
     Raises

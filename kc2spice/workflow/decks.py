@@ -33,7 +33,7 @@ from kc2spice.scene.probed_results import require_probed_results
 from kc2spice.scene.results import NOISE_WAVE
 from kc2spice.scene.start_conditions import FloatingNets, find_floating_nets, find_start_errors
 from kc2spice.workflow.edited_parts import with_edited_parameters
-from kc2spice.workflow.measures import list_measures
+from kc2spice.workflow.measures import list_measure_cards
 from kc2spice.workflow.models import build_models
 
 # Inductance [H] that fixes a floating displacement at the operating point. Above 1 Hz, its force is
@@ -99,7 +99,7 @@ def make_deck(build: Build) -> Deck:
         vectors={name: (v.expression, v.factor) for name, v in results.vectors.items()},
         units=results.units,
         powers=results.powers,
-        measures=list_measures(build, sweep_scale),
+        measures=list_measure_cards(build, sweep_scale),
         stop=scene.stop if scene.analysis.type == "transient" else None,
         max_step=build.largest_step.step if build.largest_step else None,
         initial_voltages=_initial_voltages(build, loose),

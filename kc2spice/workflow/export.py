@@ -24,7 +24,7 @@ from kc2spice.rom.linear_model import LinearModel
 from kc2spice.scene.model import Build, Scene
 from kc2spice.scene.resolve import resolve
 from kc2spice.sim.ngspice import write_files
-from kc2spice.synthesis.circuit_error import require_circuit
+from kc2spice.synthesis.circuit_error import require_circuit_tolerance
 from kc2spice.workflow.decks import prepare_deck, protect_other_decks
 
 
@@ -87,4 +87,4 @@ def _require_circuits(build: Build, deck: Deck) -> None:
             continue
         tolerance = reduction_target(part, build.scene).tolerance
         if tolerance is not None:
-            require_circuit(circuit, build.model(part, LinearModel), tolerance)
+            require_circuit_tolerance(circuit, build.model(part, LinearModel), tolerance)

@@ -22,7 +22,7 @@ from kc2spice.netlist.deck import Measure
 from kc2spice.netlist.expression import parse_vector as parsed
 from kc2spice.netlist.spelling import format_number
 from kc2spice.scene.model import Build, Scene
-from kc2spice.scene.part_records import LargestRealPart, Vector
+from kc2spice.scene.part_records import LargestRealPartFrequency, Vector
 from kc2spice.scene.settings import Probe
 
 _FUNCTIONS = {"max": "MAX", "min": "MIN", "peak_to_peak": "PP", "mean": "AVG", "rms": "RMS"}
@@ -49,12 +49,12 @@ class _MeasuredVector(NamedTuple):
     last: float
 
 
-def list_measures(build: Build, sweep_scale: float) -> tuple[Measure, ...]:
+def list_measure_cards(build: Build, sweep_scale: float) -> tuple[Measure, ...]:
     """Return the ``.meas`` cards of a scene, for main metrics of parts and for probes.
 
     ``sweep_scale`` is the voltage or current of a dc sweep for one SI unit of the swept key.
     """
-    count, probes = Counter[str](), dict[str, Probe | LargestRealPart]()
+    count, probes = Counter[str](), dict[str, Probe | LargestRealPartFrequency]()
     for name, part in build.scene.parts.items():
         if name not in build.scene.movers:
             metrics = part.type.main_metrics(part, build)
@@ -67,14 +67,14 @@ def list_measures(build: Build, sweep_scale: float) -> tuple[Measure, ...]:
 
 
 def _list_measures(
-    build: Build, probes: Mapping[str, Probe | LargestRealPart], sweep_scale: float
+    build: Build, probes: Mapping[str, Probe | LargestRealPartFrequency], sweep_scale: float
 ) -> Iterator[Measure]:
     """Yield a ``.meas`` card for each of the ``probes`` that a card can compute."""
     for name, probe in probes.items():
         wave = _find_measured_vector(build.scene, build.results.vectors.get(probe.of), sweep_scale)
         if wave is None or not _VALID_NAME.fullmatch(name):
             continue
-        if isinstance(probe, LargestRealPart):
+        if isinstance(probe, LargestRealPartFrequency):
             yield Measure(
                 name, wave.kind, (_choose_extreme_function("MAX_AT", wave.factor), wave.text)
             )

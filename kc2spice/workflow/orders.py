@@ -31,7 +31,7 @@ from kc2spice.scene.checks import Check
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Part, Scene
 from kc2spice.sim.ngspice import RetriesFailedError
-from kc2spice.synthesis.ringing import time_per_point
+from kc2spice.synthesis.ringing import estimate_time_per_point
 from kc2spice.workflow.decks import prepare_deck
 from kc2spice.workflow.simulate import Run, simulate_deck
 
@@ -239,7 +239,7 @@ def _estimate_time_ratio(model: LinearModel, larger: LinearModel) -> float:
     """
     points = list(map(_highest_natural_frequency, (model, larger)))
     more = points[1] / points[0] if all(points) else 1.0
-    return more * time_per_point(larger.order) / time_per_point(model.order)
+    return more * estimate_time_per_point(larger.order) / estimate_time_per_point(model.order)
 
 
 def _highest_natural_frequency(model: LinearModel) -> float:

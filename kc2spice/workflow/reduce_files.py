@@ -44,7 +44,7 @@ from kc2spice.rom.band import MAX_DENSE_EQUATIONS, choose_natural_band
 from kc2spice.rom.branch_fit import fit_one_port
 from kc2spice.rom.constraints import eliminate_algebraic_unknowns
 from kc2spice.rom.error_estimate import choose_default_norm
-from kc2spice.rom.heat_network import NetworkForm, require_form
+from kc2spice.rom.heat_network import NetworkForm, parse_network_form
 from kc2spice.rom.instability import explain_instability
 from kc2spice.rom.io import read_rom, require_rom_file, write_rom
 from kc2spice.rom.linear_model import PORT_KINDS, LinearModel
@@ -59,7 +59,7 @@ from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
 from kc2spice.scene.scene_file import list_gallery
 from kc2spice.sim.ngspice import write_files
-from kc2spice.synthesis.circuit_error import require_circuit
+from kc2spice.synthesis.circuit_error import require_circuit_tolerance
 from kc2spice.synthesis.heat import is_heat_model
 from kc2spice.synthesis.parameter_ranges import list_parameters
 from kc2spice.synthesis.parametric_resonators import (
@@ -69,10 +69,10 @@ from kc2spice.synthesis.parametric_resonators import (
 from kc2spice.synthesis.realize import apply_unit_load, subcircuit
 from kc2spice.workflow.decks import protect_other_decks
 from kc2spice.workflow.thermal_transients import (
-    network_of_transient,
+    fit_transient_network,
+    parse_step_power,
     require_one_heat_port,
     shape_heat_model,
-    step_power,
 )
 
 DEFAULT_TOLERANCE = 1e-4
@@ -171,7 +171,7 @@ def reduce_file(
     >>> Path(reduced["rom"]).is_file()
     True
     """
-    form = require_form(network, "--network")
+    form = parse_network_form(network, "--network")
     if is_measured(Path(path)):
         options = {"--band": band, "--tolerance": tolerance, "--order": order, "--norm": norm}
         _reject_options(options | {"--method": method, "--solver": solver}, *_NOT_FOR_MEASUREMENTS)
@@ -290,7 +290,7 @@ def _reduce_affine(
         )
         at_defaults = reduced.at(reduced.defaults)
         part = parametric_subcircuit(reduced, make_identifier(name, "rom"))
-        require_circuit(part, at_defaults, settings["tolerance"])
+        require_circuit_tolerance(part, at_defaults, settings["tolerance"])
         files = write_parametric_model(reduced, work, name)
     parameters = {item.name: asdict(item) for item in model.parameters}
     facts = _describe_reduced(model.name, model.model.order, at_defaults, part)
@@ -413,9 +413,9 @@ def _reduce_transient(
     """Convert a thermal transient to a heat network."""
     progress("reduce", None, "reading the transient")
     data = read_transient(path)
-    watts = step_power(power, data)
+    watts = parse_step_power(power, data)
     progress("reduce", None, f"fitting {len(data.time)} samples")
-    fit = cache(lambda: network_of_transient(data, watts, form))
+    fit = cache(lambda: fit_transient_network(data, watts, form))
     result = _write_reduced_model(data.name, len(data.time), lambda: fit().model, out)
     transient_fit = fit()
     record = {"notes": list(transient_fit.notes), "warnings": list(transient_fit.warnings)}
@@ -553,7 +553,7 @@ def _write_reduced_model(
         # the record contains the error estimate of this circuit
         part = subcircuit(reduced, make_identifier(name, "rom"))
         if tolerance is not None:
-            require_circuit(part, reduced, tolerance)
+            require_circuit_tolerance(part, reduced, tolerance)
         files = write_rom(reduced, work, name)
     facts = _describe_reduced(model_name, unknowns, reduced, part)
     return facts | {"rom": str(directory / files[0]), "files": files}

@@ -15,7 +15,7 @@ from kc2spice.bodies.readers.thermal_transient import ThermalTransient
 from kc2spice.core.domains import THERMAL
 from kc2spice.core.errors import GateMissedError, UsageError
 from kc2spice.core.quantities import quantity
-from kc2spice.rom.heat_network import FosterNetwork, NetworkForm, shape_network
+from kc2spice.rom.heat_network import FosterNetwork, NetworkForm, make_network_model
 from kc2spice.rom.linear_model import Certificate, LinearModel, Norm, Port
 from kc2spice.rom.transient_fit import (
     StepSamples,
@@ -29,13 +29,15 @@ JUNCTION = Port("junction", THERMAL.port)
 LARGEST_MISFIT = 0.1  # deviation (rms) above which no network is written
 # Fraction of the thermal resistance whose time constants are too long for the measured times; above
 # this fraction, a warning is printed.
-WARNED_UNSETTLED = 0.01
+WARNING_UNSETTLED_RATIO = 0.01
 # Ratio of rms deviation to noise above which a warning is printed. Drift and rounding of
 # instruments cause ratios of up to 1.1.
-WARNED_EXCESS = 1.5
+WARNING_EXCESS_RATIO = 1.5
 # rms deviation up to which no warning is printed, even if the noise is smaller
 NEGLIGIBLE_MISFIT = 1e-3
-FEWEST_STEPS = 3.0  # ratio of temperature change to noise, below which the data contain no step
+MIN_CHANGE_TO_NOISE = (
+    3.0  # ratio of temperature change to noise, below which the data contain no step
+)
 ENDS = 20  # the direction is determined from the first and the last 1/20 of the samples
 
 
@@ -49,7 +51,7 @@ class FittedTransient:
     warnings: tuple[str, ...]
 
 
-def step_power(power: str | float | None, data: ThermalTransient) -> float | None:
+def parse_step_power(power: str | float | None, data: ThermalTransient) -> float | None:
     """Return the power [W] of the option ``--power``; None for a thermal impedance.
 
     Raises
@@ -84,7 +86,7 @@ def step_power(power: str | float | None, data: ThermalTransient) -> float | Non
     return value
 
 
-def network_of_transient(
+def fit_transient_network(
     data: ThermalTransient, power: float | None, form: NetworkForm
 ) -> FittedTransient:
     """Fit a heat network to a measured thermal transient.
@@ -113,26 +115,26 @@ def network_of_transient(
             "no file was written",
         )
     warnings = list[str]()
-    if rms > max(WARNED_EXCESS * noise, NEGLIGIBLE_MISFIT):
+    if rms > max(WARNING_EXCESS_RATIO * noise, NEGLIGIBLE_MISFIT):
         warnings.append(
             f"the deviation of {rms:.2g} (rms) exceeds the noise of {noise:.2g}: the power may "
             "not be constant, or the heat enters elsewhere"
         )
     share = compute_unsettled_share(fit.network, float(samples.time.max()))
-    if share > WARNED_UNSETTLED:
+    if share > WARNING_UNSETTLED_RATIO:
         warnings.append(
             f"{share:.2g} of the resistance belongs to time constants above a third of the last "
             "time: the resistance at rest is extrapolated"
         )
     first = float(samples.time[samples.time > 0].min())
     fast = float(fit.network.resistance[fit.network.time_constant < first].sum())
-    if samples.offset and fast > WARNED_UNSETTLED * fit.network.total:
+    if samples.offset and fast > WARNING_UNSETTLED_RATIO * fit.network.total:
         notes = (
             *notes,
             f"{fast:.2g} K/W belong to time constants below the first time of {first:.3g} s: the "
             "temperature before the step is extrapolated",
         )
-    model = shape_network(fit.network, form, JUNCTION)
+    model = make_network_model(fit.network, form, JUNCTION)
     model = replace(model, name=data.name, certificate=certificate)
     return FittedTransient(model, noise, (*data.notes, *notes), tuple(warnings))
 
@@ -152,7 +154,7 @@ def shape_heat_model(model: LinearModel, form: NetworkForm | None) -> LinearMode
     slow = times > 0
     direct = float(modes.direct[0, 0] + modes.resistance[~slow].sum())
     network = FosterNetwork(modes.resistance[slow], times[slow], direct)
-    shaped = shape_network(network, form, model.ports[0])
+    shaped = make_network_model(network, form, model.ports[0])
     return replace(
         shaped,
         certificate=model.certificate,
@@ -188,7 +190,7 @@ def _step_samples(
     count = max(len(data.value) // ENDS, 1)
     change = float(data.value[-count:].mean() - data.value[:count].mean())
     noise = float(np.sqrt(0.5 * np.mean(np.diff(data.value) ** 2) / count))
-    if abs(change) < FEWEST_STEPS * noise or change == 0:
+    if abs(change) < MIN_CHANGE_TO_NOISE * noise or change == 0:
         raise UsageError(
             "the temperature does not change beyond its noise",
             where=data.where,

@@ -57,11 +57,11 @@ def list_checks(waves: Waveforms, build: Build) -> Verdict:
         )
         for name, result in balances.items()
     ]
-    active = tuple(check for check in with_undecided(checks) if check.action != "off")
+    active = tuple(check for check in add_undecided_warnings(checks) if check.action != "off")
     return Verdict(active, tuple(balances.items()), tuple(gates))
 
 
-def with_undecided(checks: Sequence[Check]) -> Iterator[Check]:
+def add_undecided_warnings(checks: Sequence[Check]) -> Iterator[Check]:
     """Yield all checks, and a warning for each check whose outcome is undecided.
 
     A relative error e of the launch velocity v changes the height of a flight, v^2 / 2 g, by the

@@ -5,7 +5,7 @@ import re
 from pathlib import Path
 
 import pytest
-from support import Deck, classify_log, list_gallery, run_deck
+from support import Deck, find_failure, list_gallery, run_deck
 
 NETLISTS = Path(__file__).parents[2] / "netlists"
 SHORT = 1e-6  # s: long enough for the operating point and the first steps
@@ -28,6 +28,6 @@ def test_operating_point_is_silent(name, options, tmp_path):
         main = re.sub(r"(?m)^\.options (?!acct).*\n", "", deck.text)
         deck = dataclasses.replace(deck, text=main)
     run_deck(deck, tmp_path)
-    report = classify_log((tmp_path / f"{name}.log").read_text())
+    report = find_failure((tmp_path / f"{name}.log").read_text())
     assert not report.struggles
     assert report.cause is None

@@ -33,7 +33,9 @@ def round_plate(rng):
     support, coarser = supports[rng.integers(4)], rng.uniform(1, 3)
 
     def make(refine, _):
-        own = disc.disc_body({"layers": layers, "support": support, "mesh": {"refine": refine}})
+        own = disc.make_disc_blocks(
+            {"layers": layers, "support": support, "mesh": {"refine": refine}}
+        )
         return replace(own, size=coarser * own.size).device()
 
     return make
@@ -51,7 +53,7 @@ def bender(rng):
     }  # fmt: skip
 
     def make(refine, _):
-        own = bimorph.bimorph_body({**table, "mesh": {"refine": refine}})
+        own = bimorph.make_bimorph_blocks({**table, "mesh": {"refine": refine}})
         return replace(own, grid=(own.grid[0][::2], *own.grid[1:])).device()
 
     return make
@@ -76,7 +78,7 @@ def sandwich(rng):
     coarser = rng.uniform(0.8, 2.5)
 
     def make(refine, _):
-        own = langevin.langevin_body({**table, "mesh": {"refine": refine}})
+        own = langevin.make_langevin_blocks({**table, "mesh": {"refine": refine}})
         return replace(own, size=coarser * own.size).device()
 
     return make

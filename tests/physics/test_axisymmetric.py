@@ -100,7 +100,9 @@ def test_a_thin_disc_bends_at_the_frequency_of_plate_theory(support):
         {"material": "PZT-5A", "diameter": "1 mm", "thickness": "1 um"},
     ]
     model = (
-        disc.disc_body({"layers": layers, "support": support, "mesh": {"refine": 2}}).device().model
+        disc.make_disc_blocks({"layers": layers, "support": support, "mesh": {"refine": 2}})
+        .device()
+        .model
     )
     values = eigh(model.K.toarray(), model.M.toarray(), eigvals_only=True)
     theory = bending(plate_root(support), 20e-3, 0.4e-3)
@@ -126,7 +128,7 @@ def test_a_thin_ceramic_disc_has_the_admittance_of_the_radial_theory():
     radius, thickness = 10e-3, 0.4e-3
     layer = {"material": "PZT-5A", "diameter": "20 mm", "thickness": "0.4 mm"}
     model = (
-        disc.disc_body({"layers": [layer], "damping": {"ratio": 0}, "mesh": {"refine": 2}})
+        disc.make_disc_blocks({"layers": [layer], "damping": {"ratio": 0}, "mesh": {"refine": 2}})
         .device()
         .model
     )
@@ -166,7 +168,7 @@ def test_a_slender_langevin_resonates_as_a_transmission_line():
         },
         "bolt": {"material": "steel", "diameter": "3 mm", "depth": "10 mm"},
     }  # fmt: skip
-    model = langevin.langevin_body(keys).device().model
+    model = langevin.make_langevin_blocks(keys).device().model
     pzt = material("PZT-4")
     circle = np.pi / 4 * 1e-6
     ring, bolt, full = circle * (100 - 16), circle * 9, circle * 100
@@ -186,7 +188,7 @@ def test_a_slender_langevin_resonates_as_a_transmission_line():
     capacitance = 4 * pzt.eps_T[2, 2] * ring / 5e-3
     assert model.facts["capacitance_free_f"] == approx(capacitance, rel=0.15)  # bolt clamps
     assert {p.name for p in model.ports} == {"anode", "front", "back", "front_face", "back_face"}
-    fixed = langevin.langevin_body(keys | {"support": "back"}).device().model
+    fixed = langevin.make_langevin_blocks(keys | {"support": "back"}).device().model
     assert {p.name for p in fixed.ports} == {"anode", "front", "front_face"}
     assert fixed.facts["resonance_short_hz"] < model.facts["resonance_short_hz"]
 
@@ -227,6 +229,6 @@ RING = {"inner": "2 mm", "outer": "4 mm"}
 )
 def test_impossible_discs_are_refused_with_a_reason(keys, says):
     with pytest.raises(UsageError) as caught:
-        disc.disc_body(keys, "buzzer").device()
+        disc.make_disc_blocks(keys, "buzzer").device()
     assert says in str(caught.value)
     assert "buzzer" in str(caught.value) or "axis" in says

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from pydantic import ValidationError
-from support import BimorphKeys, UsageError, bimorph_body, material
+from support import BimorphKeys, UsageError, make_bimorph_blocks, material
 
 PZT = material("PZT-5A")
 
@@ -19,7 +19,7 @@ def test_published_harvester():
     electrodes shorted, 48.4 Hz open. Nothing is fitted; the size of the tip's block is not known.
     """
     brass = {"density": 9000, "youngs_modulus": "105 GPa", "poisson_ratio": 0.34, "conductor": True}
-    facts = bimorph_body(
+    facts = make_bimorph_blocks(
         bimorph(
             ("PZT-5A", "0.26 mm"), (brass, "0.14 mm"), ("PZT-5A", "0.26 mm"),
             length="50.8 mm", width="31.8 mm", wiring="series", tip_mass="12 g",
@@ -41,7 +41,7 @@ def test_bending_of_two_layers_follows_laminate_theory_with_an_inner_field():
     """
     L, w, t = 90e-3, 1.5e-3, 0.05e-3
     keys = bimorph(("PZT-5A", t), ("PZT-5A", t), length=L, width=w, wiring="series")
-    model = bimorph_body(keys).device().model
+    model = make_bimorph_blocks(keys).device().model
     s, d31 = np.linalg.inv(PZT.C)[:2, :2], PZT.d[2, 0]
     at_field = np.linalg.inv(s)
     at_charge = np.linalg.inv(s - d31**2 / PZT.eps_T[2, 2])
@@ -56,7 +56,7 @@ def test_bending_of_two_layers_follows_laminate_theory_with_an_inner_field():
 def test_positive_voltage_lifts_the_tip_of_a_unimorph_either_way_up():
     layers = [("steel", "0.2 mm"), ("PZT-5A", "0.2 mm")]
     for order in (layers, layers[::-1]):
-        model = bimorph_body(bimorph(*order, length="20 mm", width="4 mm")).device().model
+        model = make_bimorph_blocks(bimorph(*order, length="20 mm", width="4 mm")).device().model
         assert model.facts["free_stroke_tip_m_per_v"] > 0
         faces = ["front_face", "back_face"]
         assert [p.name for p in model.ports] == ["tip", *faces, "base", "anode"]
@@ -65,8 +65,8 @@ def test_positive_voltage_lifts_the_tip_of_a_unimorph_either_way_up():
 
 def test_bad_keys():
     with pytest.raises(UsageError, match="wiring needs a piezoelectric layer"):
-        bimorph_body(bimorph(("steel", 1e-3), length=1e-2, width=1e-3, wiring="series"))
+        make_bimorph_blocks(bimorph(("steel", 1e-3), length=1e-2, width=1e-3, wiring="series"))
     with pytest.raises(UsageError, match="this material does not exist"):
-        bimorph_body(bimorph(("unobtainium", 1e-3), length=1e-2, width=1e-3))
+        make_bimorph_blocks(bimorph(("unobtainium", 1e-3), length=1e-2, width=1e-3))
     with pytest.raises(ValidationError, match="not on the beam"):
         bimorph(("steel", 1e-3), length=1e-2, width=1e-3, points={"far": 2e-2})

@@ -94,7 +94,7 @@ def keys(**changes):
 
 @pytest.mark.slow
 def test_mesh_of_a_unimorph_is_the_parametric_one(beam):
-    parametric = bimorph.bimorph_body({
+    parametric = bimorph.make_bimorph_blocks({
         "length": "12 mm", "width": "3 mm", "damping": {"ratio": 0}, "mesh": {"refine": 2},
         "layers": [{"material": "steel", "thickness": "0.4 mm"},
                    {"material": "PZT-5A", "thickness": "0.3 mm"}],
@@ -184,7 +184,7 @@ def test_axisymmetric_mesh_is_the_disc(tmp_path):
         "mesh": "disc.msh", "unit": "mm", "axisymmetric": True, "materials": {"disc": "PZT-5A"},
         "electrodes": {"anode": "high", "cathode": "low"}, "damping": {"ratio": 0},
     }, tmp_path).model.facts  # fmt: skip
-    own = disc.disc_body({
+    own = disc.make_disc_blocks({
         "layers": [{"material": "PZT-5A", "diameter": "10 mm", "thickness": "0.5 mm"}],
         "damping": {"ratio": 0},
     }).device().model.facts  # fmt: skip

@@ -8,7 +8,15 @@ import oracle
 import pytest
 from mor_families import damped_chain
 from scipy import sparse
-from support import LinearModel, ResponsePod, Task, certify, disc, intermediate_model, reduce_model
+from support import (
+    LinearModel,
+    ResponsePod,
+    Task,
+    build_intermediate_model,
+    certify,
+    disc,
+    reduce_model,
+)
 
 from bench.beam import hermite_beam
 
@@ -70,7 +78,7 @@ def test_an_intermediate_model_states_how_far_it_is_from_the_full_model(unknowns
     damping = {} if dashpot else {"E": None, "rayleigh": (0.0, 1e-2)}
     full = LinearModel(**matrices | damping)
     band = 0.0, 10.0 / unknowns / (2 * np.pi)
-    intermediate = intermediate_model(full.pencil, band, np.inf, np.inf)
+    intermediate = build_intermediate_model(full.pencil, band, np.inf, np.inf)
     assert intermediate.proof.startswith(way)
     frequency = np.linspace(0.31, 0.97, 4) * band[1]
     exact = oracle.direct(oracle.system(matrices), frequency)
@@ -85,7 +93,7 @@ def test_error_and_rounding_of_the_intermediate_model_are_in_the_certificate():
     matrices, band, _ = random_case(1)
     M, E, K, B, C = matrices
     full = LinearModel(M=M, E=E, K=K, B=B, C=C)
-    intermediate = intermediate_model(full.pencil, band, 1e-8, np.inf)
+    intermediate = build_intermediate_model(full.pencil, band, 1e-8, np.inf)
     worse = replace(intermediate, error=2e-3, floor=1e-3)
     basis = ResponsePod(two_sided=True).basis(Task.of(full, full.pencil, worse, band, "pointwise"))
     estimate = certify(basis, basis.size).certificate.error_estimate
@@ -99,7 +107,7 @@ def test_the_estimate_covers_rounding_errors_of_a_thin_free_plate():
         {"material": "PZT-5A", "diameter": "14 mm", "thickness": "0.12 mm",
          "electrodes": "12.8 mm"},
     ]  # fmt: skip
-    found = disc.disc_body({"layers": layers, "damping": {"quality": 50}}).device()
+    found = disc.make_disc_blocks({"layers": layers, "damping": {"quality": 50}}).device()
     full = found.model.select(["anode"])
     rom = reduce_model(full, tolerance=1e-6, band=(288.0, 9600.0))
     pole = full.facts["resonance_short_hz"]

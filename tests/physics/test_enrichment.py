@@ -198,7 +198,7 @@ def direct(device, answers):
 @pytest.mark.parametrize("support", ["free", "clamped"])
 def test_corrections_are_those_of_a_direct_solution(support):
     """Corrections of few vectors and of all unknowns agree to a twentieth."""
-    device = disc.disc_body({"layers": LAYERS, "support": support}).device()
+    device = disc.make_disc_blocks({"layers": LAYERS, "support": support}).device()
     answers = compute_undamped_responses(device.model, device.shift)
     corrections = correct_responses(device, answers)
     first, products = direct(device, answers)

@@ -82,7 +82,7 @@ def test_a_free_block_moves_as_a_rigid_body(box, area):
 
 def test_a_step_of_layers_belongs_to_the_front():
     """All of the upper surface counts: the ceramic and the ring of brass around it."""
-    model = disc.disc_body({"layers": LAYERS}).device().model
+    model = disc.make_disc_blocks({"layers": LAYERS}).device().model
     front, back = port_numbers(model, "front_face", "back_face")
     H = static_response(model, 20.0)
     assert H[front, front] == pytest.approx(H[back, back], rel=1e-6)
@@ -92,7 +92,7 @@ def test_a_step_of_layers_belongs_to_the_front():
 
 
 def test_a_pressure_charges_the_electrodes_as_a_voltage_moves_the_volume():
-    model = disc.disc_body({"layers": LAYERS, "support": "clamped"}).device().model
+    model = disc.make_disc_blocks({"layers": LAYERS, "support": "clamped"}).device().model
     H = model.transfer(np.array([1e3, 3e3]))
     assert np.abs(H - H.transpose(0, 2, 1)).max(axis=0) == pytest.approx(
         0.0, abs=1e-9 * np.abs(H).max()

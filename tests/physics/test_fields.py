@@ -123,8 +123,13 @@ def test_free_disc_and_free_stack_have_a_uniform_field_and_no_stress():
     """Poled against it or along it, strains are d' E and nothing else."""
     still = np.linspace(0, 1e-6, 3)
     for device, thick, height, sign in (
-        (disc.disc_body({"layers": [CERAMIC]}).device(), 1e-3, 1e-3, 1),
-        (disc.disc_body({"layers": [CERAMIC | {"poling": "down"}]}).device(), 1e-3, 1e-3, -1),
+        (disc.make_disc_blocks({"layers": [CERAMIC]}).device(), 1e-3, 1e-3, 1),
+        (
+            disc.make_disc_blocks({"layers": [CERAMIC | {"poling": "down"}]}).device(),
+            1e-3,
+            1e-3,
+            -1,
+        ),
         (chip(), 60e-6, 360e-6, -1),  # a positive voltage lengthens it
     ):
         motion = recover_motion(device, still, {"anode": np.full(3, 30.0)})
@@ -140,7 +145,7 @@ def test_free_disc_and_free_stack_have_a_uniform_field_and_no_stress():
 
 
 @pytest.mark.parametrize(("device", "port", "symmetric"), [
-    (lambda: langevin.langevin_body(SANDWICH).device(), "front", 1),
+    (lambda: langevin.make_langevin_blocks(SANDWICH).device(), "front", 1),
     (lambda: chip(mounting="glued", bottom_cap={"thickness": 1e-4}), "ring2", 4),
     (lambda: chip(preload_spring=1, top_cap={"thickness": 1e-4, "material": "steel"}), "ring0", 4),
 ])  # fmt: skip

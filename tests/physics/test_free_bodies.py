@@ -11,7 +11,14 @@ import skfem
 from scipy import sparse
 from scipy.sparse.linalg import splu
 from skfem.helpers import ddot, dot, eye, grad, sym_grad, trace
-from support import LinearModel, Port, find_free_body, reduce_model, stability, with_potentials
+from support import (
+    LinearModel,
+    Port,
+    find_free_body,
+    make_piezoelectric_model,
+    reduce_model,
+    stability,
+)
 from support import factor as factors
 from support import pencil as pencils
 
@@ -42,7 +49,7 @@ def ceramic_mesh(cells, length):
 def ceramic_block(cells=CELLS, length=LENGTH):
     """A cube of piezoelectric ceramic in trilinear bricks, with electrodes on two faces.
 
-    The result has the blocks of :func:`with_potentials`, and one force along the axis.
+    The result has the blocks of :func:`make_piezoelectric_model`, and one force along the axis.
     """
     mesh = ceramic_mesh(cells, length)
     solid = skfem.Basis(mesh, skfem.ElementVector(skfem.ElementHex1()))
@@ -120,7 +127,7 @@ def test_a_free_ceramic_block_needs_real_factors_only(ceramic, real_factors, nam
     """The electrodes alone do not move the whole block, and the force does."""
     blocks, frequency, exact = ceramic
     ports = [Port("face", "mechanical"), Port("anode", "electrical")]
-    full = with_potentials(ports=ports, rayleigh=(0.0, BETA), **blocks).select(names)
+    full = make_piezoelectric_model(ports=ports, rayleigh=(0.0, BETA), **blocks).select(names)
     rom = reduce_model(full, tolerance=1e-3, band=BAND)
     exact = exact[:, -len(names) :, -len(names) :]
     error = np.abs(rom.transfer(frequency) - exact) / np.abs(exact)
@@ -152,7 +159,7 @@ def test_large_ceramic_bodies_need_no_pivots(ceramic, monkeypatch, clamped):
         monkeypatch.setattr(stability, "MAX_FACTORED_UNKNOWNS", 0)
         monkeypatch.setattr(stability, "factorise", refuse)
     ports = [Port("face", "mechanical"), Port("anode", "electrical")]
-    full = with_potentials(ports=ports, rayleigh=(0.0, BETA), **blocks)
+    full = make_piezoelectric_model(ports=ports, rayleigh=(0.0, BETA), **blocks)
     if clamped:
         assert full.pencil.pencil_solver(0.0).negative == blocks["K_pp"].shape[0]
     rom = reduce_model(full, tolerance=1e-3, band=BAND)

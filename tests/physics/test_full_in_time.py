@@ -11,11 +11,11 @@ from support import (
     Port,
     assemble_system,
     constant_waveform,
+    declare_point_mass,
     element,
     integrate_steps,
     laws,
     linear_waveform,
-    point_mass,
     solve_ac,
     solve_operating_point,
 )
@@ -70,7 +70,7 @@ def test_a_body_at_its_ports_is_the_same_as_with_its_states() -> None:
     for body in (states, laws.PortBody("x", full, KICK)):
         parts = (
             body, element("c", "capacitor", 2e-9), element("k", "spring", 3e4),
-            DeclaredLaw("lifted", point_mass(1e-3, -30.0), (1e-3, -30.0, 0.0, 0.0)),
+            DeclaredLaw("lifted", declare_point_mass(1e-3, -30.0), (1e-3, -30.0, 0.0, 0.0)),
             laws.IdealSource("f", "force", constant_waveform(0.1), 1.0),
         )  # fmt: skip
         joins = {"a": ("x.tip", "k.a", "lifted.a", "f.out"), "b": ("x.anode", "c.a")}

@@ -29,6 +29,7 @@ from support import (
     assemble_heat,
     branch,
     compute_node_shares,
+    duplicate_face_nodes,
     find_common_faces,
     find_face_nodes,
     find_point_shares,
@@ -37,7 +38,6 @@ from support import (
     make_heat_model,
     parttype,
     recover_temperatures,
-    split_nodes,
     write_temperatures,
 )
 
@@ -426,7 +426,7 @@ def test_split_nodes_separate_two_materials_and_no_others():
     geometry = Solid(mesh, (), (2 * (y > 0.5) + (x > 0.5)).astype(int))
     first, second = (np.flatnonzero(geometry.owner == k) for k in (2, 3))
     between = find_common_faces(geometry, first, second)
-    split = split_nodes(geometry, between)
+    split = duplicate_face_nodes(geometry, between)
     # quadratic nodes on the line, without the one that the other quarters join
     assert split.places.shape[1] - geometry.places.shape[1] == 2 * 2
     pieces = HeatSolid(split, tuple([COPPER] * 4))

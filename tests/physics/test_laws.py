@@ -14,10 +14,10 @@ from support import (
     Trajectory,
     assemble_system,
     declare_contact,
+    declare_point_mass,
     element,
     linear_waveform,
     measured,
-    point_mass,
     sine_waveform,
     solve_ac,
     solve_operating_point,
@@ -36,7 +36,7 @@ def touching(name: str, stiffness: float) -> DeclaredLaw:
 def mass(
     name: str, kg: float, gravity: float = 0.0, start: tuple[float, float] | None = None
 ) -> DeclaredLaw:
-    return DeclaredLaw(name, point_mass(kg, gravity), (kg, gravity, 0.0, 0.0), start)
+    return DeclaredLaw(name, declare_point_mass(kg, gravity), (kg, gravity, 0.0, 0.0), start)
 
 
 def balanced(result: Trajectory, share: float) -> bool:

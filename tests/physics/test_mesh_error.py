@@ -31,15 +31,19 @@ REST = 0.6  # of the change from half as fine to fine, that is left: from quadra
 
 
 def round_body(**table):
-    return lambda refine, _: disc.disc_body({**table, "mesh": {"refine": refine}}).device()
+    return lambda refine, _: disc.make_disc_blocks({**table, "mesh": {"refine": refine}}).device()
 
 
 def beam(**table):
-    return lambda refine, _: bimorph.bimorph_body({**table, "mesh": {"refine": refine}}).device()
+    return lambda refine, _: bimorph.make_bimorph_blocks(
+        {**table, "mesh": {"refine": refine}}
+    ).device()
 
 
 def sandwich(**table):
-    return lambda refine, _: langevin.langevin_body({**table, "mesh": {"refine": refine}}).device()
+    return lambda refine, _: langevin.make_langevin_blocks(
+        {**table, "mesh": {"refine": refine}}
+    ).device()
 
 
 def chip(**table):

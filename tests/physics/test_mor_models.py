@@ -12,7 +12,7 @@ from support import (
     ResponsePod,
     Task,
     UsageError,
-    intermediate_model,
+    build_intermediate_model,
     reduce_model,
     subcircuit,
 )
@@ -129,7 +129,7 @@ def test_random_models_are_stable_and_passive_at_every_order(seed, step):
     matrices, top = random_model(rng)
     model = LinearModel(**families.as_files(matrices), name="random")
     band = (0.0, top)
-    intermediate = intermediate_model(model.pencil, band, 1e-5, 1e-5)
+    intermediate = build_intermediate_model(model.pencil, band, 1e-5, 1e-5)
     found = ResponsePod().basis(Task.of(model, model.pencil, intermediate, band, "pointwise"))
     omega = 2 * np.pi * top
     for order in {*range(1, found.size + 1, step), found.size}:

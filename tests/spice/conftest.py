@@ -9,10 +9,10 @@ from support import (
     SphereKeys,
     coils_subcircuit,
     declare_contact,
+    declare_sphere,
     load_scene,
     opamp_subcircuit,
     pid_subcircuit,
-    rigid_sphere,
     ring_gaps,
     run_deck,
     subcircuit,
@@ -48,7 +48,7 @@ def parts(header, model, radii, table):
     gaps = tuple(ring_gaps(radii, ball.radius).tolist())
     made = (
         subcircuit(model.linear(), "kick", header),
-        declared(header, "sphere", rigid_sphere(ball.mass, ball.radius, 9.81), {}),
+        declared(header, "sphere", declare_sphere(ball.mass, ball.radius, 9.81), {}),
         declared(header, "contact", declare_contact(rings, gaps, ContactForce(4e8)), {}),
         coils_subcircuit(header, table, "catch", apart=False, points=81),
         coils_subcircuit(header, table, points=81),

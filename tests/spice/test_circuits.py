@@ -8,10 +8,10 @@ from device import models
 from support import (
     SimulationError,
     UsageError,
+    compute_mean_frequency,
     compute_metrics,
     load_scene,
     make_deck,
-    mean_frequency,
     require_valid_wiring,
     simulate_deck,
 )
@@ -210,8 +210,8 @@ def test_cycles_over_a_falling_scale_have_the_same_rate():
     """Of ten cycles in 2 V."""
     x = np.linspace(0.0, 2.0, 4001)
     y = np.sin(10 * np.pi * x) * (1 + x)
-    assert mean_frequency(x, y) == pytest.approx(5.0, rel=1e-3)
-    assert mean_frequency(x[::-1], y) == pytest.approx(5.0, rel=1e-3)
+    assert compute_mean_frequency(x, y) == pytest.approx(5.0, rel=1e-3)
+    assert compute_mean_frequency(x[::-1], y) == pytest.approx(5.0, rel=1e-3)
 
 
 def test_place_of_a_peak_and_value_at_a_frequency():

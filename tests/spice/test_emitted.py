@@ -22,7 +22,7 @@ from support import (
     parametric_subcircuit,
     polynomials,
     read_cards,
-    require_circuit,
+    require_circuit_tolerance,
     run_deck,
     subcircuit,
     terminals,
@@ -102,8 +102,8 @@ def test_the_head_states_the_error_of_the_elements(monkeypatch):
     stated = float(re.search(r"norm=\w+ error=(\S+)", part.text)[1])
     assert leaked < stated < 1.02 * leaked
     with pytest.raises(GateMissedError, match="exceeds the tolerance"):
-        require_circuit(part, sensor(), 1e-3)
-    require_circuit(part, sensor(), 0.1)
+        require_circuit_tolerance(part, sensor(), 1e-3)
+    require_circuit_tolerance(part, sensor(), 0.1)
 
 
 def test_rounding_of_the_given_matrices_is_no_fault_of_the_circuit():
@@ -118,10 +118,10 @@ def test_rounding_of_the_given_matrices_is_no_fault_of_the_circuit():
     part = subcircuit(model, "soft")
     assert part.reduction.circuit_error > 1e-5
     with pytest.warns(UserWarning, match="rounding errors of the original matrices"):
-        require_circuit(part, model, 1e-8)
+        require_circuit_tolerance(part, model, 1e-8)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        require_circuit(subcircuit(sensor(), "sensor"), sensor(), 1e-5)
+        require_circuit_tolerance(subcircuit(sensor(), "sensor"), sensor(), 1e-5)
 
 
 def test_parametric_circuits_are_compared_at_corners_and_inside(monkeypatch):

@@ -11,12 +11,12 @@ from support import (
     Neglected,
     UsageError,
     Waveforms,
-    bimorph_body,
     build_models,
     count_film_branches,
     evaluate_tree,
     ignore_progress,
     load_scene,
+    make_bimorph_blocks,
     resolve_build,
 )
 
@@ -223,7 +223,7 @@ def test_a_quarter_bends_as_a_quarter_of_a_plate():
     half, thick, modulus, ratio = 1e-3, 20e-6, 100e9, 0.3
     layer = {"thickness": thick, "material": {
         "density": 2000.0, "youngs_modulus": modulus, "poisson_ratio": ratio}}  # fmt: skip
-    model = bimorph_body({
+    model = make_bimorph_blocks({
         "length": half, "width": half, "support": "quarter", "patches": 3, "rows": 4,
         "points": {"middle": half}, "layers": [layer], "mesh": {"refine": 2},
     }).device().model  # fmt: skip
@@ -259,7 +259,7 @@ def test_a_beam_under_tension_is_stiffer():
         "residual_stress": [stress, 0.0, 0.0]}}  # fmt: skip
     keys = {"length": length, "width": width, "support": "clamped", "patches": 5,
             "points": {"middle": length / 2}, "layers": [layer], "mesh": {"refine": 2}}  # fmt: skip
-    model = bimorph_body(keys).device().model
+    model = make_bimorph_blocks(keys).device().model
     names = [port.name for port in model.ports]
     static = model.transfer(np.array([0.0]))[0].real[names.index("middle")]
     found = sum(static[k] for k, name in enumerate(names) if name.startswith("patch")) / 5

@@ -183,7 +183,9 @@ def test_errors_of_a_response_are_relative_to_each_value():
 def test_bench_and_error_budget_state_the_same_error():
     units = {"rest": "m", "stroke": "m"}
     coarse, fine = runs({"rest": 2e-9, "stroke": 1e-6}, {"rest": 1e-9, "stroke": 1.1e-6}, units)
-    assert bench.run_errors(coarse, fine, ("rest", "stroke")) == refine.metric_changes(coarse, fine)
+    assert bench.compute_metric_errors(coarse, fine, ("rest", "stroke")) == refine.metric_changes(
+        coarse, fine
+    )
 
 
 def test_facts_of_models_have_units():

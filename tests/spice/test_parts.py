@@ -5,9 +5,9 @@ import pytest
 from device import bench
 from support import (
     Control,
-    classify_log,
     coils_subcircuit,
     current_products,
+    find_failure,
     opamp_subcircuit,
     pid_subcircuit,
     run_deck,
@@ -49,7 +49,7 @@ def test_controller_is_clamped_silent_before_enable_and_does_not_wind_up(header,
     held = waves["integral"][(t > 2.9e-3) & (t < 2.99e-3)]
     assert np.abs(held).max() < 0.01 * 1.5e-3 * 2e-3  # against 1.5 mm for 2 ms, had it run on
     assert current[-1] == pytest.approx(-control.kp * 1e-6, rel=1e-3)
-    assert not classify_log((tmp_path / "bench.log").read_text()).struggles
+    assert not find_failure((tmp_path / "bench.log").read_text()).struggles
 
 
 @pytest.mark.parametrize(("how", "form"), [("export", "ideal"), ("instance", "opamps")])

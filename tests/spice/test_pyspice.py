@@ -9,9 +9,9 @@ from support import (
     Deck,
     SampledSource,
     SimulationError,
+    declare_sphere,
     opamp_subcircuit,
     pyspice_subcircuit,
-    rigid_sphere,
     run_deck,
     run_shared,
 )
@@ -68,7 +68,7 @@ def test_parts_are_pyspice_subcircuits(header):
     sys.modules.get("PySpice") or pytest.importorskip("PySpice")
     from PySpice.Spice.Netlist import Circuit
 
-    part = declared(header, "sphere", rigid_sphere(1e-5, 1e-3, 9.81), {})
+    part = declared(header, "sphere", declare_sphere(1e-5, 1e-3, 9.81), {})
     circuit = Circuit("a sphere in Python")
     circuit.subcircuit(pyspice_subcircuit(part))
     circuit.subcircuit(pyspice_subcircuit(opamp_subcircuit(header)))

@@ -6,7 +6,7 @@ import sys
 import time
 
 import pytest
-from support import SceneText, dask_workers, engine, local_workers
+from support import SceneInput, dask_workers, engine, local_workers
 
 pytest.importorskip("distributed")
 
@@ -29,7 +29,7 @@ def test_a_killed_worker_and_a_restarted_scheduler_lose_no_point(tmp_path):
     worker = ("distributed.cli.dask_worker", address, "--nthreads", "1", "--no-nanny")
     daemons = {"scheduler": start(*scheduler), "a": start(*worker), "b": start(*worker)}
     rows = tmp_path / "dask" / engine.ROWS_FILE
-    study = engine.make_sweep(SceneText("kick_and_catch", None), SETS)
+    study = engine.make_sweep(SceneInput("kick_and_catch", None), SETS)
     done = []
 
     def interfere(stage, share, text):

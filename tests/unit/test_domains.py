@@ -6,8 +6,8 @@ from support import (
     PORTS,
     QUANTITIES,
     TABLE,
-    across_of,
-    domain_of,
+    find_across_quantity,
+    find_domain,
     parse_unit,
     quantity,
 )
@@ -66,10 +66,10 @@ def test_names_and_pairs_of_units_identify_domains():
     for names in ([d.name for d in TABLE], [d.units for d in TABLE], list(PORTS)):
         assert len(set(names)) == len(names)
     for domain in CONSERVATIVE:
-        assert domain_of(*domain.units) is domain
-        assert across_of(domain.across.pin_unit) is domain.across
-    assert domain_of("m/s", "N").name == "translation"
-    assert domain_of("V", "-") is None
+        assert find_domain(*domain.units) is domain
+        assert find_across_quantity(domain.across.pin_unit) is domain.across
+    assert find_domain("m/s", "N").name == "translation"
+    assert find_domain("V", "-") is None
     assert {d.name for d, _ in QUANTITIES.values()} == {d.name for d in CONSERVATIVE}
     assert QUANTITIES["force"][0].name == "translation"
 

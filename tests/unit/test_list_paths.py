@@ -1,11 +1,11 @@
 """Entries of lists by number: in overrides, sweeps, draws and Python; what is wrong with them."""
 
 import pytest
-from support import SceneText, UsageError, make_sweep
+from support import SceneInput, UsageError, make_sweep
 
 import kc2spice as kc
 
-HARVESTER = SceneText("harvester", None)
+HARVESTER = SceneInput("harvester", None)
 
 
 def layers(scene):

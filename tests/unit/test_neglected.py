@@ -27,7 +27,7 @@ def test_the_air_mass_on_a_clamped_plate_is_at_least_that_of_lamb():
     frequency by ``(1 + 0.6689 rho a / (rho_p h))^-1/2``; air is on both. The estimate is a bound,
     as a plate that bends moves less air than a rigid disc."""
     plate = {"layers": [{"material": "PZT-5A", "diameter": "20 mm", "thickness": "0.1 mm"}]}
-    blocks = disc.disc_body({**plate, "support": "clamped"}).blocks
+    blocks = disc.make_disc_blocks({**plate, "support": "clamped"}).blocks
     result = _neglected.disc_envelope(blocks, baffled=True, glued=True)
     assert result.mass == pytest.approx(np.pi * 1e-4 * 0.1e-3 * material("PZT-5A").density)
     lamb = 2 * 0.6689 * 1.204 * 10e-3 / (material("PZT-5A").density * 0.1e-3)
@@ -37,7 +37,7 @@ def test_the_air_mass_on_a_clamped_plate_is_at_least_that_of_lamb():
 def test_strain_enters_a_glued_layer_over_the_stated_length():
     """Two bars on a shear layer, as springs: what is pulled at one end of the first reaches
     the balance of both as ``exp(-x / length)``."""
-    below, above = bimorph.bimorph_body(BEAM).blocks
+    below, above = bimorph.make_bimorph_blocks(BEAM).blocks
     n, size, shear = 4000, 5e-3, material("epoxy").C[3, 3]
     h = size / n
     stretch = sparse.diags_array(

@@ -1,7 +1,7 @@
 """Objects of other installed packages, and packages that are damaged."""
 
 import pytest
-from support import UsageError, find_dialect, find_part_type, load_plugin, plugin_names
+from support import UsageError, find_dialect, find_part_type, list_entry_points, load_plugin
 
 METADATA = "Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n"
 
@@ -23,7 +23,7 @@ def install(tmp_path, monkeypatch):
 
 def test_a_plugin_is_imported_when_it_is_loaded(install):
     install("kc2spice.test_sizes", "large", "ITEM = 7\n", "plugin_with_a_size")
-    assert plugin_names("kc2spice.test_sizes") == ("large",)
+    assert list_entry_points("kc2spice.test_sizes") == ("large",)
     assert load_plugin("kc2spice.test_sizes", "large") == 7
     assert load_plugin("kc2spice.test_sizes", "small") is None
 

@@ -8,9 +8,9 @@ from support import (
     Header,
     UsageError,
     declare_contact,
+    declare_sphere,
     pid_subcircuit,
     read_lib,
-    rigid_sphere,
     with_parameters,
 )
 from support import declared_subcircuit as declared
@@ -25,7 +25,7 @@ CONTACT = declare_contact(
     "part",
     [
         pid_subcircuit(HEADER, Control()),
-        declared(HEADER, "sphere", rigid_sphere(1e-5, 1e-3, 9.81), {}),
+        declared(HEADER, "sphere", declare_sphere(1e-5, 1e-3, 9.81), {}),
         declared(HEADER, "contact", CONTACT, {}),
     ],
     ids=lambda part: part.name,
@@ -64,7 +64,7 @@ def test_a_head_that_does_not_fit_is_refused(pins, tmp_path):
 
 def test_parameters_outside_their_range_are_refused():
     """A sphere without mass would leave at 6.7e8 m/s, and nothing else tells."""
-    part = declared(HEADER, "sphere", rigid_sphere(3e-5, 1e-3, 9.81), {})
+    part = declared(HEADER, "sphere", declare_sphere(3e-5, 1e-3, 9.81), {})
     deck = Deck(name="d", parts=(part,))
     assert "mass=20.00u" in with_parameters(deck, [("sphere.mass", 2e-5)]).files["sphere.lib"]
     for name in ("mass", "radius"):

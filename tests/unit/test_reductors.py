@@ -12,7 +12,7 @@ from support import (
     Task,
     UsageError,
     _gramian_root,
-    intermediate_model,
+    build_intermediate_model,
     registry,
 )
 
@@ -33,7 +33,7 @@ def task_of(matrices, top, norm="peak", tolerance=1e-6):
     """The task of a model over a band from zero."""
     full = kc.LinearModel(**matrices)
     band = 0.0, top
-    exact = intermediate_model(full.pencil, band, 1e-8, np.inf)
+    exact = build_intermediate_model(full.pencil, band, 1e-8, np.inf)
     return Task.of(full, full.pencil, exact, band, norm, tolerance)
 
 

@@ -10,7 +10,7 @@ from support import (
     SimulationError,
     UsageError,
     eliminate_massless,
-    with_potentials,
+    make_piezoelectric_model,
 )
 
 
@@ -99,7 +99,7 @@ def test_free_potentials_are_eliminated_exactly(potentials, damping):
     given = {"E": E} if damping == "E" else {"rayleigh": (0.3, 0.02)}
     if m:
         given |= {"K_up": up, "K_pp": sparse.csc_array(pp), "k_pV": pV}
-    model = with_potentials(
+    model = make_piezoelectric_model(
         M=M, K_uu=K, k_uV=uV, c_VV=VV, B=B, ports=ports, facts={"a": 1.0}, **given
     )
     assert model.facts == {"a": 1.0}

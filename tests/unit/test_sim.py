@@ -3,7 +3,7 @@
 import os
 
 import pytest
-from support import Deck, MissingToolError, SimulationError, classify_log, ngspice
+from support import Deck, MissingToolError, SimulationError, find_failure, ngspice
 
 # ----------------------------------------------------------------------------------------- log
 
@@ -26,7 +26,7 @@ from support import Deck, MissingToolError, SimulationError, classify_log, ngspi
     ],
 )  # fmt: skip
 def test_a_failure_has_its_place_and_its_kind(text, node, at, kind):
-    report = classify_log(text.replace("\n", "\r\n"))
+    report = find_failure(text.replace("\n", "\r\n"))
     assert (report.node, report.time, report.kind) == (node, at, kind)
 
 

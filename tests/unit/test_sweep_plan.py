@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from scipy import stats
-from support import SceneText, UsageError, load_named_sweep, make_sweep
+from support import SceneInput, UsageError, load_named_sweep, make_sweep
 
-LOOP = SceneText("kick_and_catch", None)
+LOOP = SceneInput("kick_and_catch", None)
 
 
 def swept(*sets, **options):

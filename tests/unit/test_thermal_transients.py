@@ -233,7 +233,7 @@ def test_an_oscillation_is_no_heat_network(tmp_path):
 
 def test_a_directory_that_cannot_be_written_is_noticed_before_the_fit(tmp_path, monkeypatch):
     monkeypatch.setattr(
-        "kc2spice.workflow.reduce_files.network_of_transient", lambda *_: pytest.fail("fitted")
+        "kc2spice.workflow.reduce_files.fit_transient_network", lambda *_: pytest.fail("fitted")
     )
     path = transient_file(tmp_path / "step.csv", TIME, RISE)
     with pytest.raises(kc.errors.UsageError, match="a file, not a directory"):

@@ -1,7 +1,7 @@
 """Outcomes that the errors of reduced bodies may change."""
 
 import pytest
-from support import Check, with_undecided
+from support import Check, add_undecided_warnings
 
 GRAVITY = 9.81
 
@@ -21,7 +21,7 @@ def test_an_outcome_is_undecided_if_the_error_reaches_the_limit(error, share):
     speed = 1.0
     ceiling = (1 - share) * speed**2 / (2 * GRAVITY)
     ends = [(speed * (1 + sign * error)) ** 2 / (2 * GRAVITY) > ceiling for sign in (-1, 1)]
-    checks = {c.name: c for c in with_undecided(flown(speed, error, ceiling))}
+    checks = {c.name: c for c in add_undecided_warnings(flown(speed, error, ceiling))}
     left = checks["table_left"]
     assert left.passed == (share < 0)
     told = "table_left undecided" in checks or "not decided" in left.advice
@@ -35,4 +35,4 @@ def test_an_outcome_is_undecided_if_the_error_reaches_the_limit(error, share):
 
 def test_an_outcome_far_from_its_limit_is_decided():
     checks = flown(1.0, 0.05, 1.0)
-    assert list(with_undecided(checks)) == checks
+    assert list(add_undecided_warnings(checks)) == checks

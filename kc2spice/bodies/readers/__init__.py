@@ -330,10 +330,10 @@ def _find_files(path: Path) -> tuple[Path, dict[str, Path]]:
 
     Return the path of the model without file extension, and the files keyed by letter.
     """
-    job = codes.find_matrix_files(path)
+    job = codes.find_abaqus_files(path)
     if job:
         match = codes.ABAQUS_NAME.fullmatch(path.name)
-        assert match is not None  # find_matrix_files() has checked the form of the name
+        assert match is not None  # find_abaqus_files() has checked the form of the name
         return path.with_name(match[1]), job
     if path.suffix == ".toml":
         return path.with_suffix(""), {}

@@ -35,7 +35,12 @@ from kc2spice.bodies.readers.sidecar import (
 from kc2spice.core.domains import ACCELERATION, ELECTRICAL
 from kc2spice.core.errors import UsageError, wrong
 from kc2spice.rom.io import complete_triangle
-from kc2spice.rom.linear_model import LinearModel, Port, stores_one_triangle, with_potentials
+from kc2spice.rom.linear_model import (
+    LinearModel,
+    Port,
+    make_piezoelectric_model,
+    stores_one_triangle,
+)
 from kc2spice.rom.pencil import Matrix
 
 # Imaginary parts in the rows of potentials are rounding errors up to this ratio to the real parts.
@@ -487,7 +492,7 @@ def _assemble_piezoelectric(rows: Rows) -> LinearModel:
     damping = {"rayleigh": settings.damping.rayleigh} if E is None else {"E": _select_entries(E, u)}
     if loss is not None:
         damping["loss"] = _select_entries(loss, u)
-    return with_potentials(
+    return make_piezoelectric_model(
         M=_select_entries(M, u),
         K_uu=_select_entries(K, u),
         K_up=sparse.csc_array(K[u][:, p]),

@@ -51,7 +51,7 @@ _EXPECTED = "an .mtx file of *MATRIX OUTPUT, FORMAT=MATRIX INPUT or COORDINATE"
 SUFFIXES = (".sti", ".mas", ".dof")  # extensions of the stiffness, mass and row files of CalculiX
 
 
-def find_matrix_files(path: Path) -> dict[str, Path]:
+def find_abaqus_files(path: Path) -> dict[str, Path]:
     """Return the Abaqus matrix files of the same job and step as ``path``.
 
     The returned files are keyed by matrix letter. Return no files if ``path`` is not the name of

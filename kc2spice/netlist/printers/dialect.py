@@ -24,8 +24,8 @@ from kc2spice.netlist.circuit import (
     Item,
     Model,
     Parameters,
-    items_of,
     key_by_lower_name,
+    select_items,
 )
 from kc2spice.netlist.deck import ANALYSES, Deck
 from kc2spice.netlist.expression import (
@@ -119,7 +119,7 @@ class Dialect(Printer, ABC):
     def analysis(self) -> Directive:
         """Analysis card of the deck; for a library alone, a transient from initial states."""
         items = self.deck.trees[self.deck.main].items if self.deck else ()
-        analyses = (card for card in items_of(items, Directive) if card.keyword in ANALYSES)
+        analyses = (card for card in select_items(items, Directive) if card.keyword in ANALYSES)
         transient = Directive(".tran", ("uic",))
         return min(analyses, key=attrgetter("keyword"), default=transient)
 
@@ -131,7 +131,7 @@ class Dialect(Printer, ABC):
 
     def format_file(self, circuit: Circuit) -> str:
         """Return the text of a file with the items of ``circuit``."""
-        self.defined = {item.name.lower() for item in items_of(circuit.items, Function)}
+        self.defined = {item.name.lower() for item in select_items(circuit.items, Function)}
         return super().format_file(circuit)
 
     def lines(self, items: Sequence[Item]) -> Iterator[str]:

@@ -13,7 +13,7 @@ from importlib import import_module
 from operator import attrgetter
 
 from kc2spice.core.errors import UsageError, unknown
-from kc2spice.core.plugins import load_plugin, plugin_names
+from kc2spice.core.plugins import list_entry_points, load_plugin
 from kc2spice.netlist.printers.dialect import Dialect
 
 ENTRY_POINT_GROUP = "kc2spice.dialects"
@@ -101,7 +101,7 @@ def _builtin_dialect_names() -> tuple[str, ...]:
 
 def deck_dialects() -> tuple[str, ...]:
     """Return the names of all dialects for decks, ngspice first."""
-    foreign = plugin_names(ENTRY_POINT_GROUP)
+    foreign = list_entry_points(ENTRY_POINT_GROUP)
     return tuple(dict.fromkeys((NGSPICE, *_builtin_dialect_names(), *foreign, *_dialects)))
 
 
@@ -144,7 +144,7 @@ def find_dialect(name: str) -> type[Dialect]:
     """
     if name not in _dialects and name in _builtin_dialect_names():
         import_module(f"{DIALECT_PACKAGE}.{name}")
-    if name not in _dialects and name in plugin_names(ENTRY_POINT_GROUP):
+    if name not in _dialects and name in list_entry_points(ENTRY_POINT_GROUP):
         dialect = load_plugin(ENTRY_POINT_GROUP, name)
         _dialects[name] = _require_dialect(dialect, f"entry point {name} of {ENTRY_POINT_GROUP}")
     if name not in _dialects:

@@ -16,7 +16,7 @@ from kc2spice.netlist.circuit import (
     Item,
     Model,
     Parameters,
-    items_of,
+    select_items,
 )
 from kc2spice.netlist.expression import ExpressionWriter, Name, Tree, parse_expression, walk_tree
 from kc2spice.netlist.prefixes import with_prefixes
@@ -91,7 +91,7 @@ class Printer(ExpressionWriter):
         If an expression contains parameters, braces enclose the complete expression, because
         ngspice inserts the content of inner braces as text.
         """
-        words = [leaf.text.lower() for leaf in items_of(walk_tree(part.law), Name)]
+        words = [leaf.text.lower() for leaf in select_items(walk_tree(part.law), Name)]
         text = self.write(part.law)
         inner = f"{{{text}}}" if not _BARE_NAMES.issuperset(words) else text
         return f"{part.quantity if part.kind == 'b' else 'value'}={inner}"

@@ -19,8 +19,8 @@ from kc2spice.netlist.circuit import (
     Item,
     Model,
     Parameters,
-    items_of,
     key_by_lower_name,
+    select_items,
 )
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.expression import (
@@ -106,7 +106,7 @@ class Module:
 
 
 @dataclass
-class VerilogNames(ExpressionWriter):
+class VerilogWriter(ExpressionWriter):
     """Writer of names and expressions of one subcircuit instance in Verilog-A."""
 
     module: Module
@@ -189,7 +189,7 @@ class VerilogNames(ExpressionWriter):
             bound = dict(zip(map(str.lower, defined.arguments), arguments, strict=False))
             body = parse_expression(defined.expression, where=defined.where)
             inserted = {}
-            for leaf in items_of(walk_tree(body), Name):
+            for leaf in select_items(walk_tree(body), Name):
                 if leaf.text.lower() in bound:
                     inserted[leaf.text] = bound[leaf.text.lower()]
             return f"({self.write(substitute_names(body, inserted))})"
@@ -230,7 +230,7 @@ def print_module(part: Subcircuit) -> dict[str, str]:
         spelled = params[p.name.lower()] = module.identifier(p.name)
         line = f"parameter real {spelled} = {format_number(p.default)};"
         module.declarations.append(f"{line}  // {p.unit}: {p.doc}")
-    names = VerilogNames(module, scope, pins, params, "")
+    names = VerilogWriter(module, scope, pins, params, "")
     for key, default in scope.defaults.items():  # the header of a user's subcircuit may lack them
         if key.lower() not in params:
             spelled, value = module.identifier(key), names.value(default)
@@ -260,7 +260,7 @@ def print_module(part: Subcircuit) -> dict[str, str]:
     return {part.filename.removesuffix(".lib") + ".va": "\n".join(body) + "\n"}
 
 
-def _expand_circuit(names: VerilogNames) -> None:
+def _expand_circuit(names: VerilogWriter) -> None:
     """Add the contribution statements of an instance, and of its inner instances, to the module."""
     scope, module, prefix = names.scope, names.module, names.prefix
     for card in scope.commands:
@@ -283,7 +283,7 @@ def _convert_comment(line: str) -> str:
     return f"// {line[1:].strip()}" if line else ""
 
 
-def _expand_instance(part: Element, outer: VerilogNames) -> None:
+def _expand_instance(part: Element, outer: VerilogWriter) -> None:
     """Add the contribution statements of an inner instance to the module."""
     called = outer.scope.find(part.model)
     if called is None or len(called.pins) != len(part.nodes):
@@ -294,10 +294,10 @@ def _expand_instance(part: Element, outer: VerilogNames) -> None:
     for key, default in called.defaults.items():
         value = outer.value(part.settings.get(key, default))
         params[key] = outer.module.declare_variable(prefix + key, value)
-    _expand_circuit(VerilogNames(outer.module, called, pins, params, prefix))
+    _expand_circuit(VerilogWriter(outer.module, called, pins, params, prefix))
 
 
-def _add_contribution(part: Element, names: VerilogNames) -> None:
+def _add_contribution(part: Element, names: VerilogWriter) -> None:
     """Add the contribution statement of one element to the module.
 
     The statement contributes a current between the nodes of the element, or a voltage across a
@@ -324,7 +324,7 @@ def _add_contribution(part: Element, names: VerilogNames) -> None:
         module.laws.append(f"{through} <+ {clamp};")
 
 
-def _element_contribution(part: Element, names: VerilogNames, across: str) -> str:
+def _element_contribution(part: Element, names: VerilogWriter, across: str) -> str:
     """Return the right-hand side of the contribution of an element without an expression."""
     current = f"I({names.name_branch(part.name)})"
     match part.kind:
@@ -364,14 +364,14 @@ def _is_sensed(source: Element, scope: Scope) -> bool:
     return False
 
 
-def _card_value(part: Element, names: VerilogNames) -> str:
+def _card_value(part: Element, names: VerilogWriter) -> str:
     """Return the only value on a card; reject a card with a multiplier or a model."""
     if len(part.values) != 1 or set(part.settings) - ({"ic"} if part.kind == "c" else set()):
         raise part.error(_NO_EQUIVALENT)
     return names.value(part.values[0])
 
 
-def _steady_value(part: Element, names: VerilogNames) -> str:
+def _steady_value(part: Element, names: VerilogWriter) -> str:
     """Return the value of a constant source; a waveform of zeros is also constant."""
     words = [w for w in part.values if w.lower() != "dc"]
     if len(words) == 1 and "(" not in words[0].partition("{")[0]:
@@ -384,7 +384,7 @@ def _steady_value(part: Element, names: VerilogNames) -> str:
     raise part.error("a module has no sources with waveforms")
 
 
-def _switch_resistance(part: Element, names: VerilogNames) -> str:
+def _switch_resistance(part: Element, names: VerilogWriter) -> str:
     """Return the resistance of a switch as a function of its control voltage."""
     model = names.scope.models.get(part.model.lower())
     parameters = _SWITCH_DEFAULTS | (key_by_lower_name(model.parameters) if model else {})
@@ -400,7 +400,7 @@ def _switch_resistance(part: Element, names: VerilogNames) -> str:
     return f"({names.across(part.nodes[2:])} > {level} ? {on} : {off})"
 
 
-def _couple_inductors(part: Element, names: VerilogNames) -> list[str]:
+def _couple_inductors(part: Element, names: VerilogWriter) -> list[str]:
     """Return the statements of the voltages that a K element induces in two inductors."""
     inductors = names.scope.elements_of("l")
     coils = list(filter(None, map(inductors.get, map(str.lower, part.sources))))
@@ -458,7 +458,7 @@ def make_testbench(deck: Deck, modules: Collection[Subcircuit]) -> dict[str, str
     loads = tuple(map("pre_osdi {}.osdi".format, stems.values()))
     control = Directive(".control", loads, notes=items[0].notes)
     models = []
-    for item in items_of(tree.items, Element):
+    for item in select_items(tree.items, Element):
         if item.model.lower() in stems:
             models.append(Model(f"m{item.key}", item.model, item.parameters))
     tree = replace(tree, items=(control, *models, replace(items[0], notes=()), *items[1:]))

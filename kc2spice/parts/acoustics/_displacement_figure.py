@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from kc2spice.core.figure import Curve, Figure, Panel, format_axis_label, scale_axis
+from kc2spice.core.figure import Curve, Figure, Panel, format_axis_label, get_axis_label_and_factor
 from kc2spice.core.prefix import PREFIXES, format_quantity, prefix_power
 from kc2spice.core.waveforms import SCALES, Waveforms
 
@@ -50,7 +50,7 @@ def plot_displacements(
     scale, x = next(iter(waves)), waves.scale.real
     if scale not in SCALES or x.size < 2:
         return
-    axis, factor = scale_axis(scale, x)
+    axis, factor = get_axis_label_and_factor(scale, x)
     response = scale == "frequency"
     sizes = {label: np.abs(values) for label, values in displacements.items()}
     largest = max(float(np.nanmax(size, initial=0.0)) for size in sizes.values())

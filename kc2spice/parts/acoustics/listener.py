@@ -13,7 +13,7 @@ from pydantic import Field
 from kc2spice.core import laws
 from kc2spice.core.domains import ACOUSTIC, AMBIENT, SIGNAL
 from kc2spice.core.errors import UsageError, unknown
-from kc2spice.core.figure import Curve, Figure, Panel, format_axis_label, scale_axis
+from kc2spice.core.figure import Curve, Figure, Panel, format_axis_label, get_axis_label_and_factor
 from kc2spice.core.prefix import format_quantity
 from kc2spice.core.quantities import Length, Ratio, Section
 from kc2spice.core.sound_level import SoundLevel, compute_level
@@ -326,7 +326,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         if build.scene.analysis.type != "ac" or self._is_level_probed(part, build.scene):
             return
         frequency, levels = waves["frequency"].real, self._levels(part, build, waves)
-        axis, factor = scale_axis("frequency", frequency)
+        axis, factor = get_axis_label_and_factor("frequency", frequency)
         log = frequency[0] > 0 and math.log10(frequency[-1] / frequency[0]) > LOG_DECADES
         fluid = self.radiating_surfaces(part, build.scene)[0].keys.fluid
         scale = SoundLevel(fluid.level_reference)

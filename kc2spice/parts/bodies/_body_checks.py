@@ -11,7 +11,7 @@ import numpy as np
 from kc2spice.core.cache import load_or_build
 from kc2spice.core.domains import TRANSLATION, Domain
 from kc2spice.core.errors import SimulationError, UsageError
-from kc2spice.core.naming import names_of
+from kc2spice.core.naming import list_names
 from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms, integrate_cumulatively
 from kc2spice.netlist.spelling import LEAK_RATE
@@ -143,7 +143,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         In the netlist, the charge of a floating electrode decays at the rate :data:`LEAK_RATE`.
         """
         leaked = -math.expm1(-build.scene.stop * LEAK_RATE)
-        ports = names_of(paired_ports(build.model(part, LinearModel).ports))
+        ports = list_names(paired_ports(build.model(part, LinearModel).ports))
         for port in ports if leaked > MAX_CHARGE_LOSS else ():
             name = f"charge kept by {part.name}.{port} if it floats"
             advice = "the netlist's leak: a resistor across the electrode states the real one"
@@ -299,7 +299,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         loads = self.loads(part, build, waves)
         if len(loads) < len(model.ports):
             return None
-        inputs = np.column_stack([*map(loads.__getitem__, names_of(model.ports))])
+        inputs = np.column_stack([*map(loads.__getitem__, list_names(model.ports))])
         outputs, stored = simulate_chip(model, t, inputs)
         entries: dict[str, float] = {}
         answers: dict[str, tuple[np.ndarray, np.ndarray]] = {}
@@ -326,7 +326,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
             gap += result - took
         entries |= {"stored": float(stored[-1]), "damped": float(damped[-1])}
         if pressed := self.weights(part, build.scene) == COARSE_WEIGHTS:
-            forces = [*map(loads.__getitem__, names_of(mechanical_ports(model.ports)))]
+            forces = [*map(loads.__getitem__, list_names(mechanical_ports(model.ports)))]
             largest = np.abs(forces).max(axis=0, initial=0.0)
             last = np.flatnonzero(largest > ZERO_LOAD * largest.max(initial=0.0)).max(initial=0)
             gap = gap[: int(last) + 1]

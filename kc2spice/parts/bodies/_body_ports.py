@@ -10,7 +10,7 @@ import numpy as np
 
 from kc2spice.core.domains import AMBIENT, BASE, HEAT, PORTS, REFERENCES, THERMAL, TRANSLATION
 from kc2spice.core.errors import unknown
-from kc2spice.core.naming import names_of
+from kc2spice.core.naming import list_names
 from kc2spice.parts.bodies._linear_keys import LinearKeysT
 from kc2spice.parts.mechanics._contact_keys import ContactKeys
 from kc2spice.parts.mechanics._touching import ContactSurface, TouchablePart
@@ -87,7 +87,7 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         known = {"ground", *REFERENCES}.union(*map(_list_scene_names, every))
         if self.gives_off_heat(part, scene):
             known |= {HEAT, AMBIENT}
-        _reject_missing_ports(part, sorted(names - known), names_of(every))
+        _reject_missing_ports(part, sorted(names - known), list_names(every))
         if scene.ports == "declared" and part.declares_ports:
             return every
         used = [p for p in every if p.kind not in SINGLE_PIN_KINDS or names & _list_scene_names(p)]
@@ -95,7 +95,7 @@ class BodyPorts(TouchablePart[LinearKeysT]):
 
     def used_port_names(self, part: Part[LinearKeysT], scene: JoinedScene) -> list[str]:
         """Return the names of the ports of the part that the scene needs."""
-        return names_of(self.used_ports(part, scene))
+        return list_names(self.used_ports(part, scene))
 
     def pins(self, part: Part[LinearKeysT], scene: JoinedScene) -> tuple[Terminal, ...]:
         """Return the pins of the part in the order of its subcircuit."""
@@ -183,7 +183,7 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         self, part: Part[LinearKeysT], scene: GovernedScene, ports: tuple[str, ...] = ()
     ) -> ContactSurface | None:
         """Return the surface under a contact with its mechanical ports; None without such ports."""
-        mechanical = names_of(mechanical_ports(self.ports(part, scene)))
+        mechanical = list_names(mechanical_ports(self.ports(part, scene)))
         names = ports or tuple(mechanical[:1])
         missing = [*filterfalse(mechanical.__contains__, names)]
         _reject_missing_ports(part, missing, mechanical, "mechanical ")

@@ -16,7 +16,7 @@ from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Figure, FileWriter
 from kc2spice.core.mesh_error import MESH_QUANTITIES, NOT_ESTIMATED, PLANE_UNKNOWN_RATIO
-from kc2spice.core.naming import names_of
+from kc2spice.core.naming import list_names
 from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.bodies import _pictures
@@ -35,7 +35,7 @@ from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import resonators
 from kc2spice.scene.checks import Check, Metric
 from kc2spice.scene.model import Build, Part, Scene
-from kc2spice.scene.part_records import LargestRealPart, Neglected
+from kc2spice.scene.part_records import LargestRealPartFrequency, Neglected
 from kc2spice.scene.settings import Probe
 from kc2spice.synthesis.mode_cards import COARSE_WEIGHTS
 
@@ -101,7 +101,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
 
     def main_metrics(
         self, part: Part[LinearKeysT], build: Build
-    ) -> Mapping[str, Probe | LargestRealPart]:
+    ) -> Mapping[str, Probe | LargestRealPartFrequency]:
         """Return the metric ``resonance_hz``, if the conductance of the body is largest there.
 
         The metric is the frequency at which a voltage source at the first electrode delivers the
@@ -111,7 +111,9 @@ class LinearBody(BodyChecks[LinearKeysT]):
         if build.scene.analysis.type != "ac" or result not in build.records[part.name].vectors:
             return {}
         return (
-            {"resonance_hz": LargestRealPart(result)} if self._is_driven_alone(part, build) else {}
+            {"resonance_hz": LargestRealPartFrequency(result)}
+            if self._is_driven_alone(part, build)
+            else {}
         )
 
     def lightly_loaded_pins(self, part: Part[LinearKeysT], scene: Scene) -> set[str]:
@@ -123,7 +125,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
         from kc2spice.bodies.impedance import analyse_impedance
 
         scene, model = build.scene, build.model(part, LinearModel)
-        pins = set(names_of(scene.pins(part.name))) - self.lightly_loaded_pins(part, scene)
+        pins = set(list_names(scene.pins(part.name))) - self.lightly_loaded_pins(part, scene)
         joined = {pin: scene.joined_pins(part.name, pin) for pin in pins}
         port = paired_ports(model.ports)[0]
         plus, minus = port.terminals
@@ -167,14 +169,14 @@ class LinearBody(BodyChecks[LinearKeysT]):
         """Yield the assumptions of the model and the effects that it neglects."""
         rom = reduction_target(part, scene)
         used = self.used_ports(part, scene)
-        ports = ", ".join(names_of(used))
+        ports = ", ".join(list_names(used))
         reach = (
             ""
             if self.least_band_end(part, scene) is None
             else f", or {BAND_MODES} natural frequencies"
         )
         yield f"reduced to {describe_target(rom)}{reach}; ports {ports}"
-        unused = names_of(filterfalse(used.__contains__, self.ports(part, scene)))
+        unused = list_names(filterfalse(used.__contains__, self.ports(part, scene)))
         if unused:
             what = f"{part.name}: ports {', '.join(unused)}"
             why = "nothing of the scene needs them"

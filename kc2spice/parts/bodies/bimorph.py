@@ -126,7 +126,9 @@ class BimorphKeys(FieldKeys):
         return self
 
 
-def bimorph_body(keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph") -> BondedBlocks:
+def make_bimorph_blocks(
+    keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph"
+) -> BondedBlocks:
     """Return the layers of a bimorph with electrodes, support, ports and tip mass.
 
     ``mesh.refine`` divides the element edges in the plane of the layers. Through the thickness, the
@@ -252,7 +254,7 @@ class Bimorph(BondedBody[BimorphKeys]):
     title = "layered beam that bends (3-D piezoelectric FE, reduced)"
     schema = BimorphKeys
     source = "FE (piezoelectric, hexahedra)"
-    structure = staticmethod(bimorph_body)
+    structure = staticmethod(make_bimorph_blocks)
 
     def describe_support(self, part: Part[BimorphKeys]) -> str:
         """Return a description of the support for the list of neglected effects."""

@@ -41,7 +41,7 @@ from kc2spice.core.domains import ACCELERATION, ACOUSTIC, ELECTRICAL, ROTATION, 
 from kc2spice.core.errors import UsageError, name_part_in_errors, wrong
 from kc2spice.core.figure import Curve, Figure, FileWriter, Panel
 from kc2spice.core.key_errors import validate
-from kc2spice.core.naming import names_of
+from kc2spice.core.naming import list_names
 from kc2spice.core.quantities import Section, invalid_value_error
 from kc2spice.core.untrusted_files import locate_file_in_folder
 from kc2spice.core.waveforms import Waveforms
@@ -414,7 +414,7 @@ class BodyKeys(MeshKeys):
                 "electrodes, each with a group of faces, or ports, each with a group or a point",
                 hint=f"add for example  {_write_terminal_example(self, info)}",
             )
-        names = Counter([*names_of(self.ports), *self.electrodes])
+        names = Counter([*list_names(self.ports), *self.electrodes])
         twice = [name for name, count in names.items() if count > 1]
         if twice:
             raise invalid_value_error(

@@ -26,7 +26,7 @@ from kc2spice.bodies.device import Block, BondedBlocks, Box, list_outer_faces
 from kc2spice.bodies.undamped import FiniteElementModel
 from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.key_errors import validate
-from kc2spice.core.naming import names_of
+from kc2spice.core.naming import list_names
 from kc2spice.core.quantities import Length, Ratio, Section, Thickness, Width, invalid_value_error
 from kc2spice.fem.body_keys import Damping, Mesh
 from kc2spice.fem.materials import material
@@ -169,7 +169,7 @@ class DiscKeys(FieldKeys):
         return self
 
 
-def disc_body(keys: DiscKeys | Mapping[str, Any], where: str = "disc") -> BondedBlocks:
+def make_disc_blocks(keys: DiscKeys | Mapping[str, Any], where: str = "disc") -> BondedBlocks:
     """Return the bonded layers of a disc with electrodes, support and ports.
 
     Raises
@@ -227,7 +227,7 @@ def _make_blocks(disc: DiscKeys, where: str) -> list[Block]:
         raise UsageError(
             "the disc has no piezoelectric layer",
             where=f"{where}.layers",
-            got=", ".join(names_of(materials)),
+            got=", ".join(list_names(materials)),
             expected='a layer of a piezoelectric material, such as "PZT-5A"',
             hint='write  material = "PZT-5A"  in one of the layers',
         )
@@ -309,7 +309,7 @@ class Disc(BondedBody[DiscKeys]):
     title = "circular layers with electrodes (axisymmetric piezoelectric FE, reduced)"
     schema = DiscKeys
     source = "FE (piezoelectric, axisymmetric)"
-    structure = staticmethod(disc_body)
+    structure = staticmethod(make_disc_blocks)
 
     def describe_support(self, part: Part[DiscKeys]) -> str:
         """Return a description of the support for the list of neglected effects."""
@@ -333,7 +333,9 @@ class Disc(BondedBody[DiscKeys]):
         for change in changes:
             ring = diameter * (1 + change)
             if ring <= keys.largest_diameter:
-                body = disc_body(keys.model_copy(update={"support": Node(node=ring)}), part.name)
+                body = make_disc_blocks(
+                    keys.model_copy(update={"support": Node(node=ring)}), part.name
+                )
                 devices[ring] = replace(body, faces=faces).device()
         return devices
 

@@ -50,16 +50,16 @@ from kc2spice.bodies.heat_model import (
 from kc2spice.core.domains import THERMAL
 from kc2spice.core.errors import SimulationError, UsageError, name_part_in_errors, unknown, wrong
 from kc2spice.core.figure import Curve, Figure, FileWriter, Panel, scale_time_axis
-from kc2spice.core.naming import names_of
+from kc2spice.core.naming import list_names
 from kc2spice.core.progress import Clock
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem import mesh_file
 from kc2spice.fem.heat_conduction import (
     HeatSolid,
+    duplicate_face_nodes,
     find_common_faces,
     find_face_nodes,
     find_point_shares,
-    split_nodes,
 )
 from kc2spice.fem.solid import Solid, compute_node_shares
 from kc2spice.fem.thermal_materials import ThermalMaterialTable, find_thermal_material
@@ -209,7 +209,7 @@ def _read_solid(
             raise wrong(f"interfaces[{number}].between", problem, got, "solids that touch", hint)
         interfaces.append((facets, item.resistance))
     if interfaces:
-        solid = split_nodes(solid, np.concatenate([facets for facets, _ in interfaces]))
+        solid = duplicate_face_nodes(solid, np.concatenate([facets for facets, _ in interfaces]))
     return HeatGeometry(HeatSolid(solid, tuple(materials)), groups.group), interfaces
 
 
@@ -236,7 +236,7 @@ def _stack_layers(keys: HeatBodyKeys) -> tuple[HeatGeometry, list[tuple[np.ndarr
         area = layers[owner[int(mesh.f2t[0, facet[0]])]].area  # area that the matrices contain
         interfaces.append((facet, layer.resistance * area / layer.area))
     if interfaces:
-        solid = split_nodes(solid, np.concatenate([facets for facets, _ in interfaces]))
+        solid = duplicate_face_nodes(solid, np.concatenate([facets for facets, _ in interfaces]))
     materials, areas = [], np.array([layer.area for layer in layers])
     for number, layer in enumerate(keys.layers, 1):
         made_of = find_thermal_material(layer.material, f"layers[{number}].material")
@@ -406,7 +406,7 @@ dc = "1 W"
     def prescribed_ports(self, part: Part[HeatBodyKeys], model: LinearModel) -> list[str]:
         """Return the names of the ports of isothermal faces and of the fluids behind films."""
         known = _list_prescribed_names(part)
-        return [*filter(known.__contains__, names_of(model.ports))]
+        return [*filter(known.__contains__, list_names(model.ports))]
 
     def reduce_ranges(self, part: Part[HeatBodyKeys], task: RangeTask) -> HeatOverRanges:
         """Return a reduced model over the ranges of film coefficients and other keys.

@@ -166,7 +166,9 @@ class LangevinKeys(FieldKeys):
         return self
 
 
-def langevin_body(keys: LangevinKeys | Mapping[str, Any], where: str = "langevin") -> BondedBlocks:
+def make_langevin_blocks(
+    keys: LangevinKeys | Mapping[str, Any], where: str = "langevin"
+) -> BondedBlocks:
     """Return the masses, rings and bolt of a transducer with electrodes, support and ports.
 
     Raises
@@ -265,7 +267,7 @@ start = "10 kHz"
 stop = "100 kHz"
 """
     source = "FE (piezoelectric, axisymmetric)"
-    structure = staticmethod(langevin_body)
+    structure = staticmethod(make_langevin_blocks)
 
     def describe_support(self, part: Part[LangevinKeys]) -> str:
         """Return a description of the support for the list of neglected effects."""

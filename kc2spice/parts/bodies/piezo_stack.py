@@ -83,7 +83,7 @@ PAPER_ORDER = 30  # number of states of the reduced model in the paper
 # circuit.
 CHIP_KEYS = set(Chip.model_fields)
 # Keys whose values do not decide whether a chip counts as the paper's chip.
-FREE_KEYS = {"mesh", "damping", "mounting", "preload_spring", "layer_thickness"}
+KEYS_IGNORED_FOR_PAPER_CHIP = {"mesh", "damping", "mounting", "preload_spring", "layer_thickness"}
 
 
 class KickPulse(Section):
@@ -206,14 +206,14 @@ class PiezoStack(MeshedBody[Stack]):
     def ports(self, part: Part[Stack], scene: DeclaredScene) -> tuple[Port, ...]:
         """Return the ports of the model of the part."""
         names = ring_names(part.keys.mesh.rings + 1)
-        if pressure_nodes(part, scene) is not None:
+        if find_pressure_basis(part, scene) is not None:
             names = [PATCH_PORT]
         ring_ports = (Port(name, TRANSLATION.port) for name in names)
         return (*ring_ports, Port("anode", ELECTRICAL.port, pins=("anode", "cathode")))
 
     def used_ports(self, part: Part[Stack], scene: JoinedScene) -> tuple[Port, ...]:
         """Return the anode port, and the ports of all rings up to the last required ring."""
-        if pressure_nodes(part, scene) is not None:
+        if find_pressure_basis(part, scene) is not None:
             return super().used_ports(part, scene)
         *ring_ports, anode = self.ports(part, scene)
         return (*ring_ports[: count_used_rings(part, scene)], anode)
@@ -267,7 +267,7 @@ class PiezoStack(MeshedBody[Stack]):
                 "poling = z for a stack with a contact",
                 'write  poling = "z"',
             )
-        shape, radii = pressure_nodes(part, scene), ring_radii(part.keys)
+        shape, radii = find_pressure_basis(part, scene), ring_radii(part.keys)
         modulus = self.indentation_modulus(part)
         if shape is None:
             names = ports or tuple(ring_names(len(radii)))
@@ -343,7 +343,7 @@ class PiezoStack(MeshedBody[Stack]):
     def full_key(self, part: Part[Stack], scene: GovernedScene) -> Mapping[str, Any]:
         """Return the cache key of the full model, with chip, rated field and pressure nodes."""
         shape, chip = (
-            pressure_nodes(part, scene),
+            find_pressure_basis(part, scene),
             part.keys.model_dump(mode="json", include=CHIP_KEYS),
         )
         result = {"chip": chip, "field": part.keys.rated_field}
@@ -360,7 +360,10 @@ class PiezoStack(MeshedBody[Stack]):
         if not specified.is_default:
             return specified
         plain = type(part.keys)()
-        if all(getattr(part.keys, key) == getattr(plain, key) for key in CHIP_KEYS - FREE_KEYS):
+        if all(
+            getattr(part.keys, key) == getattr(plain, key)
+            for key in CHIP_KEYS - KEYS_IGNORED_FOR_PAPER_CHIP
+        ):
             return Rom(order=PAPER_ORDER, band=specified.band)
         if "band" in specified.model_fields_set:
             return specified
@@ -388,7 +391,7 @@ class PiezoStack(MeshedBody[Stack]):
         """Build the finite-element model of the stack."""
         from kc2spice.bodies.stack import make_stack
 
-        shape = pressure_nodes(part, scene)
+        shape = find_pressure_basis(part, scene)
         pressure = None if shape is None else shape.pressure(_find_compliance(part, shape).shares)
         return make_stack(part.keys, part.keys.rated_field, pressure)
 
@@ -401,7 +404,7 @@ class PiezoStack(MeshedBody[Stack]):
         centre = f"{part.name}.u.{self.ports(part, build.scene)[0].name}"
         if pressed and centre in waves:
             result["kick_stroke_m"] = Metric(float(waves[centre].max()), "m")
-        shape, scene = pressure_nodes(part, build.scene), build.scene
+        shape, scene = find_pressure_basis(part, build.scene), build.scene
         # The mesh of the chip does not resolve the stress under the contact.
         if part.keys.fields and shape is not None:
             from kc2spice.bodies.pressure import UNITS, compute_stresses_under_force
@@ -433,7 +436,7 @@ class PiezoStack(MeshedBody[Stack]):
     def notes(self, part: Part[Stack], scene: Scene) -> Iterator[str | Neglected]:
         """Yield the assumptions of the model and the effects that it neglects."""
         keys, rom = part.keys, reduction_target(part, scene)
-        pressed = pressure_nodes(part, scene) is not None
+        pressed = find_pressure_basis(part, scene) is not None
         used, last = count_used_rings(part, scene), keys.mesh.rings
         ports = "a patch of pressure as port" if pressed else f"{used} rings as ports"
         detail = f"quarter chip, {keys.layers} layers, {describe_mounting(keys)}, "
@@ -497,7 +500,7 @@ def describe_mounting(keys: Chip) -> str:
     return ", ".join(words)
 
 
-def pressure_nodes(part: Part[Stack], scene: DeclaredScene) -> PressureBasis | None:
+def find_pressure_basis(part: Part[Stack], scene: DeclaredScene) -> PressureBasis | None:
     """Return the basis functions for the contact pressure on the top face of the chip.
 
     Return None if no contact has ``shape = "pressure"``. The basis functions cover the radius of

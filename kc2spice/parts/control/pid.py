@@ -11,7 +11,7 @@ from kc2spice.core import laws
 from kc2spice.core.domains import DISPLACEMENT
 from kc2spice.core.errors import UsageError
 from kc2spice.core.magnets import EMTable
-from kc2spice.core.naming import names_of
+from kc2spice.core.naming import list_names
 from kc2spice.core.quantities import Section
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Param, positive_parameter
@@ -19,7 +19,7 @@ from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.transforms import merge_helpers
 from kc2spice.parts.control._pid_keys import Control
 from kc2spice.parts.electronics._template import GAIN_BANDWIDTH, opamp_subcircuit
-from kc2spice.parts.magnetics.ring_magnet_coils import Coils, result_prefix
+from kc2spice.parts.magnetics.ring_magnet_coils import Coils, get_result_prefix
 from kc2spice.parts.mechanics import sphere
 from kc2spice.physics.declaration import Branch, Declaration, displacement, measured, voltage
 from kc2spice.physics.law import DeclaredLaw
@@ -167,7 +167,7 @@ def pid_subcircuit(
     ]
     if output:
         params += [positive_parameter("compliance", supply, "V", "supply of the output stage")]
-    gains = names_of(params)
+    gains = list_names(params)
     part = render_library(
         "pid",
         header,
@@ -301,7 +301,7 @@ class Pid(PartType[Control]):
         t, y, setpoint = waves["time"], waves[f"{ball.name}.y"], part.keys.setpoint
         settled = settling_time(t, y, setpoint, sphere.settling_band(part, ball))
         current = waves.data.get(
-            f"{result_prefix(_find_driven_coils(part, build.scene))}.upper.current"
+            f"{get_result_prefix(_find_driven_coils(part, build.scene))}.upper.current"
         )
         caught = settled is not None and bool(settled <= t[0] + 0.9 * (t[-1] - t[0]))
         return {
@@ -314,7 +314,7 @@ class Pid(PartType[Control]):
     def checks(self, part: Part[Control], build: Build, waves: Waveforms) -> Iterator[Check]:
         """Yield the checks of the part after a run."""
         current = waves.data.get(
-            f"{result_prefix(_find_driven_coils(part, build.scene))}.upper.current"
+            f"{get_result_prefix(_find_driven_coils(part, build.scene))}.upper.current"
         )
         if current is None or "time" not in waves:
             return

@@ -51,7 +51,7 @@ class SensorKeys(Section):
     )
 
 
-def sensor_declaration(keys: SensorKeys) -> Declaration:
+def declare_sensor(keys: SensorKeys) -> Declaration:
     """Return the declaration of the noise-free sensor.
 
     Its output is the position, filtered by a first-order low-pass filter, plus the offset.
@@ -119,7 +119,7 @@ dc = "1 um"
         self, part: Part[SensorKeys], build: Build, header: Header
     ) -> tuple[Subcircuit, ...]:
         """Return the subcircuit of the part."""
-        d, keys = sensor_declaration(part.keys), part.keys
+        d, keys = declare_sensor(part.keys), part.keys
         cards: tuple[Item, ...] = ()
         size = DISPLACEMENT.per_unit * keys.noise
         if keys.noise and build.has_noise:
@@ -156,7 +156,7 @@ dc = "1 um"
         """Return the model equations of the part."""
         if part.keys.noise:
             return laws.MissingEquations("its noise is a random waveform of the simulator")
-        n, d = part.name, sensor_declaration(part.keys)
+        n, d = part.name, declare_sensor(part.keys)
         height = sphere.height_offset(part, "of", build.scene)
         values = d.values(Section()) | {"offset": part.keys.offset + height}
         declared_law = DeclaredLaw(n, d, tuple(values.values()))

@@ -25,7 +25,7 @@ from pydantic import Field
 from kc2spice.core import laws
 from kc2spice.core.domains import HEAT, HEAT_PINS
 from kc2spice.core.figure import Figure
-from kc2spice.core.naming import names_of
+from kc2spice.core.naming import list_names
 from kc2spice.core.quantities import Section, Voltage
 from kc2spice.core.untrusted_files import make_identifier
 from kc2spice.core.waveforms import Waveforms
@@ -224,7 +224,7 @@ class ResonatorPart(NumberedPart[KeysT]):
         words: dict[str, Any] = {"rating": self.rating, "heat": HEAT_PINS if heated else ""}
         head = part_header(header, title, pins, content.params, **words)
         items = (*_list_cards(content, *self.ends), *(_list_heat_cards(content) if heated else ()))
-        ends, defaults = tuple(names_of(pins)), parameter_defaults_of(content.params)
+        ends, defaults = tuple(list_names(pins)), parameter_defaults_of(content.params)
         circuit = Circuit(name, ends, defaults, items, notes=head)
         tree = Circuit(items=(circuit,))
         return (

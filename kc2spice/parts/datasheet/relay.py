@@ -119,7 +119,7 @@ def solve_timing(part: Part[RelayKeys]) -> RelayTiming:
     return RelayTiming(keys.inductance, (keys.operate_time - electrical) / HALF_WAY_TIME)
 
 
-def relay_law(params: tuple[Param, ...], changeover: bool) -> Declaration:
+def declare_relay(params: tuple[Param, ...], changeover: bool) -> Declaration:
     """Return the declaration of the coil, the armature and the contacts of a relay.
 
     The position of the armature is 0 at rest and at most 1. The armature moves towards 1 while the
@@ -219,7 +219,7 @@ pins = { a = "relay.com", b = "gnd" }
                 "insulation_resistance", keys.insulation_resistance, "Ohm", "open contact"
             ),
         )
-        return relay_law(params, keys.changeover)
+        return declare_relay(params, keys.changeover)
 
     def pins(self, part: Part[RelayKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
         """Return the pins of the coil, and the pins of the contacts, which may stay unconnected."""

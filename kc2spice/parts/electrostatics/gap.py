@@ -36,7 +36,7 @@ from pydantic import Field
 from kc2spice.core import laws
 from kc2spice.core.domains import HEAT
 from kc2spice.core.errors import UsageError
-from kc2spice.core.naming import names_of
+from kc2spice.core.naming import list_names
 from kc2spice.core.progress import Clock
 from kc2spice.core.quantities import (
     EPSILON_0,
@@ -202,7 +202,7 @@ class Gap(PatchedPart[GapKeys]):
 
     def law(self, part: Part[GapKeys], build: Build) -> laws.Equations:
         """Return the model equations, without pins of film branches that the netlist lacks."""
-        result, known = super().law(part, build), set(names_of(build.scene.pins(part.name)))
+        result, known = super().law(part, build), set(list_names(build.scene.pins(part.name)))
         return replace(result, pins=tuple(pair for pair in result.pins if pair[0] in known))
 
     def _declare_branches(

@@ -18,7 +18,7 @@ from kc2spice.core import laws
 from kc2spice.core.domains import BASE, DISPLACEMENT, TRANSLATION
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel
-from kc2spice.core.naming import names_of
+from kc2spice.core.naming import list_names
 from kc2spice.core.prefix import format_quantity
 from kc2spice.core.quantities import Count, Frequency, RefinementRule, Section
 from kc2spice.core.waveforms import Waveforms, constant_waveform
@@ -265,7 +265,7 @@ def find_loaded_body(part: Part[PortLoadsKeys], scene: DeclaredScene) -> Part[St
     result = scene.bodies
     if len(result) != 1 or not isinstance(result[0].keys, Stack):
         problem = f"{part.name} does not state which piezo_stack it loads"
-        got = ", ".join(names_of(result)) or "no body"
+        got = ", ".join(list_names(result)) or "no body"
         hint = "add [kick]; an empty table takes the defaults"
         raise part.wrong("of", problem, got, "the name of a piezo_stack", hint)
     return result[0].with_schema(Stack)

@@ -9,7 +9,7 @@ import numpy as np
 from kc2spice.core.domains import HEAT
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.thermal_materials import find_resistance_coefficient
-from kc2spice.physics.conductors import ConductorKeys, conductor_values
+from kc2spice.physics.conductors import ConductorKeys, get_conductor_values
 from kc2spice.physics.declaration import (
     COEFFICIENT,
     REFERENCE,
@@ -25,7 +25,7 @@ _UNEXPLAINED = 1e-3
 
 def wire_values(keys: ConductorKeys) -> tuple[float, float]:
     """Return the temperature coefficient [1/K] and the reference temperature [K] of the wire."""
-    coefficient, reference = conductor_values(keys)
+    coefficient, reference = get_conductor_values(keys)
     return find_resistance_coefficient("copper") if coefficient is None else coefficient, reference
 
 

@@ -52,7 +52,7 @@ from kc2spice.fem.thermal_materials import find_resistance_coefficient
 from kc2spice.physics import Declaration, DeclaredPart, current, displacement, loop
 from kc2spice.physics.conductors import ConductorKeys
 from kc2spice.physics.declaration import Branch
-from kc2spice.physics.part import sweep_numerics
+from kc2spice.physics.part import list_sweep_numerics
 from kc2spice.scene.checks import Balance, Check, Gate, Metric
 from kc2spice.scene.highest_frequency import highest_frequency
 from kc2spice.scene.model import (
@@ -261,7 +261,7 @@ class MovingBody(DeclaredPart[MovingT]):
 
     def numerics(self, part: Part[MovingT], scene: WiredScene) -> Iterator[Numerics]:
         """Return the numerical requirements of a dc sweep of the height."""
-        return sweep_numerics(part, scene)
+        return list_sweep_numerics(part, scene)
 
     def make_declaration(self, part: Part[MovingT], scene: GovernedScene) -> Declaration:
         """Return the declaration for the keys of the part."""

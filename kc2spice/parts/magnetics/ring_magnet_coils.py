@@ -47,7 +47,7 @@ from kc2spice.physics.conductors import (
     HEAT_TERMINALS,
     ConductorKeys,
     is_heated,
-    refuse_conductor_keys,
+    list_useless_key_errors,
 )
 from kc2spice.physics.declaration import HEAT_BRANCH, ONE_TEMPERATURE, TEMPERATURE
 from kc2spice.physics.part import across_vector, declared_subcircuit, flow_vector
@@ -245,7 +245,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
 
     def problems(self, part: Part[Coils], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield an error for each invalid key of the part."""
-        yield from refuse_conductor_keys(part, scene)
+        yield from list_useless_key_errors(part, scene)
         keys, name, ball = part.keys, part.name, find_sphere(part, scene)
         radius = ball.keys.radius
         if keys.y_min >= keys.y_max:
@@ -383,7 +383,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         """Return the ngspice vectors of the part's results, keyed by result name."""
         if not _is_driven(part, build.scene):
             return {}
-        prefix, inst = result_prefix(part), f"x{part.name.lower()}"
+        prefix, inst = get_result_prefix(part), f"x{part.name.lower()}"
         result = {
             f"{prefix}.lower.current": Vector(f"v({inst}.i)", -1.0, "A"),
             f"{prefix}.upper.current": Vector(f"v({inst}.i)", 1.0, "A"),
@@ -405,14 +405,14 @@ class RingMagnetCoils(TouchablePart[Coils]):
         if y is None or distance_outside(build.model(part, EMTable), y) > 0:
             return {}
         zero = np.zeros_like(y)
-        lower = waves.data.get(f"{result_prefix(part)}.lower.current", zero)
-        upper = waves.data.get(f"{result_prefix(part)}.upper.current", zero)
+        lower = waves.data.get(f"{get_result_prefix(part)}.lower.current", zero)
+        upper = waves.data.get(f"{get_result_prefix(part)}.upper.current", zero)
         return {"v": np.asarray(build.model(part, EMTable).coenergy.force(y, lower, upper))}
 
     def law(self, part: Part[Coils], build: Build) -> laws.Equations:
         """Return the model equations of the part."""
         n, scene, table = part.name, build.scene, build.model(part, EMTable)
-        prefix, apart = result_prefix(part), has_real_coils(part, scene)
+        prefix, apart = get_result_prefix(part), has_real_coils(part, scene)
         stated, ends = (
             coils.declare_resistive_coils(),
             (("drive.through", -1.0), ("drive.through", 1.0)),
@@ -436,11 +436,11 @@ class RingMagnetCoils(TouchablePart[Coils]):
 
     def metrics(self, part: Part[Coils], build: Build, waves: Waveforms) -> Mapping[str, object]:
         """Return the metrics of the part, keyed by name."""
-        result = _coil_heat.heat_metrics(part.keys, result_prefix(part), waves)
-        if f"{result_prefix(part)}.voltage" not in waves:
+        result = _coil_heat.heat_metrics(part.keys, get_result_prefix(part), waves)
+        if f"{get_result_prefix(part)}.voltage" not in waves:
             return result
-        current = waves[f"{result_prefix(part)}.upper.current"]
-        voltage = float(np.abs(waves[f"{result_prefix(part)}.voltage"]).max())
+        current = waves[f"{get_result_prefix(part)}.upper.current"]
+        voltage = float(np.abs(waves[f"{get_result_prefix(part)}.voltage"]).max())
         return result | {
             "coil_voltage_peak_v": Metric(voltage, "V"),
             "coil_current_peak_a": Metric(float(np.abs(current).max()), "A"),
@@ -492,7 +492,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
             return
         currents = _list_coil_currents(part, waves)
         if is_heated(part, build.scene):
-            table, prefix = build.model(part, EMTable), result_prefix(part)
+            table, prefix = build.model(part, EMTable), get_result_prefix(part)
             resistance = dict(zip(COIL_NAMES, table.resistance.tolist(), strict=True))
             yield from _coil_heat.balance_heat(part.keys, prefix, resistance, currents, waves)
             rise = part.keys.rated_rise
@@ -540,7 +540,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         self, part: Part[Coils], build: Build, waves: Waveforms
     ) -> Iterator[Figure | FileWriter]:
         """Yield the figures of the part for the report."""
-        prefix = result_prefix(part)
+        prefix = get_result_prefix(part)
         currents = _list_coil_currents(part, waves)
         if "time" in waves and len(currents) == len(COIL_NAMES):
             t = 1e3 * waves["time"]
@@ -628,7 +628,7 @@ def plot_impedance(part: Part[Coils], build: Build) -> Figure:
     return plot_impedances(part.name, f, z, how + "of the windings left out.")
 
 
-def result_prefix(part: Part[Coils]) -> str:
+def get_result_prefix(part: Part[Coils]) -> str:
     """Return the prefix of the part's result names.
 
     It is ``coil`` for the part ``catch`` of the paper, otherwise the name of the part.
@@ -690,7 +690,7 @@ def _list_coil_currents(part: Part[Coils], waves: Waveforms) -> dict[str, np.nda
     """Return the recorded currents [A] of the coils by name, upper coil first."""
     result = {}
     for coil in reversed(COIL_NAMES):
-        name = f"{result_prefix(part)}.{coil}.current"
+        name = f"{get_result_prefix(part)}.{coil}.current"
         if name in waves:
             result[coil] = waves[name]
     return result

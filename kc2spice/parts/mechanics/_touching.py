@@ -237,7 +237,7 @@ class ContactPair:
         return max(result, key=lambda item: item.depth)
 
     @property
-    def has_initial_velocity(self) -> bool:
+    def may_move_at_start(self) -> bool:
         """Whether a side of the contact may already move at t = 0.
 
         This is also assumed for a fixed upper side, and for a rigid lower side.

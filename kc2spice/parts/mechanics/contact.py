@@ -189,7 +189,7 @@ class Contact(DeclaredPart[ContactKeys]):
         """Return the metrics of the part, keyed by name."""
         pair = make_pair(part, build.scene)
         v = waves.data.get(f"{pair.b.part}.v")
-        if "time" not in waves or v is None or pair.has_initial_velocity:
+        if "time" not in waves or v is None or pair.may_move_at_start:
             return {}
         force, busy = waves[f"{part.name}.force"], last_source_change(build.scene)
         launch = find_separation(waves["time"], force, v, busy, pair.contact_force.power)
@@ -203,7 +203,7 @@ class Contact(DeclaredPart[ContactKeys]):
     ) -> Iterator[Check | Balance | Gate]:
         """Yield the checks of the part after a run."""
         pair, gates = make_pair(part, build.scene), build.scene.gates
-        if "time" in waves and not pair.has_initial_velocity:
+        if "time" in waves and not pair.may_move_at_start:
             steps = motion_error_limit(build.scene.solver)
             certificate = getattr(build.models.get(pair.a.part), "certificate", None)
             reduced = DEFAULT_LAUNCH_LIMIT
@@ -409,7 +409,7 @@ def _check_start(pair: ContactPair, waves: Waveforms, place: np.ndarray) -> Iter
         pair.b.radius is None
         or force is None
         or pair.scene.movers.get(other)
-        or pair.has_initial_velocity
+        or pair.may_move_at_start
     ):
         return
     above = 0.0 if force[0] > 0 else float(place[0]) + pair.keys.gap

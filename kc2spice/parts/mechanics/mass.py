@@ -26,7 +26,7 @@ from kc2spice.scene.model import (
     Scene,
     WiredScene,
 )
-from kc2spice.scene.part_records import EquilibriumConditions, FrameShake
+from kc2spice.scene.part_records import EquilibriumConditions, FrameAcceleration
 from kc2spice.scene.parttype import register
 from kc2spice.scene.settings import Probe
 from kc2spice.scene.start_conditions import find_floating_nets, find_rigid_groups
@@ -68,7 +68,7 @@ def _list_frame_pins(count: int) -> list[str]:
 
 
 @cache
-def point_mass(
+def declare_point_mass(
     mass: float,
     gravity: float = 0.0,
     position: float = 0.0,
@@ -120,7 +120,7 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
         shares = tuple(
             float(shake.along or 0.0) for shake in _list_frame_accelerations(part, scene)
         )
-        return point_mass(keys.mass, gravity, keys.position, keys.velocity, shares)
+        return declare_point_mass(keys.mass, gravity, keys.position, keys.velocity, shares)
 
     follows_frames = True
 
@@ -223,7 +223,9 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
         yield f"mass {part.keys.mass:g}"
 
 
-def _list_frame_accelerations(part: Part[MassKeys], scene: GovernedScene) -> tuple[FrameShake, ...]:
+def _list_frame_accelerations(
+    part: Part[MassKeys], scene: GovernedScene
+) -> tuple[FrameAcceleration, ...]:
     """Return the accelerations of the frame of the mass; none for a mass in a fixed frame."""
     frame = scene.frames.get((part.name, "a"))
     return () if frame is None else frame.shakes

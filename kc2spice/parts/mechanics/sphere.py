@@ -28,7 +28,7 @@ from kc2spice.netlist.circuit import positive_parameter
 from kc2spice.parts.control._pid_keys import Control
 from kc2spice.parts.mechanics._contact_keys import ContactKeys
 from kc2spice.parts.mechanics._touching import ContactSurface, TouchablePart, make_pair
-from kc2spice.parts.mechanics.mass import point_mass
+from kc2spice.parts.mechanics.mass import declare_point_mass
 from kc2spice.physics import Declaration, DeclaredPart, displacement
 from kc2spice.physics.part import make_pins
 from kc2spice.scene.checks import Balance, Gate, Metric, motion_error_limit
@@ -128,7 +128,7 @@ class SphereKeys(Section):
         return 4 / 3 * math.pi * self.radius**3 * self.density
 
 
-def rigid_sphere(
+def declare_sphere(
     mass: float, radius: float, gravity: float, velocity: float = 0.0, height: float = 0.0
 ) -> Declaration:
     """Return the declaration of a sphere; x is the height of its lowest point.
@@ -137,7 +137,7 @@ def rigid_sphere(
     would be within rounding errors. Without the option ``uic``, ngspice starts from the operating
     point.
     """
-    declaration = point_mass(mass, gravity, height, velocity)
+    declaration = declare_point_mass(mass, gravity, height, velocity)
     weight, pull, place, fast = declaration.given
     size = positive_parameter("radius", radius, "m", "radius of the sphere")
     place = replace(place, name="height", doc="height of the lowest point at t = 0, used with uic")
@@ -165,7 +165,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
     def make_declaration(self, part: Part[SphereKeys], scene: GovernedScene) -> Declaration:
         """Return the declaration for the keys of the part."""
         keys, begin = part.keys, scene.initial_states.get(part.name, REST_STATE)
-        return rigid_sphere(keys.mass, keys.radius, scene.gravity, begin.velocity, begin.height)
+        return declare_sphere(keys.mass, keys.radius, scene.gravity, begin.velocity, begin.height)
 
     def expand(
         self, part: Part[SphereKeys], data: Mapping[str, object]

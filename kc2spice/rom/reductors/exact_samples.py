@@ -86,12 +86,12 @@ class ExactSamples:
             small = Pencil((-(left.T @ inner @ right), np.eye(order)), left.T @ B, C @ right, P.D)
             small = _remove_growing_poles(small)
             response = Response(small).transfer(2j * np.pi * self.frequency)
-            error = self.relative_sizes(response - self.H, self.H).max(initial=0.0)
+            error = self.relative_errors(response - self.H, self.H).max(initial=0.0)
             models.append((error, order, small))
         error, _, best = min(models, key=lambda found: found[:2])
         return best, float(error)
 
-    def relative_sizes(self, difference: np.ndarray, H: np.ndarray) -> np.ndarray:
+    def relative_errors(self, difference: np.ndarray, H: np.ndarray) -> np.ndarray:
         """Return the magnitude of ``difference`` relative to ``H``.
 
         The divisor is the magnitude of ``H``, but at least a share of the peak of all samples.
@@ -123,10 +123,10 @@ def reduce_by_samples(
         if not points.size:
             break
         H = before.transfer(2j * np.pi * points)
-        change = known.relative_sizes(last.transfer(2j * np.pi * points) - H, H).max(axis=(1, 2))
+        change = known.relative_errors(last.transfer(2j * np.pi * points) - H, H).max(axis=(1, 2))
         worst = int(np.argmax(change))
         known.add(float(points[worst]))
-        error = float(known.relative_sizes(H[worst] - known.H[-1], known.H[-1]).max())
+        error = float(known.relative_errors(H[worst] - known.H[-1], known.H[-1]).max())
         last = before
         model, fit = known.model()
         recent = [*recent[-1:], max(error, fit)]

@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 
 from kc2spice.core.errors import UsageError, unknown
-from kc2spice.core.plugins import load_plugin, plugin_names
+from kc2spice.core.plugins import list_entry_points, load_plugin
 from kc2spice.rom.reduced_basis import Task
 from kc2spice.rom.reductors.balanced_truncation import BalancedTruncation
 from kc2spice.rom.reductors.band_limited_balancing import BandLimitedBalancing
@@ -98,7 +98,7 @@ def _require_reductor(value: object, where: str) -> Reductor:
 @cache
 def _load_installed_reductors() -> None:
     """Register the reduction methods of installed packages, unless their names are in use."""
-    for name in plugin_names(ENTRY_POINT_GROUP):
+    for name in list_entry_points(ENTRY_POINT_GROUP):
         where = f"entry point {name} of {ENTRY_POINT_GROUP}"
         reductor = _require_reductor(load_plugin(ENTRY_POINT_GROUP, name), where)
         _reductors.setdefault(reductor.name, reductor)

@@ -46,7 +46,7 @@ from kc2spice.workflow.sweep.grid import (
 from kc2spice.workflow.sweep.point import (
     Job,
     PointResult,
-    SceneText,
+    SceneInput,
     build_point,
     read_scene_files,
     read_scene_text,
@@ -118,7 +118,7 @@ class Sweep:
 
 
 def make_sweep(
-    scene: SceneText,
+    scene: SceneInput,
     sets: Sequence[str],
     *,
     zipped: bool = False,
@@ -165,10 +165,10 @@ def make_sweep(
     )
     units = {key: find_swept_key(key, keys).unit or "" for key in plan.keys}
     job = Job(scene, tuple(fixed), tuple(constants), timeout)
-    return sweep_of_plan(job, plan, units, tuple(dict.fromkeys(metrics)))
+    return make_sweep_of_plan(job, plan, units, tuple(dict.fromkeys(metrics)))
 
 
-def sweep_of_plan(
+def make_sweep_of_plan(
     job: Job, plan: Plan, units: Mapping[str, str], metrics: tuple[str, ...] = ()
 ) -> Sweep:
     """Return the sweep over the points of ``plan``.

@@ -28,8 +28,8 @@ from kc2spice.netlist.include_scan import read_included_netlist
 from kc2spice.netlist.transforms import (
     Parameters,
     library_stem,
+    list_parameterised_subcircuits,
     parameter_defaults,
-    parameter_owners,
     with_parameters,
 )
 from kc2spice.report.html import flatten_mapping
@@ -54,7 +54,7 @@ Number = float | bool | None
 
 
 @dataclass(frozen=True)
-class SceneText:
+class SceneInput:
     """Name of a built-in scene, or a name with the TOML text and the files of a scene."""
 
     name: str
@@ -74,7 +74,7 @@ class SceneText:
 
 
 @lru_cache(maxsize=_CACHED_DECKS)
-def _unpack_files(scene: SceneText) -> tempfile.TemporaryDirectory[str]:
+def _unpack_files(scene: SceneInput) -> tempfile.TemporaryDirectory[str]:
     """Write the files of ``scene`` to a directory that exists until this process ends."""
     directory = tempfile.TemporaryDirectory(prefix="kc2spice-scene-")
     for name, content in ((f"{scene.name}.toml", (scene.text or "").encode()), *scene.files):
@@ -84,7 +84,7 @@ def _unpack_files(scene: SceneText) -> tempfile.TemporaryDirectory[str]:
     return directory
 
 
-def read_scene_text(name_or_path: str) -> SceneText:
+def read_scene_text(name_or_path: str) -> SceneInput:
     """Read the current text of a scene and of its files.
 
     Raises
@@ -92,11 +92,11 @@ def read_scene_text(name_or_path: str) -> SceneText:
     UsageError : the scene does not exist, or one of its files is missing or not allowed.
     """
     if name_or_path in list_gallery():
-        return SceneText(name_or_path, None)
+        return SceneInput(name_or_path, None)
     path = Path(name_or_path)
     scene = load_scene(path)
     text = decode_text(read_bounded(path, MAX_TEXT_BYTES))
-    return SceneText(scene.name, text, tuple(read_scene_files(scene).items()))
+    return SceneInput(scene.name, text, tuple(read_scene_files(scene).items()))
 
 
 def read_scene_files(scene: Scene) -> dict[str, bytes]:
@@ -138,7 +138,7 @@ class Job:
     ``workspace``.
     """
 
-    scene: SceneText | Scene
+    scene: SceneInput | Scene
     fixed: tuple[str, ...] = ()
     parameters: Parameters = ()
     timeout: float | None = None
@@ -150,7 +150,7 @@ class Job:
         Raises the errors of :func:`load_scene`.
         """
         overrides = (*self.fixed, *_override_texts(values))
-        if isinstance(self.scene, SceneText):
+        if isinstance(self.scene, SceneInput):
             scene = self.scene.load(overrides)
         else:
             scene = load_scene(self.scene, overrides)
@@ -228,7 +228,11 @@ def with_changed_parameters(build: Build, deck: Deck, values: Iterable[tuple[str
     known, parts, unchecked_parts = parameter_defaults(deck), dict(build.scene.parts), set[str]()
     for key, value in values:
         library, _, name = key.partition(".")
-        users = {library_stem(p) for p in deck.parts if library in dict(parameter_owners(p))}
+        users = {
+            library_stem(p)
+            for p in deck.parts
+            if library in dict(list_parameterised_subcircuits(p))
+        }
         for owner in (p for p, used in build.libraries.items() if used in users):
             other = replace_key_value(parts[owner], name, known.get(key, math.nan), value)
             if other is not None:

@@ -20,7 +20,7 @@ from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.spelling import LEAK_RATE
 from kc2spice.parts.bodies._body_model import full_model
 from kc2spice.parts.bodies._linear_body import LinearBody
-from kc2spice.report.verify_page import Findings, plot_solutions
+from kc2spice.report.verify_page import Findings, plot_port_responses
 from kc2spice.rom.error_estimate import choose_adaptive_frequencies, relative_error, relative_size
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.modal import resonators
@@ -94,7 +94,7 @@ def verify_body(
     findings.checks += checks
     errors["ngspice_vs_rom"] = float(checks[0].value or 0.0)
     curves[f"{part.name}: netlist, ngspice"] = _label_waves(frequency, answer, rom)
-    findings.figures += plot_solutions(part.name, curves)
+    findings.figures += plot_port_responses(part.name, curves)
     for pair, error in errors.items():
         findings.errors[pair] = max(error, findings.errors.get(pair, 0.0))
 

@@ -7,7 +7,7 @@ from device import RADII, chip, deck_of
 from hard_cases.kit import HEADER, bench_deck, case, exact, kick, relative, scene
 from hard_cases.modal_kick import Kick
 from scipy.integrate import solve_ivp
-from support import ContactForce, SphereKeys, declare_contact, rigid_sphere, subcircuit
+from support import ContactForce, SphereKeys, declare_contact, declare_sphere, subcircuit
 from support import declared_subcircuit as declared
 
 from bench.distance import compare
@@ -27,7 +27,7 @@ def flat_contact(bench):
     parts = [
         subcircuit(model.linear(), "kick", HEADER),
         declared(HEADER, "contact", declare_contact(RINGS, (0.0,) * 6, ContactForce(4e8)), {}),
-        declared(HEADER, "sphere", rigid_sphere(MASS, 1e-3, 0.0, velocity, gap), {}),
+        declared(HEADER, "sphere", declare_sphere(MASS, 1e-3, 0.0, velocity, gap), {}),
     ]
     rings = " ".join(RINGS)
     cards = f"""Xkick 0 0 {rings} 0 kick
@@ -78,7 +78,7 @@ def hundred_bounces_on_a_rigid_plane(bench):
     """A sphere falls 5 um a hundred times."""
     speed, height, landings = 0.01, 1e-7, 100
     ground = declared(HEADER, "contact", declare_contact(("ring0",), (0.0,), ContactForce(4e8)), {})
-    sphere = declared(HEADER, "sphere", rigid_sphere(MASS, 1e-3, 9.81, -speed, height), {})
+    sphere = declared(HEADER, "sphere", declare_sphere(MASS, 1e-3, 9.81, -speed, height), {})
     stop = (landings + 0.5) * (2 * speed / 9.81 + np.pi * np.sqrt(MASS / 4e8))
     cards = f"""Xsphere v bottom y 0 sphere
 Vground ring0 0 0
