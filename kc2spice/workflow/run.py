@@ -209,7 +209,8 @@ def complete_run(
     for check in result.verdict.checks:
         if not check.passed:
             limit = f"limit {check.limit:.3g}: {check.advice}"
-            message = f"check {check.name}: {check.value:.3g} {check.unit}, {limit}"
+            value = f"{check.value:.3g} {check.unit}".rstrip()
+            message = f"check {check.name}: {value}, {limit}"
             warnings.warn(message, stacklevel=2)
     return CompletedRun(result, simulator, clock.wall_s, converged)
 

@@ -281,7 +281,7 @@ def test_hoop_poling_of_a_section_is_refused(tmp_path):
     ({"b0": {"x": [0, 1, 1]}}, "not perpendicular"),
     ({"b0": {"z": [1, 0, 0]}}, "state x beside z"),
     ({"b0": {"origin": [0, 0, 0]}}, "origin needs"),
-    ({"b0": {"kind": "cylindrical", "x": [1, 0, 0]}}, "delete x"),
+    ({"b0": {"kind": "cylindrical", "x": [1, 0, 0]}}, "cannot have the key x"),
     ({"b7": {"z": [0, 0, 1]}}, "axes contains groups without a material"),
     ({"b1": {"z": [0, 0, 1]}}, "cannot apply to the same group"),
 ])  # fmt: skip

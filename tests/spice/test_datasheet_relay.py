@@ -81,8 +81,8 @@ def test_verify_integrates_the_relay_independently():
     [
         ({}, "neither inductance nor operate_time"),
         ({"inductance": 2.0, "operate_time": 1e-3}, "operate_time contradicts inductance"),
-        ({"operate_time": 0.01, "pick_up": 6.0}, "do not increase"),
-        ({"operate_time": 0.01, "release": 4.0}, "do not increase"),
+        ({"operate_time": 0.01, "pick_up": 6.0}, "not in the order release < pick_up < voltage"),
+        ({"operate_time": 0.01, "release": 4.0}, "not in the order release < pick_up < voltage"),
         ({"operate_time": 0.01, "insulation_resistance": 0.01}, "conducts better"),
     ],
 )
