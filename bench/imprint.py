@@ -54,7 +54,7 @@ def imprint(setup):
             reduced,
             Point("ngspice", "netlist, ngspice", deck_error, deck_time, {"force": deck_error}),
         ),
-        (f"The refactorising full model is extrapolated from {count} of {whole} factorisations",),
+        (f"The time of the refactorising full model is extrapolated from {count} of {whole} factorisations",),
     )  # fmt: skip
     ratios = tuple(
         speed_up(

@@ -193,9 +193,9 @@ def compute_local_compliance(chip: Chip, shape: PressureBasis) -> LocalComplianc
     lowest = float(np.linalg.eigvalsh(S - coarse)[0])
     if lowest < 0:
         raise SimulationError(
-            "under the contact pressure, the mesh of the stack is softer than its local refinement",
+            "the mesh of the stack is too coarse under the contact pressure: its refinement is stiffer",
             where="contact.shape",
-            got=f"compliance {lowest:.3g} m/N of a basis function",
+            got=f"compliance added by the refinement: {lowest:.3g} m/N",
             expected="above 0",
             hint="raise kick.mesh.sectors, or lower contact.spacing",
         )

@@ -81,8 +81,8 @@ def add_loss_heat(equations: laws.Equations, body: laws.SecondOrderBody) -> laws
     model, n = body.model, body.name
     damping = np.diag(model.E)
     lossy = np.flatnonzero(damping > 0)
-    # Each port has the largest input gain of its mode, so that the additional ports do not change
-    # the scales of the integrator's error control.
+    # Each additional port excites one mode, with the largest gain of any original port. The
+    # additional ports then do not change the scales of the integrator's error control.
     reach = np.abs(model.B).max(axis=1)[lossy]
     reach = np.where(reach > 0, reach, 1.0)
     rows = np.zeros((len(lossy), len(damping)))

@@ -401,7 +401,10 @@ def _scale_columns(s: np.ndarray, p: np.ndarray, real: np.ndarray) -> tuple[np.n
 
 
 def _recover_residues(coefficients: np.ndarray, real: np.ndarray) -> np.ndarray:
-    """Return the complex residues (poles, entries) for coefficients of :func:`_scale_columns`."""
+    """Return complex residues, an array (poles, entries), from real and imaginary parts.
+
+    ``coefficients`` contains the real parts first, then the imaginary parts of complex residues.
+    """
     result = coefficients[1 : 1 + len(real)].astype(complex)
     result[~real] += 1j * coefficients[1 + len(real) :]
     return result

@@ -378,11 +378,11 @@ def _reduce_structural_damping(fom: LinearModel, target: Target) -> LinearModel:
     """Reduce a model with structural damping to a causal, passive model."""
     if target.tolerance is None:
         raise UsageError(
-            "a model with structural damping cannot be reduced to an order",
+            "a model with structural damping cannot be reduced to a prescribed order",
             where="order",
             got=target.order,
             expected="a tolerance instead of the order",
-            hint="replace the order by the tolerance 1e-4",
+            hint="replace the order by a tolerance, such as 1e-4",
         )
     if target.method is not None and not find_reductor(target.method).congruence:
         problem = "structural damping needs a method that preserves the form of the matrices"

@@ -966,7 +966,7 @@ class PartType(Generic[KeysT]):
     def main_metrics(
         self, part: Part[KeysT], build: Build
     ) -> Mapping[str, Probe | LargestRealPartFrequency]:
-        """Return the metrics that every simulator can compute, as probes of results."""
+        """Return, as probes, the metrics that every simulator can compute."""
         return {}
 
     def checks(

@@ -53,7 +53,7 @@ def test_an_imaginary_part_that_is_no_loss_is_refused():
         model = LinearModel(M=np.eye(2), K=K + 1j * loss, B=np.eye(2))
         with pytest.raises(UsageError, match="no state-space form"):
             model.state_space()
-        with pytest.raises(UsageError, match="cannot be reduced to an order"):
+        with pytest.raises(UsageError, match="cannot be reduced to a prescribed order"):
             reduce_model(model, order=1, band=(0.0, 1.0))
     model = LinearModel(M=np.eye(2), E=np.diag([0.1, 0.3]), K=K + 0.1j * np.eye(2), B=np.eye(2))
     with pytest.raises(

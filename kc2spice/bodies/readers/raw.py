@@ -339,8 +339,8 @@ def complete_triangles(matrix: sparse.csc_array) -> sparse.csc_array:
 
 
 _ROW_LABELS = ("nodes", "dofs")  # names of the arrays that identify the rows
-# The permitted CPU time of a separate process is the first value [s], plus the size of the file
-# divided by the second value [bytes per second].
+# Permitted CPU time of a separate process: fixed time [s], and data rate [bytes per second] for the
+# additional time in which the file is read.
 _CPU_LIMITS = 8, 1_000_000
 # permitted memory of a separate process, in addition to the content of the file
 _MEMORY_BYTES = 1_300_000_000

@@ -128,7 +128,7 @@ def estimate_face_levels(face: LoadedFace) -> FaceLevelEffects | None:
     near = 0.0
     if 0 < result.shift < np.inf:
         # The shift lowers the resonance frequencies, while the frequency of the tone stays the
-        # same. This equals a tone at a higher frequency.
+        # same. A tone at a higher frequency has the same effect.
         near = float((face.levels([tone * (1 + result.shift)]) - level)[0])
     return replace(
         result, detuned=float(sides.min()), halved=float(damped - level), near_field=near

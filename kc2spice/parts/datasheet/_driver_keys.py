@@ -91,8 +91,9 @@ class LoudspeakerKeys(ConductorKeys, NumberedKeys):
         gt=0,
         lt=1,
         description=(
-            "Relative increase of the suspension's compliance if the frequency falls by the "
-            "factor e; by default the compliance is constant. cms and rms hold at fs"
+            "Relative increase of the suspension's compliance if the frequency falls by a factor "
+            "of 2.718; by default the compliance is constant. `cms` and `rms` hold at the "
+            "frequency `fs`"
         ),
     )
     xmax: Length | None = Field(

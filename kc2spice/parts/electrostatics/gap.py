@@ -99,7 +99,9 @@ class SqueezeFilmKeys(Section):
     The patches of the body divide the length of the film into strips.
     """
 
-    length: Length = Field(gt=0, description="Length of the face along the row of patches")
+    length: Length = Field(
+        gt=0, description="Length of the face in the direction in which patches divide it"
+    )
     width: Length = Field(gt=0, description="Width of the face")
     viscosity: Annotated[float, si("Pa s")] = Field(
         18.3e-6, gt=0, description="Dynamic viscosity of the gas"

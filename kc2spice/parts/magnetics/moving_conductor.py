@@ -87,7 +87,7 @@ MAX_RING_ERROR = 0.02  # largest relative error of flux, force and loss due to t
 # Largest relative change of a magnet's path in ``verify``, where its field has a ten times smaller
 # tolerance.
 MAX_PATH_CHANGE = 1e-3
-# smallest assumed ratio of the change due to finer rings to the error of the rings
+# Finer rings are assumed to remove at least this share of the error of the rings.
 MIN_CHANGE_RATIO = 0.1
 
 

@@ -224,7 +224,7 @@ def _parse_word(where: str, key: Key, text: str) -> Any:
             where=where,
             got=repr(text),
             expected=expected,
-            hint="write digits only, such as 10 or 2:10:5",
+            hint="write whole numbers, such as 10, or 2:10:5 for 5 values from 2 to 10",
         )
     if key.integer or key.choices or key.unit is None or text[:1] in ("[", "{"):
         return parse_override_value(text)
