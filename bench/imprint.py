@@ -54,7 +54,10 @@ def imprint(setup):
             reduced,
             Point("ngspice", "netlist, ngspice", deck_error, deck_time, {"force": deck_error}),
         ),
-        (f"The time of the refactorising full model is extrapolated from {count} of {whole} factorisations",),
+        (
+            "The time of the refactorising full model is extrapolated from "
+            f"{count} of {whole} factorisations",
+        ),
     )  # fmt: skip
     ratios = tuple(
         speed_up(

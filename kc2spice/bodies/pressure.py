@@ -193,7 +193,8 @@ def compute_local_compliance(chip: Chip, shape: PressureBasis) -> LocalComplianc
     lowest = float(np.linalg.eigvalsh(S - coarse)[0])
     if lowest < 0:
         raise SimulationError(
-            "the mesh of the stack is too coarse under the contact pressure: its refinement is stiffer",
+            "the mesh of the stack is too coarse under the contact pressure, as its refinement is "
+            "stiffer",
             where="contact.shape",
             got=f"compliance added by the refinement: {lowest:.3g} m/N",
             expected="above 0",

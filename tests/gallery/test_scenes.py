@@ -113,11 +113,18 @@ def test_imprint_is_verified_three_ways_and_a_missed_gate_is_exit_code_4(tmp_pat
 
 
 QUICK = {"comb_resonator"}  # a scene that the quick run verifies
+LONG = {"pwm_coil"}  # thousands of switched cycles, about ten minutes
+
+
+def choose_marks(name):
+    """Marks of the verification of a scene."""
+    if name in QUICK:
+        return ()
+    return (pytest.mark.slow, pytest.mark.campaign) if name in LONG else (pytest.mark.slow,)
 
 
 @pytest.mark.parametrize(
-    "name",
-    [pytest.param(n, marks=() if n in QUICK else pytest.mark.slow) for n in sorted(list_gallery())],
+    "name", [pytest.param(name, marks=choose_marks(name)) for name in sorted(list_gallery())]
 )
 def test_scene_meets_its_gates(name, tmp_path):
     run_command("verify", name, "-o", tmp_path, "-q")  # exit code 4 where one is missed
