@@ -202,7 +202,7 @@ PARAMETERS = {
     ),
     "bench.metric": typer.Option(
         metavar="NAME",
-        help="Metric whose error is compared with --error. Default: the key bench.metric of the "
+        help="Metric whose error is compared with --error. Default: the key `bench.metric` of the "
         "scene, otherwise all metrics that converge. Repeatable.",
     ),
     "sweep.metric": typer.Option(

@@ -548,7 +548,7 @@ def _fit_power_series(nodes: np.ndarray, values: np.ndarray, tolerance: float) -
         got = "a polynomial fit with the relative slope error "
         got += f"{tails[3 * nodes.size // 4].max():.1g}"
         hint = (
-            f"raise the key tolerance, now {tolerance:g}, or choose y_min and y_max further from "
+            f"raise the key `tolerance`, now {tolerance:g}, or choose y_min and y_max further from "
             "the windings"
         )
         problem = "the magnetic coupling changes too fast with the height"

@@ -620,7 +620,7 @@ class MaterialTable(Section):
             expected = f"symmetry = {', '.join(_FREE_COMPONENTS)}, or a full matrix"
             raise wrong(
                 key,
-                "named components of a tensor need the key symmetry",
+                "named components of a tensor need the key `symmetry`",
                 self.symmetry,
                 expected,
                 'add  symmetry = "6mm"  for a poled ceramic',

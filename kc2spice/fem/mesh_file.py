@@ -174,7 +174,7 @@ def read_mesh(
     data = _read_content(path)
     if path.suffix.lower() in STEP_SUFFIXES and unit != MILLIMETRE:
         problem = "a STEP file states its own unit"
-        raise wrong("unit", problem, f"{unit:g} m", "no unit, or mm", "delete the key unit")
+        raise wrong("unit", problem, f"{unit:g} m", "no unit, or mm", "delete the key `unit`")
     cad = path.suffix.lower() in CAD_SUFFIXES
     if cad == (size is None):
         if cad:
@@ -183,9 +183,9 @@ def read_mesh(
             problem = "a CAD file needs an element size"
             raise wrong("size", problem, expected=expected, hint=hint)
         problem = f"size has no effect on a {path.suffix} file, which contains elements already"
-        raise wrong("size", problem, f"{size:g} m", "no size", "delete the key size")
+        raise wrong("size", problem, f"{size:g} m", "no size", "delete the key `size`")
     if picks and not cad:
-        problem = "the key groups applies only to CAD files"
+        problem = "the key `groups` applies only to CAD files"
         raise wrong("groups", problem, hint="name physical groups in the mesh")
     result = _call_gmsh(
         "extract_mesh",

@@ -373,7 +373,7 @@ def find_equilibrium(
     raise SimulationError(
         "the search for an equilibrium does not converge",
         where="operating point",
-        hint="support every part, or set the key position of a mass that starts in flight",
+        hint="support every part, or set the key `position` of a mass that starts in flight",
     )
 
 
@@ -410,7 +410,7 @@ def _compute_newton_step(
             raise SimulationError(
                 "a part has no support, so it has no equilibrium",
                 where="operating point",
-                hint="add a support, or set the key position of a mass that starts in flight",
+                hint="add a support, or set the key `position` of a mass that starts in flight",
             )
         full = np.vstack((full, charge_rows / level[:, None]))
         right = np.concatenate((right, charge_residual / level))

@@ -331,7 +331,7 @@ def make_loss_viscous(model: LinearModel, beta: float) -> tuple[LinearModel, tup
                 "structural damping of several materials cannot be combined with a damping matrix",
                 where=model.name,
                 expected="one of them",
-                hint="replace matrix E by the key rayleigh, or use one loss factor",
+                hint="replace matrix E by the key `rayleigh`, or use one loss factor",
             )
         E = beta * model.loss + alpha * model.M
         if beta_share and isinstance(model.K, Schur):
@@ -353,7 +353,7 @@ def make_loss_viscous(model: LinearModel, beta: float) -> tuple[LinearModel, tup
             "structural damping with a damping matrix needs potentials that are not eliminated"
         )
         raise UsageError(
-            problem, where=model.name, hint="replace the damping matrix E by the key rayleigh"
+            problem, where=model.name, hint="replace the damping matrix E by the key `rayleigh`"
         )
     return replace(plain, E=model.E + added * model.K), (alpha, beta_share)
 

@@ -116,11 +116,11 @@ def _check_sweep_type(scene: Scene) -> Iterator[UsageError]:
         source = scene.parts.get((selected.sweep or "").removesuffix(".dc"))
         if selected.type != "dc" or source is None or source.type.name != "source":
             yield UsageError(
-                "the key back needs a dc sweep of a source",
+                "the key `back` needs a dc sweep of a source",
                 where="analysis.back",
                 got=f"{selected.type} of {selected.sweep}",
                 expected='type = "dc" and sweep = "SOURCE.dc", or back = false',
-                hint="delete the key back",
+                hint="delete the key `back`",
             )
 
 
@@ -132,7 +132,7 @@ def _check_frequencies(scene: Scene) -> Iterator[UsageError]:
     start, stop = selected.start, selected.stop or 0.0
     if selected.stop is None:
         yield UsageError(
-            f"the key analysis.stop of the {selected.type} analysis is missing",
+            f"the key `analysis.stop` of the {selected.type} analysis is missing",
             where="analysis",
             got=f'type = "{selected.type}" without stop',
             expected='the last frequency, such as stop = "100 kHz"',
@@ -173,7 +173,7 @@ def _check_noise_output(selected: Analysis) -> Iterator[UsageError]:
     expected = 'output = "PART.RESULT" or "PART.PIN" with type = "noise"'
     if selected.type == "noise" and selected.output is None:
         yield UsageError(
-            "the key analysis.output of the noise analysis is missing",
+            "the key `analysis.output` of the noise analysis is missing",
             where="analysis",
             got='type = "noise" without output',
             expected=expected,
@@ -181,11 +181,11 @@ def _check_noise_output(selected: Analysis) -> Iterator[UsageError]:
         )
     elif selected.type != "noise" and selected.output is not None:
         yield UsageError(
-            f"the key output has no effect in the {selected.type} analysis",
+            f"the key `output` has no effect in the {selected.type} analysis",
             where="analysis.output",
             got=f'type = "{selected.type}", output = "{selected.output}"',
             expected=expected,
-            hint="delete the key output of [analysis]",
+            hint="delete the key `output` of [analysis]",
         )
 
 
@@ -213,7 +213,7 @@ def _check_swept_key(scene: Scene) -> Iterator[UsageError]:
         sources = [part.name for part in scene.list_parts("source")] or list(scene.parts)
         missing = selected.sweep is None
         yield UsageError(
-            "the key analysis.sweep of the dc analysis is missing"
+            "the key `analysis.sweep` of the dc analysis is missing"
             if missing
             else f"this scene has no part {name!r}",
             where="analysis" if missing else "analysis.sweep",
@@ -266,11 +266,11 @@ def _check_window(where: str, count: int, scene: Scene) -> Iterator[UsageError]:
     if scene.analysis.type != "transient":
         got, expected = f"{scene.analysis.type} analysis", "a transient, or from and to"
         yield UsageError(
-            "the key periods needs a transient analysis",
+            "the key `periods` needs a transient analysis",
             where=where,
             got=got,
             expected=expected,
-            hint="delete the key periods",
+            hint="delete the key `periods`",
         )
         return
     period = scene.period
@@ -306,7 +306,7 @@ def _check_level_probe(where: str, probe: Probe, selected: Analysis) -> Iterator
         yield UsageError(
             "this analysis cannot compute this sound pressure level",
             where=f"{where}.take",
-            got=f"{selected.type} analysis{' and the key at' if probe.at is not None else ''}",
+            got=f"{selected.type} analysis{' and the key `at`' if probe.at is not None else ''}",
             expected=f"type = {' or '.join(kinds)}",
             hint=f'write  type = "{kinds[0]}"  in [analysis], or delete this probe',
         )

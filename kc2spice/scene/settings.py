@@ -43,7 +43,7 @@ class Rom(Section):
     """
 
     unsupported_key_hints: ClassVar[Mapping[str, str]] = {
-        "method": "delete the key method: scenes choose the method; to select a method by name, "
+        "method": "delete the key `method`: scenes choose the method; to select a method by name, "
         "run kc2spice reduce SCENE:PART --method NAME, or call kc.reduce in Python"
     }
 
@@ -89,7 +89,7 @@ class Rom(Section):
     @classmethod
     def _require_one_target(cls, data: Any) -> Any:
         if isinstance(data, dict) and "order" in data and "tolerance" in data:
-            hint = "delete the key order"
+            hint = "delete the key `order`"
             raise invalid_value_error(
                 "order and tolerance are both set", "either order or tolerance", hint=hint
             )
@@ -154,7 +154,7 @@ class Solver(Section):
         ),
     )
     stop: Time = Field(
-        5e-3, gt=0, description="End of a transient, if the key analysis.stop has no value"
+        5e-3, gt=0, description="End of a transient, if the key `analysis.stop` has no value"
     )
     retries: Count = Field(
         3,
@@ -515,17 +515,17 @@ class Probe(Section):
         if self.at is not None and any(item is not None for item in window):
             expected = "at, or from and to, or periods"
             raise invalid_value_error(
-                "at cannot be combined with a window", expected, hint="delete the key at"
+                "at cannot be combined with a window", expected, hint="delete the key `at`"
             )
         if self.periods is not None and (self.from_ is not None or self.to is not None):
             expected = "periods, or from and to"
             raise invalid_value_error(
                 "periods cannot be combined with from or to",
                 expected,
-                hint="delete the key periods",
+                hint="delete the key `periods`",
             )
         if self.from_ is not None and self.to is not None and self.from_ >= self.to:
-            hint = "exchange from and to" if self.from_ > self.to else "raise the key to"
+            hint = "exchange from and to" if self.from_ > self.to else "raise the key `to`"
             raise invalid_value_error("the window is empty", "from < to", hint=hint)
         return self
 

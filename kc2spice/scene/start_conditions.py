@@ -108,7 +108,7 @@ def _position_errors(
             where=part_name,
             got=by,
             expected=f"no constant force, or {path}",
-            hint="delete the key dc of the source, or set weight = false",
+            hint="delete the key `dc` of the source, or set weight = false",
         )
     elif by and result.bodies:
         yield UsageError(

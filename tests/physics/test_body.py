@@ -431,7 +431,7 @@ def test_pick_that_misses_names_its_point(tmp_path):
 @pytest.mark.parametrize(("changes", "message"), [
     ({"electrodes": {"anode": "level2"}}, "at least two electrodes"),
     ({"poling": {"layer7": [0, 0, 1]}}, "without a material"),
-    ({"ports": [{"name": "a", "group": "end", "axis": "rx"}]}, "needs the key axis"),
+    ({"ports": [{"name": "a", "group": "end", "axis": "rx"}]}, "needs the key `axis`"),
     ({"ports": [{"name": "a", "axis": "x"}]}, "needs group"),
     ({"ports": [{"name": "a b", "group": "end", "axis": "x"}]}, "pattern"),
     ({"electrodes": {}, "ports": []}, "electrodes or ports"),

@@ -160,7 +160,7 @@ def test_a_face_inside_a_body_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("port", "text"),
     [
-        ({"axis": "z", "group": "top"}, "delete axis"),
+        ({"axis": "z", "group": "top"}, "cannot have the key `axis`"),
         ({"at": [0, 0, 0]}, "needs group"),
         ({}, "needs group"),
     ],

@@ -505,7 +505,7 @@ DIE = {
         ({"isothermal": {"case": "layer1"}}, "not a face"),
         ({"films": [{"group": "top", "coefficient": "-1 W/(m2 K)"}]}, "out of range"),
         ({"films": [{"group": "top", "coefficient": "5 W/m2"}]}, "wrong unit"),
-        ({"materials": {"a": "copper"}}, "cannot be combined with layers"),
+        ({"materials": {"a": "copper"}}, "layers cannot be combined with"),
         ({"mesh": "a.msh"}, "mesh or layers"),
         ({"layers": [{"material": "unobtainium", "thickness": "1 mm", "area": "1 mm2"}]},
          "has no thermal constants"),

@@ -214,10 +214,10 @@ def test_field_against_the_poling_of_each_element(bender):
 
 
 @pytest.mark.parametrize(("poling", "message"), [
-    ({}, "state direction or file"),
-    ({"file": "p.csv", "direction": [1, 0, 0]}, "state direction or file"),
-    ({"file": "p.csv", "axis": [0, 0, 1]}, "no effect on a file"),
-    ({"direction": [0, 0, 0]}, "need a length"),
+    ({}, "exactly one of the keys direction and file"),
+    ({"file": "p.csv", "direction": [1, 0, 0]}, "exactly one of the keys direction and file"),
+    ({"file": "p.csv", "axis": [0, 0, 1]}, "axis and through cannot be combined with a CSV file"),
+    ({"direction": [0, 0, 0]}, "is a zero vector"),
 ])  # fmt: skip
 def test_bad_tables_of_polings_are_refused(bender, poling, message):
     with pytest.raises(ValidationError, match=message):
@@ -281,7 +281,7 @@ def test_hoop_poling_of_a_section_is_refused(tmp_path):
     ({"b0": {"x": [0, 1, 1]}}, "not perpendicular"),
     ({"b0": {"z": [1, 0, 0]}}, "state x beside z"),
     ({"b0": {"origin": [0, 0, 0]}}, "origin needs"),
-    ({"b0": {"kind": "cylindrical", "x": [1, 0, 0]}}, "cannot have the key x"),
+    ({"b0": {"kind": "cylindrical", "x": [1, 0, 0]}}, "cannot have the key `x`"),
     ({"b7": {"z": [0, 0, 1]}}, "axes contains groups without a material"),
     ({"b1": {"z": [0, 0, 1]}}, "cannot apply to the same group"),
 ])  # fmt: skip

@@ -113,7 +113,7 @@ PZT = {
         (PZT | {"permittivity_at": "stress"}, "constant strain"),  # eps^S as eps^T
         ({k: v for k, v in PZT.items() if k != "permittivity_at"}, "permittivity_at"),
         (PZT | {"symmetry": "monoclinic"}, "not one of the choices"),
-        ({k: v for k, v in PZT.items() if k != "symmetry"}, "need the key symmetry"),
+        ({k: v for k, v in PZT.items() if k != "symmetry"}, "need the key `symmetry`"),
         (PZT | {"stiffness": {"c11": 121e9, "c12": 75e9}}, "do not match the symmetry"),
         (PZT | {"stiffness": [[1e9, 0], [0, 1e9]]}, "wrong number of entries"),
         (PZT | {"stiffness": (np.eye(6) * 1e11 + np.eye(6, k=1) * 1e10).tolist()}, "not symmetric"),

@@ -462,7 +462,7 @@ def test_sizes_that_change_places_are_refused():
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda model, k: replace(model, C=2 * model.C), "no model with parameters"),
+        (lambda model, k: replace(model, C=2 * model.C), "cannot have parameters"),
         (lambda model, k: model if k < 2 else kc.LinearModel(M=[[1.0]], K=[[k]], B=[[1.0, 0.0]]),
          "number of mesh cells changes"),
     ],

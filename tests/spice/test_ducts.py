@@ -198,7 +198,7 @@ FAULTS = [
     ({"part": "vent", "length": 0.01}, "no size"),
     ({"part": "tube", "length": 0.0, "radius": 1e-3}, "out of range"),
     ({"part": "tube", "length": 1.0, "radius": 0.01, "closed": True, "end_b": "flanged"},
-     "no fluid outside"),
+     "a closed end cannot have an end correction"),
 ]  # fmt: skip
 
 

@@ -163,7 +163,7 @@ def test_errors_of_invalid_keys_quote_the_keys():
         load_scene(loop(shares=[0.5, 0.5]))
     with pytest.raises(UsageError, match="has no patches"):
         load_scene(loop(a="spring"))
-    with pytest.raises(UsageError, match="the key back needs a dc sweep"):
+    with pytest.raises(UsageError, match="the key `back` needs a dc sweep"):
         load_scene(loop() | {"analysis": {"type": "op", "back": True}})
 
 

@@ -235,7 +235,7 @@ def test_every_dialect_has_all_effects(dialect, tmp_path):
     [
         ({"leb": 1e-4}, {}, "semi-inductance"),
         ({"rss": 100.0}, {}, "no inductance in parallel"),
-        ({"creep": 0.9, "rms": 0.2}, {}, "more losses at fs"),
+        ({"creep": 0.9, "rms": 0.2}, {}, "higher losses at fs"),
         ({"sd": None}, {"front": "load.a"}, "area of the cone is missing"),
         ({"sd": 0.5}, {"front": "load.a"}, "smaller than the mass of the air"),
     ],

@@ -210,14 +210,14 @@ def test_laws_and_netlist_agree(shape, tmp_path):
 FAULTS = [
     ({"area": "3 cm2"}, {}, "two sizes"),
     ({"radius": None}, {}, "no size"),
-    ({"shape": "sphere", "motion": "piston"}, {}, "no piston"),
+    ({"shape": "sphere", "motion": "piston"}, {}, "cannot have the key `motion`"),
     ({"fluid": "mercury"}, {}, "fluid does not exist"),
     ({"fluid": {"density": -1, "sound_speed": 343}}, {}, "out of range"),
     ({"fluid": {"density": 1.2, "sound_speed": 343, "heat_ratio": 0.9}}, {}, "out of range"),
     ({"fluid": {"density": 1.2, "sound_speed": 343, "conductivity": 0.026}}, {}, "specific_heat"),
     ({}, {"angle": 100}, "behind the baffle"),
     ({"shape": "sphere"}, {"distance": "9 mm"}, "inside of the sphere"),
-    ({}, {"sources": ["side"]}, "no radiation of this name"),
+    ({}, {"sources": ["side"]}, "no part of type radiation with this name"),
     ({}, {"sources": ["front", "front"]}, "twice"),
     ({"pins": {}}, {}, "not joined|not connected|face"),
 ]

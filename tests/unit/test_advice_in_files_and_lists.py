@@ -233,7 +233,7 @@ def test_a_density_in_another_unit():
 def test_a_source_of_small_signals_without_an_analysis(cli):
     Path("own.toml").write_text(CHARGED.partition("[analysis]")[0].replace("pwl", "ac = 1 # "))
     done = cli("run", "own.toml")
-    assert "s: the key ac has no effect" in done.stderr
+    assert "s: the key `ac` has no effect" in done.stderr
     assert 'type = "ac"  and  stop = "100 kHz"' in done.stderr
     advised = ("--set", "analysis.type=ac", "--set", "analysis.stop=100 kHz")
     assert "has no effect" not in cli("run", "own.toml", *advised).stderr

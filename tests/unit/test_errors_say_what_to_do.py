@@ -222,7 +222,7 @@ def test_part_numbers_suggest_a_scene(cli):
 def test_couplings_that_change_too_fast_name_the_key_that_helps():
     nodes = np.cos(np.pi * (np.arange(17) + 0.5) / 17)
     values = np.sign(nodes)[None, :, None]  # a step: no polynomial follows it
-    refused(lambda: _fit_power_series(nodes, values, 1e-5), "raise the key tolerance, now 1e-05")
+    refused(lambda: _fit_power_series(nodes, values, 1e-5), "raise the key `tolerance`, now 1e-05")
 
 
 def test_a_file_that_does_not_exist(cli, tmp_path):

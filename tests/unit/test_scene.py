@@ -223,7 +223,7 @@ def test_ranges_with_steps_below_rounding_are_rejected():
     dc = {"type": "dc", "sweep": "drive.dc", "from": 1, "to": 1, "points": 3}
     with pytest.raises(UsageError, match="range of the sweep is empty"):
         kc.deck(tables | {"analysis": dc})
-    with pytest.raises(UsageError, match="steps are too small"):
+    with pytest.raises(UsageError, match="steps of this dc sweep are too small"):
         kc.deck(tables | {"analysis": dc | {"from": 0, "to": 1e-13}})
 
 

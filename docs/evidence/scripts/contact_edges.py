@@ -10,7 +10,7 @@ from tables import power, print_table
 import kc2spice as kc
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.library import Header
-from kc2spice.parts.mechanics.sphere import SphereKeys, rigid_sphere
+from kc2spice.parts.mechanics.sphere import SphereKeys, declare_sphere
 from kc2spice.physics.contact import ContactForce, declare_contact
 from kc2spice.physics.part import declared_subcircuit
 
@@ -19,7 +19,7 @@ SPEED, HEIGHT, LANDINGS = 0.01, 1e-7, 100  # m/s downwards, m
 STOP = (LANDINGS + 0.5) * (2 * SPEED / GRAVITY + np.pi * np.sqrt(MASS / STIFFNESS))
 HEADER = Header("bounces", "0")
 SPHERE = declared_subcircuit(
-    HEADER, "sphere", rigid_sphere(MASS, 1e-3, GRAVITY, -SPEED, HEIGHT), {}
+    HEADER, "sphere", declare_sphere(MASS, 1e-3, GRAVITY, -SPEED, HEIGHT), {}
 )
 LAW = declare_contact(("ring0",), (0.0,), ContactForce(STIFFNESS))
 CONTACT = declared_subcircuit(HEADER, "contact", LAW, {})

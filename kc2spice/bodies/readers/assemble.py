@@ -423,7 +423,7 @@ def _assemble_mechanical(rows: Rows) -> LinearModel:
     alpha, beta = settings.damping.rayleigh
     damping: dict[str, Any] = {"rayleigh": (alpha, beta)} if alpha or beta else {}
     if damping and "A" in operators:
-        hint = "delete the key damping"
+        hint = "delete the key `damping`"
         problem = "Rayleigh damping does not apply to a first-order model"
         raise wrong(f"{settings.where}: damping", problem, None, "no damping", hint)
     if damping and "E" in operators:
@@ -459,7 +459,7 @@ def _assemble_piezoelectric(rows: Rows) -> LinearModel:
         raise wrong(settings.where, problem, None, expected, hint)
     K, M, E = rows.matrices["K"], rows.matrices["M"], rows.matrices.get("E")
     if E is not None and any(settings.damping.rayleigh):
-        problem, hint = "damping is defined twice", "delete alpha and beta of the key damping"
+        problem, hint = "damping is defined twice", "delete alpha and beta of the key `damping`"
         raise wrong(settings.where, problem, None, "matrix E or damping", hint)
     potential = rows.dofs(rows.where).kind == VOLT
     K, loss = _split_loss(rows, K, potential)

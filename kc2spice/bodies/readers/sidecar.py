@@ -292,7 +292,7 @@ class PortEntry(NodeSelection):
             )
         elif self.kind == ACCELERATION.port:
             if self.axis is None or self.selects_nodes or self.dof is not None:
-                problem = "a port of kind acceleration can only have the key axis"
+                problem = "a port of kind acceleration can only have the key `axis`"
                 raise invalid_value_error(
                     problem, "axis", hint='write  axis = "z"  and neither node nor dof'
                 )

@@ -77,7 +77,7 @@ class FluidTable(Section):
         """Raise an error if ``specific_heat`` is missing, or a constant is too small."""
         if self.conductivity and self.specific_heat is None:
             raise invalid_value_error(
-                "conductivity needs the key specific_heat",
+                "conductivity needs the key `specific_heat`",
                 None,
                 hint="add for example  specific_heat = 1007",
             )

@@ -75,7 +75,7 @@ class RadiationKeys(FluidKeys):
             raise invalid_value_error(f"the surface has {number}", "radius or area", hint=hint)
         if self.motion is not None and self.shape == "sphere":
             raise invalid_value_error(
-                "a pulsating sphere cannot have the key motion",
+                "a pulsating sphere cannot have the key `motion`",
                 "no key motion",
                 hint="delete motion",
             )

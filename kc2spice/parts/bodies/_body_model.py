@@ -205,7 +205,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
                 problem,
                 target.order,
                 "rom.tolerance",
-                "delete the key order from the table rom",
+                "delete the key `order` from the table rom",
             )
         key = {**key, "box": [[item.key, item.low, item.high] for item in keys]}
 

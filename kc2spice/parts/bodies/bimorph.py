@@ -106,7 +106,7 @@ class BimorphKeys(FieldKeys):
     def _check_consistency(self) -> BimorphKeys:
         if self.rows and self.patches is None:
             raise invalid_value_error(
-                "rows needs the key patches",
+                "rows needs the key `patches`",
                 None,
                 hint="add for example  patches = 10  or delete rows",
             )
@@ -150,7 +150,7 @@ def make_bimorph_blocks(
     if beam.wiring is not None and not active:
         raise wrong(
             "wiring",
-            "the key wiring needs a piezoelectric layer",
+            "the key `wiring` needs a piezoelectric layer",
             beam.wiring,
             hint='delete wiring, or write  material = "PZT-5A"  for a layer',
         )

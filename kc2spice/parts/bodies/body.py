@@ -150,13 +150,13 @@ class PortKeys(Section):
         if self.kind == "face":
             if self.axis is not None:
                 raise invalid_value_error(
-                    'a port with kind = "face" cannot have the key axis', None, hint="delete axis"
+                    'a port with kind = "face" cannot have the key `axis`', None, hint="delete axis"
                 )
             return self
         turning = isinstance(self.axis, str) and self.axis.startswith("r")
         if self.kind != "rigid" and (self.axis is None or turning):
             raise invalid_value_error(
-                "this port needs the key axis: x, y, z or three numbers",
+                "this port needs the key `axis`: x, y, z or three numbers",
                 None,
                 hint='add for example  axis = "z"',
             )
@@ -263,7 +263,7 @@ class AxesKeys(Section):
         if self.kind == "cylindrical":
             if self.x is not None:
                 raise invalid_value_error(
-                    "cylindrical axes cannot have the key x, because their first axis is radial",
+                    "cylindrical axes cannot have the key `x`, because their first axis is radial",
                     None,
                     hint="delete x",
                 )

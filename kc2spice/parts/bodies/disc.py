@@ -216,7 +216,7 @@ def _make_blocks(disc: DiscKeys, where: str) -> list[Block]:
         one = material(layer.material, f"{here}.material")
         if layer.electrodes is not None and not one.piezoelectric:
             problem = "an electrode on a material that is not piezoelectric"
-            hint = "delete the key electrodes of this layer"
+            hint = "delete the key `electrodes` of this layer"
             raise wrong(here, problem, one.name, "a piezoelectric material", hint)
         poled = one.poled((0, 0, 1 if layer.poling == "up" else -1))
         quality = layer.quality or one.quality

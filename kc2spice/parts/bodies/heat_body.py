@@ -204,7 +204,7 @@ def _read_solid(
         facets = find_common_faces(solid, first, second)
         if not facets.size:
             got = " and ".join(item.between)
-            hint = "do the solids share nodes? The key merge joins those of touching solids"
+            hint = "do the solids share nodes? The key `merge` joins those of touching solids"
             problem = "these groups have no common faces"
             raise wrong(f"interfaces[{number}].between", problem, got, "solids that touch", hint)
         interfaces.append((facets, item.resistance))

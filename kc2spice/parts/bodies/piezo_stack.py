@@ -162,7 +162,7 @@ class Stack(Chip, FieldKeys):
             )
         if self.driver and self.electrical != "driven":
             raise invalid_value_error(
-                'the key driver needs electrical = "driven"',
+                'the key `driver` needs electrical = "driven"',
                 None,
                 hint='write  electrical = "driven"',
             )

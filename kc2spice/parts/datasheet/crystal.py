@@ -42,7 +42,7 @@ class CrystalKeys(RatedKeys):
     f: Frequency = Field(
         gt=0,
         description=(
-            "Nominal frequency: the series resonance, or with the key cl the resonance with "
+            "Nominal frequency: the series resonance, or with the key `cl` the resonance with "
             "this load capacitance"
         ),
     )

@@ -278,7 +278,7 @@ def driver(
     if len(drivers) != 1:
         raise part.wrong(
             "driver",
-            "the key driver does not contain exactly one driver",
+            "the key `driver` does not contain exactly one driver",
             ", ".join(drivers),
             expected,
             f"delete the tables other than {part.name}.driver.{next(iter(drivers))}"

@@ -262,7 +262,7 @@ class Source(PartType[SourceKeys]):
         yield from super().problems(part, scene)
         if part.keys.has_only_amplitude and "analysis" not in scene.frame.model_fields_set:
             warnings.warn(
-                f"{part.name}: the key ac has no effect, because the scene has no [analysis] and "
+                f"{part.name}: the key `ac` has no effect, because the scene has no [analysis] and "
                 'a transient is the default: add  [analysis]  and below it  type = "ac"  and  '
                 'stop = "100 kHz"',
                 stacklevel=2,
