@@ -25,7 +25,7 @@ from kc2spice.synthesis.terminals import (
     model_band,
     port_domains,
     port_lines,
-    weigh_inputs,
+    write_weighted_sources,
 )
 
 if TYPE_CHECKING:
@@ -105,7 +105,7 @@ def write_blocks(
                     Element.of(f"G{node}", node, base, node, base, FREE_LEAK),
                 ]
             sums = states.sum_states(farad * states.A[k], base)
-            inputs = weigh_inputs(terminals, farad * states.B[k], base)
+            inputs = write_weighted_sources(terminals, farad * states.B[k], base)
             body += connect_sources(sums, base, node, f"Ga{index}_")
             body += connect_sources(inputs, base, node, f"Gb{index}_")
     about = _STATES_COMMENT.format(farad=format_number(farad), base=base).split("\n")

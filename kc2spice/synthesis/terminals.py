@@ -217,7 +217,7 @@ class StateNodes:
         return tuple(result)
 
 
-def weigh_inputs(
+def write_weighted_sources(
     terminals: Iterable[PortTerminal], row: np.ndarray, base: str, *, mark: str = ""
 ) -> tuple[Transconductance, ...]:
     """Return sources whose total current is the sum of the port inputs weighted by ``row``.
@@ -444,7 +444,7 @@ class OutputLaws:
         """
         size = np.abs(row).max(initial=0.0)
         row = np.where(np.abs(row) > CROSS_ROUNDING * size, row, 0.0)
-        return weigh_inputs(self.terminals, row, self.base, mark=mark)
+        return write_weighted_sources(self.terminals, row, self.base, mark=mark)
 
 
 def port_lines(terminals: Sequence[PortTerminal], base: str, share: float) -> Iterator[Line]:

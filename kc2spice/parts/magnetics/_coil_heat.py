@@ -23,7 +23,7 @@ from kc2spice.scene.checks import Balance, Check, Metric
 _UNEXPLAINED = 1e-3
 
 
-def wire_values(keys: ConductorKeys) -> tuple[float, float]:
+def get_wire_coefficients(keys: ConductorKeys) -> tuple[float, float]:
     """Return the temperature coefficient [1/K] and the reference temperature [K] of the wire."""
     coefficient, reference = get_conductor_values(keys)
     return find_resistance_coefficient("copper") if coefficient is None else coefficient, reference
@@ -34,7 +34,7 @@ def resistance_ratio(keys: ConductorKeys, temperature: np.ndarray) -> np.ndarray
 
     ``temperature`` [K] is the difference from the ambient temperature.
     """
-    coefficient, reference = wire_values(keys)
+    coefficient, reference = get_wire_coefficients(keys)
     values = {TEMPERATURE: temperature, COEFFICIENT: coefficient, REFERENCE: reference}
     return np.asarray(evaluate_tree(parse_simplified(write_resistance_ratio()), values))
 

@@ -376,7 +376,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         rating += "known, it depends on that"
         words: dict[str, Any] = {"apart": apart, "points": keys.points, "rating": rating}
         if is_heated(part, build.scene):
-            words["wire"] = _coil_heat.wire_values(keys)
+            words["wire"] = _coil_heat.get_wire_coefficients(keys)
         return (coils_subcircuit(header, build.model(part, EMTable), name, **words),)
 
     def vectors(self, part: Part[Coils], build: Build) -> Mapping[str, Vector]:
@@ -421,7 +421,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
             stated, ends = coils.declare_coils(), (("i1", 1.0), ("i2", 1.0))
         heated = is_heated(part, scene)
         if heated:
-            stated = coils.add_heat_pin(stated, *_coil_heat.wire_values(part.keys))
+            stated = coils.add_heat_pin(stated, *_coil_heat.get_wire_coefficients(part.keys))
         law = coils.make_law(n, stated, table, height_offset(part, "y", scene))
         results = {}
         for coil, (wave, sign) in zip(COIL_NAMES, ends, strict=True):
