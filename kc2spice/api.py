@@ -161,11 +161,11 @@ def run(
     trust : bool, default False
         Whether files that the scene includes may run commands and write files on this machine.
     functions : mapping of str to callable, optional
-        Control functions, keyed by the name of their ``controller`` part. They replace the Python
-        file beside the scene. Each function has the form ``function(time, inputs) -> output``, in
-        SI units. If the simulation is repeated with other settings, ``time`` begins at 0 again, and
-        a function that stores values between its calls must reset these values. A Python file is
-        loaded again for each simulation.
+        Control functions, keyed by the name of their ``controller`` part. The functions replace the
+        Python file beside the scene. Each function has the form ``function(time, inputs) ->
+        output``, in SI units. If the simulation is repeated with other settings, ``time`` begins at
+        0 again, and a function that stores values between its calls must reset these values. A
+        Python file is loaded again for each simulation.
     overrides : mapping, optional
         New values of keys of the scene, by dotted key, as for :func:`kc2spice.load_scene`.
 
@@ -231,8 +231,8 @@ def run(
 def simulate(deck: Deck, *, timeout: float | None = None) -> Result:
     """Simulate a deck in ngspice and return its waves.
 
-    The result has no metrics and no checks, because these need the parts of a scene. To compute
-    them for an edited netlist, call :func:`run` with its argument ``deck``.
+    The result has no metrics and no checks, because both require the parts of a scene. To compute
+    metrics and checks for an edited netlist, call :func:`run` with its argument ``deck``.
 
     Parameters
     ----------

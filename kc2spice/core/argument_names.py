@@ -15,8 +15,8 @@ from kc2spice.core.errors import UsageError
 
 _PAIR_OPTION = "band"  # option with two values
 _LIST_OPTION = "vary"  # option that may be repeated; in Python, a list
-# The word after an option is its value if the word contains a digit, a capital letter or an equals
-# sign. Otherwise, the word belongs to the sentence.
+# A word after an option is its value if it contains a digit, a capital letter or an equals sign.
+# A word without such a character belongs to the sentence of the error.
 _WORD = r"(?:'[^']*'|(?=\S*[\dA-Z=])\S*[^\s,;:.)])"
 _OPTION = re.compile(
     rf"(?P<noun>options? )?--(?P<name>[a-z][a-z-]*)(?: (?P<value>{_WORD}(?: {_WORD})?))?"
@@ -38,12 +38,14 @@ def name_options(error: UsageError, names: Iterable[str]) -> None:
     alone = re.compile(rf"\b(leave out|delete|add|raise|lower|arguments?) ({pattern})\b(?!=)")
 
     def write_option(found: re.Match[str]) -> str:
+        """Return the option that corresponds to an argument with its value."""
         value = found["item"] or found["value"]
         if found["pair"] is not None:
             value = found["pair"].replace(",", "")
         return f"--{found['name']} {value}"
 
     def translate(text: str) -> str:
+        """Replace all arguments in a text by options."""
         options = alone.sub(r"\1 --\2", assigned.sub(write_option, text))
         return re.sub(r"\bargument(s?) --", r"option\1 --", options)
 
@@ -65,6 +67,7 @@ def name_arguments(error: UsageError, overrides: str = "overrides") -> None:
     """
 
     def write_argument(found: re.Match[str]) -> str:
+        """Return the argument that corresponds to an option with its value."""
         name, value = found["name"], found["value"]
         noun = (found["noun"] or "").replace("option", "argument")
         if value is None:

@@ -36,8 +36,8 @@ T = TypeVar("T")
 MAX_TOTAL_BYTES = 2_000_000_000
 _INCOMPLETE_FILE_AGE = 3600.0  # s, age at which an incomplete file is deleted
 _LIBRARIES = ("numpy", "scipy", "scikit-fem", "gmsh")
-# Environment variable with the cache directory of each platform, and the default directory below
-# the home directory.
+# Names of the environment variables that contain the cache directory, keyed by platform.
+# The second text of each pair is the default cache directory below the user's home directory.
 _CACHE_DIRECTORIES = {"win32": ("LOCALAPPDATA", "AppData/Local"), "darwin": ("", "Library/Caches")}
 
 

@@ -69,7 +69,7 @@ class Domain:
     ``port`` is the kind of a model's port in this domain. The input of the port is the quantity on
     ``input_side``. The output of the port has the unit ``output_unit`` and the short name
     ``output_symbol`` in results. In the test deck that ``kc2spice reduce`` writes, the wave of the
-    output is called ``output_wave``. ``compliance`` is the unit of the static output divided by the
+    output is called ``output_wave``. ``compliance`` is the unit of the ratio of static output to
     input. The value across a pin is relative to the pin ``reference``; in a domain without a
     reference pin, ports are pairs of pins. ``rate`` is a second quantity across pins, the time
     derivative of ``across``. ``frame`` is the domain whose across quantity is the
@@ -184,7 +184,7 @@ class Domain:
 
     @property
     def through_variable(self) -> Quantity:
-        """Quantity through a pin of this domain, which must be conservative."""
+        """Quantity through a pin; the domain must be conservative."""
         assert self.through is not None, f"{self.name} has nothing through its pins"
         return self.through
 
@@ -308,7 +308,7 @@ REFERENCES = frozenset({"ref", *(domain.reference for domain in TABLE if domain.
 def _list_quantities() -> dict[str, tuple[Domain, Side]]:
     """Return the domain and the side of each quantity, keyed by the name of the quantity.
 
-    A force belongs to two domains; here its domain is translation.
+    The force is a quantity of two domains; the result contains the domain translation.
     """
     result: dict[str, tuple[Domain, Side]] = {}
     for domain in CONSERVATIVE:
@@ -318,7 +318,7 @@ def _list_quantities() -> dict[str, tuple[Domain, Side]]:
 
 
 QUANTITIES = _list_quantities()
-# Symbols of through quantities in names of results, such as ``i`` of a ``current``.
+# Symbols of through quantities in names of results, such as ``i`` for ``current``.
 FLOW_SYMBOLS = {
     name: domain.quantity(side).symbol
     for name, (domain, side) in QUANTITIES.items()

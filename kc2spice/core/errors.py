@@ -9,7 +9,7 @@ from typing import Any, NoReturn
 
 MAX_COMPARED_LENGTH = 200  # characters; longer words are not compared with other words
 MAX_CANDIDATES = 5  # largest number of candidates that an error lists
-# smallest number of letters and digits of a word that is searched inside other names
+# smallest number of letters and digits of a word that is searched for inside other names
 MIN_FRAGMENT_LENGTH = 4
 
 
@@ -121,7 +121,7 @@ def wrong(
     return UsageError(problem, where=where, got=got, expected=expected, hint=hint)
 
 
-# First words of an ``expected`` text that states a limit, and verb and preposition of the hint.
+# First words of a limit in an ``expected`` text, with the verb and preposition of the hint.
 _LIMIT_ACTIONS = {
     "at most": ("lower", "to"),
     "at least": ("raise", "to"),

@@ -105,7 +105,10 @@ class Shape:
 
 
 def select_window(t: np.ndarray, first: float, last: float) -> np.ndarray:
-    """Return a boolean mask (n,) of times from ``first`` to ``last``, and one more on each side."""
+    """Return a mask of the times from ``first`` to ``last``, and of one more time on each side.
+
+    The boolean mask has the same shape (n,) as the times ``t``.
+    """
     import numpy as np  # imported here, because most users of this module need no numpy
 
     low, high = np.searchsorted(t, (first, last))

@@ -17,8 +17,8 @@ from pathlib import Path
 
 from kc2spice.core.errors import UsageError, did_you_mean
 
-# Suffixes of the main output files, which are deleted first and written last. A reader therefore
-# never finds an incomplete set of files, even if the process is killed between two renames.
+# Suffixes of the main output files, which are deleted first and written last.
+# Readers thus find no incomplete set of files, even if a run is killed between two renames.
 RESULT_FILE = "result.json"
 MAIN_SUFFIXES = (".cir", "verify.json", RESULT_FILE)
 _WORK_SUFFIX = ".part"
@@ -68,8 +68,8 @@ def stage_directory(out: Path | str) -> Iterator[Path]:
         raise _make_write_error(typed, nearest, "a file, not a directory")
     if not os.access(nearest, os.W_OK | os.X_OK):
         raise _make_write_error(typed, nearest, "no permission to write")
-    # The work directory is created next to ``out``, or inside ``out`` if ``out`` is a mount point
-    # or the only writable directory.
+    # The work directory is created next to the output directory ``out`` if possible.
+    # The work directory is inside ``out`` if only ``out`` is writable, or if it is a mount point.
     if nearest == out and not os.path.ismount(out) and os.access(out.parent, os.W_OK):
         nearest = out.parent
     prefix = f".kc2spice.{out.name}."
@@ -127,7 +127,7 @@ def _publish_files(work: Path, out: Path) -> None:
 def _record_hashes(work: Path, files: list[Path]) -> None:
     """Add to ``result.json`` the SHA-256 hash of every other file of the run.
 
-    A later run into the same directory deletes only files whose content has this hash.
+    A later run with the same directory deletes a file only if its hash is unchanged.
     """
     path = work / RESULT_FILE
     try:
@@ -203,7 +203,7 @@ def lock_path(path: Path, *, wait: bool = True) -> Iterator[None]:
     """
     try:
         import fcntl
-    except ImportError:  # not POSIX: no locks, but each rename is atomic
+    except ImportError:  # without POSIX there are no locks, but each rename is atomic
         yield
         return
     handle = os.open(path, os.O_RDONLY)

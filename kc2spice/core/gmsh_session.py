@@ -10,8 +10,8 @@ from types import ModuleType
 
 from kc2spice.core.errors import MissingToolError
 
-# Signals whose handlers gmsh replaces. With the handler of gmsh, a broken pipe would end the
-# process silently.
+# Signals whose handlers gmsh replaces.
+# With the handler that gmsh sets, a broken pipe would end the process silently.
 REPLACED_SIGNALS = ("SIGTERM", "SIGHUP", "SIGPIPE")
 
 

@@ -85,7 +85,7 @@ def _watch_signals(
     """End the process if the main thread has not handled a signal after ``grace`` [s]."""
     while arrived := os.read(inlet, 1):
         if arrived[0] in signals and not handled.acquire(timeout=grace):
-            # used only if it is already imported, because its import takes 7 ms
+            # multiprocessing is used only if already imported, because its import takes 7 ms
             processes = sys.modules.get("multiprocessing")
             for child in processes.active_children() if processes else ():
                 child.kill()

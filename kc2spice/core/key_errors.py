@@ -42,7 +42,7 @@ _SINGLE_LINE_KEYS = ("title", "include")
 
 @dataclass(frozen=True)
 class _InvalidValue:
-    """Validation error of pydantic about one value, with its schema and its key in the scene.
+    """Validation error of pydantic about one value, with the schema and the key of the value.
 
     ``path`` is the key in the scene. ``also`` are accepted keys in addition to the keys of
     ``schema``. ``missing`` are the required keys that the table of an unknown key lacks.

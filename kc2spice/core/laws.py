@@ -7,8 +7,9 @@ into the parts, such as currents [A], sum to zero on each net. Pins of the kind 
 through quantity, and one pin of each net sets the signal.
 
 The module :mod:`kc2spice.reference.system` assembles bodies, sources and linear devices into
-constant matrices. Every law except bodies and sources is a :class:`Device`: smooth expressions that
-hold within a *mode*, and guard functions. A mode ends when a guard function reaches zero.
+constant matrices. Every law except bodies and sources is a :class:`Device`, which consists of
+smooth expressions and guard functions. The expressions are valid within a *mode*, which ends when a
+guard function reaches zero.
 """
 
 from __future__ import annotations
@@ -35,13 +36,13 @@ def _collect_names(domains: Iterable[Domain]) -> tuple[str, ...]:
 
 MECHANICAL = _collect_names(filter(attrgetter("has_position"), CONSERVATIVE))
 POTENTIALS = _collect_names(filter(attrgetter("has_potential"), CONSERVATIVE))
-# Kinds of ports whose input is a flow and whose output is a potential. The flow is an unknown of
-# the equations.
+# Kinds of ports whose input is a flow and whose output is a potential.
+# The flow into such a port is an unknown of the equations.
 FLOW_DRIVEN = _collect_names(
     d for d in CONSERVATIVE if d.has_potential and d.input_side == "through"
 )
-# Kinds of ports whose input is a potential and whose output is the time integral of the flow, such
-# as a charge.
+# Kinds of ports whose input is a potential and whose output is the time integral of the flow.
+# For example, the output of an electrical port is a charge.
 CHARGE_OUTPUTS = _collect_names(filter(attrgetter("has_charge_output"), CONSERVATIVE))
 GROUND = "gnd"
 
@@ -138,12 +139,12 @@ def subtract_waves(plus: str, minus: str) -> WaveCombination:
 class Equations:
     """Laws of a part, with tables that map its pins and results to pins and waves of the laws.
 
-    ``pins`` maps pins of the part to pins of the laws (``NAME.pin``). A pin of the part is absent
-    if another pin represents it, or if nothing acts on it. Two pins of the part may correspond to
-    one pin of a law: a netlist has a velocity node and a displacement node for one coordinate of
-    the law. ``nets`` are pins of the laws that are joined inside of the part. ``results`` maps the
-    part's results to combinations of waves. ``sweeps`` maps each key that a dc analysis may sweep
-    to the name of a source and the value of the source per SI unit of the key.
+    ``pins`` maps pins of the part to pins of the laws (``NAME.pin``). A pin of the part is not in
+    ``pins`` if another pin represents this pin, or if nothing acts on this pin. Two pins of the
+    part may correspond to one pin of a law: a netlist has a velocity node and a displacement node
+    for one coordinate of the law. ``nets`` are pins of the laws that are joined inside of the part.
+    ``results`` maps the part's results to combinations of waves. ``sweeps`` maps each key that a dc
+    analysis may sweep to the name of a source and the value of the source per SI unit of the key.
     """
 
     laws: tuple[Law, ...] = ()
@@ -212,7 +213,7 @@ class SecondOrderBody:
 
     @property
     def scales(self) -> tuple[float, ...]:
-        """Magnitudes of the states to which their errors are relative."""
+        """Reference magnitude of each state, by which the error of the state is divided."""
         return (1e-3,) * len(self.states)
 
 
@@ -234,9 +235,9 @@ def make_port_pins(ports: tuple[LawPort, ...]) -> tuple[LawPin, ...]:
 class IdealSource:
     """Source that prescribes a quantity between ``out`` and ``ret``.
 
-    ``kind`` is a quantity of :mod:`kc2spice.core.domains`, such as ``voltage`` between the pins or
-    ``current`` out of ``out``, or ``signal``. A source of ``acceleration`` has a signal pin.
-    ``ac`` is the complex amplitude of the source in an ac analysis.
+    ``kind`` is ``signal`` or a quantity of :mod:`kc2spice.core.domains`, such as the ``voltage``
+    between the pins or the ``current`` out of the pin ``out``. A source of ``acceleration`` has a
+    signal pin. ``ac`` is the complex amplitude of the source in an ac analysis.
     """
 
     name: str
@@ -299,7 +300,7 @@ class Device(ABC):
     """Law as a function of inputs, rates and states; subclasses are frozen dataclasses.
 
     Each device has a ``name``. The inputs ``e``, an array of shape (m,), contain the across inputs
-    and then the states. A mode may be any value; within a mode::
+    and then the states. A mode may be any value. Within a mode, the law has the form::
 
         out = [through of each flow, rate of each state's store, value of each prescribed signal]
         d/dt store(e) = rate,   store(e) = the states themselves by default
@@ -345,7 +346,7 @@ class Device(ABC):
 
     @property
     def scales(self) -> tuple[float, ...]:
-        """Magnitudes [A, N] of the states to which their errors are relative."""
+        """Reference magnitude [A, N] of each state, by which the error of the state is divided."""
         return (1e-3,) * len(self.states)
 
     @property
@@ -357,7 +358,7 @@ class Device(ABC):
     def linear(self) -> bool:
         """Whether the device has one mode, with affine ``evaluate`` and ``store``.
 
-        Energy and loss of a linear device are quadratic.
+        The energy and the loss of a linear device are quadratic functions of its inputs.
         """
         return False
 
@@ -368,7 +369,7 @@ class Device(ABC):
 
     @abstractmethod
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the outputs ``out`` (k,) and their derivatives (k, m) with respect to ``e``."""
+        """Return the outputs and their derivatives by ``e``, arrays of shape (k,) and (k, m)."""
 
     def store(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         """Return the stored quantities, and their derivatives with respect to ``e``.
@@ -379,7 +380,7 @@ class Device(ABC):
         return e[m - k :], np.eye(k, m, m - k)
 
     def evaluate_outputs(self, e: np.ndarray, mode: Any) -> np.ndarray:
-        """Return the outputs ``out`` (k,) without their derivatives."""
+        """Return the outputs ``out``, an array of shape (k,), without their derivatives."""
         return self.evaluate(e, mode)[0]
 
     def evaluate_stored_quantities(self, e: np.ndarray, mode: Any) -> np.ndarray:
@@ -391,9 +392,10 @@ class Device(ABC):
     ) -> tuple[np.ndarray, np.ndarray]:
         """Compute derivatives for small signals ``exp(s t)`` at the operating point.
 
-        The results are the derivatives of ``out`` (k, m) and of the store (len(states), m) with
-        respect to the inputs, at the inputs ``e`` of the operating point. The derivatives are
-        complex if they depend on the frequency.
+        The first result contains the derivatives of ``out`` with respect to the inputs and has the
+        shape (k, m). The second result contains the derivatives of ``store`` and has the shape
+        (len(states), m). All derivatives are evaluated at the inputs ``e`` of the operating point.
+        The derivatives are complex if they depend on the frequency.
         """
         return self.evaluate(e, mode)[1], self.store(e, mode)[1]
 
@@ -440,7 +442,7 @@ class Device(ABC):
 
     @property
     def energy_forms(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """Matrices (m, m) of the quadratic forms of energy and loss of a linear device.
+        """Matrices of the quadratic forms of a linear device's energy and loss; shape (m, m).
 
         A large device states these matrices in place of the methods ``energy`` and ``loss``.
         """
@@ -455,10 +457,11 @@ GROWTH_RATE = 1e3  # 1/s, growth rate of the load on an unsupported body
 
 @dataclass(frozen=True, eq=False)
 class Relation:
-    """Relation ``y = H a + free`` between loads a (inputs,) and outputs y (outputs,).
+    """Relation ``y = H a + free`` between the loads a and the outputs y of a body.
 
-    A relation describes a linear body in static equilibrium, at one frequency, or within one stage
-    of an implicit time step. In a time step, ``free`` is the effect of the body's earlier motion.
+    The array a has the shape (inputs,), and the array y the shape (outputs,). A relation describes
+    a linear body in static equilibrium, at one frequency, or within one stage of an implicit time
+    step. In a time step, ``free`` is the effect of the body's earlier motion.
     """
 
     H: np.ndarray
@@ -471,9 +474,10 @@ class PortBody(Device):
 
     The mode of the body is a :class:`Relation`. Loads are forces [N], voltages [V], accelerations
     and signals, in the order of the ports with a column of B. Outputs are displacements [m],
-    charges [C] and signals, in the order of the rows of C. Forces and currents i are unknowns of
-    the device. Their equations state that the displacements u at the pins equal the outputs
-    ``y(a)`` of the loads a, and that ``dq(a)/dt = i`` with the charges q.
+    charges [C] and signals, in the order of the rows of C. The forces and the currents i are
+    unknowns of the device. The equation for each force states that the displacement at the pin
+    equals the output ``y(a)`` for the loads a. The equation for each current i is ``dq(a)/dt = i``
+    with the charge q.
 
     The method ``transfer(s)`` of the model's ``pencil`` gives the static relation and the relation
     at a frequency. The integrator computes the relations of time steps. ``responses`` contains the
@@ -566,7 +570,7 @@ class PortBody(Device):
     def transfer(self, s: complex) -> np.ndarray:
         """Return the transfer matrix ``H(s)``, which is computed once for all copies of a body.
 
-        Its shape is (outputs, inputs).
+        The transfer matrix has the shape (outputs, inputs).
         """
         if s not in self.responses:
             self.responses[s] = self.model.pencil.transfer(np.array([s]))[0]
@@ -603,7 +607,8 @@ class PortBody(Device):
     def noise(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray] | None:
         """Compute the noise of the outputs, which has the density ``4 k T (Y + Y^H) / (2 |s|^2)``.
 
-        Here ``Y`` is ``s H(s)``: loads times the rates of outputs are power.
+        Here ``Y`` is ``s H(s)``, because the product of a load and the rate of its output is a
+        power.
         """
         if any(port.kind in ("input", "output", *FLOW_DRIVEN) for port in self.ports):
             return None
@@ -652,7 +657,7 @@ class SignalBlock(Device):
 
     @property
     def scales(self) -> tuple[float, ...]:
-        """Magnitudes of the states to which their errors are relative."""
+        """Reference magnitude of each state, by which the error of the state is divided."""
         return (1.0,) * len(self.A)
 
     @property

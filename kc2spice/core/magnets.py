@@ -22,9 +22,9 @@ from kc2spice.core.mesh_error import MESH_ERROR_PREFIX
 class PiecewisePolynomial(EqualByContent):
     """Piecewise polynomial ``p(x) = sum_k c[k, j] (x - knots[j])^k`` in cell j.
 
-    The n ``knots`` ascend. The coefficients ``c`` of m functions are an array of shape
-    (degree + 1, n - 1, m). The
-    first and the last polynomial extend beyond the first and the last knot.
+    The n ``knots`` are in ascending order. The array ``c`` has the shape (degree + 1, n - 1, m) and
+    contains the coefficients of m functions. The first and the last polynomial extend beyond the
+    first and the last knot.
     """
 
     knots: np.ndarray
@@ -55,22 +55,23 @@ class PiecewisePolynomial(EqualByContent):
         )
 
     def add_constant(self, by: np.ndarray) -> PiecewisePolynomial:
-        """Return the polynomials of the functions plus the constants ``by`` (m,)."""
+        """Return the polynomials with the constant ``by[k]`` added to function k."""
         return PiecewisePolynomial(self.knots, np.concatenate([self.c[:1] + by, self.c[1:]]))
 
 
 def interpolate_by_splines(x: np.ndarray, values: np.ndarray) -> PiecewisePolynomial:
-    """Interpolate ``values`` (n, m) at ascending ``x`` (n,) by not-a-knot cubic splines.
+    """Interpolate the values of m functions at n points by not-a-knot cubic splines.
 
-    The result is a straight line for two points, and a parabola for three points.
+    ``values`` is an array of shape (n, m). ``x`` contains the n points in ascending order. The
+    result is a straight line for two points, and a parabola for three points.
 
     The unknowns are the second derivatives s at the nodes. The first derivatives on both sides of a
     node are equal if, with ``h = diff(x)`` and ``d = diff(values) / h``, ::
 
         h[j-1] s[j-1] + 2 (h[j-1] + h[j]) s[j] + h[j] s[j+1] = 6 (d[j] - d[j-1])
 
-    The first two cells share one cubic, and so do the last two cells: ``diff(s) / h`` is equal in
-    both cells (de Boor, A Practical Guide to Splines, ch. IV).
+    The first two cells have the same cubic polynomial, and so do the last two cells: ``diff(s) /
+    h`` is equal in both cells (de Boor, A Practical Guide to Splines, ch. IV).
     """
     n, h = x.size, np.diff(x)
     d = np.diff(values, axis=0) / h[:, None]
@@ -96,9 +97,9 @@ def interpolate_by_splines(x: np.ndarray, values: np.ndarray) -> PiecewisePolyno
 TEST_CURRENTS = np.array(list(product((-0.1, 0.0, 0.1), repeat=2)))  # A, pairs of coil currents
 # largest difference of heights that count as equal, relative to the height range of the table
 HEIGHT_TOLERANCE = 1e-6
-# Convergence order of the force with the element size of quadratic triangles. The order is 4 for
-# smooth fields, and lower at corners of magnets and coils. tests/physics/test_magnetostatic.py
-# limits the remaining error.
+# Convergence order of the force with the element size of quadratic triangles.
+# The convergence order is 4 for smooth fields, and lower at corners of magnets and coils.
+# The test tests/physics/test_mesh_statements.py compares estimated mesh errors with true errors.
 FORCE_CONVERGENCE_ORDER = 3
 
 
@@ -166,7 +167,7 @@ class Coenergy:
 
 
 def _current_hessian(p: np.ndarray) -> np.ndarray:
-    """Return the Hessian (..., 2, 2) of ``p . products`` with respect to the currents."""
+    """Return the Hessian of ``p . products`` by the currents, an array of shape (..., 2, 2)."""
     return np.stack([2 * p[..., 3], p[..., 4], p[..., 4], 2 * p[..., 5]], -1).reshape(
         *p.shape[:-1], 2, 2
     )
@@ -183,8 +184,9 @@ class EMTable(EqualByContent):
         F(y, i1, i2) = c0 + c1 i1 + c2 i2 + c11 i1^2 + c12 i1 i2 + c22 i2^2
         lambda_k(y, i1, i2) = flux0[:, k] + sum_l inductance[:, k, l] i_l
 
-    ``y`` (n,) is the height of the sphere's centre above the kick actuator's top [m], forces in
-    N, flux linkages in Wb, inductances in H, coil resistances in Ohm. A positive current gives
+    ``y``, an array of shape (n,), is the height [m] of the sphere's centre above the top of the
+    kick actuator. The table contains forces in N, flux linkages in Wb, inductances in H and coil
+    resistances in Ohm. A positive current gives
     B_y > 0 on the axis. The magnetic moment of the sphere points to +y.
     """
 
@@ -192,10 +194,9 @@ class EMTable(EqualByContent):
         """Return the table for magnets with a different remanence and height.
 
         The remanence is multiplied by the factor ``remanence``, and the magnets are ``shift`` [m]
-        higher. In
-        linear materials the force between the magnets is proportional to the square of the
-        remanence. Terms with one current are proportional to the remanence. Terms with products of
-        two currents do not depend on the remanence.
+        higher. In linear materials the force between the magnets is proportional to the square of
+        the remanence. Terms with one current are proportional to the remanence. Terms with products
+        of two currents do not depend on the remanence.
         """
         magnets = remanence ** np.array([2, 1, 1, 0, 0, 0])
         coarser = None if self.coarser is None else self.coarser.scale_magnets(remanence, shift)
@@ -213,7 +214,7 @@ class EMTable(EqualByContent):
     inductance: np.ndarray  # (n, 2, 2)
     resistance: np.ndarray  # (2,)
     unknowns: int
-    # table at some of the heights, from a mesh whose elements are twice as large
+    # table at some of the heights, computed on a mesh with elements that are twice as large
     coarser: EMTable | None = None
 
     @cached_property
@@ -260,8 +261,8 @@ class EMTable(EqualByContent):
     def mesh_errors(self) -> dict[str, float]:
         """Estimated mesh errors ``|f(2 h) - f(h)| / (2^p - 1)``, h: element size, p: order 3.
 
-        The errors are relative to the largest force for :data:`TEST_CURRENTS` and to the largest
-        inductance.
+        Errors of forces are relative to the largest force for :data:`TEST_CURRENTS`. Errors of
+        inductances are relative to the largest inductance.
         """
         if self.coarser is None:
             return {}
@@ -281,8 +282,9 @@ class EMTable(EqualByContent):
 
 
 def compute_test_forces(table: EMTable, currents: np.ndarray) -> np.ndarray:
-    """Compute the forces (m, n) [N] at the n heights for m pairs of ``currents`` (m, 2).
+    """Compute the forces [N] at the n heights of the table for m pairs of coil currents.
 
-    The curves are comparable with Fig. 6 of Schütz et al. (2021).
+    The argument ``currents`` has the shape (m, 2), and the result has the shape (m, n). The curves
+    are comparable with Fig. 6 of Schütz et al. (2021).
     """
     return np.array([current_products(i1, i2) @ table.coefficients.T for i1, i2 in currents])

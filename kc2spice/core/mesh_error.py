@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
-# number of unknowns of a plane mesh that need the computing time of one unknown of a solid mesh
+# number of plane-mesh unknowns that take as much computing time as one solid-mesh unknown
 PLANE_UNKNOWN_RATIO = 4.0
 MESH_ERROR_PREFIX = "mesh_error_"  # prefix of the names of relative mesh errors
 NOT_ESTIMATED = "error not estimated, because the matrices state no mesh"

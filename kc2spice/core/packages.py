@@ -21,8 +21,8 @@ _INSTALL_COMMANDS = {
     "darwin": "brew install",
     "win32": "scoop bucket add extras; scoop install",  # the bucket "extras" contains ngspice
 }
-# Package names on other systems, keyed by the name of the Debian package. On macOS and Windows, the
-# gmsh wheel contains all libraries that gmsh loads.
+# Package names on other systems, keyed by the name of the Debian package.
+# On macOS and Windows, the gmsh wheel contains all libraries that gmsh loads.
 _PACKAGE_NAMES = {
     _INSTALL_COMMANDS["fedora"]: {
         "ngspice": "ngspice",

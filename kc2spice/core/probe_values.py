@@ -15,8 +15,8 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.sound_level import GAS_REFERENCE, compute_level
 from kc2spice.core.waveforms import interpolate
 
-# Largest ratio, minus one, of an interpolated maximum to the largest computed point. The correction
-# is 3 % if the points are half a half-width away from the resonance.
+# Largest permitted excess of an interpolated maximum over the largest point, as a fraction.
+# The excess is 3 % if the points are half a half-width away from the resonance.
 MAX_CORRECTION = 0.05
 SCALE_ROUNDING = 1e-9  # relative rounding error of the first and last point in the simulator
 
@@ -90,7 +90,7 @@ def _compute_rms(
     response = np.iscomplexobj(values)
     take = "max" if response else "rms"
     size = compute_probe_value(take, scale, values, where, at=at, window=window) or 0.0
-    # the amplitude of a sine is the square root of two times its rms value
+    # the amplitude of a sine is its rms value times the square root of two
     return math.sqrt(0.5) * size if response else size
 
 
@@ -136,9 +136,9 @@ def find_response_maximum(frequency: np.ndarray, size: np.ndarray) -> tuple[floa
 
         1 / |y|^2 = ((w - w0)^2 + a^2) / |R|^2
 
-    The largest point is returned without interpolation if it is the first or last point. The same
-    holds if the interpolated maximum exceeds the largest point by more than :data:`MAX_CORRECTION`,
-    because the points are then too far apart.
+    The largest point is returned without interpolation if it is the first or last point. The
+    largest point is also returned if the interpolated maximum exceeds it by more than
+    :data:`MAX_CORRECTION`, because the points are then too far apart.
 
     >>> w = np.array([9.0, 10.1, 11.2])
     >>> place, value = find_response_maximum(w, np.abs(1 / (1j * (w - 10) + 1)))
@@ -196,14 +196,14 @@ def find_first_crossing(scale: np.ndarray, values: np.ndarray, level: float) -> 
 
 
 def _time_average(scale: np.ndarray, values: np.ndarray) -> float:
+    """Return the mean of the values over the scale, by the trapezoidal rule."""
     span = scale[-1] - scale[0]  # for a descending scale, span and integral are negative
     return float(
         np.trapezoid(values, scale) / span if span else values[0]
     )  # the mean of a single point is its value
 
 
-# Functions that compute the value of a probe from the scale (n,), the values (n,) and a level. The
-# keys are the names of the values.
+# Functions that compute a probe's value from the scale, the wave and a level, keyed by value name.
 _PROBE_FUNCTIONS: dict[str, Callable[[np.ndarray, np.ndarray, float], float | None]] = {
     "argmax": lambda scale, values, _: scale[values.argmax()],
     "max": lambda scale, values, _: values.max(),

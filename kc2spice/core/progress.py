@@ -37,7 +37,7 @@ def follow_stage(progress: Progress, name: str, text: str) -> Iterator[Callable[
     """Report the start of a stage, and yield a function that reports its completed fraction.
 
     Within the ``with`` block, :func:`report_remaining` also reports a completed fraction: the
-    elapsed share of the estimated time.
+    elapsed fraction of the estimated time.
 
     Examples
     --------
@@ -51,6 +51,7 @@ def follow_stage(progress: Progress, name: str, text: str) -> Iterator[Callable[
     start = time.perf_counter()
 
     def report(remaining: float, step: str) -> None:
+        """Report the completed fraction of the stage, estimated from the remaining time [s]."""
         elapsed = time.perf_counter() - start
         LOGGER.debug("%s: %s, about %.3g s remain", name, step, remaining)
         progress(name, elapsed / (elapsed + remaining), f"{text}, {step}")

@@ -70,7 +70,7 @@ def quantity(value: object, si: str, *, where: str | None = None) -> float:
 def invalid_value_error(
     reason: str, expected: str | None, key: str | None = None, hint: str | None = None
 ) -> PydanticCustomError:
-    """Make the error for a validator for an invalid value, or for an invalid ``key`` of a table."""
+    """Make the error that a validator raises for an invalid value, or for an invalid ``key``."""
     context = {"reason": reason, "expected": expected, "key": key, "hint": hint}
     return PydanticCustomError("quantity", "{reason}", context)
 
@@ -109,8 +109,8 @@ class ScalePlace(float):
     unit: str = ""
 
 
-# Units of positions on the scale of an analysis: time, frequency, and all quantities that a source
-# can prescribe in a dc sweep.
+# Units of positions on the scale of an analysis: of frequency, of time, and of swept quantities.
+# A dc sweep can vary every quantity that a source can prescribe.
 SCALE_UNITS = ("Hz", "s", *dict.fromkeys(d.quantity(side).unit for d, side in QUANTITIES.values()))
 
 
@@ -181,8 +181,7 @@ class Plausible:
 
 
 Length = Annotated[float, si("m")]
-# Plausible dimensions of manufactured parts: layers and plates, width of a device, length of a
-# device.
+# Plausible dimensions of manufactured parts: thickness of layers and plates, width and length.
 Thickness = Annotated[
     Length, Plausible("m", 1e-7, 0.03, "films begin at 0.1 um, plates end at 3 cm")
 ]
@@ -231,7 +230,7 @@ class RefinementRule:
     key is a number of points, and the number of intervals between the points is multiplied. Below
     the value ``finest``, rounding errors dominate. ``model`` marks a key that does not change the
     time of the simulator. ``mesh`` marks a key for the fineness of a mesh or of rings, whose error
-    the part estimates. The rule applies only if the keys in ``when`` have the values in ``when``.
+    the part estimates. The rule applies only if each key in ``when`` has the paired value.
     """
 
     factor: float

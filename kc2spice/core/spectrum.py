@@ -13,8 +13,7 @@ SIGNAL_SAMPLES = (
     2**16
 )  # number of samples of a signal, 5 for each pulse of a train of 13 000 pulses
 FIRST_CORNERS = 400  # corners at the start of a long train that are also sampled separately
-# Time after the end of a signal for which the output of a low-pass filter is sampled, in time
-# constants of the filter.
+# Duration, in time constants, for which a filter's output is sampled after the end of the signal.
 DECAY_TIME_CONSTANTS = 20.0
 MIN_SIGNAL_SAMPLES = 20  # smallest number of samples within the signal
 
@@ -60,7 +59,7 @@ def find_waveform_frequency(wave: Waveform, stop: float, constant: float = 0.0) 
 
     For a sine, the result is the frequency of the sine. The waveform is evaluated until ``stop``
     [s]. Only one period of an endless pulse train is evaluated. The first :data:`FIRST_CORNERS`
-    corners of a long train are also evaluated separately, and the higher frequency is returned.
+    corners of a long train are also evaluated alone, and the higher frequency is returned.
     """
     if not wave.is_piecewise_linear:
         return wave.frequency

@@ -82,8 +82,7 @@ def make_toml_error(text: str, error: ValueError, label: str) -> UsageError:
         )
     if (format_error := _make_other_format_error(text, label)) is not None:
         return format_error
-    # Only the first part of a long line is searched, because the time of a search grows with the
-    # square of the length.
+    # Only the beginning of a long line is searched: the time grows with the square of the length.
     lines = [line[:MAX_LINE_LENGTH] for line in split_lines(text)] or [""]
     number = min(number, len(lines))
     error_by_pattern = _make_duplicate_error(
@@ -226,7 +225,7 @@ def _repair_quotes(lines: Sequence[str], number: int) -> Iterator[_Repair]:
 
 
 def _find_unmatched_quote(line: str) -> str:
-    """Return the only unpaired quotation mark of a line; empty if both or neither are unpaired."""
+    """Return the unpaired quotation mark of a line; empty if no or both marks are unpaired."""
     masked = _STRING.sub(lambda found: "_" * len(found[0]), line)
     lone = [mark for mark in "\"'" if masked.count(mark) == 1]
     return lone[0] if len(lone) == 1 else ""
@@ -234,8 +233,7 @@ def _find_unmatched_quote(line: str) -> str:
 
 def _repair_unmatched_quote(lines: Sequence[str], number: int) -> Iterator[_Repair]:
     """Yield repairs of a quote without a matching second quote."""
-    # If the closing quote of 'text is missing, the parser stops at the next apostrophe or at the
-    # end of the file.
+    # If a closing quote is missing, the parser stops at the next apostrophe or at the file's end.
     above = (at for at, line in enumerate(lines[:number], start=1) if _find_unmatched_quote(line))
     for at in (number, next(above, number)):
         line = lines[at - 1]
@@ -360,7 +358,7 @@ _ASSIGNMENT_START = re.compile(r"\s*([\w.-]+)\s*=\s*(\{?)\s*(#.*)?$")
 
 
 def _make_incomplete_error(lines: Sequence[str], number: int, label: str) -> UsageError | None:
-    """Return the error for a key without a value, or of a list of tables in braces."""
+    """Return the error for a key without a value, or for a list of tables in braces."""
     for place in (number, number - 1):
         start = _ASSIGNMENT_START.match(lines[place - 1]) if 0 < place <= len(lines) else None
         if start is None:

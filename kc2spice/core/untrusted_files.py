@@ -6,8 +6,8 @@ a file declares are therefore compared with limits before the file is parsed or 
 
 Parsers written in C can crash, fill the memory, or execute commands that a file contains. These
 parsers therefore run in a child process with limited memory and a separate folder, without output
-and without permission to start programs. The child process returns arrays; otherwise the calling
-process raises an error.
+and without permission to start programs. If the child process does not return
+arrays, the calling process raises an error.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ import numpy as np
 from kc2spice.core import errors
 from kc2spice.core.errors import Kc2spiceError, UsageError
 
-# Pattern of one part of a path. It rejects hidden files, parent directories, shell expansions and
-# line breaks.
+# Pattern of one part of a path.
+# The pattern rejects hidden files, parent directories, shell expansions and line breaks.
 _PATH_PART = re.compile(r"\w[\w .+-]{0,127}(?<![ .])")
 _UNSAFE_CHARACTER = re.compile(r"[^A-Za-z0-9_.+-]")
 _MAX_ITEM_BYTES = 1_000_000  # largest size of one array element (number or text)
-# Bytes. A scene is about one page of text; a much larger file is a mistake or an attack.
+# Largest size of a text file in bytes. A scene is a page of text; larger files may be an attack.
 MAX_TEXT_BYTES = 1_000_000
 MAX_NESTING = 32  # largest depth of nested tables and arrays
 LONGEST_KEY = 200  # largest number of characters of one part of a key

@@ -22,8 +22,8 @@ from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Count, Frequency, Section, Time
 
-# Largest number of pulses of a finite train. Such a train has as many corners as the largest
-# waveform file has rows.
+# Largest number of pulses of a finite train.
+# The largest finite train has as many corners as the largest waveform file has rows.
 MAX_PULSES = 25_000
 
 
@@ -102,9 +102,10 @@ def _split_columns(name: str, values: np.ndarray, unit: str) -> Iterator[tuple[s
 
 
 def integrate_cumulatively(values: np.ndarray, over: np.ndarray) -> np.ndarray:
-    """Compute the cumulative trapezoidal integral of ``values`` (..., n) over ``over`` (n,).
+    """Compute the cumulative integral of ``values`` over ``over`` by the trapezoidal rule.
 
-    The integral is zero at the first point.
+    ``values`` has the shape (..., n), and ``over`` the shape (n,). The integral is zero at the
+    first point.
     """
     steps = (values[..., 1:] + values[..., :-1]) / 2 * np.diff(over)
     start = np.zeros((*np.shape(steps)[:-1], 1))
@@ -112,11 +113,11 @@ def integrate_cumulatively(values: np.ndarray, over: np.ndarray) -> np.ndarray:
 
 
 def differentiate(values: np.ndarray, over: np.ndarray) -> np.ndarray:
-    """Compute the derivative (n,) of ``values`` (n,) with respect to ``over`` (n,).
+    """Compute the derivative of ``values`` with respect to ``over``.
 
-    The result is the derivative of the parabola through three neighbouring points. The error of the
-    derivative is proportional to the square of the distance between the points. Values of ``over``
-    may be repeated.
+    Both arguments and the result are arrays of shape (n,). The result is the derivative of the
+    parabola through three neighbouring points. The error of the derivative is proportional to the
+    square of the distance between the points. Values of ``over`` may be repeated.
     """
     first = np.r_[True, np.diff(over) > 0]
     if first.sum() < 3:
@@ -126,14 +127,17 @@ def differentiate(values: np.ndarray, over: np.ndarray) -> np.ndarray:
 
 
 def interpolate(at: Any, scale: np.ndarray, values: np.ndarray) -> Any:
-    """Interpolate ``values`` (n,) linearly at positions ``at`` on a monotonic ``scale`` (n,)."""
+    """Interpolate ``values`` linearly at the positions ``at`` on a monotonic ``scale``.
+
+    ``values`` and ``scale`` are arrays of shape (n,).
+    """
     direction = -1 if scale[0] > scale[-1] else 1
     return np.interp(at, scale[::direction], values[::direction])
 
 
 FLAT_TOP_RATIO = 1e-6  # duration of the flat top of a repeated triangle, relative to its rise time
-# Period [s] of a single pulse, longer than any run. Newer versions of ngspice repeat a pulse that
-# has no period.
+# Period [s] of a single pulse, which is longer than any run.
+# Newer versions of ngspice repeat a pulse that has no period.
 ENDLESS_PERIOD = 1e4
 
 
@@ -170,10 +174,10 @@ class SineKeys(Section):
 class Waveform:
     """Function of time in SI units: linear between points, or a sine from ``start`` on.
 
-    A waveform with a ``frequency`` is a sine. Otherwise ``points`` (n, 2) are times [s] and values,
-    and the waveform is constant before the first point and after the last point. If ``period`` [s]
-    is given, the waveform from the first point on is repeated. In a netlist, the waveform is
-    written as a ``PULSE`` if possible.
+    A waveform with a ``frequency`` is a sine. Otherwise ``points`` is an array of shape (n, 2) with
+    times [s] and values. This waveform is constant before the first point and after the last point.
+    If ``period`` [s] is given, the waveform from the first point on is repeated. In a netlist, the
+    waveform is written as a ``PULSE`` if possible.
 
     Raises UsageError unless the times increase strictly: an edge must have a duration.
     """
@@ -202,7 +206,7 @@ class Waveform:
 
     @property
     def step_limit(self) -> float:
-        """Largest time step [s] within which a guard function cannot have two unnoticed zeros."""
+        """Largest time step [s]; a longer step could skip two zeros of a guard function."""
         return np.inf if self.is_piecewise_linear else 0.05 / self.frequency
 
     @cached_property
@@ -315,7 +319,7 @@ def sine_waveform(amplitude: float, frequency: float, start: float = 0.0) -> Wav
 
 
 def linear_waveform(points: Iterable[tuple[float, float]] | np.ndarray) -> Waveform:
-    """Make a piecewise linear waveform through ``points`` (n, 2)."""
+    """Make a piecewise linear waveform through ``points``, an array of shape (n, 2)."""
     return Waveform(tuple((float(t), float(v)) for t, v in points))
 
 
@@ -360,9 +364,10 @@ def pulse_waveform(
 
 @dataclass(frozen=True, eq=False)
 class RecordedWave(EqualByContent):
-    """Smooth curve through ``values`` (n,) at ``times`` (n,), constant before and after.
+    """Smooth curve through ``values`` at ``times``, constant before and after these times.
 
-    Between two samples, the curve is a cubic polynomial (Akima, J. ACM 17, 589, 1970).
+    Both arrays have the shape (n,). Between two samples, the curve is a cubic polynomial (Akima, J.
+    ACM 17, 589, 1970).
 
     Every 16th sample is a corner, so no step of an integrator is longer than 16 samples. Without
     this limit, an integrator could miss an event after a long interval without changes.

@@ -13,7 +13,8 @@ from kc2spice.netlist.expression import Tree, parse_expression, probed_names
 from kc2spice.netlist.spelling import format_number
 
 SMALLEST_POSITIVE = 1e-30  # smallest accepted value of a parameter that must be positive
-# Number of nodes, keyed by element letter. The number of an X element depends on its subcircuit.
+# Number of nodes of each element, keyed by element letter, except X.
+# The number of nodes of an X element depends on its subcircuit.
 # Behavioural E and G elements have only two nodes.
 NODE_COUNTS = {
     "r": 2, "c": 2, "l": 2, "v": 2, "i": 2, "b": 2, "e": 4, "g": 4, "f": 2, "h": 2,
@@ -142,7 +143,7 @@ class Element(Card):
 
     @property
     def sensed_nodes(self) -> frozenset[str]:
-        """Nodes whose voltages the expression reads; empty if the expression is invalid."""
+        """Nodes whose voltages occur in the expression; empty if the expression is invalid."""
         try:
             return probed_names(self.law, "v") if self.quantity else frozenset()
         except UsageError:  # the check of the netlist reports an invalid expression
@@ -213,7 +214,7 @@ class Circuit(Card):
         return select_items(self.items, Circuit)
 
     def map_items(self, change: Callable[[Item], Item]) -> Circuit:
-        """Return the circuit with ``change`` applied to each item, inside subcircuits first."""
+        """Return the circuit with ``change`` applied to each item, innermost items first."""
         inner = (i.map_items(change) if isinstance(i, Circuit) else i for i in self.items)
         return replace(self, items=tuple(map(change, inner)))
 

@@ -91,7 +91,7 @@ class Measure:
 
     @property
     def cards(self) -> Iterator[Directive]:
-        """Card of the measurement, and if needed a second card that converts to SI units."""
+        """Card of the measurement, and if needed a card that converts its value to SI units."""
         if self.kind == "op":
             return
         if self.factor == 1.0:
@@ -177,8 +177,8 @@ class Deck:
     results, and ``powers`` the terms of each result that is a power.
 
     In a transient, ``stop`` is the last time point [s] and ``max_step`` the largest time step [s].
-    ``refinements`` are further analyses of the kind of ``command``; their points and the points of
-    ``command`` are joined. In a dc analysis, ``sweep_scale`` volts or amperes of the source
+    ``refinements`` are further analyses of the same kind as ``command``. The points of all these
+    analyses are joined. In a dc analysis, ``sweep_scale`` volts or amperes of the source
     correspond to one SI unit of the swept key. ``measures`` are measurements that the simulator
     evaluates, for runs without a raw file.
 

@@ -207,7 +207,7 @@ def _read_stop(original: Deck, analysis: Statement) -> float | None:
 
 
 def _read_max_step(original: Deck, analysis: Statement) -> float | None:
-    """Return the largest step of a transient [s] from its card; None if not on the card."""
+    """Return the largest step of a transient [s] from its card; None if the card has none."""
     words = analysis.words[1:]
     if original.stop is None or len(words) < 4:
         return None

@@ -17,9 +17,9 @@ _TOKEN = re.compile(
     r"|(?P<name>[A-Za-z_]\w*)"
     r"|(?P<op>\*\*|<=|>=|==|!=|&&|\|\||[-+*/^<>?:(),{}!~%]))"
 )
-# COMMON_FUNCTIONS exist in all simulators. FUNCTIONS are the functions of behavioural sources in
-# ngspice, except the statistical function ``limit``, which returns 0. BUILT_IN_NAMES are constants
-# of ngspice.
+# COMMON_FUNCTIONS exist in all simulators. BUILT_IN_NAMES are constants of ngspice.
+# FUNCTIONS are the functions of behavioural sources in ngspice, except the function ``limit``.
+# The statistical function ``limit`` of ngspice returns 0 in a behavioural source.
 COMMON_FUNCTIONS = frozenset((
     "abs", "acos", "asin", "atan", "cos", "cosh", "exp", "floor", "ln", "max", "min", "sin",
     "sinh", "sqrt", "tan", "tanh",
@@ -134,10 +134,10 @@ def list_operands(tree: Tree) -> tuple[Tree, ...]:
 
 
 def probed_names(tree: Tree, kind: str) -> frozenset[str]:
-    """Return the nodes whose voltages an expression reads (``kind`` is ``"v"``).
+    """Return the lower-case names in the circuit variables of an expression.
 
-    If ``kind`` is ``"i"``, return the devices whose currents the expression reads. The names are in
-    lower case.
+    If ``kind`` is ``"v"``, the names are the nodes whose voltages occur in the expression. If
+    ``kind`` is ``"i"``, the names are the devices whose currents occur in the expression.
     """
     result = set[str]()
     for leaf in walk_tree(tree):

@@ -1,8 +1,8 @@
 """Translation of LTspice and PSpice subcircuits to equivalent ngspice subcircuits.
 
 Input and output are trees of :mod:`kc2spice.netlist.read`. Elements, functions and operators that
-ngspice lacks or interprets differently are replaced by equivalents. A construct without an
-equivalent raises an error with the line and the reason. Sources: the help pages of LTspice on
+ngspice lacks or interprets differently are replaced by equivalents. If a construct has no
+equivalent, an error states the line and the reason. Sources: the help pages of LTspice on
 circuit elements, and for the ideal diode the comparison with LTspice in the documentation of
 SpiceSharpParser (article *LTspice-Style Ideal Diode*).
 """
@@ -50,12 +50,12 @@ MIN_CONDUCTANCE = "1e-12"  # S, conductance of an ideal diode without Roff
 IDEAL_DIODE_PARAMETERS = frozenset((
     "ron", "roff", "vfwd", "vrev", "rrev", "ilimit", "revilimit", "epsilon", "revepsilon",
 ))  # fmt: skip
-# Parameters of models that LTspice only displays: ratings and manufacturers. VDMOS models have
-# additional displayed parameters.
+# Parameters of models that LTspice only displays: ratings and manufacturers.
+# VDMOS models have additional parameters that LTspice only displays.
 DISPLAYED_PARAMETERS = frozenset(("iave", "icrating", "mfg", "type", "vceo", "vpk"))
 VDMOS_DISPLAYED_PARAMETERS = DISPLAYED_PARAMETERS | {"qg", "ron", "vds"}
-# Parameters of elements that LTspice only displays: ratings, manufacturers and part numbers
-# (LTspice help, R, C and L).
+# Parameters of elements that LTspice only displays: ratings, manufacturers and part numbers.
+# Source for the displayed parameters of elements: LTspice help, pages R, C and L.
 DISPLAYED_RATINGS = {
     "r": frozenset(("tol", "pwr", "mfg", "pn", "type")),
     "c": frozenset(("v", "irms", "mfg", "pn", "type")),
@@ -137,7 +137,7 @@ class _CircuitTranslator:
         coupled = (element.sources for element in elements if element.kind == "k")
         self.coupled = {name.lower() for names in coupled for name in names}
         self.elements = {element.key: element for element in elements}
-        # names of ammeters, keyed by the elements whose current an expression reads
+        # names of ammeters, keyed by the elements whose current occurs in an expression
         self.metered: dict[str, str] = {}
 
     def translate(self) -> Circuit:

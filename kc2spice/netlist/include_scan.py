@@ -416,7 +416,7 @@ def _find_deck_effects(
 
 
 def _find_separate_suffix(card: Statement) -> tuple[str, str] | None:
-    """Return a number and the scale factor or unit behind a blank; None without such a number.
+    """Return a number and its scale factor or unit if a blank separates them; otherwise None.
 
     The simulator reads the scale factor as the name of a model.
     """
@@ -600,7 +600,7 @@ def _find_line_faults(text: str) -> Iterator[str]:
 def _require_known_command(card: Statement) -> None:
     """Reject commands that are misspelt or that belong to LTspice.
 
-    Other unknown commands could run programs, and are reported as such.
+    The caller reports all other unknown commands, because these could run programs.
 
     Raises
     ------

@@ -25,7 +25,7 @@ from kc2spice.netlist.read import read_cards
 from kc2spice.netlist.spelling import format_comment, format_number, require_word
 from kc2spice.netlist.spelling import require_name as checked_name
 
-MAX_LIBRARY_BYTES = 100_000_000  # size of the largest library file
+MAX_LIBRARY_BYTES = 100_000_000  # largest permitted size of a library file
 _PIN_LINE = re.compile(r"\* @pin \d+ (\w+) unit=(\S+) flow=(\S+)")
 _PARAMETER_LINE = re.compile(r"\* @param (\w+)=(\S+) unit=(\S+)(?: range=(\S+)\.\.(\S+))? ?(.*)")
 

@@ -35,7 +35,7 @@ _PARASITIC_ELEMENTS = {"rser": "R in series", "lser": "L in series", "rpar": "R 
 
 
 def require_valid_wiring(deck: Deck) -> None:
-    """Raise an error about the first wiring mistake of ``deck`` and the number of other mistakes.
+    """Raise an error that states the first wiring mistake of ``deck`` and counts the others.
 
     Raises
     ------

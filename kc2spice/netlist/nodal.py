@@ -19,8 +19,8 @@ from kc2spice.netlist.circuit import Circuit, Element, Parameters, select_items
 from kc2spice.netlist.expression import Tree, evaluate_parameter, parse_expression
 
 GROUND = "0"
-# Up to this number of unknowns, solving dense matrices for all frequencies together is faster than
-# solving one sparse matrix for each frequency.
+# Largest number of unknowns for which dense matrices are solved faster than sparse matrices.
+# Dense matrices are solved for all frequencies at once, sparse matrices for one frequency each.
 MAX_DENSE_UNKNOWNS = 60
 _BRANCH_KINDS = frozenset("vel")  # element letters whose current is an additional unknown
 
@@ -83,7 +83,7 @@ class NodalCircuit:
 
     @cached_property
     def parameters(self) -> list[tuple[str, Tree]]:
-        """Expressions of the parameters, keyed by lower-case name, in the order of the cards."""
+        """Lower-case name and expression of each parameter, in the order of the cards."""
         result: list[tuple[str, Tree]] = []
         for card in select_items(self.circuit.items, Parameters):
             for key, text in card.values.items():

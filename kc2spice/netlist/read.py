@@ -74,7 +74,7 @@ class Statement(Card):
 
 
 def split_statements(text: str, file: str, *, title: bool = False) -> list[Statement]:
-    """Return all statements of a file in order; the last one may have only comments.
+    """Return all statements of a file in order; the last statement may have only comments.
 
     If ``title`` is true, the first line is the title of a deck, which is treated as a comment.
     """
@@ -103,8 +103,7 @@ def split_words(text: str) -> list[str]:
 
     Blanks around ``=`` are removed.
     """
-    # A match can begin only at the first of several blanks, so that the time is proportional to the
-    # length of the text.
+    # A match begins only at the first of several blanks: the time is proportional to the length.
     return list(_split_at_blanks(re.sub(r"(?<!\s)\s*(?<![=<>!])=(?!=)\s*", "=", text)))
 
 

@@ -101,8 +101,8 @@ def _fill_scope(
 ) -> list[Directive]:
     """Add the cards of a circuit, and of its included files, to ``scope``.
 
-    ``chain`` are the files from the main file to the file with the circuit, in which each file
-    includes the next one. The result contains the includes whose file is not in ``files``.
+    ``chain`` contains the files from the main file to the file of the circuit. Each file in it
+    includes the next file. The result contains the includes whose file is not in ``files``.
     """
     missing: list[Directive] = []
     for item in tree.items:

@@ -11,10 +11,10 @@ from typing import Any
 
 from kc2spice.core.errors import MissingToolError, UsageError
 
-# 1/s, decay rate of a floating charge in a netlist. Each node that stores a charge has a leakage
-# current, which is this rate times the charge. At an operating point, the sum of the leakage
-# currents is therefore zero if the sum of the charges is zero. At the frequency f, the leakage
-# current is the fraction 1.6e-10 Hz / f of the node's current, for any capacitance.
+# 1/s, decay rate of a floating charge in a netlist.
+# Each node that stores a charge has a leakage current, which is this decay rate times the charge.
+# At an operating point, the leakage currents sum to zero if the stored charges sum to zero.
+# At the frequency f, the leakage current is 1.6e-10 Hz / f times the node's capacitive current.
 LEAK_RATE = 1e-9
 _PLAIN_EXPONENTS = str.maketrans("²³", "23")
 # Number with a unit in place of the decimal point, such as 4k7, but not an exponent such as 1e5.

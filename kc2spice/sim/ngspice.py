@@ -97,9 +97,9 @@ def find_ngspice() -> Simulator:
 
 @cache
 def _parent_death_prefix() -> tuple[str, ...]:
-    """Return the words that, before a command, end the command if this process is killed.
+    """Return a prefix for commands; a command with this prefix ends when this process ends.
 
-    The tuple is empty if the system does not support this.
+    The prefix is an empty tuple on systems without the program ``setpriv``.
     """
     words = ("setpriv", "--pdeathsig", "KILL", "--")
     tried: Any = {"capture_output": True, "check": False}
@@ -230,8 +230,8 @@ def _run_ngspice(
         # Popen is not used as a context manager, whose exit would wait for a running simulator.
         process = subprocess.Popen(command, cwd=main.parent, env=environment, **streams)
         try:
-            # A thread waits for the end of the process, because Popen.wait with a time limit would
-            # detect the end up to 50 ms late.
+            # A thread waits for the end of the process.
+            # Popen.wait with a time limit would detect the end of the process up to 50 ms late.
             waiting = threading.Thread(target=process.wait, daemon=True)
             waiting.start()
             waiting.join(POLL_INTERVAL)
@@ -352,12 +352,13 @@ class RetrySetting:
 
 
 FIRST_SETTING = RetrySetting("the scene's own settings", (), "")
-# These settings were chosen by measurements with the kick scene and a contact penalty of 1e11 and
-# 1e12 N/m, which fails with "timestep too small". Runs with larger pivot thresholds succeed, and
-# take 1.2 to 2 times the CPU time per time point. Runs with only Gear integration, tighter
-# tolerances or more iterations fail. With larger pivot thresholds, Gear integration also damps the
-# rounding noise that slows the trapezoidal rule down. The error of Gear integration per step is
-# about twice as large.
+# These retry settings were measured with the kick scene and contact penalties of 1e11 and 1e12 N/m.
+# With these contact penalties, the scene's own settings fail with "timestep too small".
+# Runs with larger pivot thresholds succeed, and take 1.2 to 2 times the CPU time per time point.
+# Runs with only Gear integration, tighter tolerances or more iterations fail.
+# With larger pivot thresholds, Gear integration also damps the rounding noise.
+# Rounding noise slows the trapezoidal rule down.
+# The error of Gear integration per step is about twice the error of the trapezoidal rule.
 RETRY_SETTINGS = (
     RetrySetting(
         "firmer pivots",
@@ -487,8 +488,8 @@ def run_with_retries(
                     farthest = failure
             elif violated:
                 first = violated[0]
-                # Only violations due to large time steps are repeated. Outside of the valid range
-                # of a model, for example, results are wrong with every tolerance.
+                # A run is repeated only if all its violations are due to large time steps.
+                # Outside of a model's valid range, results are wrong with every tolerance.
                 kind: FailureKind | None = (
                     "coarse" if all(check.coarse for check in violated) else None
                 )

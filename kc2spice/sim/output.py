@@ -35,15 +35,14 @@ _FATAL_MESSAGE = re.compile(
     r"not enough memory|out of memory|no space left|^\s*error\b|\bsyntax error\b",
     re.IGNORECASE,
 )
-# Messages about difficulties in the search for the operating point. ngspice must find the operating
-# point of exported decks without these difficulties.
+# Messages about difficulties in the search for the operating point.
+# In exported decks, ngspice must find the operating point without these difficulties.
 _DIFFICULTY_MESSAGE = re.compile(
     r"singular matrix|gmin step|gmin increment|trying gmin|source stepping|supplies reduced|"
     r"transient op|nodeset",
     re.IGNORECASE,
 )
-# Messages that contain the name of a node, or of a device instance, such as 'trouble with
-# b-instance b.x1.b2'.
+# Messages with the name of a node or a device, such as 'trouble with b-instance b.x1.b2'.
 _NODE_MESSAGE = re.compile(
     r'trouble with (?:node |\S+-instance )?"?([^\s"]+?)"?(?:[:\s]|$)|check node (\S+)', re.I
 )
@@ -54,8 +53,8 @@ _ALTERED_MESSAGE = re.compile(
     r"\bsetting\b.*\bto\b|\bis used\b|\bdisabled\b|\bskipped\b|\btreated as\b|\bobsolete\b",
     re.IGNORECASE,
 )
-# Harmless messages that _ALTERED_MESSAGE would match. Some of these messages concern printed
-# vectors, or a source without a value, which is 0 V or 0 A by definition.
+# Harmless messages that _ALTERED_MESSAGE would match, for example about printed vectors.
+# A source without a value is 0 V or 0 A by definition, so a message about it is harmless.
 _HARMLESS_MESSAGE = re.compile(
     r"^\s*circuit:|line ignored since rawfile|has no value, DC 0 assumed|"
     r"dc value used for op instead of transient|no DC value, transient time 0 value used|"
@@ -239,8 +238,8 @@ def find_alteration_error(deck: Deck, where: str, text: str) -> FailedRunError |
     return error
 
 
-# Largest relative difference of scale values that count as equal. ngspice computes scale values by
-# adding steps. The rounding error is 1e-16 in each step, and up to 1e-13 in total.
+# Largest relative difference of scale values that count as equal.
+# ngspice adds steps to compute scale values: the rounding error is 1e-16 per step, 1e-13 in total.
 SAME_POINT_TOLERANCE = 1e-11
 _BINARY_MARK = b"Binary:\n"
 _PLOT_MARK = b"Title:"
@@ -264,7 +263,7 @@ class _Plot(NamedTuple):
 
     @property
     def finite(self) -> np.ndarray:
-        """Mask (points,) of the points that contain only finite numbers.
+        """Mask of the points that contain only finite numbers, an array of shape (points,).
 
         The imaginary part of the scale, which is in the first column, is ignored, because ngspice
         does not initialise the imaginary part of a frequency.

@@ -293,7 +293,7 @@ def _load_private_copy() -> ctypes.CDLL:
         )
     try:
         plain = ctypes.CDLL(result)
-        # On Linux, find_library returns a name only. The path of a loaded library is in the maps.
+        # On Linux, find_library returns a name; /proc/self/maps contains the path of the library.
         maps = Path("/proc/self/maps")
         loaded = maps.read_text("utf-8").split() if maps.is_file() else [result]
         path = next((word for word in loaded if result in word and Path(word).is_file()), None)

@@ -11,8 +11,7 @@ from kc2spice.netlist.elements import Line
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.network import IDEAL_LEAD, CircuitBranch, ParallelBranches
 
-# Current through the leakage resistor at the lower end of the band, relative to the total current
-# of the network.
+# Leakage current of a network at the lower end of the band, relative to the total current.
 LEAK_SHARE = 1e-9
 NETWORK_COMMENT = (
     "* Passive one-port: every branch between the two pins is R, L and C in series.",

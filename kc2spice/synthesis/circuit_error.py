@@ -1,4 +1,4 @@
-"""Estimate of the circuit error: the difference between a subcircuit's and its model's response.
+"""Estimate of the circuit error: the difference of the responses of a subcircuit and its model.
 
 The cards of the library are solved by nodal analysis (:mod:`kc2spice.netlist.nodal`). The compared
 frequencies are the lowest frequency of the model's band, a grid over the band, every resonance with
@@ -31,17 +31,17 @@ LOWEST_FREQUENCY_RATIO = 1e-6
 GRID_POINTS = 40  # number of points of the linear grid, and of the logarithmic grid
 POINTS_PER_DECADE = 3  # number of points per decade below both grids
 FLANK_HALF_WIDTHS = (0.0, 1.0)  # distances of frequencies from a resonance, in half-widths
-# Number of compared frequencies, those with the largest errors, near which frequencies are added.
-# Near each of them, PEAK_FREQUENCIES frequencies are added.
+# Number of frequencies with the largest errors near which additional frequencies are compared.
+# Near each frequency with a large error, PEAK_FREQUENCIES frequencies are compared.
 REFINED_PEAKS = 4
 PEAK_FREQUENCIES = 9
 # largest product of the squared number of unknowns and the number of frequencies
 MAX_WORK = 4e8
-MIN_FREQUENCIES = 24  # number of frequencies for the largest circuits
+MIN_FREQUENCIES = 24  # smallest number of compared frequencies, for the largest circuits
 # Errors below this share of the tolerance are negligible, because error estimates have two digits.
 NEGLIGIBLE_SHARE = 0.01
-# Number of random roundings of the matrices. A circuit error that exceeds their largest effect by
-# at most PERTURBATION_SPREAD counts as a rounding error of the model.
+# Number of times that the matrices are randomly rounded, to find the largest effect of rounding.
+# Circuit errors up to PERTURBATION_SPREAD times this effect count as rounding errors of the model.
 PERTURBATION_COUNT = 4
 PERTURBATION_SPREAD = 10.0
 
@@ -64,7 +64,7 @@ def estimate_circuit_error(
 ) -> CircuitError:
     """Estimate the largest relative difference between the responses of a subcircuit and its model.
 
-    The ``norm`` defines to what the difference is relative, see
+    The ``norm`` defines the divisor of the difference, as described in
     :class:`kc2spice.rom.linear_model.Certificate`. The ports have the loads of
     :func:`kc2spice.synthesis.realize.apply_unit_load`. The compared response of an acceleration
     port is the force into its pin.
@@ -118,10 +118,11 @@ class CircuitResponse:
         return len(self.equations.rows)
 
     def transfer(self, frequency: np.ndarray) -> np.ndarray:
-        """Return the frequency responses (frequencies, outputs, inputs) to unit inputs.
+        """Return the responses to unit inputs at each frequency [Hz].
 
-        Outputs are displacements, charges, forces of accelerated frames, and signals. Inputs are
-        forces, voltages, accelerations and signals.
+        The result has the shape (frequencies, outputs, inputs). Outputs are displacements, charges,
+        forces of accelerated frames, and signals. Inputs are forces, voltages, accelerations and
+        signals.
         """
         s = 2j * np.pi * frequency
         H = self.equations.solve(s, self.loads, list(map(_response_node, self.rows)))
@@ -187,7 +188,7 @@ def reaction_mass(model: LinearModel, port: Port) -> float:
 
 @dataclass
 class _RelativeError:
-    """Function that returns the relative errors (frequencies,) of a circuit at frequencies [Hz].
+    """Function that returns the relative error of a circuit at each of several frequencies [Hz].
 
     The first call determines the peaks of the response, to which the errors of all calls are
     relative.

@@ -31,14 +31,14 @@ from kc2spice.netlist.spelling import LEAK_RATE
 from kc2spice.rom.heat_network import HeatLadder, find_heat_ladder
 from kc2spice.rom.linear_model import LinearModel, Port
 
-# Largest eigenvalue of K that counts as zero, relative to the largest eigenvalue. No path conducts
-# the heat of a mode with a zero eigenvalue away.
+# Largest eigenvalue of K that counts as zero, relative to the largest of all eigenvalues.
+# No path conducts the heat of a mode with a zero eigenvalue away.
 ZERO_EIGENVALUE = 1e-13
-# Largest time constant that counts as zero, relative to the largest time constant of all modes. A
-# mode with a zero time constant has no heat capacity.
+# Largest time constant that counts as zero, relative to the largest time constant of all modes.
+# A mode with a zero time constant has no heat capacity.
 ZERO_TIME = 1e-14
-# Largest factor of a mode at a port that counts as zero, relative to the largest of all modes. A
-# mode whose factors at all ports are zero is omitted.
+# Largest factor of a mode at a port that counts as zero, relative to the largest of all factors.
+# A mode whose factors at all ports are zero is omitted.
 ZERO_SHARE = 1e-9
 _NETWORK_COMMENT = """\
 * Heat network: 1 V is 1 K of temperature rise over the pin {base}, 1 A is 1 W into the pin.
@@ -60,10 +60,10 @@ _STORED_COMMENT = "no path removes its heat; the leak gives it an operating poin
 class HeatModes:
     """Modes of a heat model.
 
-    ``resistance`` (modes,) [K/W] and ``capacity`` (modes,) [J/K] are the thermal resistance and the
-    heat capacity of each mode. ``share`` (modes, ports) is the ratio of a mode's contribution to
-    the temperature of a port and the temperature of the mode. ``direct`` (ports, ports) [K/W] is
-    the matrix D of the model: the thermal resistances without heat capacity.
+    ``resistance`` and ``capacity`` contain the thermal resistance [K/W] and the heat capacity [J/K]
+    of each mode. ``share``, an array of shape (modes, ports), contains the contribution of each
+    mode to the temperature of each port, relative to the temperature of the mode. ``direct`` is the
+    matrix D of the model [K/W]: the thermal resistances without heat capacity between the ports.
     """
 
     resistance: np.ndarray
@@ -127,10 +127,10 @@ def compute_heat_modes(model: LinearModel) -> HeatModes:
 
 
 def decouple_heat(model: LinearModel) -> tuple[np.ndarray, np.ndarray]:
-    """Return the time constants (modes,) [s] and the shapes (states, modes) of all modes.
+    """Return the time constants [s] and the shapes of all modes, slowest mode first.
 
-    The slowest mode is the first one. The mode shapes are scaled so that the thermal resistance of
-    each mode is 1 K/W. See :func:`compute_heat_modes`.
+    The array of shapes has one row for each state and one column for each mode. The mode shapes are
+    scaled so that the thermal resistance of each mode is 1 K/W. See :func:`compute_heat_modes`.
 
     Raises
     ------
@@ -161,10 +161,10 @@ def decouple_heat(model: LinearModel) -> tuple[np.ndarray, np.ndarray]:
 
 
 def diagonalise_heat_model(model: LinearModel) -> LinearModel:
-    """Return a heat model in modal coordinates, which its netlist also has.
+    """Return a heat model in modal coordinates, which its netlist also uses.
 
-    The matrices E and K are then diagonal. Rates that differ by many orders of magnitude therefore
-    cause no rounding errors in each other.
+    The matrices E and K are then diagonal. Modes whose rates differ by many orders of magnitude
+    therefore cause no rounding errors in each other.
     """
     modes = compute_heat_modes(model)
     return replace(

@@ -36,18 +36,19 @@ if TYPE_CHECKING:
     pass
 
 
-# Capacitance [F] for each state of a fast mode. With it, the simulator's charge tolerance chgtol
-# becomes a tolerance of the displacement.
+# Capacitance [F] for each state of a fast mode.
+# This capacitance converts the simulator's charge tolerance chgtol to a displacement tolerance.
 STATE_CAPACITANCE = 1e-6
 STATE_CONDUCTANCE = 1.0  # conductance [S] for the state of a massless mode
 EQUAL_GAIN_TOLERANCE = 1e-6  # largest relative difference of gains that count as equal
-# Value of 1 / Q of a mode below which the states are q and q + q'/w. With the states q and q'/w,
-# ngspice (pivrel 1e-3) would not choose diagonal pivots at an operating point. For 178 modes, the
-# factorised matrix would then have 80 times as many fill-ins, and the solution would take 100 times
-# as long (tests/spice/test_realize.py counts the fill-ins).
+# Value of 1 / Q of a mode below which the states are q and q + q'/w instead of q and q'/w.
+# With q and q'/w, ngspice (pivrel 1e-3) would choose no diagonal pivots at an operating point.
+# Without diagonal pivots, the factorised matrix of 178 modes would have 80 times as many fill-ins.
+# Without diagonal pivots, the solution for 178 modes would take 100 times as long.
+# The test tests/spice/test_realize.py counts the fill-ins.
 LIGHT_DAMPING = 1e-3
-# Largest share of a mode in the response of a port that counts as zero, relative to the largest
-# share of all modes.
+# Largest contribution of a mode to the response of a port that counts as zero.
+# The contribution is relative to the largest contribution of all modes.
 NEGLIGIBLE_GAIN = 1e-9
 
 
@@ -57,9 +58,9 @@ class StepWeights:
 
     Time step control limits the charge error of each capacitor, which represents an error of the
     motion. Modes at or above ``full`` times the lowest mode frequency have capacitors of 1 uF. For
-    slower modes, the capacitance is proportional to the frequency raised to ``power``. ``share`` is
-    the share of the clamped capacitance that is represented by a capacitor. The voltage of this
-    capacitor includes the charge of the modes.
+    slower modes, the capacitance is proportional to the frequency raised to ``power``. A capacitor
+    represents the fraction ``share`` of the clamped capacitance. The voltage of this capacitor
+    includes the charge of the modes.
     """
 
     full: float
@@ -76,11 +77,11 @@ class StepWeights:
 
 # Weights for scenes in which the ringing of the body is a result.
 RINGING_WEIGHTS = StepWeights(3.0, 2, 0.01)
-# Weights for scenes in which a part is thrown. These weights give the same launch velocity as
-# RINGING_WEIGHTS, with fewer time points.
+# Weights for scenes in which a part is thrown.
+# These weights give the same launch velocity as RINGING_WEIGHTS, with fewer time points.
 THROWING_WEIGHTS = StepWeights(3.0, 6, 0.01)
-# Weights for scenes in which only the motion of thrown parts is a result. These weights halve the
-# number of time points.
+# Weights for scenes in which only the motion of thrown parts is a result.
+# These weights halve the number of time points.
 COARSE_WEIGHTS = StepWeights(8.0, 6, 1e-6)
 _RESONATORS_COMMENT = """\
 * Each mode of the reduced model has two integrators, q (displacement) and p (q'/omega). Both are
@@ -300,7 +301,7 @@ def _massless_mode_lines(j: int, omega: float, damp: float, base: str) -> Iterat
 
 
 def scale_modes(gain: np.ndarray, terminals: Sequence[PortTerminal]) -> np.ndarray:
-    """Return the largest gain (modes,) of each mode at the displacement ports.
+    """Return the largest gain of each mode at the displacement ports.
 
     For a mode without gain at these ports, the largest gain at all ports is returned.
     """

@@ -1,4 +1,4 @@
-"""Parameter ranges of subcircuits: netlist cards that check them, and sampling points in them."""
+"""Parameter ranges of subcircuits: cards that check the ranges, and sample points in the ranges."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from kc2spice.netlist.spelling import format_number
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.ranges import ModelOverRanges
 
-# Number of random points in the parameter range at which circuit and model are compared. Circuit
-# and model are also compared at the corners of the range.
+# Number of random points in the parameter range at which circuit and model are compared.
+# Circuit and model are also compared at the corners of the parameter range.
 RANDOM_POINT_COUNT = 6
 RANGE_STOPS = """
 * Outside of its range a parameter stops the simulator at these cards: nothing is extrapolated."""
@@ -61,8 +61,8 @@ def range_cards(parameters: Sequence[Param]) -> Iterator[Line]:
     for k, p in enumerate(parameters, 1):
         room = 1e-9 * (p.high - p.low)
         low, high = format_number(p.low - room), format_number(p.high + room)
-        # Within the range, the product of both differences is not negative. The operators || and &&
-        # are avoided, because simulators spell them differently.
+        # Within the range, the product of both differences is not negative.
+        # The operators || and && are not used, because simulators spell them differently.
         yield parameter_card(f"inside{k}", f"(({p.name}-{low})*({high}-{p.name})>=0 ? 1 : -1)")
 
 

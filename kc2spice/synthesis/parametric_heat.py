@@ -47,8 +47,8 @@ from kc2spice.synthesis.realize import UNRATED, heat_header_texts, heat_pins, ma
 
 # Pattern of the parameter names that the subcircuit uses internally.
 RESERVED_BY_HEAT = r"change\d+|inside\d+"
-# Largest matrix entry that counts as a rounding error, relative to the geometric mean of the
-# diagonal entries in its row and column.
+# Largest matrix entry that counts as a rounding error.
+# The entry is relative to the geometric mean of the diagonal entries in its row and column.
 NEGLIGIBLE_ENTRY = 1e-15
 _NETWORK_COMMENTS = """\
 * Heat network over ranges of parameters: 1 V is 1 K of temperature rise over the pin {base}, 1 A is
@@ -164,8 +164,9 @@ def _remove_rounding_errors(matrix: np.ndarray) -> np.ndarray:
 class _Network:
     """Modes at the default values of the parameters, and changes of K and E.
 
-    ``changes`` are the texts of the differences of factors. ``stiff`` and ``stored`` (changes,
-    modes, modes) are the matrices of K and E by which the changes are multiplied.
+    ``changes`` are the texts of the differences ``f_t(p) - f_t(p_0)``. ``stiff`` and ``stored`` are
+    the matrices K_t and E_t by which these differences are multiplied. Both arrays have the shape
+    (changes, modes, modes).
     """
 
     modes: HeatModes
@@ -194,8 +195,9 @@ class _Network:
         flow = self._write_sum(1 / R, self.stiff[:, j, j])
         changed = self.stiff[:, j, j].any()
         yield Element.of(f"R{j + 1}", node, base, f"{{1/({flow})}}" if changed else float(R))
-        # Capacitors between two modes represent the off-diagonal entries of E. Such a capacitor
-        # also adds to the diagonal, so that the capacitor of a mode has the row sum of E.
+        # Capacitors between two modes represent the off-diagonal entries of E.
+        # A capacitor between two modes also adds its capacitance to two diagonal entries of E.
+        # The capacitance of a mode itself is therefore the sum of the mode's row in E.
         sums = self.stored[:, j].sum(axis=1)
         if sums.any():
             yield Element.of(f"C{j + 1}", node, base, f"{{{self._write_sum(C, sums)}}}")

@@ -249,7 +249,7 @@ def _coordinate_cards(
 
 
 def _chebyshev_factors(exponents: np.ndarray) -> list[str]:
-    """Return the names of the Chebyshev polynomials with the degrees ``exponents`` (axes,)."""
+    """Return the names of the Chebyshev polynomials; ``exponents`` is the degree on each axis."""
     result = []
     for k in np.flatnonzero(exponents):
         result.append(f"x{k + 1}" if exponents[k] == 1 else f"t{k + 1}_{exponents[k]}")
@@ -331,7 +331,7 @@ def _write_dot_product(row: str, column: str, indices: Iterable[int]) -> str:
 
 
 def _nonzero_entries(model: ResonatorsOverRanges) -> tuple[np.ndarray, np.ndarray]:
-    """Return masks (q, q) of the nonzero entries of L and of the stiffness ``L L'``."""
+    """Return masks of the nonzero entries of L and of the stiffness ``L L'``; shape (q, q)."""
     lower = model.below.any(axis=0) | np.eye(model.order, dtype=bool)
     return lower, lower @ lower.T
 

@@ -61,8 +61,8 @@ _NOISE_COMMENT = """\
 * Every loss has thermal force noise, 4 k T times its damping. A resistor of the same number of ohms
 * provides this noise. No other resistor in this subcircuit has noise."""
 DAMPING_PARAMETER = Param("damping", 1.0, "-", "scale of the damping of all modes")
-# share of an error estimate below which an additional error is negligible, because the estimate has
-# three digits
+# Fraction of an error estimate below which an additional error is negligible.
+# Error estimates have three digits, so such small errors do not change an error estimate.
 NEGLIGIBLE_ERROR = 1e-3
 # largest eigenvalue of the damping matrix that counts as zero, relative to the largest eigenvalue
 NEGLIGIBLE_LOSS = 1e-14
@@ -426,11 +426,12 @@ def apply_unit_load(
 ) -> tuple[list[Element], dict[str, tuple[str, float]]]:
     """Return the cards of a subcircuit instance with a unit load, and its response vectors.
 
-    The response vectors are keyed by port. Each is the name of an ngspice vector, with the factor
-    that converts the vector to SI units. As in :meth:`LinearModel.transfer`, all electrodes except
-    the loaded one are shorted, mechanical ports are free, frames are at rest and all other inputs
-    are zero. The response of an electrode is its current, that of a frame its force, and that of
-    any other pin driven by a voltage its flow. All names of the instance end with ``tag``.
+    The response vectors are keyed by port. Each response vector consists of the name of an ngspice
+    vector and of the factor that converts the vector to SI units. As in
+    :meth:`LinearModel.transfer`, all electrodes except the loaded one are shorted, mechanical ports
+    are free, frames are at rest and all other inputs are zero. The response of an electrode is its
+    current, and the response of a frame is its force. The response of any other pin that a voltage
+    drives is the flow through this pin. All names of the instance end with ``tag``.
     """
     ends = {port.terminals[0].lower() for port in model.ports}
     nodes = {}

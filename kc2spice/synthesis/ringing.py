@@ -24,11 +24,11 @@ from kc2spice.scene.model import Build
 
 # Natural logarithm of the ratio of the initial amplitude to the amplitude at which ringing ends.
 LOG_AMPLITUDE_RATIO = math.log(1e3)
-# Number of time points above which a warning is printed. With 24 states, so many time points take
-# half a minute.
+# Number of time points above which a warning is printed.
+# With 24 states, this number of time points takes half a minute.
 MANY_POINTS = 3e5
 # CPU time [s] of ngspice per time point is POINT_SECONDS plus STATE_SECONDS for each state.
-# Measured on a 2.5 GHz processor with the scene kick_and_catch, with 24 and with 178 states.
+# Both CPU times were measured on a 2.5 GHz processor with kick_and_catch, 24 and 178 states.
 POINT_SECONDS = 5e-5
 STATE_SECONDS = 1.4e-6
 
@@ -37,8 +37,8 @@ STATE_SECONDS = 1.4e-6
 class Ringing:
     """Estimate of the effort that the ringing of a body causes in a run.
 
-    ``points`` is the number of time points, and ``seconds`` the CPU time [s]. ``frequency`` [Hz] is
-    that of the fastest mode that rings until the end of the run.
+    ``points`` is the number of time points, and ``seconds`` the CPU time [s]. ``frequency`` is the
+    frequency [Hz] of the fastest mode that rings until the end of the run.
     """
 
     part: str
@@ -101,7 +101,7 @@ def warn_of_long_run(build: Build, deck: Deck) -> None:
     """Print a warning before a run that needs more than :data:`MANY_POINTS` time points.
 
     The number of time points depends on the largest time step. If a contact determines the time
-    steps, it depends on the ringing of a body.
+    steps, the number of time points depends on the ringing of a body.
     """
     scene = build.scene
     if scene.analysis.type != "transient":

@@ -31,8 +31,9 @@ from kc2spice.synthesis.terminals import (
 if TYPE_CHECKING:
     from kc2spice.rom.blocks import BlockModel
 FREE_LEAK = 1e-12  # leakage conductance [S] at each state of an integrating block
-# Ratio of the smallest singular value of a block to the upper end of the band [rad/s]. A block
-# below this ratio counts as integrating: a constant input makes its states grow without limit.
+# Smallest singular value of a block below which the block counts as integrating.
+# The singular value is relative to the upper end of the band [rad/s].
+# A constant input makes the states of an integrating block grow without limit.
 INTEGRATOR_RATIO = 1e-11
 _STATES_COMMENT = """\
 * Linear state-space model: signal inputs draw no current, signal outputs are ideal sources, 1 V is

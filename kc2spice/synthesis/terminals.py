@@ -28,8 +28,8 @@ INPUT_LEAK = 1e-18
 LEAK_POINTS = 60  # number of frequencies in the search for the smallest charge per volt
 # An entry of D below this fraction of the largest entry in its row counts as a rounding error.
 CROSS_ROUNDING = 1e-13
-# Value of C B, relative to its terms, below which it counts as zero. If C B is not zero, the rate
-# of an output jumps with an input.
+# Value of the product C B, relative to its terms, below which C B counts as zero.
+# If C B is not zero, the rate of an output jumps when an input jumps.
 NEGLIGIBLE_JUMP = 1e-9
 INNER_NODE_PATTERN = r"tick|(inner|current|charge)\w*|sum\d+|[qpz]\d+|noise\d+"
 OUTWARDS_COMMENT = (
@@ -364,8 +364,9 @@ class OutputLaws:
     """Writer of the sources for the outputs ``y = C z + D u``.
 
     At an electrical port without a clamped capacitance, the sources provide the current ``y' = C A
-    z + C B u``. At an acceleration port, they provide the force ``m a - y''`` with ``y'' = C A^2 z
-    + C A B u``. At such a port, C B must be zero, which is true if all moving parts have inertia.
+    z + C B u``. At an acceleration port, the sources provide the force ``m a - y''`` with ``y'' =
+    C A^2 z + C A B u``. At such a port, C B must be zero, which is true if all moving parts have
+    inertia.
     """
 
     terminals: Sequence[PortTerminal]
@@ -387,7 +388,7 @@ class OutputLaws:
         if t.is_frame:
             return self._connect_frame(t)
         row, direct = self.states.C[t.row], self.D[t.row] / t.unit
-        if t.port.charged:  # a capacitor represents the clamped capacitance, not a source
+        if t.port.charged:  # a capacitor, not a source, represents the clamped capacitance
             direct = np.where(np.abs(direct) > CROSS_ROUNDING * np.abs(direct).max(), direct, 0.0)
             direct[t.column] = 0.0
             if not t.clamped:
