@@ -1,11 +1,11 @@
 """Finite-element models of solids with supports, electrodes and ports.
 
-Constraints are met by a choice of independent unknowns. The displacements are ``u = P z``, where z
-contains the free displacements and the six motions of each rigid face. The potentials are ``phi = Q
-p + R V``, where p contains the free potentials (one for each floating electrode), and V the
-voltages of driven electrodes. The loads f of the ports are distributed over the nodes by the matrix
-S. M is the mass matrix, and K_uu, K_up and K_pp are the blocks of the stiffness matrix. The
-equations are
+Supports, rigid faces and electrodes are represented by a choice of independent unknowns. The
+displacements are ``u = P z``, where z contains the free displacements and the six motions of each
+rigid face. The potentials are ``phi = Q p + R V``, where p contains the free potentials, and V the
+voltages of driven electrodes. Each floating electrode has one free potential. The loads f of the
+ports are distributed over the nodes by the matrix S. M is the mass matrix, and K_uu, K_up and K_pp
+are the blocks of the stiffness matrix. The equations are
 
     P'MP z'' + P'K_uu P z + P'K_up Q p + P'K_up R V = P'S f
                      Q'K_up'P z - Q'K_pp Q p - Q'K_pp R V = 0
@@ -53,12 +53,11 @@ from kc2spice.linalg.factor import require_memory_for_factors
 from kc2spice.rom.linear_model import LinearModel, Port, make_piezoelectric_model
 from kc2spice.rom.pencil import Schur
 
-# Square root of the shift [rad/s] of an unsupported body, relative to its slowest wave speed
-# divided by its size.
+# sqrt(shift) of an unsupported body, relative to its slowest wave speed divided by its size
 FREE_SHIFT_RATIO = 1e-3
 UP = np.array([0.0, 0.0, 1.0])
-# Steps of the computation and their relative computing times, measured for piezoelectric blocks
-# with 10 000 and 29 000 unknowns. The first steps are for supported bodies.
+# Steps of the computation for supported and for unsupported bodies, and their relative times.
+# The times were measured for piezoelectric blocks with 10 000 and 29 000 unknowns.
 SUPPORTED_STEPS = ("assembly", 1.0), ("static responses and resonances", 2.6), ("mesh error", 3.8)
 FREE_STEPS = ("assembly", 1.0), ("static responses and resonances", 11.0), ("mesh error", 6.6)
 
@@ -94,9 +93,9 @@ def get_area_name(port: str) -> str:
 class RigidFace:
     """Face that moves as a rigid body, with ports for its motions.
 
-    ``ports`` contains each port and the motion that the port represents: three translations and
-    three rotations (ux, uy, uz, rx, ry, rz). The rotations are about the mean position of the
-    nodes.
+    ``ports`` contains pairs of a port and the motion that the port represents. The motions are
+    three translations (ux, uy, uz) and three rotations (rx, ry, rz). The rotations are about the
+    mean position of the face's nodes.
     """
 
     nodes: np.ndarray
@@ -112,16 +111,17 @@ class BoundaryConditions:
     fixed : mask (d nodes,) of the displacements that are zero.
     electrodes : nodes of each electrode, keyed by its pin; all voltages are relative to the pin
         ``reference``.
-    floating : nodes of each floating electrode, which has no pin, one potential and no net charge.
+    floating : nodes of each floating electrode; such an electrode has one potential, no net charge
+        and no pin.
     shapes : ports of forces and pressures, with their nodal loads.
     faces : rigid faces with ports of forces and moments.
     base : ports of base acceleration, and the direction (3,) of each port.
-    graded : nodes whose potential is a fraction of the first pin's voltage, and these fractions.
-        Such nodes occur if planes of electrodes lie inside elements.
+    graded : nodes whose potential is a fraction of the voltage at the first pin, and the fraction
+        of each node. Nodes have such potentials if planes of electrodes lie inside elements.
     lumped : additional mass [kg] at each node, an array of shape (nodes,).
     springs : additional stiffness matrix [N/m] of shape (d nodes, d nodes).
-    sectors : number of equal solids that move identically. One of them is meshed, and the model
-        represents all of them.
+    sectors : number of equal solids that move identically. One of these solids is meshed, and the
+        model represents all of these solids.
     damping : damping of the solid.
     """
 
@@ -228,7 +228,7 @@ def _estimate_depoling_voltage(solid: Solid, setup: BoundaryConditions) -> float
     if not setup.driven_electrodes or not limits or None in limits:
         return None
     places = solid.places.T
-    from scipy.spatial import cKDTree  # imported here, because few bodies need it
+    from scipy.spatial import cKDTree  # scipy.spatial is imported here, because few bodies need it
 
     near = cKDTree(places[setup.electrodes[setup.reference]])
     distances, _ = near.query(places[np.concatenate([*setup.driven_electrodes.values()])])
@@ -286,9 +286,9 @@ def _add_damping(
         K_uu = assemble_solid(solid, only=material).K_uu
         return beta * (P.T @ (setup.sectors * K_uu) @ P)
 
-    # The first term damps the whole body with the smallest factor of all materials. Further terms
-    # add the remaining damping of each material. In this way, E and K have the same rounding errors
-    # in the first mode.
+    # The first term damps the whole body with the smallest factor beta of all materials.
+    # Further terms add the remaining damping of each material.
+    # With these terms, E and K have the same rounding errors in the first mode.
     least = min(loss)
     E = damping.alpha * model.M + damping_term(least)
     for number, beta in enumerate(loss):
@@ -322,7 +322,7 @@ def compute_rigid_body_modes(solid: Solid, centre: np.ndarray) -> np.ndarray:
     if solid.axisymmetric:
         return compute_rigid_translation(solid, UP)[:, None]
     arm = solid.places.T - centre
-    turns = np.cross(np.eye(3)[:, None], arm[None])  # array (axis, nodes, component)
+    turns = np.cross(np.eye(3)[:, None], arm[None])  # array of shape (axes, nodes, components)
     moves = np.broadcast_to(np.eye(3)[:, None], turns.shape)
     return np.concatenate([moves, turns]).reshape(6, -1).T
 
@@ -332,7 +332,8 @@ def _constrain_displacements(
 ) -> tuple[sparse.csc_array, list[tuple[Port, np.ndarray]]]:
     """Compute the matrix ``P`` of ``u = P z``, and the loads of rigid faces.
 
-    The loads are pairs of a port of a rigid face and its load vector (unknowns,).
+    Each load is a pair: a port of a rigid face, and the load vector of this port. A load vector has
+    the shape (unknowns,).
     """
     d, free = solid.components, ~setup.fixed
     where = solid.places.T
@@ -456,8 +457,8 @@ def _is_supported(solid: Solid, fixed: np.ndarray, pieces: Sequence[np.ndarray])
 
 # names of the ports of the pressure above and below a body
 FRONT_FACE, BACK_FACE = "front_face", "back_face"
-# Lower and upper end [m] of a box along each axis. If both ends are equal along one, two or all
-# axes, the box is a face, an edge or a point.
+# Lower and upper end [m] of a box along each axis.
+# A box with equal ends along one, two or all axes is a face, an edge or a point.
 Box: TypeAlias = tuple[tuple[float, float], ...]
 
 
@@ -465,8 +466,8 @@ Box: TypeAlias = tuple[tuple[float, float], ...]
 class RadiatingFace:
     """Part of the surface that radiates sound.
 
-    The radiating face consists of the elements' outer faces in ``box``. Their outward normals point
-    up if ``upward`` is true, otherwise down.
+    The radiating face consists of the elements' outer faces in ``box``. The outward normals of
+    these outer faces point up if ``upward`` is true, otherwise down.
     """
 
     box: Box
@@ -499,7 +500,8 @@ class BondedBlocks:
     blocks : blocks of material; a later block replaces an earlier block where they overlap.
     electrodes : faces that form the electrode of each pin; voltages are relative to the pin
         ``cathode``.
-    floating : faces that form each floating electrode, which has no pin and no net charge.
+    floating : faces that form each floating electrode; such an electrode has no pin and no net
+        charge.
     ports : face or point of each mechanical port. The force of the port is uniform over the face,
         and the output is the mean upward displacement.
     fixed : axes along which displacements are fixed, such as ``"xz"``, and the box in which they
@@ -550,7 +552,8 @@ class BondedBlocks:
     def rated(self) -> float | None:
         """Voltage [V] at which a ceramic of the body reaches its depoling field, None if unknown.
 
-        If there are floating electrodes between the ceramics, all ceramics have the same field.
+        If there are floating electrodes between the ceramics, all ceramics have the same electric
+        field.
         """
         limits, thicknesses = [], []
         for block in self.blocks:
@@ -568,8 +571,8 @@ class BondedBlocks:
         Raises
         ------
         UsageError : electrodes touch each other, a material of a body of revolution is not
-            isotropic about the axis, or the sequence of edges along an axis differs from
-            :attr:`like`.
+            isotropic about the axis, or the order of the blocks' edges along an axis differs from
+            that of the body :attr:`like`.
         """
         grid = self.grid or self._divide_axes()
         near = 1e-3 * float(np.concatenate([*map(np.diff, grid)]).min())
@@ -644,7 +647,8 @@ class BondedBlocks:
             return np.flatnonzero(np.any([*map(mask_inside, faces)], axis=0))
 
         def shares(box: Box) -> np.ndarray:
-            if np.equal(*np.transpose(box)).all():  # a single point
+            """Return the share of each node in a uniform load on ``box``."""
+            if np.equal(*np.transpose(box)).all():  # the box is a single point
                 result = mask_inside(box)
                 return np.asarray(result / result.sum())
             face = solid.mesh.facets_satisfying(lambda x: _mask_inside_box(box, x, near))

@@ -2,19 +2,19 @@
 
 The cubic functions of :mod:`kc2spice.fem.enrichment` are added to the model ``S w = f`` of the
 displacements and potentials w, where ``S = [[K, C], [C', -P]]``. For a static response w of the
-mesh without these functions, the residual is ``r = f - S w``. The correction e of this response is
-the solution of ``S e = r``. From the correction e_v of the response to a voltage, and the
+mesh without the cubic functions, the residual is ``r = f - S w``. The correction e of this response
+is the solution of ``S e = r``. From the correction e_v of the response to a voltage, and the
 correction e_p of the response to a force, the corrections of capacitance, stroke and compliance are
 
     dC = e_v' S e_v,    d(stroke) = e_p' S e_v,    d(compliance) = e_p' S e_p.
 
-The corrected frequency of a mode is that of the eigenvector that is nearest to the mode. All
-corrections are computed in one space of few vectors (Galerkin, Rayleigh-Ritz). The space is
-extended by solutions for the residuals, alternately in the additional functions alone and in the
-mesh alone. If a support or electrode fixes all nodes of an edge or face, it also fixes the
-additional functions of this edge or face. Loads on the additional functions are neglected. Sources:
-R. E. Bank and R. K. Smith, SIAM J. Numer. Anal. 30 (1993) 921; R. Becker and R. Rannacher, Acta
-Numerica 10 (2001) 1.
+All corrections are computed in one space of few vectors (Galerkin, Rayleigh-Ritz). The corrected
+frequency of a mode is the frequency of the eigenvector in this space that is nearest to the mode.
+Solutions for the residuals extend this space. Each of these solutions contains only the additional
+functions or only the unknowns of the mesh, alternately. If a support or electrode fixes all nodes
+of an edge or face, it also fixes the additional functions of this edge or face. Loads on the
+additional functions are neglected. Sources: R. E. Bank and R. K. Smith, SIAM J. Numer. Anal. 30
+(1993) 921; R. Becker and R. Rannacher, Acta Numerica 10 (2001) 1.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from kc2spice.fem.enrichment import (
 from kc2spice.linalg.factor import Factor, factorise
 from kc2spice.rom.pencil import Schur
 
-# largest number of rounds; each round corrects in the additional functions and then in the mesh
+# largest number of rounds; a round solves for the additional functions, then for the mesh
 MAX_ROUNDS = 4
 # the iteration ends after a round in which the relative change of the corrections is at most this
 CONVERGED_CHANGE = 0.1
@@ -76,9 +76,9 @@ def correct_responses(
 ) -> Corrections:
     """Compute corrections of the modes, and of the static responses to voltages and to a force.
 
-    In ``products``, the responses to voltages precede the response to a force. The body consists of
-    ``sectors`` equal solids, of which one is meshed. ``rounds`` is the largest number of rounds of
-    the iteration.
+    In ``products`` of the returned object, the responses to voltages precede the response to a
+    force. The body consists of ``sectors`` equal solids, of which one is meshed. ``rounds`` is the
+    largest number of rounds of the iteration.
     """
     model, modes = enrich_model(device, answers.solve, sectors), answers.modes
     z = np.hstack([modes, answers.static, answers.pushed])
@@ -133,8 +133,8 @@ class EnrichedModel:
     The docstring of the module defines the matrices K, C and P. M is the mass matrix.
 
     ``operators`` are the matrices of the additional functions. ``factors`` are the factorised
-    blocks of K and P of these functions; a factor is None if its block is empty. The function
-    ``solve_shifted`` multiplies by ``(K + shift M)^-1`` of the mesh.
+    blocks of K and P of the additional functions; a factor is None if its block is empty. The
+    function ``solve_shifted`` multiplies by ``(K + shift M)^-1`` of the mesh.
     """
 
     device: FiniteElementModel
@@ -150,13 +150,14 @@ class EnrichedModel:
         """Extend responses of the mesh to all unknowns, and compute their static residuals.
 
         ``z`` of shape (n, k) contains the responses of the mesh under the ``voltages`` of shape (e,
-        k). Return two pairs of arrays with k columns. The first pair contains the displacements and
-        potentials of the responses, which are zero in the additional functions. The second pair
-        contains the residuals of the equations of displacements and potentials.
+        k). Return two pairs of arrays with k columns. The first pair of arrays contains the
+        displacements and potentials of the responses; its rows for the additional functions are
+        zero. The second pair of arrays contains the residuals of the equations of displacements and
+        potentials.
         """
         K, lift = self.device.model.K, self.device.lift @ voltages
         p = np.zeros((self.P.mesh.shape[0], z.shape[1]))
-        if isinstance(K, Schur):  # K.pp is -K_pp
+        if isinstance(K, Schur):  # the block K.pp is -K_pp
             load = K.pu @ z
             p = -K.inner.solve(load + lift if len(lift) else load)
         (u, phi), more = self.device.compute_nodal_values(z, voltages), self.operators
@@ -209,7 +210,7 @@ def enrich_model(
     more = assemble_enrichment(enrichment, *_find_free_functions(device, enrichment)).scale(sectors)
     K, C, P = _get_mesh_blocks(model.K)
     to_u, to_phi = device.displacement, device.potential
-    if to_phi.shape[1] != P.shape[0]:  # some eliminated unknowns are not potentials
+    if to_phi.shape[1] != P.shape[0]:  # here, some eliminated unknowns are not potentials
         to_phi = sparse.csc_array((to_phi.shape[0], P.shape[0]))
     k, m, p = more.K_nodes @ to_u, more.M_nodes @ to_u, more.P_nodes @ to_phi
     return EnrichedModel(
@@ -332,8 +333,8 @@ class _CorrectionSpace:
         """Compute the corrections of static responses in the space.
 
         Return the weights of the basis vectors of displacements and of potentials, with one column
-        for each load. The ``loads`` are residuals. They must not accelerate the body as a rigid
-        body.
+        for each load. The ``loads`` are residuals. The loads must not accelerate the body as a
+        rigid body.
         """
         elastic = self.u[:, self.rigid :]
         r_u, r_p = elastic.T @ loads[0], self.p.T @ loads[1]
@@ -346,8 +347,8 @@ class _CorrectionSpace:
     def compute_corrections(self, eigenvalues: np.ndarray, loads: Pair) -> Corrections:
         """Return the corrections of the modes and of the static responses.
 
-        ``eigenvalues`` are those of the modes before the correction. ``loads`` are the residuals of
-        the static responses.
+        ``eigenvalues`` are the eigenvalues of the modes before the correction. ``loads`` are the
+        residuals of the static responses.
         """
         u, p = self.solve_galerkin(loads)
         products = loads[0].T @ (self.u @ u) + loads[1].T @ (self.p @ p)

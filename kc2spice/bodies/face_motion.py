@@ -6,8 +6,9 @@ surface S and the normal velocity v. At the wave number k, its pressure in the f
     p = j omega rho / (2 pi r) exp(-j k r) F,     F(direction) = int v exp(j k x . direction) dS.
 
 On the axis, F is the volume velocity for any distribution of v. In other directions, F depends on
-the distribution of v. Therefore, the radiated power ``int |F|^2 dOmega`` also depends on it. A
-piston of radius a has ``F = 2 J1(x) / x int v dS`` with ``x = k a sin(angle)``.
+the distribution of v. Therefore, the radiated power ``int |F|^2 dOmega`` also depends on the
+distribution of v. A piston of radius a has ``F = 2 J1(x) / x int v dS`` with ``x = k a
+sin(angle)``.
 
 Without a baffle, the sound of the back of a thin disc cancels the sound of the front. The disc of
 radius a then radiates as a dipole. At small k a, the ratio of its field on the axis to the field in
@@ -22,8 +23,8 @@ the near field of these modes has the mass
 
     sum_n rho |v_n|^2 coth(g_n h) / g_n <= rho coth(g_1 h) / g_1 int |v - mean|^2 dS,
 
-with ``g_n^2 = kappa_n^2 - k^2``. In this formula, v is the normal velocity for a motion of the body
-with unit amplitude.
+with ``g_n^2 = kappa_n^2 - k^2``. In the formula of this mass, v is the normal velocity for a motion
+of the body with unit amplitude.
 """
 
 from __future__ import annotations
@@ -38,11 +39,11 @@ from scipy.special import j0, j1
 from kc2spice.bodies.undamped import FiniteElementModel
 
 FACE_QUADRATURE = 5  # highest polynomial degree that is integrated exactly over a face
-# Product of a cylinder's radius and its lowest cross wave number: the first positive zero of
-# J1'(x), and for axisymmetric motions (key True) the first positive zero of J1(x).
+# Product of a cylinder's radius and its lowest cross wave number; key True: axisymmetric motions.
+# The product is the first positive zero of J1'(x), or of J1(x) for axisymmetric motions.
 CROSS_MODES = {False: 1.841183781340659, True: 3.831705970207512}
-# Numbers of directions at which the far field in a half-space is sampled. At k a = 20, 30 polar
-# angles would be enough.
+# Numbers of directions at which the far field in a half-space is sampled.
+# At k a = 20, 30 polar angles would be sufficient.
 POLAR_ANGLES, AZIMUTHS = 48, 32
 
 

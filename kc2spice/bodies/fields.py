@@ -6,7 +6,7 @@ model are integrated exactly for inputs that are linear between samples. The unk
 model are ``z = V x`` for the unknowns x of the projected model.
 
 In each element, strain S, electric field E and stress T are computed from the displacement u and
-the potential phi. Therefore, stresses may jump between materials:
+the potential phi. The stress may jump between materials, because the constants C and e differ:
 
     S = B u,   E = -grad phi,   T = C S - e' E
 """
@@ -32,15 +32,15 @@ from kc2spice.rom.pencil import congruence
 from kc2spice.rom.reductors.block_krylov import compute_block_krylov_basis
 
 BASIS_SIZE = 40  # number of vectors of the Krylov basis
-# Rounding errors give rigid-body modes a frequency above zero. This is the largest such frequency,
-# relative to the highest frequency of all modes.
+# Largest frequency of rigid-body modes, relative to the highest frequency of all modes.
+# Rounding errors cause this frequency; the exact frequency of a rigid-body mode is zero.
 ZERO_FREQUENCY_RATIO = 1e-6
-# Smallest phase [rad] of an elastic mode over the whole run. A mode with a smaller phase counts as
-# a rigid-body mode.
+# Smallest phase [rad] of an elastic mode over the whole run.
+# A mode with a smaller phase counts as a rigid-body mode.
 MIN_PHASE = 1e-4
-# Smallest number of instants at which extremes are searched, and the product of points and instants
-# up to which more instants are searched. Half of the instants are equally spaced in time. The other
-# half are the samples with the largest energy.
+# Smallest number of instants at which extremes are searched.
+# More instants are searched while the product of points and instants is at most MAX_WORK.
+# Half of the instants are equally spaced in time; the others are the samples of largest energy.
 MIN_INSTANTS = 200
 MAX_WORK = 2_000_000
 CHUNK_SIZE = 20  # number of instants at which fields are evaluated at once
@@ -187,8 +187,8 @@ class FieldProbe:
         self.device = device
         solid = device.solid
         local = solid.element.doflocs
-        # In linear elements, strains are most accurate at the Gauss points. They are undefined at
-        # the nodes of a collapsed edge.
+        # In linear elements, strains are most accurate at the Gauss points.
+        # At the nodes of a collapsed edge, strains are undefined.
         if solid.order == 1:
             local = 0.5 + (local - 0.5) / np.sqrt(3)
         nodes = (local.T, np.ones(len(local)))
@@ -201,7 +201,8 @@ class FieldProbe:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the displacements and the potentials at the nodes of the body.
 
-        The arguments and the arrays are those of :meth:`FiniteElementModel.compute_nodal_values`.
+        The arguments and the returned arrays are the same as in
+        :meth:`FiniteElementModel.compute_nodal_values`.
         """
         return self.device.compute_nodal_values(z, voltages)
 
@@ -256,7 +257,7 @@ def compute_largest_principal_stress(stress: np.ndarray) -> np.ndarray:
     """Return the largest principal stress of each stress tensor.
 
     ``stress`` contains tensors in Voigt order, an array of shape (..., 6). The largest principal
-    stress is the trigonometric solution of the cubic characteristic equation.
+    stress is computed by the trigonometric solution of the cubic characteristic equation.
     """
     xx, yy, zz, *shears = np.moveaxis(stress, -1, 0)
     mean = (xx + yy + zz) / 3
@@ -271,8 +272,8 @@ def compute_largest_principal_stress(stress: np.ndarray) -> np.ndarray:
     return np.asarray(mean + 2 * size * radius * np.cos(angle))
 
 
-# Quantities whose extremes are searched in each material, with their unit and with the attribute of
-# the material that contains the limit of the quantity.
+# Quantities whose extremes are searched in each material.
+# Each item contains the unit, and the name of the material attribute that contains the limit.
 FIELD_QUANTITIES = {
     "principal_stress": ("Pa", "tensile_strength"),
     "electric_field": ("V/m", "breakdown_field"),
@@ -303,8 +304,8 @@ class Extreme(EqualByContent):
 def find_extremes(motion: NodalMotion) -> list[Extreme]:
     """Find the largest stress and electric field in each material during a run.
 
-    In every material, the extreme is the largest principal stress. In piezoelectric materials, it
-    is also the largest electric field and the largest field against the poling direction.
+    In every material, the largest principal stress is searched. In piezoelectric materials, the
+    largest electric field and the largest field against the poling direction are also searched.
 
     The extremes are searched at the Gauss points. At re-entrant corners and at edges of clamps, the
     stress of linear elasticity grows without bound as the mesh is refined.
@@ -365,8 +366,8 @@ def _evaluate_quantity(
 def _choose_instants(motion: NodalMotion, count: int) -> np.ndarray:
     """Choose the samples at which extremes are searched.
 
-    Half of the ``count`` samples are equally spaced in time. The other half have the highest
-    elastic and electric energy.
+    Half of the ``count`` samples are equally spaced in time. The other half are the samples with
+    the highest elastic and electric energy.
     """
     K = motion.device.model.pencil.project(motion.basis).coefficients[0]
     energy = np.einsum("ti,ij,tj->t", motion.states, K, motion.states)

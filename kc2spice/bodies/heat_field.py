@@ -23,8 +23,8 @@ from kc2spice.rom.reductors.block_krylov import compute_block_krylov_basis
 
 BASIS_SIZE = 40  # number of vectors of the Krylov basis
 SEARCH_INSTANTS = 200  # number of instants among which the highest temperature is searched
-# Rate that is added to all decay rates, relative to the reciprocal duration of the run. It makes
-# the matrix regular for a body that loses no heat.
+# Rate that is added to all decay rates, relative to the reciprocal duration of the run.
+# The added rate makes the matrix regular for a body that loses no heat.
 SLOW_RATE_RATIO = 1e-3
 
 

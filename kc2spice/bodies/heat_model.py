@@ -36,13 +36,12 @@ from kc2spice.rom.linear_model import LinearModel, Port
 HEAT_CAPACITY_NAME = "heat_capacity_j_per_k"  # key in `facts` of the body's total heat capacity
 # key in `facts` of the frequency up to which the mesh resolves the response
 MESH_LIMIT_NAME = "mesh_limit_hz"
-# Ratio of the error estimate from recovered heat flows to the true error of a thermal resistance.
-# The comparison with much finer meshes yields 0.32 for a uniform heat flow into a disc, and 0.42
-# for an isothermal disc.
+# Error of a thermal resistance estimated from recovered heat flows, relative to its true error.
+# Much finer meshes yield 0.32 for uniform heat flow into a disc, and 0.42 for an isothermal disc.
 RECOVERED_SHARE = 0.35
 # the key of a port's thermal resistance is RESISTANCE_PREFIX + PORT + "_k_per_w"
 RESISTANCE_PREFIX = "thermal_resistance_"
-MIN_STATED_ERROR = 1e-6  # smallest relative mesh error that is stated
+MIN_STATED_ERROR = 1e-6  # smallest relative mesh error that a model states
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +69,7 @@ class HeatBoundaryConditions:
     sources : port of each heat source, and the share (nodes,) of its heat flow at each node.
     films : faces that transfer heat to a fluid.
     interfaces : inner faces and their thermal resistance times area [m^2 K/W].
-    points : names of the heat sources at a single point. The thermal resistance of such a source
+    points : names of the heat sources at a single point. The thermal resistance of a point source
         grows without bound as the mesh is refined.
     """
 
@@ -162,8 +161,8 @@ def _find_highest_frequency(solid: HeatSolid) -> float:
     """Return the highest frequency [Hz] that the mesh resolves.
 
     A temperature that varies like ``sin(pi x / h)`` in an element of the size h decays at the rate
-    ``k pi^2 / (rho c h^2)``. The frequency is this rate in the smallest element, divided by ``2
-    pi``.
+    ``k pi^2 / (rho c h^2)``. The returned frequency is the decay rate in the smallest element,
+    divided by ``2 pi``.
     """
     mesh, result = solid.geometry.mesh, 0.0
     basis = solid.geometry.basis(1)
@@ -179,8 +178,8 @@ def _find_highest_frequency(solid: HeatSolid) -> float:
 def _constrain_temperatures(solid: HeatSolid, setup: HeatBoundaryConditions) -> sparse.csc_array:
     """Return the matrix ``P`` that maps the unknowns z to nodal temperatures ``T = P z``.
 
-    The matrix has one row for each node. Its first columns are for the free nodes, and its last
-    columns for the isothermal faces.
+    The matrix has one row for each node. The first columns of the matrix are for the free nodes,
+    and the last columns for the isothermal faces.
     """
     constraint_count = np.zeros(solid.count, int)
     constraint_count[setup.fixed] = 1

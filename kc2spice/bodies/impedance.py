@@ -2,7 +2,7 @@
 
 The values are f_s, f_p, Q, coupling, capacitance and the elements of a Butterworth-Van Dyke (BVD)
 circuit. This circuit is a capacitor C0 in parallel with a branch of R, L and C in series.
-With s = j w, its admittance is
+With s = j w, the admittance of the circuit is
 
     Y(s) = s C0 + s C / (1 + s R C + s^2 L C).
 
@@ -26,7 +26,7 @@ from kc2spice.core.errors import wrong
 _MIN_SAMPLES = 7  # smallest number of samples around the resonance; the fit has six coefficients
 _FIT_ITERATIONS = 8
 OVERDAMPED_Q = 0.5  # Q factor of a critically damped circuit, whose charge has no overshoot
-# smallest ratio of a resonance's largest conductance to the rms residual of the fitted circuit
+# smallest peak conductance of a resonance, relative to the rms residual of the fitted circuit
 MIN_PROMINENCE = 3.0
 
 
@@ -72,8 +72,8 @@ def analyse_impedance(frequency: np.ndarray, impedance_ohm: np.ndarray) -> Analy
     """Return the characteristic values of the first resonance in samples of an impedance.
 
     The samples are at increasing frequencies [Hz]. The field ``capacitance_f`` is Im(Y)/w at 1 kHz
-    or at a tenth of the resonance frequency, whichever is lower. If this frequency is below the
-    lowest sample, Y of the fitted circuit is used.
+    or at a tenth of the resonance frequency, whichever is lower. If the frequency for
+    ``capacitance_f`` is below the lowest sample, Y of the fitted circuit is used.
 
     Raises
     ------
@@ -119,7 +119,7 @@ def _require_resonance(
     losses.
     """
     branch = bvd.admittance(f) - 2j * np.pi * f * bvd.c0_f
-    # after subtraction of the branch, the conductance is due to dielectric loss and other modes
+    # the conductance without the R-L-C branch is due to dielectric loss and other modes
     conductance = Y.real - branch.real
     ripple = conductance - np.polyval(np.polyfit(f, conductance, 2), f)
     got = f"{f[0]:g} to {f[-1]:g} Hz"
@@ -136,8 +136,8 @@ def _select_window(f: np.ndarray, Y: np.ndarray) -> slice:
     """Select the samples around the first resonance and its antiresonance.
 
     A resonance is a local maximum of G/w that is at least a twentieth of the largest maximum. The
-    antiresonance is the next local maximum of Re(Z). The selected samples begin as many samples
-    below the resonance as the antiresonance is above it.
+    antiresonance is the next local maximum of Re(Z). The number of selected samples below the
+    resonance equals the number of samples between resonance and antiresonance.
     """
     G = Y.real / f
     inner = np.flatnonzero((G[1:-1] >= G[:-2]) & (G[1:-1] > G[2:])) + 1
@@ -165,8 +165,8 @@ def _select_window(f: np.ndarray, Y: np.ndarray) -> slice:
 def _fit_circuit(f: np.ndarray, Y: np.ndarray) -> BVD:
     """Fit a Butterworth-Van Dyke circuit to samples of Y by weighted linear least squares.
 
-    The frequencies f and the admittances Y are divided by their magnitude. The least-squares
-    problem has the coefficients of
+    The frequencies f are scaled by their mean, and the admittances Y by their largest magnitude.
+    The least-squares problem determines the coefficients of the equation
 
         Y (1 + a s + b s^2) = s C + (s C0 + s^2 g)(1 + a s + b s^2).
 

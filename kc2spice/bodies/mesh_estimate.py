@@ -10,15 +10,15 @@ On triangles, tetrahedra and quadrilaterals, each error e is estimated by the co
 shape functions yield (:mod:`kc2spice.bodies.enriched_model`). At edges of electrodes and supports,
 the solution is singular, and it converges slowly as the polynomial degree rises. The cubic
 functions therefore correct only the share :data:`CORRECTED_SHARE` of the error. On hexahedra, cubic
-functions would need more time than the model itself. There, e is the difference between the
-recovered strain and electric field and those of the model (:mod:`kc2spice.fem.recovery`).
+functions would need more time than the model itself. On hexahedra, e is the difference between
+recovered and computed strain and electric field (:mod:`kc2spice.fem.recovery`).
 
 In the error of a stroke, positive and negative contributions may cancel by chance. Therefore, the
-estimate is increased. On hexahedra, the sum of the absolute contributions of the elements is added
-with the factor :data:`ABSOLUTE_SHARE`. On other elements, the bound ``sqrt(A(e_p, e_p) A(e_v,
-e_v))`` is added with the factor :data:`BOUND_SHARE`. All factors were determined by comparison with
-much finer meshes. ``tests/physics/test_mesh_error.py`` checks that an estimate is at least half and
-at most twice the error.
+error estimate of a stroke is increased. On hexahedra, the sum of the absolute contributions of the
+elements is added with the factor :data:`ABSOLUTE_SHARE`. On other elements, the bound ``sqrt(A(e_p,
+e_p) A(e_v, e_v))`` is added with the factor :data:`BOUND_SHARE`. All factors were determined by
+comparison with much finer meshes. ``tests/physics/test_mesh_error.py`` checks that an estimate is
+at least half and at most twice the error.
 """
 
 from __future__ import annotations
@@ -31,18 +31,20 @@ from kc2spice.bodies.undamped import FiniteElementModel, UndampedResponses
 from kc2spice.core.mesh_error import MESH_ERROR_PREFIX
 from kc2spice.fem.recovery import compute_energy_products
 
-# Share of the energy error that cubic functions correct. This share is 1 - (2/3)^2 = 0.56 for a
-# solution that varies like r^0.5 at an edge, and 0.68 for r^0.7 at a clamp. It is 0.4 to 0.9 on the
-# meshes of tests/physics/test_mesh_error.py.
+# Share of the energy error that cubic functions correct.
+# If a solution varies like r^0.5 at an edge, the share is 1 - (2/3)^2 = 0.56.
+# If a solution varies like r^0.7 at a clamp, the share is 0.68.
+# On the meshes of tests/physics/test_mesh_error.py, the share is 0.4 to 0.9.
 CORRECTED_SHARE = 0.6
-# Share of the error bound that is added to the error estimate of a stroke. If the energy product of
-# a stroke is below a tenth of the bound, the estimate without this share is half of the error.
+# Share of the error bound that is added to the error estimate of a stroke.
+# For energy products below bound / 10, the estimate without this share is half of the error.
 BOUND_SHARE = 0.05
-# Factor of the sum of absolute element contributions in the error estimate of a static response. In
-# beams, the contributions cancel, so that their sum with signs is only 0.3 of the error.
+# Factor of the sum of absolute element contributions in the error estimate of a static response.
+# In beams, the contributions cancel: the sum of the signed contributions is 0.3 of the error.
 ABSOLUTE_SHARE = 1 / 3
-MIN_CORRECTION_RATIO = 0.1  # smallest ratio of a corrected value to the uncorrected value
-# smallest relative mesh error that is stated; smaller errors are rounding errors or errors of ports
+MIN_CORRECTION_RATIO = 0.1  # smallest corrected value, relative to the uncorrected value
+# Smallest relative mesh error that a model states.
+# Smaller errors are rounding errors or errors of ports.
 MIN_STATED_ERROR = 1e-4
 
 

@@ -4,10 +4,10 @@ A force on a circle of mesh nodes is a line load. The indentation under a line l
 bound as the mesh is refined. In this module, contact pressures are sums of basis functions that are
 piecewise linear in the radius (P1). The displacement of a basis function is the average of the
 surface displacement, weighted with this function. The mesh of the whole stack is too coarse for
-these functions. Its contact port is therefore a patch with the pressure of a flat punch. Let S be
-the static compliance matrix (n, n) between the basis functions. If the force is divided among the
-functions in the shares ``w = S^-1 1 / (1' S^-1 1)``, all functions have the same displacement: ``S
-w = s 1``. The displacement of function i is
+these functions. The contact port of the whole stack is therefore a patch with the pressure of a
+flat punch. Let S be the static compliance matrix (n, n) between the basis functions. If the force
+is divided among the functions in the shares ``w = S^-1 1 / (1' S^-1 1)``, all functions have the
+same displacement: ``S w = s 1``. The displacement of function i is
 
     u_i = u_patch + sum_j (S - s_patch 1 1')_ij F_j,     F_patch = sum_j F_j,
 
@@ -15,34 +15,34 @@ where S is the compliance of a round stack of the same layers on a graded axisym
 ``s_patch`` is the compliance of the patch on the coarse mesh of the same round stack. The sum adds
 the compliance that the coarse mesh does not represent. The displacements of the round stack and of
 the real stack differ by a smooth function of the position, which is nearly equal for all basis
-functions. The port of the patch includes this difference and its dynamics. ``S - s 1 1'`` is
-positive semi-definite, because s is the smallest compliance of all possible shares. A coarse mesh
-is too stiff, so that s_patch is smaller than s. Therefore, ``S - s_patch 1 1'`` is also positive
-semi-definite.
+functions. The port of the patch represents this difference between the two stacks, including its
+dynamics. ``S - s 1 1'`` is positive semi-definite, because s is the smallest compliance of all
+possible shares. A coarse mesh is too stiff, so that s_patch is smaller than s. Therefore, ``S -
+s_patch 1 1'`` is also positive semi-definite.
 
-The local compliance has no inertia, like residual modes (:mod:`kc2spice.rom.modal`). Inertia is
-negligible, because the modes of the patch are above ten megahertz (speed of sound divided by the
-size of the patch). Therefore, the forces depend only on x, the indentation of a sphere relative to
-the patch. The sum of the forces is a function of x (:func:`fit_indentation_law`), which a circuit
-evaluates like the force of one spring.
+Like residual modes (:mod:`kc2spice.rom.modal`), the local compliance has no inertia. The inertia of
+the patch is negligible, because the modes of the patch are above ten megahertz (speed of sound
+divided by the size of the patch). Therefore, the forces depend only on x, the indentation of a
+sphere relative to the patch. The sum of the forces is a function of x
+(:func:`fit_indentation_law`), which a circuit evaluates like the force of one spring.
 
 The other contact body may be a free elastic sphere (:class:`TransverselyIsotropicSphere`) with the
-same basis functions. The quadrilaterals of its mesh grow with the distance from the lowest point,
-the lower pole. Points in the half disc are ``zeta = r + i h``, where h is the height above the
-lower pole. The conformal map ``zeta = w / (1 - i w / 2R)`` transforms the quarter plane ``w = 2R
-(tan x/2 + i tan y/2)`` to this half disc. Lines of constant angles x (along the surface) and y
-(along the axis) cross at right angles everywhere. On the surface at the lower pole, the lines of
-the grid meet the nodes of the basis functions. The upper pole is at infinity in the quarter plane.
-The mesh omits a pit of the radius ``R / 30`` at the upper pole. This pit has 1e-5 of the sphere's
-mass.
+same basis functions. The quadrilaterals in the mesh of the sphere are larger at larger distances
+from the lowest point of the sphere (the lower pole). Points in the half disc are ``zeta = r + i
+h``, where h is the height above the lower pole. The conformal map ``zeta = w / (1 - i w / 2R)``
+transforms the quarter plane ``w = 2R (tan x/2 + i tan y/2)`` to this half disc. Lines of constant
+angles x (along the surface) and y (along the axis) cross at right angles everywhere. On the surface
+at the lower pole, the lines of the grid meet the nodes of the basis functions. The upper pole is at
+infinity in the quarter plane. The mesh omits a pit of the radius ``R / 30`` at the upper pole. This
+pit has 1e-5 of the sphere's mass.
 
 Displacements of the sphere are relative to its centre of mass. The rigid translation of the sphere
 along the axis is the vector t (n,), and its mass is ``m = t' M t``. The loads B of the ports are
 supplemented by the inertia forces that balance them: ``B - M t t' B / m``. Therefore, forces at the
 ports do not move the centre of mass. K would be singular for the rigid translation. A spring ``(M
-t) (M t)' w^2 / m`` makes K definite; it is represented by an unknown that is eliminated. No port
-force deforms this spring, and no output contains its deformation. A uniform force, such as weight,
-has no effect.
+t) (M t)' w^2 / m`` makes K definite; the spring is represented by an unknown that is eliminated. No
+port force deforms this spring, and no output contains its deformation. A uniform force, such as
+weight, has no effect.
 """
 
 from __future__ import annotations
@@ -79,13 +79,13 @@ MAX_CONTACT_RATIO = 0.5
 MIN_FUNCTIONS = 5
 LAW_DEGREE = 5  # degree of the force law's polynomial in the contact radius
 FIT_DEPTHS = 300  # number of indentations to which the force law is fitted
-# Share of the largest diagonal entry that is added to the diagonal of a compliance matrix, so that
-# the matrix is definite.
+# This share of the largest diagonal entry is added to all diagonal entries of a compliance matrix.
+# The sum of matrix and added diagonal entries is definite.
 REGULARISATION = 1e-7
-# Dimensionless frequency 2 pi f R / c of the lowest mode of a sphere of radius R, with the speed c
-# of shear waves (Lamb 1882, Poisson's ratio 0.25).
+# Dimensionless frequency 2 pi f R / c of the lowest mode of a sphere of radius R.
+# Here, c is the speed of shear waves, and Poisson's ratio is 0.25 (Lamb 1882).
 OBLATE_FREQUENCY = 2.65
-MAX_CELL_ANGLE = 1 / 8  # rad, largest angle of a cell
+MAX_CELL_ANGLE = 1 / 8  # rad, largest angle that a cell of the sphere's mesh spans
 PIT_ANGLE = 1 / 60  # rad, angle around the upper pole that the mesh omits
 
 
@@ -162,7 +162,7 @@ class LocalCompliance(EqualByContent):
 
     @property
     def shares(self) -> np.ndarray:
-        """Share of a force on each basis function that gives all functions equal displacements.
+        """Shares of a force on the basis functions that give all functions equal displacements.
 
         The returned array has the shape (n,).
         """
@@ -208,9 +208,9 @@ def compute_surface_compliance(
 ) -> np.ndarray:
     """Compute the compliance between all basis functions on the top of a round stack.
 
-    The diameter of the stack is the smaller side of the chip. The stack stands on a frictionless
-    support, and the voltages of its electrodes are constant. Return a matrix of shape (n, n) [m/N].
-    ``cells`` is the number of cells between two nodes of the basis functions.
+    The diameter of the round stack is the smaller side of the chip. The round stack stands on a
+    frictionless support, and the voltages of its electrodes are constant. Return a matrix of shape
+    (n, n) [m/N]. ``cells`` is the number of cells between two nodes of the basis functions.
     """
     return _compute_port_compliance(_model_stack(chip, shape, cells).model)
 
@@ -341,8 +341,8 @@ class IndentationLaw:
 
     The force is ``sum_k c_k s^(3 + k)`` [N] with ``s = sqrt(x / depth)``, where ``depth`` [m] is
     the largest indentation of the law. Thus s is the contact radius divided by its maximum. The
-    first term of the sum is Hertz's law. The other terms are effects of the layers and of the size
-    of the body.
+    first term of the sum is Hertz's law. The other terms represent effects of the layers and of the
+    size of the body.
     """
 
     depth: float
@@ -360,13 +360,13 @@ def fit_indentation_law(
     """Fit the force law of a sphere that is pressed on a surface with basis functions.
 
     ``compliance`` (n, n) [m/N] is the compliance matrix of the functions, and ``gap`` (n,) [m] is
-    the initial gap between each function and the sphere. The functions come into contact one after
-    another, so that the force is a piecewise linear function of the indentation with n pieces. This
-    force differs from the converged force by a relative error of up to a quarter of (spacing /
-    contact radius)^2. The work ``J = int F dx`` is a minimum over all pressures. Its error is
-    therefore proportional to the squared errors of the pressures. A polynomial is fitted to J at
-    contact radii of at least :data:`MIN_FUNCTIONS` functions. The force law is the derivative of
-    this polynomial.
+    the initial gap between each function and the sphere. The basis functions come into contact one
+    after another, so that the force is a piecewise linear function of the indentation with n
+    pieces. This force differs from the converged force by a relative error of up to a quarter of
+    (spacing / contact radius)^2. The work ``J = int F dx`` is a minimum over all pressures. The
+    error of J is therefore proportional to the squared errors of the pressures. A polynomial is
+    fitted to J at contact radii within which there are at least :data:`MIN_FUNCTIONS` basis
+    functions. The force law is the derivative of this polynomial.
     """
     spacing, widest = shape.nodes[1], MAX_CONTACT_RATIO * shape.nodes[-1]
     # in Hertz's solution, the pressure at this radius is half of the largest pressure
@@ -390,7 +390,7 @@ def solve_contact_forces(compliance: np.ndarray, gap: np.ndarray, depth: np.ndar
     ``f'(S f - g) = 0``. These are the conditions of a minimum of ``f'S f / 2 - f'g``. With the
     factorisation ``S = L L'``, this function equals ``|L'f - L^-1 g|^2 / 2`` apart from a constant.
     """
-    from scipy.optimize import nnls  # imported here, because contacts of rings do not need it
+    from scipy.optimize import nnls  # nnls is imported here, because ring contacts do not need it
 
     soft = REGULARISATION * compliance.diagonal().max()
     L = np.linalg.cholesky(compliance + soft * np.eye(gap.size))
@@ -495,7 +495,7 @@ def _model_free_sphere(
         facts={"unknowns": float(len(unknowns)), "mass_kg": mass},
     )
     moved = sparse.eye_array(free.size, format="csc")[:, unknowns]
-    none = sparse.csc_array((len(free), 0))  # no electric field in the sphere
+    none = sparse.csc_array((len(free), 0))  # the sphere has no electric field
     return FiniteElementModel(model, solid, moved, none, none, np.zeros((0, 0)), 0.0, mass)
 
 

@@ -5,7 +5,8 @@ One quarter of the stack is meshed, because all four quarters move in the same w
 forces. A *level* is a layer of elements of the mesh. It contains one ceramic layer, or several
 ceramic layers as one medium if the key ``layers_per_element`` permits this. The electrodes
 determine the electric field in each ceramic layer. Therefore, m parallel layers at the same voltage
-equal one layer of m times the thickness, the coupling ``m e`` and the permittivity ``m^2 eps``.
+are equivalent to one layer with m times the thickness, the coupling ``m e`` and the permittivity
+``m^2 eps``.
 
 Electrode planes with even numbers are the grounded cathode, and planes with odd numbers are the
 anode. The poling of the layers alternates: it is along -z above a cathode, so that a positive
@@ -31,13 +32,13 @@ from kc2spice.linalg.factor import require_memory
 from kc2spice.rom.linear_model import Port
 
 LEVEL_GROWTH = 0.25  # largest ratio of a level's thickness to its depth below the top
-# Memory [bytes] of the sparse factors of a solid with n unknowns, divided by n^(4/3). With 152 000
-# unknowns, the factors took 5.8 GB.
+# Memory [bytes] of the sparse factors of a solid with n unknowns, divided by n^(4/3).
+# The sparse factors of a solid with 152 000 unknowns took 5.8 GB.
 SPARSE_BYTES = 700.0
 # largest distance between nodes that are regarded as one position, relative to the stack's size
 _POSITION_TOLERANCE = 1e-9
-# Order of the quadrature over a cell. It is high, because the slope of a pressure may jump inside
-# the cell.
+# Order of the quadrature over a cell.
+# The order is high, because the slope of a pressure may jump inside the cell.
 _PRESSURE_QUADRATURE = 8
 
 Profile = tuple[np.ndarray, np.ndarray]
@@ -95,7 +96,7 @@ def make_stack_setup(
     plane = 1 + (lattice.shape[0] - 1) * lattice.shape[1]
     nodes, inner = plane * len(heights), plane * int((spans == 1).sum()) * (steps - 1)
     sparse_bytes = SPARSE_BYTES * (3.0 * nodes + inner) ** (4 / 3)
-    require_memory(  # the stiffness factor is sparse with free potentials, otherwise banded
+    require_memory(  # the factorised matrix is banded if there are no free potentials
         sparse_bytes if inner else min(sparse_bytes, 8.0 * 3 * nodes * 3 * plane),
         "the factorised stiffness",
         where="kick.mesh",
@@ -158,8 +159,8 @@ def _make_hexahedra(
 def choose_level_spans(kick: Chip) -> np.ndarray:
     """Choose the number of ceramic layers in each level of elements, from the bottom to the top.
 
-    The number is at most ``layers_per_element``. Levels of several layers are not thicker than
-    :data:`LEVEL_GROWTH` times their depth below the top.
+    The number of ceramic layers in a level is at most ``layers_per_element``. Levels of several
+    layers are not thicker than :data:`LEVEL_GROWTH` times their depth below the top.
     """
     spans: list[int] = []
     while (left := kick.layers - sum(spans)) > 0:
@@ -198,10 +199,10 @@ def _place_nodes(kick: Chip, steps: int) -> np.ndarray:
         edge = half[0] * (np.sqrt(angle / np.sin(angle)) if mesh.order == 1 else 1.0) * circle
     left = min(half) - mesh.rings * mesh.ring_spacing
     growth, count, ratio = 1.0, mesh.outer_rings, left / mesh.ring_spacing
-    # The growth factor g solves: spacing (1 + g + ... + g^(count-1)) = remaining length. In this
-    # way, the first outer ring has the spacing of the contact rings.
+    # The growth factor g solves: spacing (1 + g + ... + g^(count-1)) = remaining length.
+    # With this growth factor, the first outer ring has the spacing of the contact rings.
     if ratio > count > 1:
-        from scipy.optimize import brentq  # imported here, because most meshes come from the cache
+        from scipy.optimize import brentq  # brentq is imported here, because most meshes are cached
 
         growth = brentq(lambda g: (g ** np.arange(count)).sum() - ratio, 1.0, ratio, xtol=1e-15)
     sizes = np.cumsum(growth ** (np.arange(count * steps) / steps))

@@ -18,8 +18,8 @@ from kc2spice.rom.linear_model import LinearModel
 
 # largest relative residual of an eigenmode; the relative frequency error is its square
 MODE_RESIDUAL = 1e-5
-# Numbers of modes to compute: a larger number is used if the ports excite none of the modes. An
-# unsupported body has up to six rigid-body modes.
+# Numbers of modes to compute; a larger number is used if the ports excite none of the modes.
+# An unsupported body has up to six rigid-body modes.
 MODE_COUNTS = (4, 8, 40)
 # A port excites a mode if the mode has more than this share of the static response (mass norm).
 MIN_MODE_SHARE = 0.03
@@ -73,10 +73,11 @@ class UndampedResponses:
     model. A column of ``static`` is the response to 1 V at one electrical port. The column of
     ``pushed`` is the response to 1 N at the first mechanical port; ``pushed`` has no column if
     there is no such port. The columns of ``modes`` are the lowest modes that the electrical ports
-    excite, with all electrical ports shorted. In a body without electrical ports, they are the
-    lowest modes that its other ports excite. The columns of ``rigid`` are rigid-body modes.
-    ``facts`` contains characteristic values, such as capacitances, keyed by name. The function
-    ``solve`` multiplies a vector by the inverse of the shifted stiffness ``K + shift M``.
+    excite, with all electrical ports shorted. In a body without electrical ports, the columns of
+    ``modes`` are the lowest modes that the other ports excite. The columns of ``rigid`` are
+    rigid-body modes. ``facts`` contains characteristic values, such as capacitances, keyed by name.
+    The function ``solve`` multiplies a vector by the inverse of the shifted stiffness ``K + shift
+    M``.
     """
 
     facts: dict[str, float]
@@ -164,14 +165,14 @@ def _find_resonance(
 
     Return the frequency [Hz] of the resonance, the modes that the ports excite, and the rigid-body
     modes. The modes are the columns of arrays with n rows. If the ports excite none of the lowest
-    modes, the frequency is None. The Lanczos method starts from the static responses. Therefore, it
+    modes, the frequency is None. The Lanczos method starts from the static responses, and therefore
     finds only modes that the ports excite.
     """
     n, M = model.order, model.M
     inverse = LinearOperator((n, n), matvec=solve, dtype=float)
     ports = [k for k in ports if model.B[:, k].any()]
     none = rigid = np.empty((n, 0))
-    if not ports:  # no port excites the body, such as a dielectric that is not piezoelectric
+    if not ports:  # no port excites a body such as a dielectric that is not piezoelectric
         return None, none, rigid
     static = np.array([solve(model.B[:, k]) for k in ports])
     start = (static / np.linalg.norm(static, axis=1, keepdims=True)).sum(axis=0)

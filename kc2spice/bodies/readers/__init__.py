@@ -201,8 +201,8 @@ def _read_rows(path: Path | str, sidecar: Path | str | None) -> tuple[Rows, list
 def _read_term(entry: TermEntry, path: Path, model: raw.Raw, where: str) -> Matrix | None:
     """Read the matrix of a term from its file.
 
-    Return None if the term has neither file nor matrix name. Its factor then multiplies the matrix
-    of the model.
+    Return None if the term has neither file nor matrix name. The factor of such a term multiplies
+    the matrix of the model.
 
     Raises
     ------
@@ -258,8 +258,8 @@ def measure_mesh_extent(path: Path, sidecar: Path | None) -> np.ndarray | None:
 # file extensions that may follow NAME.K or NAME_K
 _MATRIX_SUFFIXES = ("", ".mtx", ".mm", ".txt", ".matrix", ".hb", ".rsa", ".rua")
 _MATRIX_FILE = re.compile(r"(.+)([._])([MEKABCD])(\.(?:mtx|mm|txt|matrix|hb|rsa|rua))?")
-# Key of a single file that contains all matrices. It is used if the user writes the name of a model
-# without a file extension.
+# Key of a single file that contains all matrices.
+# This key is used if the user writes the name of a model without a file extension.
 _SINGLE_FILE = ""
 _MATLAB_EXPECTED = "a MATLAB file of version 5 to 7.2 with matrices, or with one mphmatrix struct"
 _ARRAYS_EXPECTED = (
@@ -268,9 +268,9 @@ _ARRAYS_EXPECTED = (
 )
 _JOB_EXPECTED = f"{', '.join(codes.SUFFIXES)} of one job"
 NAMED_FORMATS = (".npz", ".op4", ".pch")  # formats that contain names of matrices
-# Description and reader of each format that contains all matrices in one file, keyed by file
-# extension. The second argument of a reader is the mapping `matrices` in the TOML file, which
-# contains the names of matrices inside the file.
+# Description and reader of each format with all matrices in one file, keyed by file extension.
+# The second argument of a reader is the mapping `matrices` in the TOML file.
+# The mapping `matrices` contains the names of the matrices inside the file.
 READERS: Mapping[str, tuple[str, Callable[[Path, Mapping[str, str]], raw.Raw]]] = {
     ".npz": (_ARRAYS_EXPECTED, raw.read_matrix_archive),
     ".mat": (_MATLAB_EXPECTED, raw.make_unpacker(raw.unpack_matlab)),
@@ -373,7 +373,7 @@ def _read_files(path: Path, files: dict[str, Path], requested: Mapping[str, str]
     """Read the matrices of a model without any conversion.
 
     ``files`` contains a file for each matrix. If it is empty, ``path`` contains all matrices.
-    ``requested`` maps letters to the names of matrices in this file.
+    ``requested`` maps letters to the names of the matrices in ``path``.
     """
     suffix = path.suffix.lower()
     if files:

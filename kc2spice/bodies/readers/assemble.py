@@ -43,7 +43,7 @@ from kc2spice.rom.linear_model import (
 )
 from kc2spice.rom.pencil import Matrix
 
-# Imaginary parts in the rows of potentials are rounding errors up to this ratio to the real parts.
+# largest rounding error of imaginary parts in rows of potentials, relative to the real parts
 IMAGINARY_ROUNDING = 1e-12
 
 
@@ -67,7 +67,7 @@ def _match_letters(rows: Rows) -> Mapping[str, Matrix]:
     """Rename a damping matrix C to E, because C denotes the output matrix in this package.
 
     A square C beside M and K may be the damping matrix or the output matrix. An error is raised if
-    the TOML file does not state which of them it is.
+    the TOML file does not state which of the two matrices C is.
     """
     matrices, settings = rows.matrices, rows.sidecar
     C, K = matrices.get("C"), matrices.get("K")
@@ -115,7 +115,7 @@ def _complete_matrices(rows: Rows) -> Mapping[str, Matrix]:
 
     A model without M is a first-order model, such as heat conduction ``E x' + K x = B u``. If a
     file contains only one triangle of a matrix, the TOML file must contain the key ``symmetric``.
-    The triangle is mirrored if the key is true. Zero matrices other than E cause an error.
+    If this key is true, the triangle is mirrored. Zero matrices other than E cause an error.
     """
     matrices = dict(rows.matrices)
     stiffness = matrices.get("K")
@@ -305,7 +305,7 @@ class Rows:
         if entry.column is not None or entry.row is not None:
             return self._select_load(entry)
         where, load = self.sidecar.of(entry), np.zeros(self.size)
-        if entry.kind == ACCELERATION.port:  # acceleration of the frame: load -M r
+        if entry.kind == ACCELERATION.port:  # for an acceleration along r, the load is -M r
             if "M" not in self.matrices:
                 problem = "a port of kind acceleration needs a mass matrix"
                 raise wrong(where, problem, None, "matrix M", "add the matrix M")

@@ -2,7 +2,7 @@
 
 The command ``*MATRIX GENERATE`` of Abaqus writes ``JOB_STIF2.mtx``, ``JOB_MASS2.mtx`` and similar
 files. With ``FORMAT=MATRIX INPUT`` (or ``LABELS``), a file contains lines ``node, dof, node, dof,
-value`` for one triangle of a matrix. With ``FORMAT=COORDINATE``, it contains lines ``row column
+value`` for one triangle of a matrix. With ``FORMAT=COORDINATE``, a file contains lines ``row column
 value`` for both triangles, but not the nodes of the rows. If a boundary condition of the step fixes
 a degree of freedom, its diagonal entry in the stiffness matrix is 1e36.
 
@@ -12,9 +12,9 @@ The command ``*FREQUENCY, SOLVER=MATRIXSTORAGE`` of CalculiX writes ``JOB.sti``,
 
 Ansys writes binary ``.full`` files, which are read by the package ansys-mapdl-reader. The command
 ``HBMAT`` of Ansys writes Harwell-Boeing files, and a file that maps rows to nodes. These files are
-parsed here, because scipy's ``hb_read`` rejects symmetric matrices. There may be no blanks between
-fields, so that fields are separated by the widths in the header (Duff, Grimes, Lewis, Users' Guide
-for the Harwell-Boeing Sparse Matrix Collection, 1992).
+parsed here, because scipy's ``hb_read`` rejects symmetric matrices. The fields of a Harwell-Boeing
+file need not be separated by blanks. The widths in the header separate these fields (Duff, Grimes,
+Lewis, Users' Guide for the Harwell-Boeing Sparse Matrix Collection, 1992).
 
 Nastran writes punch files with DMIG cards, and OUTPUT4 files, which are read by the package pyyeti.
 Names that begin with ``K`` denote the stiffness, with ``K4`` the structural damping, with ``M`` the
@@ -250,7 +250,8 @@ def read_harwell_boeing(
     """Return the matrix in a Harwell-Boeing file, with both triangles.
 
     ``data`` is the content of the file. The function ``allowed(shape, entries)`` raises an error if
-    the declared size of the matrix is too large. It is called before memory is allocated.
+    the declared size of the matrix is too large. The function ``allowed`` is called before memory
+    is allocated.
 
     Raises
     ------
@@ -343,7 +344,7 @@ def read_mapping(data: bytes, size: int) -> raw.Dofs:
 
 # matrix letters, keyed by the first letters of matrix names in Nastran files
 _NASTRAN_PREFIXES = {"K": "K", "K4": LOSS_LETTER, "M": "M", "B": "E"}
-_SHORT_EXPONENT = re.compile(r"(?<=[0-9.])([+-]\d+)$")  # 1.5+7 is 1.5e+7
+_SHORT_EXPONENT = re.compile(r"(?<=[0-9.])([+-]\d+)$")  # 1.5+7 means 1.5e+7
 # numbers of matrix forms in Nastran files
 _SQUARE_FORM = 1
 _SYMMETRIC_FORM = 6
@@ -352,9 +353,9 @@ _SYMMETRIC_FORM = 6
 def choose_matrices(names: list[str], requested: Mapping[str, str], path: Path) -> dict[str, str]:
     """Assign the matrices in a Nastran file to matrix letters.
 
-    ``names`` are the names of the matrices in the file. ``requested`` maps letters to names. If it
-    is empty, the first letters of the names determine the matrix letter. Return a mapping of
-    letters to names.
+    ``names`` are the names of the matrices in the file. ``requested`` maps letters to names. If
+    ``requested`` is empty, the first letters of the names determine the matrix letter. Return a
+    mapping of letters to names.
 
     Raises
     ------
@@ -400,7 +401,7 @@ def read_dmig(path: Path, requested: Mapping[str, str]) -> raw.Raw:
 
     Raises
     ------
-    UsageError : the file is damaged, or contains no DMIG cards or rectangular matrices.
+    UsageError : the file is damaged, contains no DMIG cards, or contains rectangular matrices.
     """
     expected = "square DMIG cards"
     forms, entries = raw.parse_file(path, expected, _parse_dmig)
@@ -419,7 +420,7 @@ def _parse_dmig(data: bytes) -> tuple[dict[str, int], dict[str, raw.Triple]]:
     """Parse the DMIG cards of a Nastran file.
 
     Return the number of each matrix's form, and the row keys, column keys and values of its
-    entries. Both mappings are keyed by the name of the matrix.
+    entries. Both returned mappings are keyed by the name of the matrix.
     """
     forms: dict[str, int] = {}
     values: dict[str, Callable[[str, str], complex]] = {}

@@ -47,16 +47,16 @@ from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError, list_candidates
 
 DEFAULT_REFERENCE = 50.0  # Ohm, reference resistance of S parameters if the file states none
-# Smallest number of frequencies. It suffices for the four parameters of a resonance and an estimate
-# of the noise.
+# Smallest number of frequencies.
+# This number suffices for the four parameters of a resonance and an estimate of the noise.
 MIN_FREQUENCIES = 12
-# Two responses from different columns agree if the median of their relative difference is at most
-# this. It is larger than the rounding errors of the columns.
+# Largest median of the relative difference between two responses that agree.
+# This limit is larger than the rounding errors of the columns.
 AGREEMENT_LIMIT = 0.05
-# A table contains several sweeps if the frequency reverses after at most this share of its steps.
-# More reversals mean that the frequencies are not sorted.
+# Largest share of frequency steps with a reversal in a table of several sweeps.
+# If the share of reversals is larger, the frequencies are not sorted.
 MAX_REVERSAL_SHARE = 0.1
-MAX_TITLE_LENGTH = 50  # number of characters of titles in an error that also lists unknown titles
+MAX_TITLE_LENGTH = 50  # number of characters of column titles in an error message
 NAME_COLUMNS_HINT = "name the columns in the first line, such as  frequency_hz,real_ohm,imag_ohm"
 ONE_PART_HINT = "delete the columns or lines of the other one"
 
@@ -119,7 +119,7 @@ def find_response(
 
     Raises
     ------
-    ValueError, UsageError : no table contains a response, or several tables do.
+    ValueError, UsageError : no table contains a response, or several tables contain one.
     """
     large = [table for table in tables if table.rows >= MIN_FREQUENCIES] or list(tables[:1])
     responses, reasons = list[tuple[TextTable, MeasuredResponse]](), list[Exception]()
@@ -441,7 +441,7 @@ def _combine_columns(
     """
     names, readings = set(columns.by_quantity), list[_ColumnPair]()
     phases = {"z": "phase_z", "y": "phase_y"} if shunt is None else {"gain": "gain_phase"}
-    # quantity of the magnitude to which a column with the title phase belongs
+    # magnitude to which a column with the title `phase` belongs
     size = next(filter(names.__contains__, phases), None)
     for combination in COMBINATIONS:
         first, second = combination.columns

@@ -23,11 +23,11 @@ import numpy as np
 Quantity = Literal["S", "Z", "Y"]
 PREFIXES = {"f": 1e-15, "p": 1e-12, "n": 1e-9, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "m": 1e-3, "": 1.0,
             "k": 1e3, "M": 1e6, "G": 1e9, "T": 1e12}  # fmt: skip
-# Prefixes above one. In the wrong letter case, these prefixes are accepted for frequencies. For
-# other quantities, k and the prefixes below one are accepted in the wrong letter case.
+# Prefixes above one, which are accepted in the wrong letter case for frequencies.
+# For other quantities, k and the prefixes below one are accepted in the wrong letter case.
 CASE_FREE_PREFIXES = "kMGT"
-# Spellings of units and the SI value of each unit, keyed by measured quantity. The letter case of a
-# unit in a file matters only for spellings that contain a capital letter in this table.
+# Spellings of units and the SI value of each unit, keyed by measured quantity.
+# The letter case of a unit matters only for spellings with a capital letter in this table.
 UNITS: dict[str, dict[str, float]] = {
     "frequency": {"hz": 1.0, "hertz": 1.0, "rad/s": 0.5 / np.pi, "rads": 0.5 / np.pi},
     # some programs write the letter O instead of omega because of a wrong code page
@@ -69,11 +69,11 @@ UNITS_WITHOUT_PREFIX = (
     "degf",
     "min",
 )
-# columns of phases that are within one turn for passive parts
+# kinds of phase columns; in a passive part, these phases are within one turn
 PASSIVE_PHASES = ("phase", "phase_z", "phase_y", "gain_phase")
-MAX_PHASE = 2.02 * np.pi  # rad: one turn plus 1 % for noise
-# Limits [rad] for angles without a stated unit. Such an angle is in rad if its largest magnitude is
-# at most the first limit and its range is above the second limit; otherwise it is in degrees.
+MAX_PHASE = 2.02 * np.pi  # rad, largest phase: one turn plus 1 % for noise
+# Limits [rad] of the magnitude and of the range for a column of angles without a stated unit.
+# Angles with at most this magnitude and with a larger range are in rad, all others in degrees.
 RADIAN_LIMITS = 0.51 * np.pi, 0.5
 
 
@@ -82,9 +82,9 @@ class ColumnKind:
     """Kind of a column: its quantity, and the pattern of its title.
 
     ``measures`` contains the keys in :data:`UNITS` of the units that the column may have; the first
-    key is the default. ``names`` is a regular expression for the title in lower case, from which
-    sign, unit, blanks and words that instruments add are removed. If ``needs_unit`` is true, a
-    title without a unit does not identify the quantity.
+    key is the default. ``names`` is a regular expression for the title in lower case, without sign,
+    unit, blanks and words that instruments add. If ``needs_unit`` is true, a title without a unit
+    does not identify the quantity.
     """
 
     quantity: str
@@ -122,7 +122,7 @@ COLUMN_KINDS = (
     ColumnKind("phase", ("angle",), _PHASE),
     ColumnKind("phase_z", ("angle",), _make_affix_pattern("z", _PHASE)),
     ColumnKind("phase_y", ("angle",), _make_affix_pattern("y", _PHASE)),
-    ColumnKind("phase_z", ("angle",), "z", needs_unit=True),  # Impedance (Degree)
+    ColumnKind("phase_z", ("angle",), "z", needs_unit=True),  # such as the title Impedance (Degree)
     ColumnKind("phase_y", ("angle",), "y", needs_unit=True),
     ColumnKind("r", ("impedance",), rf"r|z?rs|esr|resistance|{_make_affix_pattern('z', _REAL)}"),
     ColumnKind("x", ("impedance",), rf"x|z?xs|reactance|{_make_affix_pattern('z', _IMAGINARY)}"),
@@ -196,8 +196,8 @@ QUANTITY_LABELS = {
 COMPLEX_NAMES: dict[Quantity, str] = {
     "Z": "z", "Y": "y", "S": "s|s11|sparameters|scattering|γ|gamma"
 }  # fmt: skip
-# Patterns of primes after Z or Y, and the part of the complex number that they denote. The program
-# ZPlot writes Z'(a) and Z''(b).
+# Patterns of primes after Z or Y, and the part of the complex number that they denote.
+# The program ZPlot writes Z'(a) and Z''(b).
 PRIMES = ((r"(''|\")\s*(\(b\))?", "imag"), (r"'\s*(\(a\))?", "real"))
 # words that instruments add to a title, and that do not affect its meaning
 ADDED_WORDS = re.compile(
@@ -213,12 +213,12 @@ SUFFIX_TITLES = {
 }
 # possible meanings of three columns without titles in a file with any other file extension
 UNTITLED_MEANINGS = ("frequency, R and X in Ohm", "frequency, |Z| in Ohm and phase in degrees")
-# Titles of columns that contain a trace. A line such as ``FORMAT: |Z|`` above the table states the
-# quantity of the trace.
+# Pattern of the titles of columns that contain a trace.
+# A line such as ``FORMAT: |Z|`` above the table states the quantity of the trace.
 TRACE_COLUMN = re.compile(r"((data )?trace( [a-z0-9])?|formatted data)( (real|imag))?", re.I)
 TRACE_FORMAT = re.compile(r"\W*format\s*:\s*(.*\S)", re.I)
-# Formats that state only the scale of an axis. In this case, a line above all traces contains the
-# quantities of traces A and B, such as ``MEASURE PARAMETER: IMPEDANCE MAG PHASE (DEG)``.
+# Pattern of formats that state only the scale of an axis, not the quantity of a trace.
+# The quantities are then in a line such as ``MEASURE PARAMETER: IMPEDANCE MAG PHASE (DEG)``.
 TRACE_SCALE = re.compile(r"lin(ear)?( [xy])?|log( [xy])?", re.I)
 TRACE_NAME = re.compile(r"\W*trace\s*:\s*([ab])\W*", re.I)
 TRACE_PARAMETERS = re.compile(r"\W*measure parameter\s*:\s*(.*\S)", re.I)

@@ -55,11 +55,11 @@ from kc2spice.core.untrusted_files import read_bounded
 from kc2spice.rom.linear_model import Norm
 
 MAX_BYTES = 20_000_000  # largest size of a text file
-# Largest number of frequencies. No analyser measures more frequencies, and a fit to more
-# frequencies would take hours.
+# Largest number of frequencies.
+# No analyser measures more frequencies, and a fit to more frequencies would take hours.
 MAX_FREQUENCIES = 20_000
-# A negative conductance is noise up to this ratio to |Y|. If the ratio is larger at a tenth of the
-# points, the part is active.
+# Largest magnitude of a negative conductance that counts as noise, relative to |Y|.
+# If the relative magnitude is larger at a tenth of the points, the part is active.
 ACTIVE_RATIO = 0.05
 _TOUCHSTONE_SUFFIX = re.compile(r"\.(s(\d+)p|ts)", re.IGNORECASE)
 TABLE_SUFFIXES = (".csv", ".txt", ".tsv", ".zma", ".frd", ".z", ".dta", ".mpt")
@@ -100,7 +100,7 @@ class MeasuredAdmittance(EqualByContent):
         """Standard deviation of the noise in the measured quantity's real or imaginary part.
         For Z and Y, the standard deviation is relative to the magnitude of each matrix entry. The
         noise is estimated from the median magnitude of third differences between samples. Without
-        noise, these differences are almost zero. Entries that are zero have no noise.
+        noise, the third differences are almost zero. Entries that are zero have no noise.
         """
         x = self.Y if self.samples is None else self.samples
         x = x.reshape(len(self.f), -1)
@@ -144,8 +144,8 @@ class MeasuredAdmittance(EqualByContent):
         """Return the relative rms noise of the complex Y in the norm of an error estimate.
 
         In the norm *pointwise*, the noise is relative to the magnitude of an entry of Y at each
-        frequency. In the norm *peak*, it is relative to the largest magnitude of the entry at all
-        frequencies. The returned number is the noise of the entry with the largest noise.
+        frequency. In the norm *peak*, the noise is relative to the largest magnitude of the entry
+        at all frequencies. The returned number is the noise of the entry with the largest noise.
         """
         size = np.abs(self.Y)
         size = np.broadcast_to(size.max(axis=0), size.shape) if norm == "peak" else size
@@ -194,6 +194,7 @@ def read_measured(path: Path, shunt: float | None = None) -> MeasuredAdmittance:
         raise make_missing_error(path, expected)
 
     def read() -> MeasuredResponse:
+        """Read the response with the parser of the file's format."""
         if path.suffix.lower() == ".mat":
             return _read_matlab(_load_variables(path, path.stat().st_mtime), shunt)
         if match:
@@ -273,8 +274,7 @@ def load_tables(path: Path) -> Sequence[TextTable]:
     return _parse_tables(_read_text(path))
 
 
-# The tables of the last file are cached, because several readers parse the same text to determine
-# the kind of the file.
+# The tables of the last file are cached, because several readers parse the same text.
 @lru_cache(maxsize=1)
 def _parse_tables(text: str) -> Sequence[TextTable]:
     return tuple(read_tables(text))
@@ -337,8 +337,8 @@ def _reject_open_circuits(data: MeasuredAdmittance) -> None:
 def _reject_active_parts(data: MeasuredAdmittance) -> None:
     """Reject a response whose conductance matrix has negative eigenvalues that exceed the noise.
 
-    The conductance matrix is the Hermitian part of Y. Such eigenvalues are accepted if they occur
-    at less than a tenth of the frequencies.
+    The conductance matrix is the Hermitian part of Y. Negative eigenvalues that exceed the noise
+    are accepted if they occur at less than a tenth of the frequencies.
     """
     size = np.linalg.norm(data.Y, 2, axis=(1, 2))
     least = np.linalg.eigvalsh(0.5 * (data.Y + data.Y.conj().swapaxes(1, 2)))[:, 0]

@@ -204,8 +204,7 @@ def _parse_blocks(data: bytes) -> Content:
     for line in lines:
         head = line.upper()
         if head.startswith("NBLOCK"):
-            # The format (3i9,6e21.13e3) states the number and width of the integer fields, and of
-            # the coordinate fields.
+            # The format (3i9,6e21.13e3) states number and width of integer and coordinate fields.
             integers, floats = next(lines).strip().strip("()").lower().split(",")[:2]
             fields, wide = map(int, integers.split("i"))
             item = int(floats.split("e")[1].split(".")[0])

@@ -11,11 +11,11 @@ contain the node and the degree of freedom of each row. Readers that run in a se
 return the same arrays. MATLAB files are read in a separate process, because scipy's reader may
 crash on a corrupt file.
 
-A MATLAB file contains variables with these names, or one struct that COMSOL's ``mphmatrix`` or
-``mphstate`` returned. The equation of ``mphmatrix`` is ``E u'' + D u' + K u = L``: ``E`` is the
-mass, ``D`` the damping, and ``L`` the input matrix ``B``. The matrices ``Ec``, ``Dc``, ``Kc`` and
-``Lc``, from which constraints are eliminated, are preferred. The equations of ``mphstate`` are ``Mc
-x' = MA x + MB u`` (or with ``A`` and ``B``) and ``y = C x + D u``.
+A MATLAB file contains variables with the names of an archive's arrays, or one struct that COMSOL's
+``mphmatrix`` or ``mphstate`` returned. The equation of ``mphmatrix`` is ``E u'' + D u' + K u = L``:
+``E`` is the mass, ``D`` the damping, and ``L`` the input matrix ``B``. The matrices ``Ec``, ``Dc``,
+``Kc`` and ``Lc``, from which constraints are eliminated, are preferred. The equations of
+``mphstate`` are ``Mc x' = MA x + MB u`` (or with ``A`` and ``B``) and ``y = C x + D u``.
 """
 
 from __future__ import annotations
@@ -46,8 +46,7 @@ MAX_ENTRIES = 200_000_000  # largest number of stored entries of one matrix
 MAX_DENSE = 50_000_000  # largest number of entries of a dense matrix
 MAX_NARROW_ENTRIES = 25_000_000  # largest number of entries of B, C or D as a dense matrix
 MAX_BYTES = 4_000_000_000  # largest size of a packed or unpacked file
-# The size of an unpacked file may be up to the first value [bytes], or up to its packed size times
-# the second value.
+# Largest size of an unpacked file [bytes], or multiple of the packed size if that is larger.
 UNPACKED_LIMITS = 100_000_000, 100
 REDO_HINT = "export the file again; kc2spice reduce --help lists the formats"
 # Messages of Python, numpy and zipfile as regular expressions, and what is wrong with the file.
@@ -58,8 +57,8 @@ _PARSER_MESSAGES = {
 }
 _BOM = b"\xef\xbb\xbf"
 
-# Names of degrees of freedom, keyed by number. The numbers 1 to 6 are the same in all programs. All
-# other numbers are those of Abaqus or kc2spice.
+# Names of degrees of freedom, keyed by number. The numbers 1 to 6 are the same in all programs.
+# All other numbers of degrees of freedom are those of Abaqus or kc2spice.
 DOFS = {
     0: "scalar", 1: "ux", 2: "uy", 3: "uz", 4: "rx", 5: "ry", 6: "rz", 7: "warp", 8: "pres",
     9: "volt", 11: "temp", 12: "conc", 13: "mag", 14: "emf", 15: "curr", 21: "ax", 22: "ay",
@@ -69,8 +68,7 @@ DOF_NUMBERS = {name: code for code, name in DOFS.items()}
 TRANSLATIONS = (1, 2, 3)
 ROTATIONS = (4, 5, 6)
 VOLT = DOF_NUMBERS["volt"]
-# The key of a matrix row is the node number times this number, plus the number of the degree of
-# freedom.
+# The key of a matrix row is (node number) times this number plus (degree-of-freedom number).
 _KIND_COUNT = 64
 _LARGEST_NODE = 2**40
 
@@ -253,7 +251,7 @@ class Dofs:
 
     Raises
     ------
-    ValueError : a number is not that of a node or of a degree of freedom.
+    ValueError : a number is not a node number or not the number of a degree of freedom.
     """
 
     node: np.ndarray
@@ -339,14 +337,13 @@ def complete_triangles(matrix: sparse.csc_array) -> sparse.csc_array:
 
 
 _ROW_LABELS = ("nodes", "dofs")  # names of the arrays that identify the rows
-# Permitted CPU time of a separate process: fixed time [s], and data rate [bytes per second] for the
-# additional time in which the file is read.
+# Permitted CPU time of a separate process: a fixed time [s], plus file size / data rate [bytes/s].
 _CPU_LIMITS = 8, 1_000_000
 # permitted memory of a separate process, in addition to the content of the file
 _MEMORY_BYTES = 1_300_000_000
 _NON_NUMERIC_CLASSES = ("cell", "object", "char", "function", "opaque")
-# Fields of the structs of `mphstate` and of `mphmatrix`, keyed by letter. The first existing field
-# is used.
+# Fields of the structs of `mphstate` and of `mphmatrix`, keyed by letter.
+# The first of the fields that exists is used.
 _STATE_FIELDS = {"E": ("Mc",), "A": ("MA", "A"), "B": ("MB", "B"), "C": ("C",), "D": ("D",)}
 _SECOND_ORDER_FIELDS = {"M": ("Ec", "E"), "E": ("Dc", "D"), "K": ("Kc", "K"), "B": ("Lc", "L")}
 
@@ -604,8 +601,8 @@ def _select_fields(value: Any, name: str) -> dict[str, Any]:
         raise ValueError(
             f"struct {name} has scaled unknowns (uscale): set the scaling of the solver to None"
         )
-    # A model without mass is a first-order model with the matrix E. If a struct contains no loads,
-    # the TOML file defines the ports.
+    # A model without mass is a first-order model with the matrix E.
+    # If a struct contains no loads, the TOML file defines the ports.
     empty = {letter for letter in {*"MEB"} & set(result) if not _count_entries(result[letter])}
     if "M" not in result or "M" in empty:
         empty -= {"E"}

@@ -2,9 +2,9 @@
 
 The input is the text of a file, and the output is a list of :class:`TextTable`. The longest table
 is the first in the list. Semicolons, tabs, commas or blanks separate fields. Commas that do not
-separate fields are decimal commas; in files with decimal points, they separate thousands. Blocks of
-the same table are merged. The module :mod:`kc2spice.bodies.readers.complex_response` interprets the
-tables.
+separate fields are decimal commas; in files with decimal points, such commas separate thousands.
+Blocks of the same table are merged. The module :mod:`kc2spice.bodies.readers.complex_response`
+interprets the tables.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _GROUPED_PATTERN = re.compile(
     r"[-+]?\d{1,3}([,' \u00a0\u202f])\d{3}(\1\d{3})*(\.\d*)?([eE][-+]?\d{1,3})?"
 )
 SEPARATORS = (";", "\t", ",")  # characters that separate fields, if blanks do not separate them
-_LINE_WITH_COMMA = re.compile(".*,.*")  # field that contains a comma, one field per line
+_LINE_WITH_COMMA = re.compile(".*,.*")  # pattern of a field with a comma, one field per line
 MIN_COLUMNS = 2  # smallest number of columns of a table
 MIN_ROWS = 2  # smallest number of rows of a table
 # largest number of lines of a file: five times the largest number of frequencies
@@ -48,7 +48,7 @@ MAX_COLUMNS = 200  # largest number of fields of a line
 MAX_LINE_LENGTH = 4000  # largest number of characters of a row or of a line of titles
 COMMENT_LINES = 300  # number of lines above a table in which units are searched
 TITLE_LINES = 40  # number of lines above a table in which titles are searched
-# Rows that contain a word are omitted; a table with a larger share of such rows is rejected.
+# largest permitted share of rows that contain a word; these rows are omitted
 MAX_OMITTED_SHARE = 0.05
 MAX_HEADER_LENGTH = 80  # largest number of characters of a header that an error quotes
 MAX_PHASE_DEGREES = 180.0  # largest magnitude of a phase [degrees]
@@ -177,8 +177,8 @@ def _is_number(word: str) -> bool:
 def _measure_line(line: str, separator: str | None) -> tuple[int, bool]:
     """Count the fields of a line, and check whether all its fields are numbers.
 
-    Return the number of fields, and whether all fields are numbers. The first value is 0 if the
-    line is not a row of a table, and -1 if the line is blank.
+    Return the number of fields, and whether all fields are numbers. The returned number of fields
+    is 0 if the line is not a row of a table, and -1 if the line is blank.
     """
     if not line.strip():
         return -1, False
@@ -368,9 +368,9 @@ def _apply_format(
 ) -> tuple[tuple[str, ...], list[np.ndarray], list[str]]:
     """Replace the titles of trace columns according to the ``FORMAT`` line in the file.
 
-    ``stated`` is the quantity in this line. If the quantity is real, the second column of the trace
-    must be zero. If the quantity is |Z| or |Y|, the second column may be the phase. Return the
-    titles, the numbers, and notes on assumptions.
+    ``stated`` is the quantity in the ``FORMAT`` line. If the quantity is real, the second column of
+    the trace must be zero. If the quantity is |Z| or |Y|, the second column may be the phase.
+    Return the titles, the numbers, and notes on assumptions.
 
     Raises
     ------

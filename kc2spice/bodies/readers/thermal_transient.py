@@ -27,8 +27,8 @@ from kc2spice.bodies.readers.text_table import TextTable
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError
 
-# Smallest number of times after the power step. It suffices for two time constants with their
-# resistances and an estimate of the noise.
+# Smallest number of times after the power step.
+# This number suffices for two time constants, two resistances and an estimate of the noise.
 MIN_TIMES = 8
 NAME_TIME_HINT = "name the columns in the first line, such as  time_s,temperature_k"
 EXPECTED_TABLE = "a table with a time and a temperature or a thermal impedance Zth"

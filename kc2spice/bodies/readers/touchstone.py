@@ -78,8 +78,8 @@ def parse_touchstone(text: str, ports: int) -> MeasuredResponse:
     _require_numbers(words, text)
     values = np.array(list(map(float, words)))
     table = values[: len(values) // width * width].reshape(-1, width)
-    # In version 1, noise parameters follow the response. Their first frequency is lower than the
-    # last frequency of the response.
+    # In version 1, noise parameters follow the response.
+    # The first frequency of noise parameters is lower than the last frequency of the response.
     back = np.flatnonzero(np.diff(table[:, 0]) < 0)
     if len(values) % width and not back.size:
         raise ValueError(
