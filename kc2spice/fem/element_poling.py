@@ -49,7 +49,7 @@ class PolingTable(EqualByContent):
     def select_rows(
         self, numbers: np.ndarray, middles: np.ndarray, members: np.ndarray
     ) -> np.ndarray:
-        """Return, for each of the elements ``members``, the index of its row.
+        """Return the row index in the poling file for each of the elements ``members``.
 
         ``numbers`` (elements,) are the numbers of all elements in the mesh file. ``middles``
         (elements, d) are the centres of all elements, in the unit of the mesh.
@@ -60,7 +60,7 @@ class PolingTable(EqualByContent):
             exist.
         """
         if self.numbers is None:
-            from scipy.spatial import cKDTree  # imported here, because few meshes need it
+            from scipy.spatial import cKDTree  # cKDTree is imported here: few meshes need it
 
             return np.asarray(cKDTree(self.points).query(middles[members])[1])
         strange = np.flatnonzero(~np.isin(self.numbers, numbers))

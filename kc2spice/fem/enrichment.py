@@ -34,11 +34,11 @@ from skfem.mesh import MeshQuad, MeshTet
 from kc2spice.fem.materials import Material
 from kc2spice.fem.solid import VOIGT_ROWS, Solid, list_tensors
 
-# polynomial degree to which integration is exact; the mass matrix of axisymmetric cubic elements
-# with straight edges needs this degree
+# Polynomial degree to which integration is exact.
+# The mass matrix of axisymmetric cubic elements with straight edges needs this degree.
 INTEGRATION_ORDER = 7
 CHUNK_BYTES = 64e6  # bytes of the element matrices that are computed at once
-# largest relative change of the mapping's derivatives in an element that counts as rounding error
+# changes of a mapping's derivatives in an element up to this relative size are rounding errors
 AFFINE_TOLERANCE = 1e-9
 
 
@@ -300,7 +300,7 @@ def _tabulate_functions(
 
 
 def _split_chunks(solid: Solid, local: int, more: int) -> Iterator[tuple[Material, np.ndarray]]:
-    """Yield each material with groups of its elements.
+    """Yield pairs of a material and a group of its elements.
 
     The element matrices of a group need at most ``CHUNK_BYTES`` bytes.
     """
@@ -380,8 +380,8 @@ def _compute_reference_tensor(
     result = strain.transpose(0, 1, 3, 2) @ (H @ strain) * weights[:, :, None, None]
     result = result.reshape(*weights.shape, d + field, kinds, d + field, kinds)
     sigma = np.array(material.residual_stress)
-    # Prestress sigma contributes grad v . sigma grad u for each displacement component. In
-    # axisymmetric solids, it also contributes a hoop term.
+    # Prestress sigma contributes grad v . sigma grad u for each displacement component.
+    # In axisymmetric solids, prestress also contributes a hoop term.
     if sigma.any():
         stress = np.einsum("eqmi,eqpi,i->eqmp", inverse, inverse, sigma[axes])
         for k in range(d):

@@ -28,9 +28,9 @@ from kc2spice.fem.solid import CHUNK_SIZE, Solid, sum_matrices, symmetrise
 from kc2spice.fem.thermal_materials import ThermalMaterial
 
 MAX_CANDIDATES = 50  # number of nearest elements in which a point is searched
-# largest distance, in local coordinates, of a point outside of an element that counts as inside
+# a point outside of an element counts as inside up to this distance in local coordinates
 INSIDE_TOLERANCE = 1e-6
-NEWTON_STEPS = 20  # more iterations than any point inside an element needs
+NEWTON_STEPS = 20  # number of Newton steps, more than a point inside an element needs
 FACE_TOLERANCE = 1e-9  # largest value of a shape function on a face that does not contain its node
 
 
@@ -76,7 +76,7 @@ def list_local_functions(basis: skfem.Basis) -> Iterator[tuple[np.ndarray, np.nd
 
 
 def _split_chunks(solid: HeatSolid) -> Iterator[tuple[ThermalMaterial, np.ndarray]]:
-    """Yield each material with groups of at most ``CHUNK_SIZE`` of its elements."""
+    """Yield pairs of a material and a group of at most ``CHUNK_SIZE`` of its elements."""
     for number, material in enumerate(solid.materials):
         cells = np.flatnonzero(solid.geometry.owner == number)
         for start in range(0, len(cells), CHUNK_SIZE):

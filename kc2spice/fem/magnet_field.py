@@ -52,10 +52,10 @@ from kc2spice.linalg.factor import Factor, factorise_supernodal
 # smallest number of heights that are also solved on a mesh with elements of twice the size
 MIN_COMPARED_HEIGHTS = 5
 RING, SPHERE, LOWER, UPPER = range(4)  # column numbers of the load vectors and of the fields
-# Element sizes at refine = 1, as fractions of the sphere's radius, and growth of the element size
-# with distance. With these sizes, the force error is at most 1e-5 of the largest force. The mesh
-# around magnets and coils affects this error most, because an uneven mesh in the far field of the
-# sphere causes a spurious force.
+# Element sizes at refine = 1, relative to the sphere's radius, and growth of size with distance.
+# With these element sizes, the force error is at most 1e-5 of the largest force.
+# The mesh around magnets and coils affects the force error most.
+# An uneven mesh in the far field of the sphere causes a spurious force.
 _LATTICE_SIZE, _SPHERE_SIZE, _PART_SIZE, _CORNER_SIZE, _SIZE_GROWTH = (
     1 / 8,
     1 / 8,
@@ -112,7 +112,7 @@ def _sweep_heights(
     sign = get_ring_direction(catch)
     inductance = fluxes[:, :, [LOWER, UPPER]]
     length = [catch.turns * pi * (c.inner + c.outer) for c in (catch.lower, catch.upper)]
-    magnets = sign * forces[:, RING] + forces[:, SPHERE]  # cross terms of each source and magnets
+    magnets = sign * forces[:, RING] + forces[:, SPHERE]  # force between magnets and sources
     force = (
         forces[:, RING, RING] + forces[:, SPHERE, SPHERE] + 2 * sign * forces[:, RING, SPHERE],
         2 * magnets[:, LOWER],
@@ -219,8 +219,8 @@ def assemble_field(catch: Catch, bore: Bore) -> Callable[[float], FieldEquations
     r, y = moved.points
     edge = 1e-6 * bore.pitch
     rim = np.flatnonzero((r > bore.wall - edge) | (np.abs(y) > bore.half - edge))
-    # The force is -1/2 a' stretch a [N]. The integral extends over the air in which the weight g
-    # varies: g is 1 in the sphere, 0 on the mover's outline, and harmonic in between.
+    # The force [N] is -1/2 a' stretch a, an integral over the air in which the weight g varies.
+    # The weight g is 1 in the sphere, 0 on the mover's outline, and harmonic in between.
     basis = _make_basis(mesh)
     g, core = np.zeros(basis.N), np.unique(basis.element_dofs[:, sphere])
     g[core] = 1.0

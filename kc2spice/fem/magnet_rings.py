@@ -31,14 +31,14 @@ MIN_FILL = 0.02  # smallest conducting share of a section; a ring below this sha
 # distance from the axis, in cell widths, below which four points of a section are evaluated
 AXIS_CELLS = 4
 GAUSS_POINTS = (-0.5 / 3**0.5, 0.5 / 3**0.5)  # Gauss points of a section, relative to its side
-# Distance of two sections, relative to their longest side, above which the distance of their
-# centres replaces the mean distance.
+# Smallest distance of distant sections, relative to their longest side.
+# For distant sections, the distance of the centres replaces the mean distance.
 FAR_RATIO = 40.0
 DEFAULT_RINGS = 400  # default number of rings per body
 LAYERS_PER_DEPTH = 3.0  # layers of rings per skin depth at the surface, with DEFAULT_RINGS rings
 LAYER_GROWTH = 1.35  # thickness of a layer, relative to the adjacent layer nearer to the surface
-# Largest number of rings of a sphere if 400 rings are requested. A sphere needs more rings, because
-# it has no thin layers below its surface.
+# Largest number of rings of a sphere if 400 rings are requested.
+# A sphere needs more rings, because it has no thin layers below its surface.
 MAX_SPHERE_RINGS = 1500
 MAX_RINGS = 3000  # largest number of rings; each dense matrix then occupies 70 MB
 # number of heights and frequencies at which the loops are compared with loops of finer rings
@@ -294,8 +294,8 @@ class LoopModel(EqualByContent):
     conductivity of 1 S/m. ``inductance`` (c, c) [H] is the inductance matrix of the coils.
 
     ``couplings`` (c, k, degree + 1) are the mutual inductances of coils and loops as polynomials in
-    ``2 (y - low) / (high - low) - 1``, coefficients of the lowest power first. With magnets, the
-    shape is (c + 1, k, degree + 1), and the last row is the flux of the magnets.
+    ``2 (y - low) / (high - low) - 1``, with the coefficient of the lowest power first. With
+    magnets, the shape is (c + 1, k, degree + 1), and the last row is the flux of the magnets.
 
     ``error`` is the effect of additional loops on the coils' flux and on the force, up to
     ``frequency`` [Hz] and relative to the largest flux and force. ``rings`` is the number of rings
@@ -364,7 +364,7 @@ def compare_rings(
     magnets: Sequence[Winding],
     conductivity: float,
 ) -> float:
-    """Return the largest difference between loops and the rings ``body`` of another division.
+    """Return the largest relative difference between the loops and the rings of ``body``.
 
     The currents in the rings are solved for directly, at several heights and frequencies up to the
     frequency of the loops. :meth:`CurrentEffect.find_largest_difference` defines the relative

@@ -57,9 +57,9 @@ from kc2spice.core.quantities import (
 
 TENSOR_ROUNDING = 1e-12  # largest rounding error of a tensor, relative to its largest component
 
-# Symmetry classes of _FREE_COMPONENTS, keyed by the point groups in data sheets that have the same
-# free components. Quartz has the point group "32", and poled ceramics have "6mm". The point group
-# 3m is missing, because it has other piezoelectric components.
+# Symmetry classes of _FREE_COMPONENTS, keyed by point groups with the same free components.
+# Data sheets state point groups, such as "32" for quartz and "6mm" for poled ceramics.
+# The point group 3m is missing, because it has other piezoelectric components.
 _POINT_GROUPS = {
     "6mm": "hexagonal", "∞m": "hexagonal", "∞mm": "hexagonal", "inf m": "hexagonal",
     "32": "trigonal", "mm2": "orthotropic", "mmm": "orthotropic", "m3m": "cubic", "-43m": "cubic",
@@ -70,8 +70,8 @@ Symmetry: TypeAlias = Annotated[
     BeforeValidator(lambda name: _POINT_GROUPS.get(name, name) if isinstance(name, str) else name),
 ]
 
-# Free components of stiffness and coupling in each symmetry class. An item such as "14=-24=56"
-# contains a free component and the components that are equal to it or to its negative.
+# Free components of stiffness and coupling in each symmetry class.
+# In "14=-24=56", the free component 14 is equal to component 56 and to minus component 24.
 _FREE_COMPONENTS = {
     "cubic": ("11=22=33 12=13=23 44=55=66", "14=25=36"),
     "hexagonal": ("11=22 12 13=23 33 44=55 66", "31=32 33 15=24"),
@@ -79,8 +79,8 @@ _FREE_COMPONENTS = {
     "orthotropic": ("11 12 13 22 23 33 44 55 66", "31 32 33 15 24"),
 }
 _SYMMETRIES_WITH_DERIVED_66 = ("hexagonal", "trigonal")  # c66 = (c11 - c12)/2, s66 = 2 (s11 - s12)
-# Alternative forms of the elasticity and of the coupling; each form consists of one or more keys. A
-# table with a key of one form inherits no key of the other forms.
+# Alternative forms of the elasticity and of the coupling; each form consists of one or more keys.
+# A table with a key of one form inherits no key of the other forms.
 _ALTERNATIVE_KEYS = (
     (("youngs_modulus", "poisson_ratio", "shear_modulus"), ("stiffness",), ("compliance",)),
     (("stress_coupling",), ("strain_coupling",)),
@@ -278,7 +278,7 @@ def compute_poling_rotation(direction: Sequence[float] | np.ndarray) -> np.ndarr
     n = np.asarray(direction, float) / np.linalg.norm(direction)
     if n[2] < -1 + 1e-14:
         return np.diag([1.0, -1.0, -1.0])
-    K = np.array([[0, 0, n[0]], [0, 0, n[1]], [-n[0], -n[1], 0.0]])  # Rodrigues
+    K = np.array([[0, 0, n[0]], [0, 0, n[1]], [-n[0], -n[1], 0.0]])  # Rodrigues' formula
     return np.asarray(np.eye(3) + K + K @ K / (1 + n[2]))
 
 
@@ -531,7 +531,7 @@ class MaterialTable(Section):
             C = np.linalg.inv(s)
         _require_positive_definite(C, "stiffness")
         largest = float(np.diag(C).max())
-        if not 1e3 <= largest <= 2e12:  # a wrong unit, such as Pa instead of GPa
+        if not 1e3 <= largest <= 2e12:  # the unit is probably wrong, such as Pa for GPa
             hint = 'numbers are in SI: write "121 GPa" or 121e9, "16.4e-12 1/Pa" or 16.4e-12'
             if isinstance(self.youngs_modulus, float) and 1e3 <= 1e9 * largest <= 2e12:
                 hint = f'write  youngs_modulus = "{self.youngs_modulus:g} GPa"'

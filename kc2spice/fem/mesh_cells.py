@@ -34,15 +34,15 @@ from skfem.mesh import (
 
 from kc2spice.core.errors import wrong
 
-# Local corner numbers of each face of an element, in gmsh's node order. The keys are the numbers of
-# corners of the element.
+# Local corner numbers of each face of an element, in gmsh's node order.
+# Each key is the number of corners of an element.
 ELEMENT_FACES = {
     5: ((0, 3, 2, 1), (0, 1, 4), (1, 2, 4), (2, 3, 4), (3, 0, 4)),
     6: ((0, 2, 1), (3, 4, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5)),
     8: ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)),
 }  # fmt: skip
-# Neighbours of each corner along the edges of an element, in right-handed order. The keys are the
-# dimension of the element and its number of corners.
+# Neighbours of each corner along the edges of an element, in right-handed order.
+# The keys are the dimension of the element and its number of corners.
 CORNER_NEIGHBOURS = {
     (2, 4): ((1, 3), (2, 0), (3, 1), (0, 2)),
     (3, 5): ((1, 3, 4), (2, 0, 4), (3, 1, 4), (0, 2, 4)),
@@ -53,8 +53,8 @@ CORNER_NEIGHBOURS = {
 }  # fmt: skip
 SIMPLEX_MESHES = {2: (MeshTri, MeshTri2), 3: (MeshTet, MeshTet2)}
 PRODUCT_MESHES = {2: (MeshQuad, MeshQuad2), 3: (MeshHex, MeshHex2)}
-# scikit-fem elements with the same shape functions as a file's elements. The keys are the dimension
-# and the number of nodes of an element.
+# scikit-fem elements with the same shape functions as a file's elements.
+# The keys are the dimension and the number of nodes of an element.
 PRODUCT_ELEMENTS = {
     (2, 4): skfem.ElementQuad1, (2, 8): skfem.ElementQuadS2, (2, 9): skfem.ElementQuad2,
     (3, 8): skfem.ElementHex1, (3, 20): skfem.ElementHexS2, (3, 27): skfem.ElementHex2,
@@ -184,8 +184,8 @@ def divide_cells(blocks: Sequence[CellBlock]) -> tuple[np.ndarray, np.ndarray]:
 def _divide_block(block: CellBlock) -> list[tuple[np.ndarray, np.ndarray]]:
     """Divide the elements of a block into triangles or tetrahedra.
 
-    Each item of the list contains node numbers of simplices, and the number of the element that
-    contains each simplex.
+    Each item of the returned list contains node numbers of simplices, and the number of the element
+    that contains each simplex.
     """
     cells = block.vertices
     if block.corners == block.dimension + 1:

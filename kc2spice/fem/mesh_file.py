@@ -60,15 +60,15 @@ MAX_FILE_BYTES = 2_000_000_000  # largest size of a mesh or CAD file
 _HEAD_BYTES = 200  # number of bytes at the beginning of a file that identify its format
 LENGTH_UNITS_ACCEPTED = ("m", "cm", "mm", "um")  # units that a user may state for a file
 MILLIMETRE = 1e-3  # m, unit to which gmsh converts STEP files
-# Header with an accepted version of .msh files. The bytes after the version distinguish text,
-# binary numbers with the lowest byte first, and binary numbers with the highest byte first.
+# Header of .msh files with an accepted version.
+# The bytes after the version distinguish text, little-endian numbers and big-endian numbers.
 _MSH_HEADER = re.compile(
     rb"\$MeshFormat[ \t\r]*\n[ \t]*(2|2\.[012]|4|4\.[01])[ \t]+"
     rb"(0[ \t]+8[ \t\r]*\n\s*\$EndMeshFormat|1[ \t]+8[ \t\r]*\n(\x01\0\0\0|\0\0\0\x01))"
 )
 _UNV_DATASET_MARK = re.compile(
     rb"^    -1[ \t\r]*$", re.MULTILINE
-)  # first and last line of a dataset
+)  # first and last line of a dataset in a .unv file
 _STEP_STRING_OR_COMMENT = re.compile(rb"'(?:[^']|'')*'|/\*.*?\*/", re.DOTALL)
 
 
@@ -440,7 +440,7 @@ def _compute_node_weights(
         middle = find_edge_nodes(mesh, ends)
         _require_on_body(middle - mesh.nvertices, name)
         nodes = np.concatenate([*ends.T, middle])
-        weights = np.concatenate([length, length, 4 * length]) / 6  # Simpson's rule
+        weights = np.concatenate([length, length, 4 * length]) / 6  # weights of Simpson's rule
     unique, place = np.unique(nodes, return_inverse=True)
     total = np.bincount(place, weights, len(unique))
     return unique, total / (total.sum() or 1.0)

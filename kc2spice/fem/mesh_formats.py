@@ -29,8 +29,8 @@ MESHIO_READERS = {
     ".e": ("exodus", "netCDF4"),
 }  # fmt: skip
 _ELEMENT_ORDER_HINT = "mesh with linear or quadratic elements in the program that made the mesh"
-# Name in gmsh, dimension and number of corners of each element shape. The keys are the beginnings
-# of the element names in meshio.
+# Name in gmsh, dimension and number of corners of each element shape.
+# The keys are the beginnings of the element names in meshio.
 ELEMENT_SHAPES = {
     "vertex": ("Point", 0, 1), "line": ("Line", 1, 2), "triangle": ("Triangle", 2, 3),
     "quad": ("Quadrangle", 2, 4), "tetra": ("Tetrahedron", 3, 4),
@@ -39,8 +39,8 @@ ELEMENT_SHAPES = {
 TETRAHEDRON_FACES = ((0, 2, 1), (0, 1, 3), (1, 2, 3), (2, 0, 3))
 MAX_QUOTE_LENGTH = 60  # largest number of characters of a line that an error quotes
 MAX_GROUPS = 1000  # largest number of groups that are made from one array of integer cell data
-# Largest distance of a node from its position on an element with straight edges, relative to the
-# longest edge of the element. For a semicircular edge, this ratio is 0.5.
+# Largest distance of a node from its position on straight edges, relative to the longest edge.
+# For a semicircular edge, this relative distance is 0.5.
 MAX_BULGE = 0.5
 _INCLUDE_LINE = {
     "abaqus": re.compile(
@@ -49,8 +49,8 @@ _INCLUDE_LINE = {
     "nastran": re.compile(rb"^\s*include\b", re.IGNORECASE | re.MULTILINE),
     "vtu": re.compile(rb"<!(DOCTYPE|ENTITY)"),
 }
-# Lines of Abaqus files that meshio ignores although they change the mesh. Each item consists of a
-# pattern, the largest number of matching lines that a file may contain, and the hint of the error.
+# Lines of Abaqus files that meshio ignores although they change the mesh.
+# Each item contains a pattern, the permitted number of matching lines, and the hint of the error.
 IGNORED_LINES = (
     (rb"^[ \t]*\*[ \t]*(NGEN|NFILL|NCOPY|NMAP|ELGEN|ELCOPY|SYSTEM)\b.*", 0,
      "write all nodes and elements in global coordinates"),
@@ -63,7 +63,7 @@ IGNORED_LINES = (
 _GRID_LINE = re.compile(rb"^(?:GRID|GRDSET)\b.*", re.MULTILINE)
 # Beginning of a continuation line in a Nastran file: the first field of the line is empty.
 _CONTINUATION_LINE = re.compile(rb"^(?:(?=,)| (?=       | *,))(?=.*\S)", re.MULTILINE)
-# Names of Abaqus elements, keyed by dimension. The group is the number of nodes in the name.
+# Patterns of Abaqus element names, keyed by dimension; the group is the number of nodes.
 ABAQUS_TYPES = {
     2: re.compile(r"(?:DC|AC|C|CG)(?:AX|PS|PE|2D)(\d+)[A-Z]*"),
     3: re.compile(r"(?:DC|AC|C|QC)3D(\d+)[A-Z]*"),
@@ -74,8 +74,8 @@ MESHIO_NAMES = {
     3: {4: "tetra", 5: "pyramid", 6: "wedge", 8: "hexahedron", 10: "tetra10", 15: "wedge15",
         20: "hexahedron20", 27: "hexahedron27"},
 }  # fmt: skip
-# Number of nodes of UNV elements, keyed by element type. Elements of the types UNV_BEAMS have an
-# additional line.
+# Number of nodes of UNV elements, keyed by element type.
+# UNV elements of the types UNV_BEAMS have an additional line.
 UNV_NODES = {
     11: 2, 21: 2, 22: 3, 24: 3, 41: 3, 42: 6, 44: 4, 45: 8, 81: 3, 82: 6, 84: 4, 85: 8, 91: 3,
     92: 6, 94: 4, 95: 8, 111: 4, 112: 6, 113: 15, 115: 8, 116: 20, 118: 10,
@@ -143,7 +143,8 @@ def _list_ignored_lines(reader: str, data: bytes) -> Iterator[tuple[bytes, str]]
 def merge_file(gmsh: ModuleType, file: str, dimension: int) -> None:
     """Add the mesh of a file that meshio reads to the current gmsh model.
 
-    ``dimension`` is the dimension of the body, 2 or 3. For other formats, use ``gmsh.merge``.
+    ``dimension`` is the dimension of the body, 2 or 3. Files that gmsh reads need ``gmsh.merge``
+    instead.
     """
     reader = MESHIO_READERS[Path(file).suffix][0]
     _extend_meshio(reader, Path(file))
@@ -207,9 +208,9 @@ def merge_file(gmsh: ModuleType, file: str, dimension: int) -> None:
 def _extend_meshio(reader: str, file: Path) -> None:
     """Extend meshio so that it reads a ``file`` with features that it does not support.
 
-    These features are prisms with 15 nodes, some Abaqus elements, and continuation lines in Nastran
-    files. If ``reader`` is "nastran", the continuation lines of the ``file`` are rewritten. The
-    ``file`` must be a copy of the user's file.
+    The added features are prisms with 15 nodes, some Abaqus elements, and continuation lines in
+    Nastran files. If ``reader`` is "nastran", the continuation lines of the ``file`` are rewritten.
+    The ``file`` must be a copy of the user's file.
     """
     import_module("meshio._mesh").topological_dimension.setdefault("wedge15", 3)
     if reader == "abaqus":
@@ -239,7 +240,7 @@ def require_unv_elements(data: bytes, where: str) -> None:
 
     Raises
     ------
-    UsageError : an element has not the number of nodes that its type requires.
+    UsageError : an element does not have the number of nodes that its type requires.
     """
     for dataset in _UNV_ELEMENT_DATASET.findall(data):
         lines = iter(dataset.splitlines())

@@ -25,7 +25,7 @@ def merge_nodes(points: np.ndarray, blocks: Sequence[CellBlock], distance: float
     ------
     UsageError : both ends of an edge would get the same number.
     """
-    from scipy.spatial import cKDTree  # imported here, because few meshes need it
+    from scipy.spatial import cKDTree  # cKDTree is imported here, because few meshes need it
 
     used = _find_used_nodes(blocks)
     pairs = used[cKDTree(points[used]).query_pairs(distance, output_type="ndarray")]

@@ -33,13 +33,13 @@ from scipy.sparse.csgraph import connected_components
 from kc2spice.fem.solid import Solid, list_strain_operators, list_tensors
 
 CHUNK_SIZE = 1000  # elements or corners processed together, which limits the memory
-# Penalty on the squared coefficients of degree 1 of a fitted polynomial, relative to the mean
-# diagonal entry of the normal matrix. Coefficients of degree p have p^2 times this penalty. The
-# penalty makes the fit unique if it has too few points.
+# Penalty on squared coefficients of degree 1, relative to the normal matrix's mean diagonal entry.
+# Coefficients of degree p have p^2 times this penalty.
+# The penalty makes the fit of a polynomial unique if there are too few points.
 RIDGE_PENALTY = 1e-6
-# Penalty on choosing a neighbouring patch instead of the patch of the corner itself. The penalty is
-# added to the squared distance between the corner and the mean point of the patch, which is
-# relative to the spread of the patch's points.
+# Penalty on choosing a neighbouring patch instead of the patch of the corner itself.
+# The penalty is added to the squared distance between the corner and the patch's mean point.
+# This squared distance is relative to the spread of the patch's points.
 NEIGHBOUR_PENALTY = 0.5
 
 
@@ -180,6 +180,7 @@ class _Patches:
 
     @staticmethod
     def fit(solid: Solid, u: np.ndarray, phi: np.ndarray) -> _Patches:
+        """Fit polynomials to the strain and electric field in all patches."""
         degree = solid.order
         places, samples = _sample_fields(solid, u, phi, solid.order)
         number, middle = _number_patches(solid)

@@ -37,14 +37,14 @@ FACE_QUADRATURE = 5
 CHUNK_SIZE = 4000  # elements processed together, which limits the memory of the element matrices
 # Voigt row of the derivative of component i with respect to coordinate j.
 VOIGT_ROWS = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])
-# Indices of the mesh coordinates among x, y and z, keyed by the dimension of the mesh. A mesh of
-# dimension 1 is a line along z, and one of dimension 2 a meridian plane.
+# Indices of the mesh coordinates among x, y and z, keyed by the dimension of the mesh.
+# A mesh of dimension 1 is a line along z, and a mesh of dimension 2 is a meridian plane.
 _COORDINATE_AXES = {1: np.array([2]), 2: np.array([0, 2]), 3: np.arange(3)}
 
 
-# Largest change of local coordinates in the last Newton step in thin elements. In such elements,
-# rounding errors of global coordinates exceed scikit-fem's tolerance. Newton's method converges
-# quadratically, so that the error after this step is much smaller than the step.
+# Largest permitted change of local coordinates in the last Newton step in thin elements.
+# In thin elements, rounding errors of global coordinates exceed scikit-fem's tolerance.
+# Newton's method converges quadratically: the error after its last step is far below the step.
 THIN_ELEMENT_TOLERANCE = 1e-8
 
 
@@ -232,7 +232,7 @@ def list_tensors(
 
 
 def _split_chunks(solid: Solid, only: int | None) -> Iterator[tuple[Material, np.ndarray]]:
-    """Yield each material with groups of at most ``CHUNK_SIZE`` of its elements.
+    """Yield pairs of a material and a group of at most ``CHUNK_SIZE`` of its elements.
 
     If ``only`` is the number of a material, only this material is yielded.
     """

@@ -104,7 +104,7 @@ class ThermalMaterialTable(Section):
 
 @cache
 def _load_tables() -> Mapping[str, dict[str, Any]]:
-    """Return the material tables of the library file, keyed by name; some have no density."""
+    """Return the material tables of the library file, keyed by name; some lack a density."""
     path = Path(__file__).parent / "thermal_materials.toml"
     return tomllib.loads(path.read_text("utf-8"))
 
