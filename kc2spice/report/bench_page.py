@@ -59,7 +59,7 @@ def _make_setting_row(point: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def format_recommendation(record: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return table rows of the recommended settings, the scene's settings and the reference."""
+    """Return table rows of the recommended, the scene's and the reference settings."""
     current = next(filter(itemgetter("own"), record["points"]))
     best, reference = record["recommended"], record["reference"]
     rows = [
@@ -90,7 +90,7 @@ def format_recommendation(record: Mapping[str, Any]) -> list[tuple[str, str]]:
 def _list_metrics(metrics: Sequence[str]) -> str:
     """Return the names of metrics as one string.
 
-    Several curves of the same group are listed by the name of the group and their number.
+    Several curves of the same group are listed by the name of the group and the number of curves.
     """
     groups = Counter(name.partition(".")[0] for name in metrics)
     return ", ".join(n if count == 1 else f"{n} ({count} curves)" for n, count in groups.items())

@@ -406,8 +406,8 @@ def _select_point_indices(panel: Panel) -> list[np.ndarray]:
 def _thin_points(y: np.ndarray, count: int) -> np.ndarray:
     """Return the indices of about ``count`` points of a curve that preserve its peaks and corners.
 
-    The points are the extremes of each group of consecutive points, and the points on both sides of
-    the largest jumps and of gaps. ``y`` contains the values of the curve.
+    The selected points are the extremes of each group of consecutive points, and the points on both
+    sides of the largest jumps and of gaps. ``y`` contains the values of the curve.
     """
     if y.size <= count:
         return np.arange(y.size)

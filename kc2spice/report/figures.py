@@ -11,8 +11,8 @@ import numpy as np
 
 from kc2spice.core.figure import Curve, Figure, Panel
 
-# Colours of Okabe and Ito, "Color Universal Design" (2008), which people with any type of colour
-# vision can distinguish.
+# Colours that people with any type of colour vision can distinguish.
+# Source: Okabe and Ito, "Color Universal Design" (2008).
 BLUE = "#0072B2"
 ORANGE = "#E69F00"
 GREEN = "#009E73"
@@ -23,7 +23,7 @@ BLACK = "#222222"
 GREY = "#8A8A8A"
 PALETTE = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY, BLACK)
 
-LABELS_ABOVE = 4  # a legend of at most this many labels is above the axes, otherwise beside them
+LABELS_ABOVE = 4  # largest number of labels of a legend above the axes
 _LEGEND_ABOVE_AXES: Any = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": LABELS_ABOVE}
 _LEGEND_BESIDE_AXES: Any = {
     "loc": "upper left",
@@ -64,7 +64,7 @@ def write_pngs(directory: Path, figures: Sequence[Figure]) -> list[str]:
         page.savefig(
             directory / names[-1],
             metadata={"Software": "kc2spice"},
-            pil_kwargs={"compress_level": 2},  # fast compression
+            pil_kwargs={"compress_level": 2},  # fast compression of the PNG file
         )
     return names
 
@@ -162,7 +162,7 @@ def _set_log_scale(axes: Any, axis: Any) -> None:
 
     axes.set(**{f"{axis.axis_name}scale": "log"})
     low, high = axis.get_data_interval()
-    # Ticks at 1, 2, 5 are used up to this number of decades; above it, labels would overlap.
+    # largest number of decades with ticks at 1, 2, 5; with more decades, labels would overlap
     decades = 2 if axis.axis_name == "x" else 3
     narrow = low > 0 and high < 10**decades * low
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if narrow else (1.0,)))

@@ -31,19 +31,19 @@ _LABEL_WORDS = {
     "lm": "Lm",
     "cm": "Cm",
 }
-# Labels of the keys of resonances. They also contain the electrical condition.
+# Labels of the keys of resonances, including the electrical condition.
 _LABELS = {
     "resonance_short_hz": "natural frequency, electrodes shorted",
     "resonance_open_hz": "natural frequency, electrodes open",
     "resonance_hz": "series resonance of the impedance",
     "antiresonance_hz": "parallel resonance of the impedance",
 }
-# Suffixes that keys of `result.json` have for each unit, keyed by unit.
+# Suffixes of keys in `result.json` that denote a unit, keyed by unit.
 _UNIT_SUFFIXES = {
     "m per 100 V": "_m_per_100v", "m/V": "_m_per_v", "m/s": "_m_s", "V/m": "_v_m", "N/m": "_n_m",
     "N s/m": "_n_s_m", "Ohm": "_ohm",
 }  # fmt: skip
-# Names of physical quantities, keyed by unit. They are added to labels that are otherwise equal.
+# Names of physical quantities, keyed by unit, which distinguish otherwise equal labels.
 _QUANTITIES = {
     "s": "time", "m": "position", "m/s": "velocity", "Hz": "frequency", "V": "voltage",
     "A": "current", "N": "force", "J": "energy",

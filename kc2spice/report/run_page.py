@@ -27,7 +27,7 @@ from kc2spice.report.html import (
 )
 from kc2spice.scene.model import Scene, scene_hash
 
-MIN_METRICS = 4  # number of metrics that remain in a summary with rows of assumptions
+MIN_METRICS = 4  # smallest number of metrics in a summary with rows of assumptions
 OPERATING_RESULTS = 6  # largest number of listed results at an operating point in a summary
 LEAD_TEXT = "Finite-element models, reduced, exported as a netlist and run in ngspice."
 NETS_NOTE = (

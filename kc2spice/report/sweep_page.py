@@ -27,11 +27,11 @@ EQUALITY_TOLERANCE = 1e-9
 MAX_LISTED_VALUES = 10  # largest number of listed values of a key whose values are strings
 
 Table = Mapping[str, Sequence[Any]]
-Axis = tuple[str, np.ndarray]  # label with unit, and values
+Axis = tuple[str, np.ndarray]  # label with unit, and values along the axis
 
 
 def _has_types(column: Sequence[Any], *kinds: type) -> bool:
-    """Return whether all values in a column, except None, have the same one of the types."""
+    """Return whether all values in a column, except None, have one and the same of the types."""
     present = set(map(type, column)) - {type(None)}
     return len(present) == 1 and present <= set(kinds)
 
