@@ -279,7 +279,7 @@ def _add_damping(
         loss.append(1 / (material.quality * 2 * np.pi * first))
 
     def damping_term(beta: float, material: int | None = None) -> sparse.csc_array:
-        """Return the damping matrix of one material, or of all materials if it is None.
+        """Return the damping matrix of one material, or of all materials if ``material`` is None.
 
         The matrix is ``beta`` [s] times the stiffness matrix.
         """
@@ -300,7 +300,7 @@ def _add_damping(
 def spread_force(shares: np.ndarray, axis: np.ndarray, solid: Solid) -> np.ndarray:
     """Return the nodal forces of a unit force along ``axis``, an array of shape (d nodes,).
 
-    ``shares`` (nodes,) is the share of the force at each node.
+    ``shares`` is the share of the force at each node, an array of shape (nodes,).
     """
     return np.outer(shares, axis[solid.axes]).ravel()
 
@@ -697,7 +697,7 @@ def select_face(solid: Solid, face: RadiatingFace, near: float) -> np.ndarray:
 def _merge_edges(edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Sort the positions of edges, and merge positions that differ only by rounding errors.
 
-    Return the sorted positions, and the index of each edge among them.
+    Return the sorted positions, and for each edge the index of its position in the sorted array.
     """
     points = np.unique(edges)
     points = points[np.r_[True, np.diff(points) > 1e-9 * np.ptp(points)]]

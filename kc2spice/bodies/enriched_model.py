@@ -168,7 +168,7 @@ class EnrichedModel:
         return shapes, (np.vstack([0.0 * z, r_u]), np.vstack([0.0 * p, r_p]))
 
     def solve_functions(self, residual: Pair) -> Pair:
-        """Solve for the unknowns of the additional functions while those of the mesh are zero.
+        """Solve for the unknowns of the additional functions; all unknowns of the mesh are zero.
         The coupling C between displacements and potentials is included by one iteration.
         """
         (z, r_u), (q, r_p) = self._split_blocks(residual)
@@ -180,7 +180,7 @@ class EnrichedModel:
         return np.vstack([0.0 * z, u]), np.vstack([0.0 * q, p])
 
     def solve_mesh(self, residual: Pair) -> Pair:
-        """Solve for the unknowns of the mesh while those of the additional functions are zero."""
+        """Solve for the unknowns of the mesh; all unknowns of the additional functions are zero."""
         ((z, more_u), (q, more_p)), K = self._split_blocks(residual), self.device.model.K
         if isinstance(K, Schur):
             q = K.inner.solve(q)

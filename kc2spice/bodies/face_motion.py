@@ -11,10 +11,10 @@ distribution of v. A piston of radius a has ``F = 2 J1(x) / x int v dS`` with ``
 sin(angle)``.
 
 Without a baffle, the sound of the back of a thin disc cancels the sound of the front. The disc of
-radius a then radiates as a dipole. At small k a, the ratio of its field on the axis to the field in
-a baffle is ``k / 2 int v g dS / int v dS``. Here ``g = (4 / pi) (a^2 - r^2)^1/2`` is the potential
-difference across a rigid disc that moves at a velocity of 1 (H. Lamb, Hydrodynamics, 6th ed.,
-section 102).
+radius a then radiates as a dipole. At small k a, the field of the disc on the axis, relative to the
+field in a baffle, is ``k / 2 int v g dS / int v dS``. Here ``g = (4 / pi) (a^2 - r^2)^1/2`` is the
+potential difference across a rigid disc that moves at a velocity of 1 (H. Lamb, Hydrodynamics, 6th
+ed., section 102).
 
 In a closed volume, the mean of v over the face compresses the fluid. The difference of v from its
 mean is a sum of the volume's cross modes psi_n with the amplitudes v_n. The cross modes do not
@@ -79,7 +79,7 @@ class FaceMotion:
 
     @property
     def piston_ratios(self) -> np.ndarray:
-        """Ratio of the face's mean normal velocity to its rms value for each motion.
+        """Mean normal velocity of the face for each motion, relative to the rms normal velocity.
 
         The returned array has the shape (motions,). For a piston, the ratio is 1.
         """
@@ -88,7 +88,7 @@ class FaceMotion:
 
     @property
     def peak_ratios(self) -> np.ndarray:
-        """Ratio of the face's largest normal displacement to its mean for each motion.
+        """Largest normal displacement of the face for each motion, relative to the mean.
 
         The returned array has the shape (motions,). For a piston, the ratio is 1.
         """
@@ -120,7 +120,7 @@ class FaceMotion:
         return np.asarray(kernel @ (self.areas[:, None] * self.normal))
 
     def compute_power_ratios(self, wave_number: float, radius: float) -> np.ndarray:
-        """Return the ratio of the face's radiated power to the power of a piston for each motion.
+        """Return the radiated power of the face for each motion, relative to a piston.
 
         The piston has the ``radius`` [m] and the same volume velocity as the face. Face and piston
         are in an infinite baffle. The returned array has the shape (motions,).
@@ -150,7 +150,7 @@ class FaceMotion:
         return np.asarray(self.areas @ np.abs(uneven) ** 2 / (decay * np.tanh(decay * depth)))
 
     def compute_unbaffled_ratios(self, wave_number: float) -> np.ndarray:
-        """Return the ratio of the far field without a baffle to the far field with a baffle.
+        """Return the far field without a baffle, relative to the far field with a baffle.
 
         The ratio is for the sound pressure on the axis of a thin body of revolution, for small k a;
         the formula is in the module docstring. The returned array has the shape (motions,).

@@ -49,7 +49,7 @@ class HeatFilm:
     """Faces with heat transfer to a fluid.
 
     The heat flow per area is the ``coefficient`` [W/(m^2 K)] times the temperature difference
-    between face and fluid. The temperature of the fluid is that of the ``port``, or the ambient
+    between face and fluid. The fluid has the temperature of the ``port``, or the ambient
     temperature if there is no port.
     """
 

@@ -40,7 +40,7 @@ class BVD:
     cm_f: float
 
     def admittance(self, frequency: np.ndarray) -> np.ndarray:
-        """Compute the complex admittance (n,) at frequencies [Hz]."""
+        """Compute the complex admittance at an array of frequencies [Hz]."""
         s = 2j * np.pi * np.asarray(frequency)
         branch = self.rm_ohm + s * self.lm_h + 1 / (s * self.cm_f)
         return s * self.c0_f + 1 / branch

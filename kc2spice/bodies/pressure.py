@@ -118,7 +118,7 @@ class PressureBasis(EqualByContent):
         """Return the pressure of a unit force that is divided among the functions by ``shares``.
 
         The first array contains the radii [m] of the nodes, and the second array the pressures
-        [1/m^2] there.
+        [1/m^2] at these nodes.
         """
         return self.nodes, np.append(shares / self.areas, 0.0)
 
@@ -387,8 +387,9 @@ def solve_contact_forces(compliance: np.ndarray, gap: np.ndarray, depth: np.ndar
     ``depth`` [m] contains the indentations x. Return the forces f [N], an array of shape (depths,
     n). The compliance matrix is S, and ``g = x - gap`` is the overlap of sphere and surface. The
     forces are positive only where the sphere touches the surface: ``f >= 0``, ``S f >= g`` and
-    ``f'(S f - g) = 0``. These are the conditions of a minimum of ``f'S f / 2 - f'g``. With the
-    factorisation ``S = L L'``, this function equals ``|L'f - L^-1 g|^2 / 2`` apart from a constant.
+    ``f'(S f - g) = 0``. Forces that satisfy these three conditions minimise ``f'S f / 2 - f'g``.
+    With the factorisation ``S = L L'``, this function equals ``|L'f - L^-1 g|^2 / 2`` apart from a
+    constant.
     """
     from scipy.optimize import nnls  # nnls is imported here, because ring contacts do not need it
 

@@ -1,8 +1,8 @@
 """Multilayer piezoelectric stack with ring-shaped contact ports on its top.
 
 One quarter of the stack is meshed, because all four quarters move in the same way. As in the paper
-(2.2.2), the nodes are on concentric circles. Therefore, a force on a ring is exactly a sum of nodal
-forces. A *level* is a layer of elements of the mesh. It contains one ceramic layer, or several
+(2.2.2), the nodes are on concentric circles, so that a force on a ring is exactly a sum of nodal
+forces. A *level* is a layer of elements of the mesh. A level contains one ceramic layer, or several
 ceramic layers as one medium if the key ``layers_per_element`` permits this. The electrodes
 determine the electric field in each ceramic layer. Therefore, m parallel layers at the same voltage
 are equivalent to one layer with m times the thickness, the coupling ``m e`` and the permittivity
@@ -86,10 +86,10 @@ def make_stack_setup(
 ) -> tuple[Solid, BoundaryConditions]:
     """Make mesh, materials and boundary conditions of one quarter of the stack.
 
-    The quarter has ``x >= 0`` and ``y >= 0``. Its bottom face, including the bottom cap, is at ``z
-    = 0`` (paper 2.2.2, Fig. 3b). Nodes are numbered plane by plane. In each plane, the centre is
-    first, followed by the nodes of each ring from the x axis to the y axis. Elements are numbered
-    from the bottom to the top.
+    The quarter has ``x >= 0`` and ``y >= 0``. The bottom face of the quarter, including the bottom
+    cap, is at ``z = 0`` (paper 2.2.2, Fig. 3b). Nodes are numbered plane by plane. In each plane,
+    the centre is first, followed by the nodes of each ring from the x axis to the y axis. Elements
+    are numbered from the bottom to the top.
     """
     steps = kick.mesh.refine * kick.mesh.order
     (spans, heights), lattice = _divide_height(kick, steps), _place_nodes(kick, steps)
@@ -141,9 +141,9 @@ def _make_hexahedra(
 ) -> tuple[MeshHex1, np.ndarray]:
     """Make the mesh of hexahedra, and the node numbers of each hexahedron.
 
-    A box with the coordinates (ring, spoke, plane) is divided into regular hexahedra. Its nodes are
-    then moved to their positions in the stack. In each plane, all nodes with ``ring = 0`` become
-    one node, so that the hexahedra around the centre become exact wedges.
+    A box with the coordinates (ring, spoke, plane) is divided into regular hexahedra. The nodes of
+    the box are then moved to their positions in the stack. In each plane, all nodes with ``ring =
+    0`` become one node, so that the hexahedra around the centre become exact wedges.
     """
     counts = (lattice.shape[0] - 1, lattice.shape[1] - 1, len(heights) - 1)
     box = MeshHex1.init_tensor(*(np.arange(n // order + 1) * 1.0 for n in counts))
@@ -172,8 +172,8 @@ def choose_level_spans(kick: Chip) -> np.ndarray:
 def choose_cap_layers(kick: Chip, cap: Cap | None) -> int:
     """Choose the number of element levels in a cap.
 
-    A level in the cap is about as thick as an active layer. There are two to sixteen levels in a
-    cap, and none without a cap.
+    A level in the cap is about as thick as an active layer. A cap has two to sixteen levels. The
+    number is 0 if there is no cap.
     """
     if cap is None:
         return 0

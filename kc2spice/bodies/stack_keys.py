@@ -77,8 +77,8 @@ class ChipMesh(Section):
 class ChipDamping(Damping):
     """Damping of the chip.
 
-    The damping ratio applies at the frequency ``at``. The default frequency is that of the chip in
-    the paper.
+    The damping ratio applies at the frequency ``at``. The default of ``at`` is the frequency for
+    the chip in the paper.
     """
 
     at: Frequency | tuple[Frequency, Frequency] | None = Field(

@@ -16,12 +16,12 @@ from kc2spice.core.domains import ACOUSTIC, TRANSLATION
 from kc2spice.fem.solid import Solid
 from kc2spice.rom.linear_model import LinearModel
 
-# largest relative residual of an eigenmode; the relative frequency error is its square
+# largest relative residual of an eigenmode; its square is the relative frequency error
 MODE_RESIDUAL = 1e-5
 # Numbers of modes to compute; a larger number is used if the ports excite none of the modes.
 # An unsupported body has up to six rigid-body modes.
 MODE_COUNTS = (4, 8, 40)
-# A port excites a mode if the mode has more than this share of the static response (mass norm).
+# A port excites a mode if the mode's share of the static response (mass norm) exceeds this value.
 MIN_MODE_SHARE = 0.03
 MAX_REFINEMENTS = 3  # number of iterations that correct static responses for the shift
 Operator = Callable[[np.ndarray], np.ndarray]
@@ -55,8 +55,8 @@ class FiniteElementModel:
         """Compute the displacements and the potentials at the nodes.
 
         The unknowns ``z`` have the shape (n, k), and the ``voltages`` the shape (e, k). Return
-        displacements of shape (d nodes, k) and potentials of shape (nodes, k). Their column j
-        belongs to column j of ``z`` and of ``voltages``.
+        displacements of shape (d nodes, k) and potentials of shape (nodes, k). Column j of both
+        returned arrays belongs to column j of ``z`` and of ``voltages``.
         """
         phi, K = self.drive @ voltages, self.model.K
         if self.potential.shape[1]:
@@ -93,9 +93,10 @@ def compute_undamped_responses(model: LinearModel, shift: float = 0.0) -> Undamp
 
     ``facts`` of the returned object contains:
 
-    * the capacitance of each electrical port while the other electrical ports are shorted. Its key
-      contains the name of the port, except for the first port.
-    * the stroke per volt of the first mechanical port. Its key contains the name of the port.
+    * the capacitance of each electrical port while the other electrical ports are shorted. The key
+      of a capacitance contains the name of the port, except for the first port.
+    * the stroke per volt of the first mechanical port. The key of this stroke contains the name of
+      the port.
     * the lowest resonance that the electrical ports excite while all electrodes are shorted, and
       the lowest resonance while all electrodes are open. In a model without electrical ports, all
       ports except acoustic ports excite the modes. If all ports are acoustic, the acoustic ports

@@ -132,8 +132,8 @@ def read_any_model(
 ) -> LinearModel | AffineModel:
     """Read a model from matrix files, with parameters if its TOML file contains any.
 
-    The model is the same as that of :func:`read_affine_model` if the TOML file contains parameters,
-    otherwise that of :func:`read_model`.
+    If the TOML file contains parameters, the model is the same as in :func:`read_affine_model`,
+    otherwise as in :func:`read_model`.
     """
     rows, terms = _read_rows(path, sidecar)
     settings = rows.sidecar
@@ -372,8 +372,8 @@ def _find_files(path: Path) -> tuple[Path, dict[str, Path]]:
 def _read_files(path: Path, files: dict[str, Path], requested: Mapping[str, str]) -> raw.Raw:
     """Read the matrices of a model without any conversion.
 
-    ``files`` contains a file for each matrix. If it is empty, ``path`` contains all matrices.
-    ``requested`` maps letters to the names of the matrices in ``path``.
+    ``files`` contains a file for each matrix. If ``files`` is empty, ``path`` contains all
+    matrices. ``requested`` maps letters to the names of the matrices in ``path``.
     """
     suffix = path.suffix.lower()
     if files:

@@ -262,7 +262,7 @@ class Rows:
     def convert_to_si(self) -> Mapping[str, Matrix]:
         """Convert the matrices to metres and newtons.
 
-        In this way, the product of forces and displacements is in joules.
+        After this conversion, the product of forces and displacements is in joules.
         """
         settings = self.sidecar
         length, force = LENGTH_UNITS[settings.length], FORCE_UNITS[settings.force]
@@ -353,7 +353,7 @@ class Rows:
     def ports(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[Port, ...]]:
         """Return the matrices B, C and D, and the ports in the sequence of the TOML file.
 
-        B and C contain all matrix rows, including those of fixed degrees of freedom.
+        B and C contain all matrix rows, including the rows of fixed degrees of freedom.
         """
         settings = self.sidecar
         if not settings.ports:

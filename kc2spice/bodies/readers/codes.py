@@ -472,7 +472,7 @@ def _make_value_converter(kind: int, polar: bool, name: str) -> Callable[[str, s
 def list_bulk_data_cards(data: bytes, name: str) -> Iterator[list[str]]:
     """Yield the fields of each card with the ``name`` in Nastran bulk data.
 
-    The fields include those of continuation lines. Fields may be small, large or free.
+    The fields include the fields of continuation lines. Fields may be small, large or free.
     """
     cells: list[str] = []
     for line in data.decode("ascii", "replace").splitlines():

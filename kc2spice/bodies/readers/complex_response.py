@@ -185,7 +185,7 @@ def _replace_titles(titles: Sequence[str], comments: Sequence[str]) -> tuple[str
 
 @dataclass(frozen=True, eq=False)
 class _ColumnPair(EqualByContent):
-    """Response from two columns: the columns, their combination, and the ``samples`` (n,)."""
+    """Response from two columns: the columns, their combination, and the ``samples``."""
 
     combination: Combination
     columns: tuple[Column, ...]
@@ -465,7 +465,7 @@ def _combine_columns(
 
 
 def _compute_admittance(reading: _ColumnPair) -> np.ndarray:
-    """Compute the admittance (n,) of a response from two columns.
+    """Compute the admittance of a response from two columns.
 
     S parameters have the default reference resistance.
     """

@@ -5,9 +5,9 @@ table must contain a frequency column and two columns that determine an impedanc
 phase. Semicolons, tabs, commas or blanks separate fields. A comma that does not separate columns is
 a decimal comma.
 
-The names of variables in a MATLAB file are those of columns. A complex variable has the name ``z``,
-``y`` or ``s``, and the shape (n,) or (ports, ports, n) for n frequencies. The variable ``z0`` is
-the reference resistance of ``s``.
+The names of variables in a MATLAB file are the same as the titles of columns. A complex variable
+has the name ``z``, ``y`` or ``s``, and the shape (n,) or (ports, ports, n) for n frequencies. The
+variable ``z0`` is the reference resistance of ``s``.
 """
 
 from __future__ import annotations
@@ -169,7 +169,7 @@ def is_measured(path: Path) -> bool:
 
 
 def is_table(path: Path) -> bool:
-    """Return whether the name of a file is that of a table and not that of a matrix file."""
+    """Return whether a file name is the name of a table, and not of a matrix file."""
     return path.suffix.lower() in TABLE_SUFFIXES and not _MATRIX_NAME.fullmatch(path.stem)
 
 
@@ -181,7 +181,7 @@ def read_measured(path: Path, shunt: float | None = None) -> MeasuredAdmittance:
     Raises
     ------
     UsageError : the file is missing, damaged or too large, contains too few points or no known
-        columns, or its response is that of an active part, a short circuit or an open circuit.
+        columns, or is the response of an active part, a short circuit or an open circuit.
     """
     match = _TOUCHSTONE_SUFFIX.fullmatch(path.suffix)
     expected = "a table with a frequency and two columns of impedance, admittance or reflection"

@@ -58,7 +58,7 @@ _PARSER_MESSAGES = {
 _BOM = b"\xef\xbb\xbf"
 
 # Names of degrees of freedom, keyed by number. The numbers 1 to 6 are the same in all programs.
-# All other numbers of degrees of freedom are those of Abaqus or kc2spice.
+# All other numbers of degrees of freedom are defined by Abaqus or kc2spice.
 DOFS = {
     0: "scalar", 1: "ux", 2: "uy", 3: "uz", 4: "rx", 5: "ry", 6: "rz", 7: "warp", 8: "pres",
     9: "volt", 11: "temp", 12: "conc", 13: "mag", 14: "emf", 15: "curr", 21: "ax", 22: "ay",
@@ -328,8 +328,8 @@ def make_matrices_by_letter(
 def complete_triangles(matrix: sparse.csc_array) -> sparse.csc_array:
     """Complete a symmetric matrix that contains only one entry of each symmetric pair.
 
-    This entry may be above or below the diagonal. If the matrix contains both entries of any pair,
-    it is returned unchanged.
+    The entry of a pair may be above or below the diagonal. If the matrix contains both entries of
+    any pair, it is returned unchanged.
     """
     below = abs(sparse.tril(matrix, -1, format="csc")) > 0
     above = abs(sparse.triu(matrix, 1, format="csc")) > 0

@@ -225,7 +225,8 @@ def _describe_non_number(lines: list[str]) -> str:
 def _build_table(lines: list[str], run: _Run, end: int, separator: str | None) -> TextTable:
     """Make the table of a range of rows.
 
-    Its titles are searched in the lines after the index ``end``, where the previous table ends.
+    The titles of the table are searched in the lines after the index ``end``, where the previous
+    table ends.
     """
     short = (
         line[:MAX_LINE_LENGTH] for line in lines[max(end, run.first - COMMENT_LINES) : run.first]

@@ -152,7 +152,7 @@ def _reject_undriven_ports(S: np.ndarray) -> None:
 def _choose_word(words: list[str], choices: tuple[str, ...], default: str) -> str:
     """Return the word of an option line that is one of the ``choices``.
 
-    Return the ``default`` if the option line contains none of them.
+    Return the ``default`` if the option line contains none of the choices.
 
     Raises
     ------
