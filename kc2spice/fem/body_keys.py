@@ -33,9 +33,9 @@ class Damping(Section):
     ``model = "rayleigh"`` selects viscous damping with the matrix ``E = alpha M + beta K``, where M
     is the mass matrix and K the stiffness matrix. The damping ratio ``zeta`` applies at the
     frequency ``at``, by default the first resonance of the body. Instead of ``zeta``, a Q factor
-    ``1/(2 zeta)`` or a loss factor ``2 zeta`` may be given. One damping ratio gives ``beta = 2 zeta
-    / omega``. Two damping ratios at two frequencies determine ``alpha`` and ``beta`` by the
-    equation ``zeta = alpha/(2 omega) + beta omega/2``. With ``per_material``, E is the sum of
+    ``1/(2 zeta)`` or a loss factor ``2 zeta`` may be given. If one damping ratio is given, ``beta``
+    is ``2 zeta / omega``. Two damping ratios at two frequencies determine ``alpha`` and ``beta`` by
+    the equation ``zeta = alpha/(2 omega) + beta omega/2``. With ``per_material``, E is the sum of
     ``K_i/(Q_i omega)`` over the materials i.
 
     ``model = "ieee176"`` selects the complex material constants of IEEE Std 176. The Q factor is

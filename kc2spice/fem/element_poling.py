@@ -141,7 +141,11 @@ def read_poling(path: Path, where: str, axisymmetric: bool) -> PolingTable:
 
 
 def compute_centres(mesh: Mesh) -> np.ndarray:
-    """Return the centres (elements, d) [m] of all elements: the means of their corners."""
+    """Return the centres [m] of all elements.
+
+    The centre of an element is the mean of its corners. The returned array has the shape (elements,
+    d).
+    """
     return np.asarray(mesh.doflocs[:, mesh.t].mean(axis=1).T)
 
 

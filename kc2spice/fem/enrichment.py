@@ -14,8 +14,8 @@ with ``b_2 = x (1 - x)`` and ``b_3 = x (1 - x) (2 x - 1)``. The function of an e
 if the direction of the edge is reversed.
 
 :func:`assemble_enrichment` integrates the matrix entries of the cubic functions;
-:mod:`kc2spice.fem.solid` integrates those of the quadratic functions only. Source: B. Szabo and I.
-Babuska, Finite Element Analysis (1991).
+:mod:`kc2spice.fem.solid` integrates the matrix entries of the quadratic functions only. Source: B.
+Szabo and I. Babuska, Finite Element Analysis (1991).
 """
 
 from __future__ import annotations
@@ -43,10 +43,11 @@ AFFINE_TOLERANCE = 1e-9
 
 
 class ShapeFunction(NamedTuple):
-    """Values (points,) and gradients (d, points) of a function on the reference element.
+    """Values and gradients of a function on the reference element.
 
-    ``corners`` are the corners of the edge, triangle or quadrilateral to which the function
-    belongs. The two corners of an edge are ordered in the direction of the edge.
+    The values have the shape (points,), and the gradients the shape (d, points). ``corners`` are
+    the corners of the edge, triangle or quadrilateral to which the function belongs. The two
+    corners of an edge are ordered in the direction of the edge.
     """
 
     corners: tuple[int, ...]
@@ -78,7 +79,7 @@ class Enrichment:
         return int(self.numbers.max()) + 1
 
     def mask_dielectric_functions(self) -> np.ndarray:
-        """Return a mask (count,) that selects functions in piezoelectrics and dielectrics."""
+        """Return a mask that selects functions in piezoelectrics and dielectrics."""
         field = np.array([m.piezoelectric or m.dielectric for m in self.solid.materials])
         result = np.zeros(self.count, bool)
         result[self.numbers[:, field[self.solid.owner]]] = True
@@ -187,11 +188,12 @@ def _make_basis(solid: Solid, cells: np.ndarray) -> skfem.Basis:
 
 
 def _make_tetrahedron_rule(order: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return integration points (3, points) and weights (points,) on a tetrahedron.
+    """Return integration points and weights on a tetrahedron.
 
-    The rule is a product of Gauss-Jacobi rules. The rules of scikit-fem for tetrahedra are exact
-    only for polynomials of degree up to 4. Source: A. H. Stroud, Approximate Calculation of
-    Multiple Integrals (1971), section 2.5.
+    The points have the shape (3, points), and the weights the shape (points,). The rule is a
+    product of Gauss-Jacobi rules. The rules of scikit-fem for tetrahedra are exact only for
+    polynomials of degree up to 4. Source: A. H. Stroud, Approximate Calculation of Multiple
+    Integrals (1971), section 2.5.
     """
     count = order // 2 + 1
     rules = [roots_jacobi(count, alpha, 0.0) for alpha in (2, 1, 0)]

@@ -52,7 +52,10 @@ class HeatSolid:
         return int(self.geometry.places.shape[1])
 
     def compute_weights(self, basis: skfem.Basis, cells: np.ndarray) -> np.ndarray:
-        """Return the weights (cells, points) of integration points for volume integrals."""
+        """Return the weights of integration points for volume integrals.
+
+        The returned array has the shape (cells, points).
+        """
         weights = np.asarray(basis.dx)
         if self.geometry.axisymmetric:
             weights = 2 * np.pi * weights * np.asarray(basis.global_coordinates())[0]
@@ -84,7 +87,10 @@ def _split_chunks(solid: HeatSolid) -> Iterator[tuple[ThermalMaterial, np.ndarra
 
 
 def assemble_heat(solid: HeatSolid) -> tuple[sparse.csc_array, sparse.csc_array]:
-    """Return the matrices (nodes, nodes) of heat capacity [J/K] and thermal conductance [W/K]."""
+    """Return the matrices of heat capacity [J/K] and thermal conductance [W/K].
+
+    Both matrices have the shape (nodes, nodes).
+    """
     capacities, conductances = [], []
     for material, cells in _split_chunks(solid):
         basis = solid.geometry.basis(elements=cells)
@@ -103,9 +109,9 @@ def assemble_heat(solid: HeatSolid) -> tuple[sparse.csc_array, sparse.csc_array]
 
 
 def assemble_faces(solid: HeatSolid, facets: np.ndarray) -> sparse.csc_array:
-    """Return the matrix H (nodes, nodes) [m^2] of ``int v T`` over faces.
+    """Return the matrix H [m^2] of ``int v T`` over faces.
 
-    The sum of the entries of H is the area of the faces.
+    H has the shape (nodes, nodes). The sum of the entries of H is the area of the faces.
     """
     basis = solid.geometry.facet_basis(facets, solid.geometry.quadrature)
     weights, nodes = (

@@ -10,7 +10,7 @@ da/dy``. The potential energy is ::
 where nu is the reluctivity, B_rem the remanence and J the current density. The solution minimises P
 with ``a = 0`` on the surface of the air cylinder (section 2.2.1 of the paper). The force on the
 sphere is ``-dP/dy``. In this derivative, the air around the sphere moves by g dy, where the weight
-g is 1 on the sphere and 0 on the mover's outline. This virtual work of the discrete energy equals
+g is 1 on the sphere and 0 on the mover's outline. The virtual work of the discrete energy equals
 the Maxwell stress averaged over a thick shell (Henrotte, Deliege, Hameyer: The eggshell approach,
 COMPEL 23(4), 2004).
 
@@ -155,7 +155,9 @@ class FieldEquations:
     stretch: sparse.csr_array  # force = -1/2 a' stretch a, where a are the mover's unknowns
 
     def solve(self, loads: np.ndarray) -> np.ndarray:
-        """Return the fields (n, k) that the loads (n, k) cause.
+        """Return the fields that the loads cause.
+
+        Fields and loads are arrays of shape (n, k).
 
         Raises
         ------
@@ -168,9 +170,10 @@ class FieldEquations:
         return a
 
     def compute_force_matrix(self, a: np.ndarray) -> np.ndarray:
-        """Compute the matrix ``Q`` (k, k) [N] that gives the force for the fields ``a`` (n, k).
+        """Compute the matrix ``Q`` [N] that gives the force for the fields ``a``.
 
-        For a superposition of the fields with amplitudes q (k,), the force is ``q' Q q``.
+        Q has the shape (k, k), and ``a`` has the shape (n, k). For a superposition of the fields
+        with amplitudes q (k,), the force is ``q' Q q``.
         """
         near = a[self.mover]
         return -0.5 * near.T @ (self.stretch @ near)
@@ -504,9 +507,10 @@ def _compute_narrowest_gap(catch: Catch, radius: float) -> float:
 def _generate_mesh(
     gmsh: ModuleType, size: Callable[[float, float], float]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Mesh the surfaces of the gmsh model; return vertices (2, n) and triangles (3, t).
+    """Mesh the surfaces of the gmsh model, and return vertices and triangles.
 
-    ``size(r, y)`` is the element size at the point ``r``, ``y``.
+    The vertices have the shape (2, n), and the triangles the shape (3, t). ``size(r, y)`` is the
+    element size at the point ``r``, ``y``.
     """
     gmsh.option.setNumber("Mesh.MeshSizeExtendFromBoundary", 0)
     gmsh.model.mesh.setSizeCallback(lambda dim, tag, x, y, z, given: size(x, y))

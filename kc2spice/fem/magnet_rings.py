@@ -67,10 +67,11 @@ def compute_mutual_inductance(
 
 @dataclass(frozen=True, eq=False)
 class RingCells:
-    """Rings with rectangular sections of the size ``wide`` (n,) times ``tall`` (n,) [m].
+    """Rings with rectangular sections of the size ``wide`` times ``tall`` [m].
 
-    The centres of the sections are at the radii ``r`` (n,) [m] and the heights ``z`` (n,) [m].
-    ``filled`` (n,) are the shares of the sections that carry current.
+    ``r``, ``z``, ``wide``, ``tall`` and ``filled`` are arrays of shape (n,). The centres of the
+    sections are at the radii ``r`` [m] and the heights ``z`` [m]. ``filled`` are the shares of the
+    sections that carry current.
     """
 
     r: np.ndarray
@@ -101,7 +102,10 @@ class RingCells:
 
     @cached_property
     def _mean_log_distances(self) -> np.ndarray:
-        """Mean logarithms (n, n) of the distance [m] between the points of two sections."""
+        """Mean logarithms of the distance [m] between the points of two sections.
+
+        The array has the shape (n, n).
+        """
         x, y = np.subtract.outer(self.r, self.r), np.subtract.outer(self.z, self.z)
         result = np.hypot(x, y)
         longest = np.maximum(self.wide, self.tall)
@@ -121,9 +125,10 @@ class RingCells:
 def _compute_mean_mutual(
     r: np.ndarray, z: np.ndarray, other: np.ndarray, height: np.ndarray, logs: np.ndarray
 ) -> np.ndarray:
-    """Compute mutual inductances (n, m) [H] of sections from those of circles.
+    """Compute the mutual inductances [H] of sections from the mutual inductances of circles.
 
-    ``logs`` (n, m) are the mean logarithms of the distance between points of the sections.
+    The mutual inductances have the shape (n, m). ``logs`` of the same shape are the mean logarithms
+    of the distance between points of the sections.
     """
     r, z = r[:, None], z[:, None]
     same = (r == other) & (z == height)
@@ -189,7 +194,7 @@ def divide_section(
 
 
 def _make_grid_points(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return the coordinates (2, n) of all points of a rectangular grid."""
+    """Return the coordinates of all points of a rectangular grid, an array of shape (2, n)."""
     return np.reshape(np.meshgrid(x, y), (2, -1))
 
 
@@ -324,7 +329,8 @@ class LoopModel(EqualByContent):
     def compute_effect(self, heights: np.ndarray, s: complex, conductivity: float) -> CurrentEffect:
         """Compute the effect of the body's currents on the coils at ``heights`` [m] of the body.
 
-        ``s`` [1/s] is the Laplace variable, and ``conductivity`` [S/m] is that of the body.
+        ``s`` [1/s] is the Laplace variable, and ``conductivity`` [S/m] is the conductivity of the
+        body.
         """
         x = (2 * heights - self.low - self.high) / (self.high - self.low)
         powers = x[:, None] ** np.arange(self.couplings.shape[2])
@@ -523,7 +529,10 @@ def _compute_current_basis(
 
 
 def _fit_chebyshev(nodes: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Compute the Chebyshev coefficients (m, c, k) of ``values`` (c, m, k) at m points."""
+    """Compute the Chebyshev coefficients of ``values`` at m points.
+
+    The coefficients have the shape (m, c, k), and the values the shape (c, m, k).
+    """
     count, _, k = values.shape
     table = values.transpose(1, 0, 2).reshape(nodes.size, -1)
     result = chebyshev.chebvander(nodes, nodes.size - 1).T @ table * (2 / nodes.size)
@@ -532,10 +541,11 @@ def _fit_chebyshev(nodes: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def _fit_power_series(nodes: np.ndarray, values: np.ndarray, tolerance: float) -> np.ndarray:
-    """Fit power series (c, k, degree + 1) to ``values`` (c, m, k) at m Chebyshev points.
+    """Fit power series to ``values`` at m Chebyshev points.
 
-    The degree is the smallest that keeps the error of the slopes below a tenth of the
-    ``tolerance`` for each coil.
+    The coefficients have the shape (c, k, degree + 1), and the values the shape (c, m, k). The
+    degree is the smallest that keeps the error of the slopes below a tenth of the ``tolerance`` for
+    each coil.
     """
     c = _fit_chebyshev(nodes, values)
     order = np.arange(nodes.size)[:, None, None] ** 2  # largest slope of a Chebyshev polynomial

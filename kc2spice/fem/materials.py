@@ -16,7 +16,7 @@ electric field E and the electric displacement D:
     T = C S - e' E,   D = e S + eps_S E.
 
 A table in strain-charge form contains the compliance s, the coupling d and the permittivity eps_T
-at constant stress. Such a table is converted by
+at constant stress. A table in strain-charge form is converted by
 
     C = s^-1,   e = d C,   eps_S = eps_T - e C^-1 e'.
 """
@@ -95,9 +95,10 @@ class CylindricalAxes:
     point: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def frames(self, places: np.ndarray, elements: np.ndarray) -> np.ndarray:
-        """Return rotation matrices (n, 3, 3) to the cylindrical axes at ``places`` (n, 3) [m].
+        """Return rotation matrices to the cylindrical axes at ``places`` [m].
 
-        The columns of each matrix are the radial, hoop and axial unit vectors.
+        The matrices have the shape (n, 3, 3), and the places the shape (n, 3). The columns of each
+        matrix are the radial, hoop and axial unit vectors.
         """
         axial = np.asarray(self.axis, float) / np.linalg.norm(self.axis)
         arm = places - np.asarray(self.point)
@@ -121,7 +122,10 @@ class ElementAxes(EqualByContent):
     rotations: np.ndarray
 
     def frames(self, places: np.ndarray, elements: np.ndarray) -> np.ndarray:
-        """Return rotation matrices (n, 3, 3) to the material axes of ``elements`` (n,)."""
+        """Return rotation matrices to the material axes of n ``elements``.
+
+        The returned array has the shape (n, 3, 3).
+        """
         return np.asarray(self.rotations[elements])
 
 
@@ -211,10 +215,11 @@ class Material(EqualByContent):
     def at(
         self, places: np.ndarray, elements: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Compute stiffness (n, 6, 6), coupling (n, 3, 6) and permittivity (n, 3, 3) at places.
+        """Compute stiffness, coupling and permittivity at n places.
 
-        The tensors at ``places`` (n, 3) [m] in the ``elements`` (n,) are returned in the axes of
-        the body. Without :attr:`local_axes`, the tensors are the same everywhere, and n = 1.
+        The stiffness has the shape (n, 6, 6), the coupling (n, 3, 6), and the permittivity (n, 3,
+        3). The tensors at ``places`` (n, 3) [m] in the ``elements`` (n,) are returned in the axes
+        of the body. Without :attr:`local_axes`, the tensors are the same everywhere, and n = 1.
         """
         if self.local_axes is None:
             return self.C[None], self.e[None], self.eps_S[None]
@@ -271,9 +276,9 @@ class Material(EqualByContent):
 
 
 def compute_poling_rotation(direction: Sequence[float] | np.ndarray) -> np.ndarray:
-    """Compute the matrix (3, 3) that rotates z to a ``direction`` by the smallest angle.
+    """Compute the matrix that rotates z to a ``direction`` by the smallest angle.
 
-    If the direction is -z, the rotation is half a turn about x.
+    The matrix has the shape (3, 3). If the direction is -z, the rotation is half a turn about x.
     """
     n = np.asarray(direction, float) / np.linalg.norm(direction)
     if n[2] < -1 + 1e-14:
@@ -286,10 +291,11 @@ _VOIGT_PAIRS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 
 
 def compute_bond_matrix(R: np.ndarray) -> np.ndarray:
-    """Return the Bond matrices M (…, 6, 6) of rotation matrices R (…, 3, 3).
+    """Return the Bond matrices M of rotation matrices R.
 
-    M rotates the Voigt vector of a stress. Column J of M is the Voigt vector of ``R T_J R'``, where
-    T_J is the symmetric tensor whose Voigt vector is the unit vector J.
+    M has the shape (…, 6, 6), and R has the shape (…, 3, 3). M rotates the Voigt vector of a
+    stress. Column J of M is the Voigt vector of ``R T_J R'``, where T_J is the symmetric tensor
+    whose Voigt vector is the unit vector J.
     """
     M = np.empty((*R.shape[:-2], 6, 6))
     for J, (k, l) in enumerate(_VOIGT_PAIRS):
@@ -350,7 +356,7 @@ class MaterialTable(Section):
     ``permittivity`` has the components ``eps11``, ``eps22`` and ``eps33``, or is a 3 by 3 list. In
     the table of a piezoelectric material, the key ``permittivity_at`` must state whether the
     permittivity was measured at constant ``stress`` or ``strain``. A table with the key ``like``
-    inherits the constants that it omits from the library material of that name.
+    may omit constants. The omitted constants are those of the library material with this name.
     """
 
     like: str | None = Field(
@@ -428,7 +434,7 @@ class MaterialTable(Section):
     @model_validator(mode="before")
     @classmethod
     def _inherit_constants(cls, data: Any) -> Any:
-        """Add properties that the table omits, from the material that its key ``like`` names."""
+        """Add missing properties from the material that the key ``like`` of the table names."""
         if not isinstance(data, Mapping) or "like" not in data:
             return data
         if str(data["like"]) not in _load_tables():

@@ -154,9 +154,10 @@ def _collect_arrays(gmsh: ModuleType, dimension: int, where: str) -> dict[str, n
 
 
 def _collect_corner_nodes(blocks: Iterable[CellBlock], width: int) -> np.ndarray:
-    """Return the corner nodes of all elements in ``blocks``, an array (elements, width).
+    """Return the corner nodes of all elements in ``blocks``.
 
-    The row of an element with fewer than ``width`` corners repeats the last corner.
+    The returned array has the shape (elements, width). The row of an element with fewer than
+    ``width`` corners repeats the last corner.
     """
     rows = [np.empty((0, width), int)]
     for block in blocks:

@@ -144,9 +144,10 @@ def reject_folded_elements(points: np.ndarray, blocks: Sequence[CellBlock], wher
 
 
 def divide_faces(faces: np.ndarray) -> np.ndarray:
-    """Divide quadrilaterals (n, 4) into triangles (k, 3) by a diagonal.
+    """Divide quadrilaterals into triangles by a diagonal.
 
-    The diagonal of a quadrilateral starts at the node with the lowest number.
+    The quadrilaterals have the shape (n, 4), and the triangles the shape (k, 3). The diagonal of a
+    quadrilateral starts at the node with the lowest number.
 
     A quadrilateral whose last two nodes are the same becomes one triangle.
     """
@@ -163,9 +164,11 @@ def _rotate_to_lowest_node(faces: np.ndarray) -> np.ndarray:
 def divide_cells(blocks: Sequence[CellBlock]) -> tuple[np.ndarray, np.ndarray]:
     """Divide elements into triangles or tetrahedra.
 
-    Return the node numbers (k, d + 1) of each triangle or tetrahedron, and the number (k,) of the
-    element that contains it. If a solid element is divided, each tetrahedron consists of the node
-    with the lowest number and a triangle of a face that does not contain this node.
+    Return two arrays for the k triangles or tetrahedra. The first array has the shape (k, d + 1)
+    and contains the node numbers of each triangle or tetrahedron. The second array has the shape
+    (k,) and contains the number of the element from which each triangle or tetrahedron was made. If
+    a solid element is divided, each tetrahedron consists of the node with the lowest number and a
+    triangle of a face that does not contain this node.
     """
     pieces, parents, start = [], [], 0
     for block in blocks:
@@ -207,10 +210,11 @@ def _divide_block(block: CellBlock) -> list[tuple[np.ndarray, np.ndarray]]:
 
 
 def _find_edge_middles(points: np.ndarray, block: CellBlock) -> tuple[np.ndarray, np.ndarray]:
-    """Return the end nodes (k, 2) and the middles (k, d) [m] of edges and diagonals.
+    """Return the end nodes and the middles [m] of edges and diagonals.
 
-    The edges belong to quadratic elements, and may be curved. The diagonals divide these elements
-    into simplices. For linear elements, both arrays are empty.
+    The end nodes have the shape (k, 2), and the middles the shape (k, d). The edges belong to
+    quadratic elements, and may be curved. The diagonals divide these elements into simplices. For
+    linear elements, both arrays are empty.
     """
     if len(block.local) == block.corners:
         return np.empty((0, 2), int), np.empty((0, points.shape[1]))
@@ -250,10 +254,10 @@ def make_quadratic_mesh(
     Returns
     -------
     mesh : mesh of quadrilaterals, hexahedra, triangles or tetrahedra.
-    number : (n,) for each node of the file, its number in the mesh; -1 for nodes that are not
-        corners.
-    parent : (elements,) for each element of the mesh, the number of the file's element that
-        contains it.
+    number : number in the mesh of each node of the file, an array of shape (n,); -1 for nodes that
+        are not corners.
+    parent : number of the file's element from which each element of the mesh was made, an array of
+        shape (elements,).
     """
     make = _make_product_mesh if is_product_mesh(blocks) else _make_simplex_mesh
     return make(points, blocks)
@@ -311,9 +315,10 @@ def _match_positions(places: np.ndarray, others: np.ndarray) -> np.ndarray:
 
 
 def _compute_interpolation_weights(block: CellBlock) -> np.ndarray:
-    """Return interpolation weights (m, l) for the positions of a quadratic element's m nodes.
+    """Return interpolation weights for the positions of a quadratic element's nodes.
 
-    The positions are interpolated from the l nodes of the block's element in the file.
+    The positions of m nodes are interpolated from the l nodes of the block's element in the file.
+    The weights have the shape (m, l).
     """
     element = PRODUCT_ELEMENTS[block.dimension, len(block.local)]()
     curved = PRODUCT_MESHES[block.dimension][1].elem.doflocs
@@ -331,7 +336,10 @@ def _invert_numbers(vertices: np.ndarray, count: int) -> np.ndarray:
 
 
 def find_edge_nodes(mesh: Mesh, pairs: np.ndarray) -> np.ndarray:
-    """Return the mid-edge nodes (k,) of the edges between ``pairs`` (k, 2) of vertices."""
+    """Return the mid-edge nodes of the edges between pairs of vertices.
+
+    ``pairs`` has the shape (k, 2), and the returned array has the shape (k,).
+    """
     edges = mesh.edges if mesh.dim() == 3 else mesh.facets
     return mesh.nvertices + find_columns(edges, pairs)
 

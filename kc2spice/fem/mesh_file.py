@@ -238,9 +238,9 @@ _IMPERIAL_UNITS = ("in", "inch", "inches", "mil", "mils", "thou", "ft", "feet")
 
 
 def measure_extent(path: Path) -> np.ndarray:
-    """Return the side lengths (3,) of the bounding box of a file's body, in the unit of the file.
+    """Return the three side lengths of the bounding box of a file's body.
 
-    For a STEP file, the side lengths are in mm.
+    The side lengths are in the unit of the file. For a STEP file, the side lengths are in mm.
 
     Raises
     ------
@@ -447,7 +447,7 @@ def _compute_node_weights(
 
 
 def _require_on_body(places: np.ndarray, name: str) -> np.ndarray:
-    """Return the indices ``places`` of a group's entities, if all of them are on the body.
+    """Return the indices ``places`` of a group's entities, if all entities are on the body.
 
     An entity that is not on the body has the index -1, which raises an error.
     """

@@ -263,9 +263,10 @@ def require_unv_elements(data: bytes, where: str) -> None:
 
 
 def _list_faces(cells: np.ndarray, dimension: int) -> list[np.ndarray]:
-    """Return the corners (elements, corners) of each local face of all elements.
+    """Return the corners of the faces of all elements.
 
-    Faces between two elements are included.
+    The list contains an array of shape (elements, corners) for each local face of an element. Faces
+    between two elements are included.
     """
     corners = cells.shape[1]
     if dimension == 2:
@@ -399,10 +400,11 @@ def _find_element_kind(gmsh: ModuleType, shape: str, corners: int, nodes: int) -
 def _order_nodes(
     gmsh: ModuleType, kind: int, shape: str, corners: int, nodes: np.ndarray, points: np.ndarray
 ) -> np.ndarray:
-    """Return the ``nodes`` (elements, l) in gmsh's order of the nodes on edges and faces.
+    """Return the ``nodes`` in gmsh's order of the nodes on edges and faces.
 
-    Programs number these nodes in different orders. The returned order minimises the sum of the
-    squared distances between the nodes and their positions on elements with straight edges.
+    ``nodes`` has the shape (elements, l). Programs number nodes on edges and faces in different
+    orders. The returned order minimises the sum of the squared distances between the nodes and
+    their positions on elements with straight edges.
     """
     extra = nodes[:, corners:]
     if not extra.size:

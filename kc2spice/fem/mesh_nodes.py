@@ -17,7 +17,7 @@ COINCIDENCE_TOLERANCE = 1e-3
 
 
 def merge_nodes(points: np.ndarray, blocks: Sequence[CellBlock], distance: float) -> np.ndarray:
-    """Return node numbers (n,) in which nodes at most ``distance`` [m] apart share one number.
+    """Return node numbers, with equal numbers for nodes at most ``distance`` [m] apart.
 
     Nodes that belong to no element keep their numbers.
 
@@ -124,11 +124,12 @@ def _find_nodes_on_other_pieces(points: np.ndarray, cells: np.ndarray, near: flo
 
 
 def _mask_points_on_simplices(places: np.ndarray, simplices: np.ndarray, near: float) -> np.ndarray:
-    """Return a mask (n,) of the points that are closer than ``near`` to their simplex.
+    """Return a mask of the points that are closer than ``near`` to their simplex.
 
-    Point ``places[i]`` (d,) is compared with the simplex ``simplices[i]`` (corners, d). The foot of
-    the perpendicular from the point x is ``s_0 + J t`` with ``J'J t = J'(x - s_0)``, where ``s_0``
-    is a corner, and the columns of J are the edges from this corner.
+    The mask has the shape (n,). Point ``places[i]`` (d,) is compared with the simplex
+    ``simplices[i]`` (corners, d). The foot of the perpendicular from the point x is ``s_0 + J t``
+    with ``J'J t = J'(x - s_0)``, where ``s_0`` is a corner, and the columns of J are the edges from
+    this corner.
     """
     J = (simplices[:, 1:] - simplices[:, :1]).transpose(0, 2, 1)
     arm = (places - simplices[:, 0])[:, :, None]

@@ -3,20 +3,20 @@
 Around every corner of the mesh, a polynomial is fitted to the strain and field of the adjacent
 elements. The least-squares fit uses the points of an element at which strain and field are most
 accurate. A sum of these polynomials, weighted by linear shape functions, is the recovered strain
-and field. The recovered strain and field are more accurate than those of the elements. The
-difference (dS, dE) between recovered and original strain and field gives the energy product of the
-errors of two solutions 1 and 2:
+and field. The recovered strain and field are more accurate than the strain and field of the
+elements. The difference (dS, dE) between recovered and original strain and field gives the energy
+product of the errors of two solutions 1 and 2:
 
     A(1, 2) = int dS1' C dS2 - dS1' e' dE2 - dE1' e dS2 - dE1' eps dE2
 
 A fit includes only elements of one piece of the mesh. All materials of a piece have the same name,
 so that the strain is continuous. In a stack with alternating poling, the coupling of a layer is s
-times the coupling of the first layer, where s is 1 or -1, and the field times s is continuous. With
-linear elements, a piece extends over all layers, because the field of such an element is constant
-across a layer. With quadratic elements, each layer is a piece, because strain and field jump at the
-electrodes by the change of the mean strain from layer to layer. Sources: O. C. Zienkiewicz and J.
-Z. Zhu, Int. J. Numer. Meth. Eng. 33 (1992) 1331; N.-E. Wiberg and F. Abdulwahab, Int. J. Numer.
-Meth. Eng. 36 (1993) 2703.
+times the coupling of the first layer, where s is 1 or -1. The electric field times s is continuous.
+With linear elements, a piece extends over all layers, because the field of such an element is
+constant across a layer. With quadratic elements, each layer is a piece, because strain and field
+are discontinuous at an electrode if the mean strain changes from layer to layer. Sources: O. C.
+Zienkiewicz and J. Z. Zhu, Int. J. Numer. Meth. Eng. 33 (1992) 1331; N.-E. Wiberg and F. Abdulwahab,
+Int. J. Numer. Meth. Eng. 36 (1993) 2703.
 """
 
 from __future__ import annotations
@@ -45,10 +45,11 @@ NEIGHBOUR_PENALTY = 0.5
 
 @dataclass(frozen=True, eq=False)
 class EnergyProducts:
-    """Energy products of k solutions and of their errors, as matrices (k, k) [J].
+    """Energy products of k solutions and of their errors.
 
-    ``solution`` contains the energy products of the solutions, and ``error`` those of the errors of
-    the solutions. ``spread`` is the sum of the absolute contributions of all elements to ``error``.
+    The energy products are matrices [J] of shape (k, k). ``solution`` contains the energy products
+    of the solutions, and ``error`` contains the energy products of the errors. ``spread`` is the
+    sum of the absolute contributions of all elements to ``error``.
     """
 
     solution: np.ndarray
@@ -94,10 +95,11 @@ def _split_chunks(count: int) -> Iterator[np.ndarray]:
 def _evaluate_fields(
     solid: Solid, basis: skfem.Basis, cells: np.ndarray, u: np.ndarray, phi: np.ndarray
 ) -> Iterator[np.ndarray]:
-    """Yield strains and electric fields (cells, 9, k) at each integration point of ``basis``.
+    """Yield strains and electric fields at each integration point of ``basis``.
 
-    ``cells`` are the elements of the basis. Rows 0 to 5 are the strains, and rows 6 to 8 the
-    electric field, multiplied by the coupling factor of the material.
+    Each array has the shape (cells, 9, k). ``cells`` are the elements of the basis. Rows 0 to 5 are
+    the strains, and rows 6 to 8 the electric field, multiplied by the coupling factor of the
+    material.
     """
     d, nodes = solid.components, basis.element_dofs.T
     moves = (d * nodes[:, :, None] + np.arange(d)).reshape(len(nodes), -1)
@@ -107,7 +109,7 @@ def _evaluate_fields(
 
 
 def _compute_coupling_factors(solid: Solid) -> np.ndarray:
-    """Return the coupling factor (materials,) of each material.
+    """Return the coupling factor of each material, an array of shape (materials,).
 
     The factor is the piezoelectric coupling relative to the first material with the same name.
     """
@@ -119,11 +121,11 @@ def _compute_coupling_factors(solid: Solid) -> np.ndarray:
 def _list_energy_matrices(
     solid: Solid, basis: skfem.Basis, cells: np.ndarray
 ) -> Iterator[np.ndarray]:
-    """Yield ``[[C, -e'], [-e, -eps]]`` (cells, 9, 9) at each integration point of ``basis``.
+    """Yield the matrices ``[[C, -e'], [-e, -eps]]`` at each integration point of ``basis``.
 
-    The matrices apply to the electric field multiplied by the coupling factor of the material. In a
-    material that is neither piezoelectric nor dielectric, the rows and columns of the field are
-    zero.
+    Each array has the shape (cells, 9, 9). The matrices apply to the electric field multiplied by
+    the coupling factor of the material. In a material that is neither piezoelectric nor dielectric,
+    the rows and columns of the field are zero.
     """
     owner, factors = solid.owner[cells], _compute_coupling_factors(solid)
     constants = [list_tensors(solid, basis, material) for material in solid.materials]
@@ -144,15 +146,19 @@ def _list_energy_matrices(
 
 
 def _evaluate_linear_shape_functions(X: np.ndarray) -> np.ndarray:
-    """Return the values (points, corners) of the linear shape functions at ``X`` (d, points)."""
+    """Return the values of the linear shape functions at the points ``X``.
+
+    ``X`` has the shape (d, points), and the returned array has the shape (points, corners).
+    """
     element = skfem.ElementHex1()
     return np.array([element.lbasis(X, i)[0] for i in range(len(element.doflocs))]).T
 
 
 def _evaluate_monomials(x: np.ndarray, degree: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return all monomials (…, terms) of coordinates ``x`` (…, d) up to a degree.
+    """Return all monomials of the coordinates ``x`` up to a degree.
 
-    The second returned array contains the degree (terms,) of each monomial.
+    ``x`` has the shape (…, d), and the array of monomials has the shape (…, terms). The second
+    returned array contains the degree (terms,) of each monomial.
     """
     dimensions = range(x.shape[-1])
     powers = list[tuple[int, ...]]()
@@ -166,10 +172,10 @@ def _evaluate_monomials(x: np.ndarray, degree: int) -> tuple[np.ndarray, np.ndar
 class _Patches:
     """Polynomials that are fitted to strain and electric field in patches of elements.
 
-    A patch consists of the elements around a corner of the mesh, which is its ``middle`` (patches,
-    d) [m]. ``coefficients`` (patches, terms, 9 k) are the coefficients of the polynomials in the
-    coordinates ``(x - middle) / size``. ``number`` (elements, corners) is the number of the patch
-    around each corner of an element.
+    A patch consists of the elements around a corner of the mesh. The position of this corner is the
+    ``middle`` of the patch; ``middle`` [m] has the shape (patches, d). ``coefficients`` (patches,
+    terms, 9 k) are the coefficients of the polynomials in the coordinates ``(x - middle) / size``.
+    ``number`` (elements, corners) is the number of the patch around each corner of an element.
     """
 
     number: np.ndarray
@@ -195,10 +201,11 @@ class _Patches:
         return _Patches(number, middle, size, coefficients, degree)
 
     def evaluate(self, cells: np.ndarray, at: np.ndarray, hats: np.ndarray) -> np.ndarray:
-        """Return the recovered strains and fields (cells, 9, k) at one point of each element.
+        """Return the recovered strains and electric fields at one point of each element.
 
-        The points are ``at`` (cells, d) [m]. At these points, the linear shape functions of the
-        elements have the values ``hats`` (corners,).
+        The returned array has the shape (cells, 9, k). The points are ``at`` (cells, d) [m]. At
+        these points, the linear shape functions of the elements have the values ``hats``
+        (corners,).
         """
         result = 0.0
         for corner, hat in enumerate(hats):
@@ -214,8 +221,9 @@ def _sample_fields(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the strains and electric fields that the polynomials are fitted to.
 
-    The first returned array contains the positions of the integration points (elements, points, d)
-    [m], the second the values of strain and field (elements, points, 9 k).
+    The first returned array contains the positions [m] of the integration points and has the shape
+    (elements, points, d). The second array contains the values of strain and field and has the
+    shape (elements, points, 9 k).
     """
     places, values = [], []
     for cells in _split_chunks(solid.mesh.nelements):
@@ -227,10 +235,11 @@ def _sample_fields(
 
 
 def _number_patches(solid: Solid) -> tuple[np.ndarray, np.ndarray]:
-    """Return the number of the patch around each corner (elements, corners).
+    """Return the number of the patch around each corner, an array of shape (elements, corners).
 
     A corner on the boundary between pieces of the mesh has one patch in each piece. The second
-    returned array contains the position (patches, d) [m] of the corner of each patch.
+    returned array contains the position [m] of the corner of each patch and has the shape (patches,
+    d).
     """
     first, second = solid.mesh.f2t[:, solid.mesh.f2t[1] >= 0]
     names = np.array([material.name for material in solid.materials])
@@ -245,7 +254,10 @@ def _number_patches(solid: Solid) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _assign_patch_elements(number: np.ndarray, count: int) -> sparse.csr_array:
-    """Return a matrix (patches, elements) that is 1 where the element belongs to the patch."""
+    """Return a matrix whose entry is 1 if an element belongs to a patch.
+
+    The matrix has the shape (patches, elements).
+    """
     elements = np.repeat(np.arange(len(number)), number.shape[1])
     ones = np.ones(number.size)
     result = sparse.csr_array((ones, (number.ravel(), elements)), shape=(count, len(number)))
@@ -305,10 +317,11 @@ def _widen_patches(
 def _choose_patches(
     number: np.ndarray, members: sparse.csr_array, middle: np.ndarray, places: np.ndarray
 ) -> np.ndarray:
-    """Return, for each patch, the number (patches,) of the best patch among it and its neighbours.
+    """Return, for each patch, the number of the best patch among this patch and its neighbours.
 
-    The best patch is the one whose points surround the corner of that patch most evenly. At the
-    surface of the body, all points of a patch are on one side of its corner.
+    The returned array has the shape (patches,). In the best patch, the points surround the corner
+    of that patch most evenly. At the surface of the body, all points of a patch are on one side of
+    its corner.
     """
     count, d = places.shape[1], places.shape[2]
     total = np.diff(members.indptr) * count

@@ -3,8 +3,8 @@
 The elements are tetrahedra, hexahedra, or axisymmetric triangles and quadrilaterals.
 
 The equations are ``rho u'' = div T``, ``div D = 0`` with ``T = C S - e' E``, ``D = e S + eps E``
-and ``E = -grad phi``. Their weak form has these matrices for the nodal displacements u and
-potentials phi, with test functions v and psi:
+and ``E = -grad phi``. The weak form of the equations has these matrices for the nodal displacements
+u and potentials phi, with test functions v and psi:
 
     M    = int rho v u          K_uu = int S(v)' C S(u)
     K_up = int S(v)' e' grad phi          K_pp = int grad psi' eps grad phi
@@ -68,7 +68,7 @@ class Solid:
     have the degree ``order``: 2, or 1 on hexahedra. Reports list materials with the same name as
     one material. ``numbers`` (l, elements) are the node numbers of each element, None for the
     numbers of scikit-fem. If edges or faces are collapsed, the numbers differ from those of
-    scikit-fem, because all nodes of a collapsed edge or face have one number.
+    scikit-fem, because all nodes of a collapsed edge or face have the same number.
 
     Raises
     ------
@@ -156,7 +156,7 @@ class Solid:
 
     @cached_property
     def places(self) -> np.ndarray:
-        """Positions (d, nodes) [m] of the nodes."""
+        """Positions [m] of the nodes, an array of shape (d, nodes)."""
         return np.asarray(self.basis(1).doflocs)
 
     @cached_property
@@ -217,9 +217,9 @@ def list_tensors(
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Yield stiffness, coupling and permittivity of a material at each point of ``basis``.
 
-    The tensors are in the axes of the solid. The length of their first dimension is the number of
-    elements, or 1 if all elements have the same tensors. In an axisymmetric solid, the axes are
-    cylindrical.
+    The tensors are in the axes of the solid. The length of the tensors' first dimension is the
+    number of elements, or 1 if all elements have the same tensors. In an axisymmetric solid, the
+    axes are cylindrical.
     """
     places = np.moveaxis(np.asarray(basis.global_coordinates()), 0, -1)
     elements = np.arange(len(places)) if basis.tind is None else basis.tind
@@ -286,11 +286,11 @@ def assemble_solid(solid: Solid, *, only: int | None = None) -> Operators:
 def _compute_stress_stiffness(
     solid: Solid, material: Material, N: np.ndarray, B: np.ndarray, G: np.ndarray
 ) -> np.ndarray:
-    """Return the element stiffness (elements, l d, l d) due to prestress at one point.
+    """Return the element stiffness due to prestress at one point.
 
-    The stiffness is ``grad v . sigma0 grad u`` for each displacement component u with its test
-    function v and the prestress sigma0. In axisymmetric solids, the rotation of the hoop direction
-    adds ``sigma0_y v_r u_r / r^2``.
+    The returned array has the shape (elements, l d, l d). The stiffness is ``grad v . sigma0 grad
+    u`` for each displacement component u with its test function v and the prestress sigma0. In
+    axisymmetric solids, the rotation of the hoop direction adds ``sigma0_y v_r u_r / r^2``.
     """
     d, sigma = solid.components, np.array(material.residual_stress)
     item = G.transpose(0, 2, 1) @ (sigma[:, None] * G)
@@ -304,10 +304,11 @@ def _compute_stress_stiffness(
 def compute_node_shares(
     solid: Solid, *, facets: np.ndarray | None = None, elements: np.ndarray | None = None
 ) -> np.ndarray:
-    """Return the share ``int N / int 1`` (nodes,) of each node in facets or elements.
+    """Return the share ``int N / int 1`` of each node in facets or elements.
 
-    N is the shape function of a node. In axisymmetric solids, the integrals extend over the full
-    turn. For meshes of lines, the cross-section is assumed to be constant.
+    The returned array has the shape (nodes,). N is the shape function of a node. In axisymmetric
+    solids, the integrals extend over the full turn. For meshes of lines, the cross-section is
+    assumed to be constant.
     """
     basis = (
         solid.facet_basis(facets, 4) if facets is not None else solid.basis(4, elements=elements)
@@ -320,8 +321,8 @@ def compute_node_shares(
 def compute_volume_gradient(solid: Solid, facets: np.ndarray) -> np.ndarray:
     """Return the volume that boundary facets displace per unit displacement of each node.
 
-    The displaced volume is ``int N n dS`` (d nodes,) [m^2] with the shape functions N and the
-    outward normal n. In axisymmetric solids, the integrals extend over the full turn.
+    The returned array ``int N n dS`` [m^2] has the shape (d nodes,), with the shape functions N and
+    the outward normal n. In axisymmetric solids, the integrals extend over the full turn.
     """
     basis = solid.facet_basis(facets, FACE_QUADRATURE)
     radius = np.asarray(basis.global_coordinates())[0]
@@ -343,8 +344,8 @@ def sum_matrices(
 ) -> sparse.csc_array:
     """Add element matrices to a sparse matrix of the given ``shape``.
 
-    Each item of ``parts`` consists of element matrices (elements, l, k), their row numbers
-    (elements, l) and their column numbers (elements, k).
+    Each item of ``parts`` consists of three arrays: element matrices of shape (elements, l, k),
+    their row numbers of shape (elements, l), and their column numbers of shape (elements, k).
     """
     total = sparse.csc_array(shape)
     for values, rows, columns in parts:

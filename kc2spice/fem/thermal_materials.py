@@ -54,8 +54,8 @@ class ThermalMaterial(EqualByContent):
 class ThermalMaterialTable(Section):
     """Thermal constants of a material in a scene or in the library.
 
-    A table with the key ``like`` inherits the constants that it omits from the library material of
-    that name.
+    A table with the key ``like`` may omit constants. The omitted constants are those of the library
+    material with this name.
     """
 
     like: str | None = Field(
@@ -78,7 +78,7 @@ class ThermalMaterialTable(Section):
     @model_validator(mode="before")
     @classmethod
     def _inherit_constants(cls, data: Any) -> Any:
-        """Add constants that the table omits, from the material that its key ``like`` names."""
+        """Add missing constants from the material that the key ``like`` of the table names."""
         if not isinstance(data, Mapping) or not isinstance(data.get("like"), str):
             return data
         name = list_thermal_names().get(data["like"].lower())
