@@ -68,14 +68,14 @@ def format_fit(record: Mapping[str, Any]) -> list[PageSection]:
 
 
 def _make_curve_row(curve: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the table row of a measured curve: file, keys of the measurement, use and errors."""
+    """Return the table row of a measured curve: file, keys, fitted or predicted, and errors."""
     keys = ", ".join(f"{key} = {value}" for key, value in curve["set"].items())
     use = "predicted" if curve["predict"] else "fitted"
     return curve["data"], keys, use, f"{curve['rms']:.2%}", f"{curve['largest']:.2%}"
 
 
 def _make_value_row(key: str, item: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the table row of a fitted key: value, standard error, range and bound."""
+    """Return the table row of a fitted key: value, standard error, range and reached bound."""
     limits = f"{item['low']:g} to {item['high']:g}"
     bound = "met" if item["at_bound"] else ""
     return key, f"{item['value']:.6g}", f"{item['sigma']:.2g}", limits, bound

@@ -284,8 +284,8 @@ def format_model_summary(
 ) -> list[PageSection]:
     """Return page sections of models, numerical settings and neglected effects.
 
-    ``converged`` contains the results of refined runs. The error of a numerical setting is its
-    effect on the metrics if a refined run has computed this effect.
+    ``converged`` contains the results of refined runs. If a refined run has computed the effect of
+    a numerical setting on the metrics, this effect is stated as the error of the setting.
     """
     result = converged or {}
     shares = result.get("shares", {})

@@ -1,8 +1,8 @@
 """Writer of the page ``sweep.html``: metrics of all points of a sweep.
 
 The figures depend on the swept keys. For one key, the figures are curves versus this key. For two
-keys whose values are all combined, they are maps. For random keys, or for more than two keys, the
-figures are a histogram of each metric, and the values of the metric versus each key.
+keys whose values are all combined, the figures are maps. For random keys, or for more than two
+keys, the figures are a histogram of each metric, and the values of the metric versus each key.
 """
 
 from __future__ import annotations

@@ -139,7 +139,7 @@ def plot_comparison(
     """Plot the waveforms of all solutions, and their differences from the first solution.
 
     In the first figure, a panel for each unit shows the largest waveform with this unit. The second
-    figure shows the differences of these waveforms from those of the first solution.
+    figure shows the differences between these waveforms and the waveforms of the first solution.
     """
     (first, exact), *others = solutions.items()
     scale = next(iter(exact))
