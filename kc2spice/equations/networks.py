@@ -1,6 +1,6 @@
 """Networks of laws that share no nets apart from ground, and the results of these networks.
 
-The functions take laws and groups of joined pins, without a scene. A pin of a law is written
+The functions need laws and groups of joined pins, but no scene. A pin of a law is written
 ``LAW.PIN``.
 """
 
@@ -99,8 +99,8 @@ def connect_sensors(
 ) -> tuple[list[Law], dict[str, tuple[str, ...]]]:
     """Insert a sensor where a signal input is joined to a voltage or a displacement.
 
-    The output of the sensor is the node voltage in the netlist: the voltage in volts, or the
-    displacement in micrometres.
+    The output of the sensor equals the node voltage of the netlist. This node voltage is the value
+    of the voltage in volts, or the value of the displacement in micrometres.
     """
     kinds, sensors, result = list_pin_kinds(laws), [], dict(joins)
     for net, pins in joins.items():

@@ -20,8 +20,8 @@ from kc2spice.scene.model import Build
 
 # Kind of the source that prescribes the values of a net, keyed by the kind of its pins.
 SOURCE_KINDS = {d.name: d.across.name for d in TABLE if d.kind_of_law == d.name}
-# shortest interval between samples, relative to the duration of the run; the difference of times
-# that are closer together is a rounding error
+# shortest permitted interval between samples, relative to the duration of the run
+# The difference between two closer times would be a rounding error.
 SHORTEST_INTERVAL = 1e-6
 
 
@@ -59,7 +59,7 @@ def _joins_part_without_law(laws: SceneLaws, name: str, pin: str) -> bool:
 def _may_change_net(build: Build, name: str, pin: str) -> bool:
     """Return whether a part may change the value on the net of a pin.
 
-    A signal input of a built-in part does not, because it draws no current.
+    A signal input of a built-in part does not change the net, because the input draws no current.
     """
     end = build.scene.terminals[name, pin]
     return end.flow != "-" or end.signal_out or build.scene.parts[name].netlist
@@ -68,11 +68,11 @@ def _may_change_net(build: Build, name: str, pin: str) -> bool:
 def select_networks_to_solve(
     laws: SceneLaws, waves: Waveforms, replayed: Mapping[str, str]
 ) -> list[Network]:
-    """Return the networks with unknowns that recorded sources do not completely determine.
+    """Return the networks whose unknowns are not all determined by recorded sources.
 
     ``replayed`` maps nets to the kind of their pins. A source on each of these nets reproduces the
     result of ngspice in ``waves``. If every net of a network has such a source, the network
-    contains no unknown. An example is a capacitor behind a rectifier.
+    contains no unknown. An example of such a network is a capacitor behind a rectifier.
     """
     sources, driven = {}, set()
     for net, kind in replayed.items():
@@ -99,8 +99,8 @@ def list_recorded_vectors(nets: Mapping[str, str]) -> dict[str, tuple[str, float
 def _make_recorded_source(net: str, kind: str, waves: Waveforms) -> IdealSource:
     """Return a source that reproduces the recorded values on a net."""
     times, values = waves["time"], waves[f"net {net}"]
-    # When a contact closes, time points are picoseconds apart, and the differences between them are
-    # rounding errors.
+    # When a contact closes, time points are only picoseconds apart.
+    # Differences between such close time points are rounding errors.
     shortest = SHORTEST_INTERVAL * float(np.ptp(times))
     sample_indices = [0]
     for k in range(1, times.size):

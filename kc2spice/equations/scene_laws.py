@@ -44,11 +44,11 @@ class PinLink(NamedTuple):
 
 @dataclass(frozen=True)
 class SceneLaws:
-    """Laws of the parts of a build. They are created at first use.
+    """Laws of the parts of a build. The laws are created at first use.
 
-    A part without cards (netlist statements) has no law, because another part contains a copy of it
-    or moves it. A part whose signal drives a load has no law either, because a signal carries no
-    current.
+    A part without cards (netlist statements) has no law, because another part copies the part or
+    prescribes its motion. A part whose signal drives a load has no law either, because a signal
+    carries no current.
     """
 
     build: Build
@@ -73,7 +73,7 @@ class SceneLaws:
 
     @cached_property
     def reasons_without_law(self) -> Mapping[str, str]:
-        """Reason why a part has no law, keyed by part. It is empty if the type gives no reason."""
+        """Reason why a part has no law, keyed by part; empty if the part type gives no reason."""
         result = dict.fromkeys(self.parts_without_law, "")
         for name in self.parts_without_law:
             match self._equations_by_part[name]:
@@ -92,15 +92,15 @@ class SceneLaws:
 
     @cached_property
     def parts_without_law(self) -> tuple[str, ...]:
-        """Names of the parts without a law. They prevent the integration of the whole scene."""
+        """Names of the parts without a law, which prevent the integration of the whole scene."""
         return tuple(filterfalse(self.equations.__contains__, self.parts_with_cards))
 
     @cached_property
     def linear(self) -> bool:
         """Whether the equations of all parts are known and linear.
 
-        Parts without netlist statements are ignored, because other parts contain a copy of them or
-        move them.
+        Parts without netlist statements are ignored, because other parts copy such parts or
+        prescribe their motion.
         """
         parts = self.build.scene.parts
         names = [name for name in self.parts_with_cards if not parts[name].reduced]
@@ -183,7 +183,7 @@ class SceneLaws:
 def _add_quantity_names(
     part: str, results: Mapping[str, WaveCombination]
 ) -> dict[str, WaveCombination]:
-    """Return the results of a part, with each flow such as ``r.i`` repeated as ``r.current``."""
+    """Return the results of a part; each flow such as ``r.i`` is also named ``r.current``."""
     names = dict(results)
     for quantity_name, symbol in FLOW_SYMBOLS.items():
         if f"{part}.{symbol}" in results:

@@ -1,4 +1,4 @@
-"""Equations of a system between two events, its operating point, and its dc sweep."""
+"""Equations of a system between two events; computation of operating points and dc sweeps."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ class Interval:
         return M, J
 
     def at(self, t: float, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the stored quantities ``g`` (n,) and right-hand sides ``f`` (n,) at one time."""
+        """Return ``g`` and ``f``, two arrays of shape (n,), at one time."""
         X = self.append_sources(t, z)[:, None]
         return self.compute_stored_quantities(X)[:, 0], self.compute_right_sides(X)[:, 0]
 
@@ -137,7 +137,7 @@ class Interval:
         )
 
     def solve_algebraic(self, t: float, z: np.ndarray) -> np.ndarray:
-        """Return ``z`` with the algebraic unknowns that solve the algebraic equations."""
+        """Return a copy of ``z`` whose algebraic unknowns solve the algebraic equations."""
         algebraic, rows = ~self.system.differential, ~self.rows
         z, tangents = z.copy(), LimitedTangents()
         for _ in range(30 if algebraic.any() else 0):
@@ -169,12 +169,12 @@ class _LinearisedLaw(Device):
         return self.law.across_inputs
 
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the outputs of the linearised law, and their derivatives with respect to ``e``."""
+        """Return the linearised law's outputs, and their derivatives with respect to inputs."""
         out, slope = self.law.evaluate(self.point, mode)
         return out + slope @ (e - self.point), slope
 
     def store(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the linearised stored quantities, and their derivatives with respect to ``e``."""
+        """Return the linearised stored quantities, and their derivatives with respect to inputs."""
         stored, slope = self.law.store(self.point, mode)
         return stored + slope @ (e - self.point), slope
 
@@ -185,17 +185,17 @@ class LimitedTangents:
 
     Newton's method linearises all laws at the last iterate. A law that overrides
     :meth:`Device.limit_change`, such as a diode, is linearised nearer to the inputs of the previous
-    iterate, as in SPICE. ``points`` contains the inputs at which each of these laws was last
-    linearised.
+    iterate, as in SPICE. ``points`` contains, for each such law, the inputs at which the law was
+    last linearised.
     """
 
     points: dict[PlacedDevice, np.ndarray] = field(default_factory=dict)
 
     def linearise(self, interval: Interval, t: float, z: np.ndarray) -> tuple[Interval, bool]:
-        """Linearise the laws that limit Newton steps, near ``z``.
+        """Linearise, near ``z``, the laws that limit Newton steps.
 
-        Return the equations with these laws, and whether a law is linearised at inputs other than
-        those of ``z``.
+        Return the equations with the linearised laws. Also return whether the inputs at which a
+        law is linearised differ from its inputs at ``z``.
         """
         X, curved, limited = interval.append_sources(t, z), [], False
         for device, mode in interval.curved:
@@ -219,7 +219,7 @@ class LimitedTangents:
 def _evaluate(
     function: Callable[[np.ndarray, Any], np.ndarray], inputs: np.ndarray, mode: Any
 ) -> np.ndarray:
-    """Evaluate a function of a law at ``inputs`` (m, nt). Return an array of shape (k, nt)."""
+    """Evaluate a law's function at ``inputs`` of shape (m, nt); return an array (k, nt)."""
     return np.array([function(e, mode) for e in inputs.T]).T
 
 
@@ -228,10 +228,10 @@ def _sum_absolute_terms(
     points: Iterable[tuple[np.ndarray, np.ndarray]],
     mode: Any,
 ) -> np.ndarray:
-    """Return the sums (k, nt) of the absolute values of the terms in a law's outputs.
+    """Return the sums of the absolute values of the terms in a law's outputs.
 
     The terms are the outputs, and the derivatives of the outputs times the absolute values of the
-    inputs.
+    inputs. The sums are an array of shape (k, nt).
     """
     result = []
     for e, sizes in points:
@@ -247,7 +247,7 @@ def join_waves(parts: Sequence[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
 
 
 _MAX_ITERATIONS = 400
-_MAX_NEWTON_STEPS = 12  # Newton steps from the initial guess
+_MAX_NEWTON_STEPS = 12  # largest number of Newton steps from the initial guess
 
 
 def solve_operating_point(system: System) -> dict[str, float]:
@@ -265,9 +265,9 @@ def solve_operating_point(system: System) -> dict[str, float]:
 def solve_dc(system: System, source: str, values: np.ndarray) -> dict[str, np.ndarray]:
     """Compute the equilibrium for each value of a source in ``values``.
 
-    Each solution starts from the solution at the previous value. The result contains arrays with
-    one entry for each value: ``sweep``, the values of the source, and all waves of
-    :func:`solve_operating_point`.
+    Each solution starts from the solution at the previous value. Each array in the result has one
+    entry for each value. The array ``sweep`` contains the values of the source. The other arrays
+    are the waves of :func:`solve_operating_point`.
     """
     z, result = None, []
     for value in np.asarray(values, dtype=float):
@@ -316,9 +316,10 @@ class _StaticEquations:
         return Interval(self.system, modes, 0.0)
 
     def equations(self, interval: Interval, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Compute the residual (n,) of the force and current balances, and its Jacobian (n, n).
+        """Compute the residual of the force and current balances, and its Jacobian.
 
-        The forces that enforce initial values are not included.
+        The residual has the shape (n,), and the Jacobian the shape (n, n). The forces that enforce
+        initial values are not included.
         """
         return interval.at(0.0, z)[1], interval.compute_slopes(0.0, z)[1]
 

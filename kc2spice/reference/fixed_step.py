@@ -1,4 +1,4 @@
-"""Transient with equal time steps of laws and of bodies, represented by ports (`PortBody`).
+"""Transient of laws and of bodies, represented by ports (`PortBody`), with equal time steps.
 
 A body with n unknowns is joined to other parts at p ports. Within a stage of an implicit method,
 the unknowns of the body are ``x = P(s)^-1 (r + B a)``. Here ``P(s)`` is the matrix of the body's
@@ -7,11 +7,11 @@ equations at the rate ``s`` of the stage. The vector ``a`` contains the inputs o
 is the transfer matrix of the ports.
 
 The matrix ``P(s)`` is factorised only once for all steps. Each stage needs one back substitution.
-It also solves a small nonlinear system of all other laws, in which p linear relations represent the
-body.
+Each stage also solves a small nonlinear system of all other laws. In this system, p linear
+relations represent the body.
 
 The method of Alexander (SIAM J. Numer. Anal. 14, 1006, 1977) has two stages and second-order
-accuracy. It is L-stable: motions that are too fast for the time step decay instead of ringing::
+accuracy. The method is L-stable: motions too fast for the time step decay instead of ringing::
 
     g(z_1) = g(z_0) + gamma h f(z_1),                gamma = 1 - 1/sqrt(2),  s = 1/(gamma h)
     g(z)   = g(z_0) + (1 - gamma) h f(z_1) + gamma h f(z)
@@ -34,8 +34,9 @@ from kc2spice.reference.equilibrium import Interval, LimitedTangents, find_equil
 from kc2spice.reference.system import System
 
 GAMMA = 1.0 - np.sqrt(0.5)
-MAX_ITERATIONS = 60  # iterations of a stage, including changes of device modes
-SINGLE_SWITCH_ITERATION = 30  # iteration from which only one device at a time changes its mode
+MAX_ITERATIONS = 60  # largest number of iterations of a stage, including changes of device modes
+# number of the iteration from which only one device at a time changes its mode
+SINGLE_SWITCH_ITERATION = 30
 GUARD_ROUNDING = 1e-15  # largest magnitude of a negative guard that is a rounding error
 ZERO_LOAD = 1e-100  # largest load that counts as zero, because no solver resolves it
 # rate at which an unsupported body moves only as a rigid body, relative to the body's fastest rate
@@ -106,12 +107,12 @@ def _make_solver(pencil: Any, s: float) -> Callable[[np.ndarray], np.ndarray]:
 def make_static_solver(pencil: Any) -> Callable[[np.ndarray], np.ndarray]:
     """Return a function that multiplies a vector by the inverse of a body's static matrix.
 
-    The static matrix is ``P(0)``. For an unsupported body, ``P(0)`` is singular and ``P(s)``
-    replaces it, at a rate ``s`` far below the natural frequencies of the body.
+    The static matrix is ``P(0)``. For an unsupported body, ``P(0)`` is singular. It is then
+    replaced by ``P(s)`` at a rate ``s`` far below the natural frequencies of the body.
 
     Raises
     ------
-    SimulationError : ``P(s)`` is singular, too.
+    SimulationError : both ``P(0)`` and ``P(s)`` are singular.
     """
     try:
         return _make_solver(pencil, 0.0)
@@ -210,7 +211,7 @@ class _StepIntegrator:
     def step(self, t: float, z: np.ndarray) -> np.ndarray:
         """Compute the unknowns one step after the time ``t``.
 
-        The device modes become the modes at the end of this step.
+        The integrator then stores the device modes at the end of this step.
         """
         stored = self.make_interval(t).at(t, z)[0]
         stage_time = t + GAMMA * self.h
@@ -227,7 +228,7 @@ class _StepIntegrator:
     def _solve_stage(self, t: float, z: np.ndarray, stored: np.ndarray, second: bool) -> np.ndarray:
         """Solve the stage ``g(z) - stored = f(z) / rate`` for the unknowns ``z``.
 
-        The device modes become the modes at ``z``.
+        The integrator then stores the device modes at ``z``.
         """
         for k, body in self.bodies.items():
             self.modes[k] = body.begin_stage(second)

@@ -42,26 +42,26 @@ _REAL_INDEX = int(np.argmin(np.abs(_values.imag)))
 _PAIR_INDEX = int(np.argmax(_values.imag))
 _ERROR_COEFFICIENTS = np.array([-13 - 7 * _S6, -13 + 7 * _S6, -1.0]) / 3.0
 _MAX_NEWTON_STEPS = 8
-# Largest acceptable rounding error of a Newton correction, relative to the tolerance. A controller
-# that differentiates its input amplifies rounding errors to 100 nV.
+# Largest acceptable rounding error of a Newton correction, relative to the tolerance.
+# A controller that differentiates its input amplifies rounding errors to 100 nV.
 _MAX_ROUNDING = 0.1
 _MACHINE_EPSILON = float(np.finfo(float).eps)
-# safety factor for estimated rounding errors, because the estimate uses only one set of random
-# signs
+# safety factor for rounding errors that are estimated from only one set of random signs
 _ROUNDING_FACTOR = 3.0
-# Matrices that convert values at the stages of a step to polynomial coefficients: of the cubic
-# polynomial through the start and the stages, and of the quadratic polynomial through the stages
-# only.
+# Both matrices convert values at the stages of a step to the coefficients of a polynomial.
+# The cubic polynomial passes through the values at the start and at the stages.
+# The quadratic polynomial passes through the values at the stages only.
 _CUBIC_MATRIX = np.linalg.inv(RADAU_NODES[:, None] ** _POWERS)
 _SQUARE_MATRIX = np.linalg.inv(RADAU_NODES[:, None] ** (_POWERS - 1))
 
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """Accepted time step, with the increments (n, 3) of the unknowns from start to stages.
+    """Accepted time step, with the changes of the unknowns from its start to its stages.
 
-    ``start`` and ``length`` are in seconds. ``first`` contains the unknowns at the start, and
-    ``differential`` is true for the unknowns that have a time derivative.
+    The changes are an array of shape (n, 3). ``start`` and ``length`` are in seconds. ``first``
+    contains the unknowns at the start, and ``differential`` is true for the unknowns that have a
+    time derivative.
     """
 
     start: float
@@ -82,17 +82,17 @@ class Step:
 
     @property
     def stage_times(self) -> np.ndarray:
-        """Times (3,) of the stages of the step."""
+        """Times of the three stages of the step."""
         return self.start + self.length * RADAU_NODES
 
     def at(self, t: np.ndarray | float) -> np.ndarray:
-        """Return the states (n, nt) on the collocation polynomial at times ``t`` (nt,)."""
+        """Return the states on the collocation polynomial at times ``t``, an array (n, nt)."""
         x = (np.atleast_1d(t) - self.start) / self.length
         powers = x ** np.arange(4)[:, None]
         return self.first[:, None] + self._evaluate_polynomials(powers[1:], powers[:3])
 
     def rate(self, t: np.ndarray | float) -> np.ndarray:
-        """Return the time derivatives (n, nt) of the states at times ``t`` (nt,).
+        """Return the time derivatives of the states at ``nt`` times ``t``, an array (n, nt).
 
         The derivatives of algebraic unknowns are less accurate.
         """
@@ -106,7 +106,7 @@ class Step:
         return np.where(self.differential[:, None], through_start, alone)
 
     def evaluate_stages(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the unknowns (n, 3) and their rates (n, 3) at the stages of the step.
+        """Return the unknowns and their rates at the stages of the step, two arrays (n, 3).
 
         The stages are the nodes for numerical integration over the step.
         """
@@ -161,7 +161,7 @@ class Radau:
         return np.asarray(lapack.dgetrs(*self.lu[which][:2], right)[0])
 
     def _compute_newton_change(self, r: np.ndarray) -> np.ndarray:
-        """Compute the Newton correction (n, 3) of the stages for a residual ``r`` (n, 3)."""
+        """Compute the Newton correction, an array (n, 3), of the stages for a residual ``r``."""
         real = np.outer(
             self._solve_system(r @ _EIGENVECTORS_INVERSE[_REAL_INDEX].real, 0),
             _vectors[:, _REAL_INDEX].real,
@@ -172,10 +172,10 @@ class Radau:
         return np.asarray(real + 2.0 * pair.real)
 
     def _estimate_rounding(self, X: np.ndarray, h: float) -> np.ndarray:
-        """Estimate the change (n, 3) of the stages due to the rounding error of the residual.
+        """Estimate the change of the stages due to the rounding error of the residual.
 
         The rounding error of each equation is proportional to the sum of the magnitudes of its
-        terms.
+        terms. The change is an array of shape (n, 3).
         """
         flow, stored = self.interval.sum_term_sizes(X)
         sizes = flow + (stored + np.abs(self.g)[:, None]) @ np.abs(_RADAU_INVERSE.T) / h
@@ -205,9 +205,9 @@ class Radau:
         zero_increments = np.zeros((self.z.size, 3))
         if self.before is None:
             return self._solve_stages(h, zero_increments)
-        # If the previous step was much shorter, the extrapolation of its polynomial amplifies
-        # rounding errors, and an exponential law overflows. The unknowns at the start are then a
-        # better initial guess.
+        # After a much shorter step, the extrapolation of its polynomial amplifies rounding errors.
+        # With these amplified errors, an exponential law overflows.
+        # The unknowns at the start of the new step are then a better initial guess.
         predicted = self.before.at(self.t + h * RADAU_NODES) - self.z[:, None]
         return self._solve_stages(h, predicted) or self._solve_stages(h, zero_increments)
 
@@ -215,7 +215,7 @@ class Radau:
     def _solve_stages(self, h: float, Z: np.ndarray) -> Step | None:
         """Solve the stages of a step by Newton's method.
 
-        ``Z`` (n, 3) is the initial guess for the increments of the unknowns.
+        ``Z``, an array of shape (n, 3), is the initial guess for the changes of the unknowns.
         """
         p, t = self.interval, self.t + h * RADAU_NODES
         sources = p.system.source_values(t, p.within)
@@ -285,8 +285,8 @@ class Radau:
         """Estimate the error of a step in units of the tolerance."""
         p, t, h = self.interval, step.stage_times, step.length
         sources = p.system.source_values(t, p.within)
-        # The error is computed from the stored quantities ``g``. Their derivative ``M`` is not
-        # used, because it was computed at an earlier state.
+        # The error is computed from the stored quantities ``g``.
+        # The derivative ``M`` of ``g`` is not used, because it was computed at an earlier state.
         stage_stores = p.compute_stored_quantities(
             np.concatenate((step.first[:, None] + step.increments, sources))
         )
@@ -303,8 +303,8 @@ def _compute_rms(x: np.ndarray) -> float:
     return float(np.sqrt(np.mean(x * x))) if x.size else 0.0
 
 
-# Largest number of segments of a run. More segments indicate a modelling error, such as a contact
-# that opens and closes without end.
+# Largest permitted number of segments of a run.
+# More segments indicate a modelling error, such as a contact that opens and closes without end.
 _MAX_SEGMENTS = 20_000
 
 
@@ -330,9 +330,9 @@ class EnergyBalance:
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Segments of a transient run, its output times (nt,) [s], and the times of its events [s].
+    """Segments of a transient run, its output times [s], and the times of its events [s].
 
-    An event is a change of the mode of a device.
+    The output times are an array of shape (nt,). An event is a change of the mode of a device.
     """
 
     system: System
@@ -342,13 +342,13 @@ class Trajectory:
 
     @cached_property
     def waves(self) -> dict[str, np.ndarray]:
-        """Waves (nt,) from the collocation polynomials, keyed by name.
+        """Waves computed from the collocation polynomials, keyed by name.
 
         The names are ``time``, ``NAME.pin``, ``NAME.pin.through``, ``NAME.pin.rate``,
-        ``NAME.state``, and the names of additional waves of devices.
+        ``NAME.state``, and the names of additional waves of devices. Each wave has the shape (nt,).
         """
-        # The times may come from ngspice, which may round the time of a corner differently. The
-        # corner still belongs to the segment that ends there.
+        # The times may come from ngspice, which may round the time of a corner differently.
+        # A corner with a rounded time still belongs to the segment that ends at this corner.
         ends = np.array([s.steps[-1].end for s in self.segments[:-1]])
         owner = np.searchsorted(ends + 4 * np.spacing(self.time[-1]), self.time, side="left")
         result = []
@@ -367,7 +367,7 @@ class Trajectory:
     @cached_property
     def energy(self) -> EnergyBalance:
         """Energy balance of the run, from energies at its start and end, and integrated powers."""
-        # for supplied and for lost energies: their sum, and the sum of their magnitudes
+        # sum, and sum of magnitudes, of the supplied energies and of the lost energies
         supplied, lost = np.zeros(2), np.zeros(2)
         for segment in self.segments:
             for sums, energies in zip(
@@ -404,8 +404,8 @@ def solve_transient(
     corners = np.unique(np.concatenate([[0.0, stop], *driven]))
     segments: list[Segment] = []
     events: list[float] = []
-    # Guards at the end of the previous interval. They are infinite at first, because no device must
-    # change its mode in equilibrium.
+    # Guards at the end of the previous interval.
+    # All guards are infinite at first, because no device must change its mode in equilibrium.
     left = np.full_like(Interval(system, modes, 0.0).compute_guards(0.0, z), np.inf)
     for begin, end in pairwise(corners):
         t, within = begin, 0.5 * (begin + end)
@@ -442,8 +442,8 @@ def _find_triggered_guard(
 ) -> int | None:
     """Return the index of a guard that turns negative at a jump of algebraic unknowns.
 
-    ``left`` contains the guards before the jump. It is nan for each guard that has just changed the
-    mode of its device. The result is None if no guard turns negative.
+    ``left`` contains the guards before the jump. A guard that has just changed the mode of its
+    device has the entry nan. The result is None if no guard turns negative.
     """
     guards = interval.compute_guards(t, interval.solve_algebraic(t, z))
     if guards.shape != left.shape:
@@ -530,7 +530,7 @@ def _locate_zero(
         return solver.take_step(h) or rough
 
     zero_time, guard = min((find_root(int(k)), int(k)) for k in fell)
-    h = max(zero_time - t0, 1e-12 * step.length)  # positive, even if zero_time rounds to t0
+    h = max(zero_time - t0, 1e-12 * step.length)  # h is positive, even if zero_time rounds to t0
     result = shorten_step(h)
     for _ in range(2):  # the polynomial is less accurate than the end of a step
         guard_at_end = float(interval.compute_guards(t0 + h, result.last)[guard])

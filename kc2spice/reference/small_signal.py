@@ -33,10 +33,9 @@ from kc2spice.reference.system import System, assemble_system
 _MAX_BASIS_CONDITION = 1e9
 # a mode with a rate above this fraction of the largest rate is not a rigid-body mode
 _RIGID_RATE_RATIO = 1e-7
-_RIGID_RATE_ROUNDINGS = 1e2  # largest rate of a rigid-body mode, in rounding errors
+_RIGID_RATE_ROUNDINGS = 1e2  # largest rate of a rigid-body mode, as a multiple of rounding errors
 CANCELLATION_ROUNDING = 1e-9  # rounding error of a sum whose terms cancel, relative to these terms
-# largest effect of the sources on rigid-body modes, relative to the effect of the sources on all
-# modes
+# largest permitted effect of sources on rigid-body modes, relative to their effect on all modes
 _MAX_RIGID_EFFECT = 1e-7
 
 RateMap = Callable[[np.ndarray], np.ndarray]
@@ -91,7 +90,7 @@ class LinearisedSystem:
         )
 
     def respond(self, w: complex, amplitudes: np.ndarray) -> np.ndarray:
-        """Compute the complex outputs (ny,) for sources ``amplitudes e^(w t)``."""
+        """Compute the complex outputs, an array (ny,), for sources ``amplitudes e^(w t)``."""
         X = self._solve_unknowns(w, amplitudes)
         return np.asarray(self.C0 @ X + w * (self.C1 @ X))
 
@@ -104,23 +103,23 @@ class LinearisedSystem:
         return self._compute_term_sizes(slice(None), X[:, None], np.array([w]))[:, 0]
 
     def _solve_unknowns(self, w: complex, amplitudes: np.ndarray) -> np.ndarray:
-        """Return the vector ``X`` (N,) of amplitudes for sources ``amplitudes e^(w t)``."""
+        """Return the amplitudes ``X``, an array (N,), for sources ``amplitudes e^(w t)``."""
         n, sources = self.system.size, np.concatenate((amplitudes, w * amplitudes))
         P = w * self.G - self.F
-        # the rows are scaled again here, because the scales in the system do not include devices
-        # that depend on the frequency
+        # The rows are scaled again here, because devices may depend on the frequency.
+        # The scales in the system do not include such devices.
         size = np.abs(P[:, :n]).max(axis=1)
         z = np.linalg.solve(P[:, :n] / size[:, None], -P[:, n:] @ sources / size)
         return np.concatenate((z, sources))
 
     def _compute_term_sizes(self, columns: slice, X: np.ndarray, rates: np.ndarray) -> np.ndarray:
-        """Return ``|C0| |X| + |C1| |X rates|`` (ny, m) with selected ``columns`` of C0 and C1."""
+        """Return ``|C0| |X| + |C1| |X rates|``, an array (ny, m), for ``columns`` of C0 and C1."""
         now, rated = self._sizes
         return np.asarray(now[:, columns] @ np.abs(X) + rated[:, columns] @ np.abs(X * rates))
 
     @cached_property
     def _free_motion(self) -> _FreeMotion | None:
-        """Homogeneous equations of the states; None if other unknowns do not follow from states."""
+        """Homogeneous equations of the states; None if they do not determine all unknowns."""
         n, rows, cols = self.system.size, self.rows, self.system.differential
         if rows.sum() != cols.sum() or not cols.any():
             return None
@@ -137,7 +136,7 @@ class LinearisedSystem:
 
     @cached_property
     def poles(self) -> np.ndarray:
-        """Complex natural frequencies ``a`` (m,) [1/s] of the free motions ``e^(a t)``.
+        """Complex natural frequencies ``a`` [1/s] of the free motions ``e^(a t)``, an array (m,).
 
         If the states do not determine the algebraic unknowns, the natural frequencies are the
         finite eigenvalues of ``F X = a G X``.
@@ -149,7 +148,7 @@ class LinearisedSystem:
         return _compute_finite_eigenvalues(self.F[:, :n], self.G[:, :n])
 
     def combine_output_rows(self, of: L.WaveCombination) -> tuple[np.ndarray, np.ndarray]:
-        """Return the row vectors (N,) of ``C0`` and ``C1`` for the result ``of``.
+        """Return the row vectors of ``C0`` and ``C1`` for the result ``of``, two arrays (N,).
 
         The result ``of`` is a linear combination of waves, so each vector is the same combination
         of rows.
@@ -161,9 +160,10 @@ class LinearisedSystem:
     def find_zeros(self, of: L.WaveCombination, amplitudes: np.ndarray) -> np.ndarray:
         """Compute the zeros of the transfer function from the sources to the result ``of``.
 
-        The zeros are the complex rates ``w`` (m,) [1/s] at which the result is zero for sources
-        ``amplitudes e^(w t)``. The sources are written as ``amplitudes u`` with ``v = w u``. The
-        zeros are then the eigenvalues of a generalised linear problem for ``[z, u, v]``. The rows
+        The zeros are an array (m,) of complex rates ``w`` [1/s]. At these rates, the result is zero
+        for sources ``amplitudes e^(w t)``. The sources are written as ``amplitudes u``, and their
+        rates as ``amplitudes v`` with ``v = w u``. The zeros are then the eigenvalues of a
+        generalised linear problem for ``[z, u, v]``. The rows
         of the problem are the equations of the circuit, the equation ``w u = v``, and the condition
         that the result is zero (H. H. Rosenbrock, State-Space and Multivariable Theory (1970)).
         """
@@ -237,7 +237,7 @@ class LinearisedSystem:
     def _compute_line_responses(
         self, motion: _FreeMotion, rates: np.ndarray, shapes: np.ndarray, drives: list[np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the static gains and the slope responses (sources, ny) of the outputs.
+        """Return the static gains and the slope responses of the outputs, two arrays (sources, ny).
 
         If a source u follows a straight line, an output is ``gain u + response du/dt``.
 
@@ -285,7 +285,7 @@ class LinearisedSystem:
 
 
 def solve_ac(system: System, frequencies: np.ndarray) -> dict[str, np.ndarray]:
-    """Compute the ac response of all waves, as complex arrays (nf,) keyed by name.
+    """Compute the ac response of all waves, as complex arrays of shape (nf,), keyed by name.
 
     Each source has the amplitude of its attribute ``ac``. The system is linearised about its
     operating point. The names are ``frequency`` [Hz] and, as in ``Result.waves``, ``NAME.pin`` and
@@ -301,10 +301,11 @@ def solve_ac(system: System, frequencies: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def _decompose_motion(F: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray]:
-    """Compute rates (m,), mode shapes (n, m) and left eigenvectors (m, n) of ``x' = F x``.
+    """Compute rates, mode shapes and left eigenvectors of ``x' = F x``.
 
-    The fourth result contains the left eigenvectors (n - m, n) of the rigid-body modes. The rates
-    are None if the mode shapes do not form a basis.
+    The results are arrays of shape (m,), (n, m) and (m, n). The fourth result, an array of shape
+    (n - m, n), contains the left eigenvectors of the rigid-body modes. The rates are None if the
+    mode shapes do not form a basis.
     """
     size = float(np.abs(np.linalg.eigvals(F)).max(initial=0.0))
     limit = _RIGID_RATE_RATIO * size
@@ -321,7 +322,7 @@ def _decompose_motion(F: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.nd
 
 
 def _sort_by_rate(F: np.ndarray, limit: float) -> tuple[np.ndarray, np.ndarray, int]:
-    """Return the ordered Schur form of ``F``, its vectors, and the number of fast rates.
+    """Return the ordered Schur form of ``F``, the Schur vectors, and the number of fast rates.
 
     The fast rates are the eigenvalues of ``F`` with magnitudes above ``limit``. They come first.
     """
@@ -332,8 +333,8 @@ def _sort_by_rate(F: np.ndarray, limit: float) -> tuple[np.ndarray, np.ndarray, 
 def _estimate_rigid_rate(T: np.ndarray, size: float) -> float:
     """Estimate the largest rate [1/s] of rigid-body modes due to rounding errors.
 
-    ``T`` is the Schur form of the slow modes. The rounding error of ``F`` is ``e = eps size``. It
-    shifts a simple rate of zero by ``e``. It shifts the two rates of a rigid-body mode
+    ``T`` is the Schur form of the slow modes. The rounding error of ``F`` is ``e = eps size``. This
+    error shifts a simple rate of zero by ``e``. The error shifts the two rates of a rigid-body mode
     ``x' = c v, v' = 0`` by ``sqrt(c e)``. Even the slow relaxations of a circuit have larger rates.
     """
     e = float(np.finfo(float).eps) * size
@@ -342,7 +343,7 @@ def _estimate_rigid_rate(T: np.ndarray, size: float) -> float:
 
 
 def _find_kinks(k: int, wave: Waveform, stop: float) -> list[tuple[float, int, float]]:
-    """Find the times from zero on at which the slope of a source's waveform jumps.
+    """Find the times at which the slope of a source's waveform jumps, at or after t = 0.
 
     Each item of the result contains a time [s], the index ``k`` of the source, and the jump of the
     slope.
@@ -397,7 +398,7 @@ class Modes:
 
     @property
     def q_factors(self) -> np.ndarray:
-        """Q factors (m,) of the modes. Modes with a Q factor below 0.5 do not oscillate."""
+        """Q factors of all modes. Modes with a Q factor below 0.5 do not oscillate."""
         return np.abs(self.rates) / np.maximum(-2 * self.rates.real, 1e-30)
 
 
@@ -408,7 +409,7 @@ class ExponentialSolution:
     linear: LinearisedSystem
     modes: Modes
     waves: tuple[Function, ...]
-    kinks: tuple[tuple[float, int, float], ...]  # time, source, jump of its slope
+    kinks: tuple[tuple[float, int, float], ...]  # time [s], index of a source, jump of its slope
     sines: tuple[tuple[int, Waveform], ...]
     stop: float
 
@@ -433,9 +434,9 @@ class ExponentialSolution:
         """Compute the waves with the indices ``outputs`` at the increasing times ``t``.
 
         Return an array of shape (nt, len(outputs)). By default, the waves are exact. With ``rates``
-        and ``axis``, they are the waves that a time integration rule computes. The rule replaces
-        the rate of a mode by the value of the function ``rates``, and the frequency ``j w`` of a
-        sine by the value of the function ``axis``.
+        and ``axis``, the result contains the waves that a rule for time integration computes. The
+        rule replaces the rate of a mode by the value of the function ``rates``, and the frequency
+        ``j w`` of a sine by the value of the function ``axis``.
         """
         poles = self.modes.rates
         moved = poles if rates is None else rates(poles)
@@ -461,7 +462,7 @@ class ExponentialSolution:
     def _list_intervals(self, moved: np.ndarray) -> list[tuple[float, float, np.ndarray]]:
         """Return start, end and initial mode amplitudes of each interval between corners.
 
-        ``moved`` contains the rates (m,) at which the amplitudes change within an interval.
+        ``moved`` is an array (m,) of the rates at which the amplitudes change within an interval.
         """
         poles, drive = self.modes.rates, self.modes.drive
         amplitude_jumps: dict[float, np.ndarray] = {0.0: self.modes.start.astype(complex)}
@@ -485,7 +486,7 @@ class ExponentialSolution:
         return np.asarray(self._amplitudes[:, None] * np.abs(self.modes.out.T))
 
     def estimate_rounding(self) -> np.ndarray:
-        """Estimate the rounding error (ny,) of each wave, because its terms may cancel.
+        """Estimate the rounding error of each wave, whose terms may cancel; an array (ny,).
 
         For example, the forces on a joint without mass and the currents into a node add up to zero.
         The computed sum is a rounding error, which a shorter time step does not reduce. The
@@ -501,7 +502,7 @@ class ExponentialSolution:
 
     @cached_property
     def _amplitudes(self) -> np.ndarray:
-        """Largest magnitude (m,) of the amplitude of each mode at the start of an interval."""
+        """Largest magnitude of each mode's amplitude at the starts of all intervals, an array."""
         amplitudes = np.array([*map(itemgetter(2), self._list_intervals(self.modes.rates))])
         return np.asarray(np.abs(amplitudes).max(axis=0))
 
@@ -523,7 +524,7 @@ class ExponentialSolution:
 def solve_noise(
     laws: Iterable[L.Law], joins: Mapping[str, Iterable[str]], of: L.WaveCombination, f: np.ndarray
 ) -> np.ndarray:
-    """Compute the spectral noise density (nf,) of the result ``of`` at frequencies ``f`` [Hz].
+    """Compute the spectral noise density of the result ``of`` at ``nf`` frequencies ``f`` [Hz].
 
     The unit of the density is the unit of the result per root Hz. ``joins`` has the format that
     :func:`kc2spice.reference.system.assemble_system` describes.
@@ -541,7 +542,7 @@ def solve_noise(
 
 
 def _compute_noise_power(at: LinearisedSystem, of: L.WaveCombination, s: complex) -> float:
-    """Compute the squared noise density of the result ``of``, before the factor ``4 k T``.
+    """Compute the squared noise density of the result ``of``, without the factor ``4 k T``.
 
     One solution of the adjoint circuit gives the transfer functions from all noise sources to the
     result.

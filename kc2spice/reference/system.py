@@ -40,7 +40,7 @@ class PlacedDevice:
     first: int  # index of the device's first output among the outputs of all devices
 
     def evaluate(self, e: np.ndarray, rate: np.ndarray, mode: Any) -> np.ndarray:
-        """Compute the outputs (k,) of the device for its inputs ``e`` and their rates ``rate``.
+        """Compute the outputs of the device for its inputs ``e`` and their rates ``rate``.
 
         The outputs include the currents that change stored charges.
         """
@@ -59,7 +59,8 @@ class InitialValue:
     value: float
     rate: np.ndarray
     speed: float
-    into: np.ndarray  # (n,) effect on the balances of the force that enforces the value
+    # (n,) contribution of the force that enforces the value to the force and current balances
+    into: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +80,7 @@ class System:
     moved: np.ndarray  # (m,) indices of the corresponding displacements
     sources: tuple[L.IdealSource, ...]
     devices: tuple[PlacedDevice, ...]
-    # devices whose outputs and stored quantities ``G``, ``F`` and ``const`` already include
+    # devices whose outputs and stored quantities are already included in ``G``, ``F`` and ``const``
     linear: tuple[PlacedDevice, ...]
     initial_values: tuple[InitialValue, ...]
     names: tuple[str, ...]
@@ -165,8 +166,7 @@ class _Assembly:
         self.charged = np.zeros((n, n))  # nonzero for voltages on which charges of devices depend
         self.sources = tuple(p for p in laws if isinstance(p, L.IdealSource))
         self.S = np.zeros((n, len(self.sources)))
-        # constraints: linear forms of the unknowns, and masks of the sources whose values they
-        # equal
+        # constraints: linear forms of the unknowns, and masks of the sources with equal values
         self.constraints: list[tuple[np.ndarray, np.ndarray]] = []
         self.forms = {"stored": np.zeros((n, n)), "dissipated": np.zeros((n, n))}
         self.lifted = np.zeros(n)
@@ -193,6 +193,7 @@ class _Assembly:
         used.pop(L.GROUND, None)
 
         def select_nets(kinds: Iterable[str]) -> list[str]:
+            """Return the nets of these kinds."""
             return [net for net in used if self.kinds[net] in kinds]
 
         bodies = [b for b in self.laws if isinstance(b, L.SecondOrderBody)]
@@ -303,7 +304,8 @@ class _Assembly:
     def find_store_rows(self, law: L.Device, outputs: np.ndarray) -> np.ndarray:
         """Return the matrix that adds the rates of stored quantities to the equations.
 
-        Its shape is (size, stored): equations by stored quantities of the device.
+        The matrix has one row for each equation, and one column for each stored quantity of the
+        device.
         """
         return np.hstack(
             [np.eye(self.size)[:, self.find_states(law)], -outputs[:, list(law.charged)]]
@@ -358,8 +360,8 @@ class _Assembly:
         Nv, _ = _separate_columns(Nv, follows + self.charged[vol, vol])
         p, d, w = Nq.shape[1], int(moving.sum()), Nv.shape[1]
         others = n - 2 * nq - len(self.node)
-        # A circuit of sources and resistors has no unknown. One constant unknown avoids a special
-        # case in the solvers.
+        # A circuit of sources and resistors has no unknown.
+        # One constant unknown then avoids a special case in the solvers.
         size = max(p + d + w + others, 1)
         T, W = np.zeros((n, size)), np.zeros((n, size))
         inertia = np.einsum("ij,ik,kj->j", Nq, mass, Nq)
@@ -380,7 +382,7 @@ class _Assembly:
         Ts, Td = np.zeros((n, len(self.sources))), np.zeros((n, len(self.sources)))
         Ts[:nq], Ts[vol], Td[vel] = Rq, Rv, Rq
         A, M = W.T @ self.A @ T, W.T @ self.M @ T
-        for k, j in enumerate(cols):  # p' = speed v
+        for k, j in enumerate(cols):  # equations ``p' = speed v`` of the displacements p
             M[j, j], A[j, p + k] = 1.0, speed[j]
         if not p + d + w + others:
             A[0, 0] = -1.0
@@ -569,7 +571,7 @@ def _add_body(law: L.SecondOrderBody, into: _Assembly) -> None:
     velocity_forms = np.zeros((C.shape[1], n))
     velocity_forms[:, v] = np.eye(C.shape[1])
     for k, port in enumerate(law.ports):
-        if port.kind == ACCELERATION.name:  # adds v' B a, the power that the acceleration supplies
+        if port.kind == ACCELERATION.name:  # add v' B a, the power that the acceleration supplies
             work = np.zeros((C.shape[1] + 1,) * 2)
             work[-1, :-1] = work[:-1, -1] = -0.5 * B[:, k]
             into.add_energy(
@@ -656,7 +658,7 @@ def _add_linear_device(
 
 
 def _fit_quadratic(f: Callable[[np.ndarray], float], n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Compute ``Q`` (n, n) and ``b`` (n,) of a quadratic function ``f(e) = e' Q e + b' e``."""
+    """Compute the matrix ``Q`` and vector ``b`` of a function ``f(e) = e' Q e + b' e``."""
     item = np.array(list(map(f, np.eye(n))))
     sums = np.eye(n)[:, None] + np.eye(n)
     both = np.array(list(map(f, sums.reshape(n * n, n)))).reshape(n, n)

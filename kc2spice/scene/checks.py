@@ -36,13 +36,13 @@ class Check:
     """Check that ``value`` does not exceed ``limit``.
 
     ``advice`` states what to do if the check is violated. The value is NaN if the run did not reach
-    the checked event. ``action`` is the effect of a violation on the run. A check with ``coarse``
-    is violated if time steps are too large; tighter tolerances may correct this. A check with
+    the checked event. ``action`` is the effect of a violation on the run. Time steps that are too
+    large violate a check with ``coarse``; tighter tolerances may reduce the steps. A check with
     ``wiring`` compares the netlist with the scene; in an edited deck, a difference may be
     intentional. ``suggested`` contains dotted keys with values that avoid the violation, if such
     values are known and the scene does not set the keys. A check with ``discretisation`` compares a
-    model with a finer model at the frequencies of the run. In a transient, ``verify`` includes this
-    check unless ``verify`` solves the scene with the finer model.
+    model with a finer model at the frequencies of the run. In a transient, ``verify`` includes such
+    a check unless ``verify`` solves the scene with the finer model.
 
     The value of a check with ``loaded`` is the relative error of a reduced body under the loads
     that a transient has recorded. In a check of a motion, ``distance`` is the smallest distance
@@ -131,7 +131,7 @@ def require_passed(checks: tuple[Check, ...], where: str) -> None:
     for check in checks:
         if check.is_fatal:
             value, limit = format_value_and_limit(check.value, check.limit, check.unit)
-            # a name with blanks may contain keys, whose underscores must remain
+            # the name of a check with blanks may contain scene keys, whose underscores must remain
             name = check.name if " " in check.name else check.name.replace("_", " ")
             cause, colon, action = check.advice.partition(": ")
             if "(" in cause:

@@ -25,7 +25,7 @@ from kc2spice.scene.parttype import find_current_into
 Pin = tuple[str, str]
 _GROUND_PIN: Pin = (GROUND, "")
 LISTED_PINS = 5  # largest number of pins that an error message lists
-METER_SUFFIX = "meter"  # last part of the name of an ammeter
+METER_SUFFIX = "meter"  # suffix of the names of ammeters
 
 
 def join_parts(scene: Scene) -> Scene:
@@ -229,7 +229,7 @@ def _suggest_target(pin: Pin, choices: Sequence[str], scene: Scene) -> str:
 
 
 def _are_compatible(a: Terminal, b: Terminal) -> bool:
-    """Return whether two pins may be joined: equal units, and equal flows except for signals."""
+    """Return whether two pins have equal units and, unless they are signals, equal flows."""
     return a.unit == b.unit and (a.flow == b.flow or "-" in (a.flow, b.flow))
 
 
@@ -297,7 +297,7 @@ def list_metered_pins(part: Part, scene: Scene) -> dict[str, Domain]:
 
 
 def list_power_input_pins(part: Part, scene: Scene) -> dict[str, Domain]:
-    """Return the pins through which power enters a part, all of one domain.
+    """Return the pins through which power enters a part; all these pins have one domain.
 
     The domain is electrical if the part has electrical pins; otherwise it is the domain of the
     first pin.
@@ -340,7 +340,7 @@ def _list_metered_pins(scene: Scene) -> Iterator[Pin]:
 
 
 def _reports_pin_current(body: Part, pin: str, scene: Scene) -> bool:
-    """Return whether the current into a pin of a body is a result of the only other part there."""
+    """Return whether the only other part at a body's pin has the current there as a result."""
     build = Build(scene, {})
     records = {}
     for name, _ in scene.joined_pins(body.name, pin):
@@ -362,8 +362,8 @@ def _make_unjoined_error(
 ) -> UsageError:
     """Return the error about a required pin that is not joined.
 
-    The hint prefers a target pin that is not joined either. A joined target could short-circuit a
-    voltage, such as a bias, and ground would clamp a motion.
+    If possible, the hint names a target pin that is not joined either. A target that is already
+    joined could short-circuit a voltage, such as a bias, and ground would clamp a motion.
     """
     fitting: list[Pin] = []
     waiting: list[Pin] = []
@@ -377,7 +377,7 @@ def _make_unjoined_error(
         hint = f'add  pins = {{ {pin} = "{names[0]}" }}  to [{name}]'
     elif fitting:
         hint = f'connect it, for example  pins = {{ {pin} = "{names[0]}" }}  in [{name}]'
-        if terminal.domain is ELECTRICAL:  # a load does not short-circuit another net
+        if terminal.domain is ELECTRICAL:  # a load resistor does not short-circuit another net
             hint = (
                 f'add a part at this pin, such as [{name}_load] with part = "resistor", '
                 f'resistance = "1 MOhm", pins = {{ a = "{name}.{pin}" }}'

@@ -89,7 +89,7 @@ def _compute_cosine(a: tuple[float, ...] | None, b: tuple[float, ...] | None) ->
 def _moving_pins(part: Part, scene: Scene, *, listening: bool = False) -> list[str]:
     """Return the moving pins of a part that are not on ground.
 
-    With ``listening``, the result includes signal inputs that read a displacement or a velocity.
+    With ``listening``, the result includes signal inputs for a displacement or a velocity.
     """
     result = []
     for terminal in scene.pins(part.name):

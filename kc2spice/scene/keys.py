@@ -21,7 +21,7 @@ from kc2spice.scene.settings import Probe, SceneKeys
 class Key:
     """Description of a key of a scene file.
 
-    ``unit`` is ``""`` for plain numbers, and None for values that are no numbers. ``integer`` marks
+    ``unit`` is ``""`` for plain numbers, and None for values other than numbers. ``integer`` marks
     whole numbers, and ``mixed`` marks numbers whose unit depends on other keys.
     """
 
@@ -68,7 +68,7 @@ def _find_default(field: FieldInfo) -> Any:
 
 
 def list_all_keys() -> Iterator[Key]:
-    """Yield all keys that scenes may contain: first keys outside of parts, then of part types.
+    """Yield all keys that scenes may contain: keys outside of parts, then keys of part types.
 
     The prefix of the keys of a part type is the name of the part type, or the name of the table
     that needs no key ``part``.
@@ -84,7 +84,7 @@ def list_scene_keys(scene: Scene) -> dict[str, Key]:
     for name in scene.probes:
         result += list_schema_keys(Probe, f"probes.{name}.")
     for part in scene.parts.values():
-        if part.at != (part.name,):  # a part that another part generates
+        if part.at != (part.name,):  # another part generates this part
             part_keys = list_schema_keys(type(part.keys), f"{part.key_prefix}.")
             result += [
                 _with_unit_of_part(key, getattr(part.keys, "unit", None)) for key in part_keys

@@ -1,4 +1,4 @@
-"""Loading of scenes from the gallery, TOML files or mappings, with all checks."""
+"""Functions that load and check scenes from the gallery, from TOML files or from mappings."""
 
 from __future__ import annotations
 

@@ -106,7 +106,7 @@ def _level_reference(probe: Probe, build: Build) -> float:
 
 
 def read_levels(build: Build, metrics: Mapping[str, Any]) -> dict[str, SoundLevel]:
-    """Return those ``metrics`` of a run that are sound pressure levels of probes."""
+    """Return those ``metrics`` of a run that probes compute as sound pressure levels."""
     result = {}
     for name, probe in build.scene.probes.items():
         if probe.take == "spl":

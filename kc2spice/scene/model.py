@@ -278,7 +278,7 @@ class DeclaredScene:
     (:attr:`Part.declares_ports`), or all ports for documentation. ``resolved_frequency`` [Hz] is
     the highest frequency up to which the parts resolve their physics, or None if the analysis
     determines it. ``workspace`` is a cache of large results, such as meshes. Scenes that are
-    derived from this scene share it.
+    derived from this scene use the same cache.
     """
 
     frame: SceneKeys
@@ -715,8 +715,8 @@ class PartType(Generic[KeysT]):
     follows_frames: ClassVar[bool] = False
     #: whether files declare the ports of the bodies of this type
     ports_of_files: ClassVar[bool] = False
-    # Dotted keys whose values are numbers of elements or of series terms. ``verify`` compares the
-    # solution with a second solution, for which these numbers are doubled.
+    # Dotted keys whose values are numbers of elements or of series terms.
+    # ``verify`` also solves the scene with doubled numbers, and compares both solutions.
     discretisations: ClassVar[tuple[str, ...]] = ()
     # names of the resistors of the subcircuit that are noise sources, or a description of the noise
     noise: tuple[str, ...] | str = ()

@@ -21,7 +21,7 @@ MAX_RMS_CHANGE = 0.02
 def noise_by_part(waves: Waveforms) -> dict[str, np.ndarray]:
     """Return the spectral density of the output noise that each part causes.
 
-    The densities are keyed by part. Each is an array with one value for each frequency.
+    The densities are keyed by part. Each density is an array with one value for each frequency.
     """
     power: dict[str, np.ndarray] = {}
     for name, density in waves.data.items():

@@ -27,8 +27,8 @@ from kc2spice.scene.settings import Analysis, Rom, Solver
 
 MAX_STEP_KEY = "solver.max_step"
 MAX_TIME_POINTS = 2e5  # largest number of time points of a transient with the finest time step
-# Factor by which each refinement step of a transient raises the highest frequency of the band of a
-# reduction. Steps and contacts excite modes above the band.
+# Factor by which each refinement step of a transient raises the upper end of a reduction's band.
+# Voltage steps and contacts excite modes above the band.
 BAND_GROWTH = 2.0
 
 
@@ -171,8 +171,8 @@ def _list_reduction_settings(build: Build) -> Iterator[NumericalSetting]:
             certificate = getattr(build.models.get(part.name), "certificate", None)
             band = rom.band if certificate is None else certificate.band_hz
         setting = _make_setting(f"{prefix}.tolerance", rom.tolerance, Rom.model_fields["tolerance"])
-        # A run has only one value of each parameter. The refined reduction therefore has no
-        # parameter ranges, and its band may be wider.
+        # A run has only one value of each parameter.
+        # The refined reduction therefore has no parameter ranges, and its band may be wider.
         plain: dict[str, Any] = {f"{prefix}.parameters": {}} if rom.parameters else {}
         wider = (BAND_GROWTH**2 if plain else BAND_GROWTH) if timed else 1.0
         yield replace(setting, band=band, wider=wider, finer=plain)
@@ -202,7 +202,7 @@ def _make_setting(name: str, value: float, declared: FieldInfo) -> NumericalSett
 
 
 def _find_rule(declared: FieldInfo) -> RefinementRule | None:
-    """Return the refinement rule of a key, None if the key has no rule."""
+    """Return the refinement rule of a key; None if the key has no rule."""
     return next((item for item in declared.metadata if isinstance(item, RefinementRule)), None)
 
 
@@ -230,7 +230,7 @@ def _describe_mesh(part: Part, build: Build) -> str:
 
 
 def _estimate_mesh_error(setting: NumericalSetting, build: Build) -> float | None:
-    """Return the error estimate of the mesh that a setting refines, None if unknown."""
+    """Return the error estimate of the mesh that a setting refines; None if unknown."""
     if not setting.mesh:
         return None
     errors: list[float] = []
@@ -263,8 +263,8 @@ def describe_plan(build: Build) -> dict[str, Any]:
     settings = []
     for setting in find_numerical_settings(build):
         error = _estimate_mesh_error(setting, build)
-        # The tolerance of a reduction bounds the error only within its band. In a transient, steps
-        # excite modes above the band, so that the error is not known.
+        # The tolerance of a reduction bounds the error only within the band of the reduction.
+        # In a transient, steps excite modes above the band, so that the error is not known.
         if scene.analysis.is_small_signal and setting.name.endswith("rom.tolerance"):
             error = setting.value
         settings.append({"key": setting.name, "value": setting.value, "error": error})

@@ -20,9 +20,9 @@ _DOTTED_KEY = re.compile(
     rf"{_WORD_PATTERN}({_INDEX_PATTERN})*(\.{_WORD_PATTERN}({_INDEX_PATTERN})*)*"
 )
 _STRUCTURAL_KEYS = ("part", "pins")  # keys of a part that never appear in examples
-_PLAIN_ARGUMENT = re.compile(r"[\w.=+:%,/-]+")  # string that needs no quotes in a shell
+_PLAIN_ARGUMENT = re.compile(r"[\w.=+:%,/-]+")  # pattern of strings that a shell reads unquoted
 _SEPARATOR = re.compile(r"[.\[]")
-# pairs of keys that exclude each other
+# keys that exclude each other: a dotted key, and the last word of the other key
 _EXCLUSIVE_KEYS = {"rom.order": "tolerance", "rom.tolerance": "order"}
 _OVERRIDE_EXAMPLES = (
     "dotted.key=value, such as kick.drive.voltage=80 or beam.layers[0].thickness=0.2 mm"

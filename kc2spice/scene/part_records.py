@@ -16,7 +16,7 @@ from kc2spice.netlist.powers import PowerTerm
 Pin = tuple[str, str]
 Powers = tuple[PowerTerm, ...]  # terms whose sum is the power of a part or at a pin
 DENSITY_UNIT = "/sqrt(Hz)"  # suffix of the units of spectral densities
-PERPENDICULAR_COSINE = 1e-9  # rounding error of the cosine of a right angle
+PERPENDICULAR_COSINE = 1e-9  # largest rounding error of the cosine of a right angle
 
 
 @dataclass(frozen=True)
@@ -44,8 +44,8 @@ class State:
 Governed = Literal["moved", "copied"]
 
 
-# Function that returns the highest frequency [Hz] at which a part excites other parts. Its argument
-# is the time constant [s] of a filter between the parts.
+# Function that returns the highest frequency [Hz] at which a part excites other parts.
+# The argument of the function is the time constant [s] of a filter between the parts.
 HighestFrequency = Callable[[float], float]
 
 
@@ -171,8 +171,8 @@ class DcSweep(EqualByContent):
         First and last value of the key in SI units.
     values : ndarray
         Values of the swept variable in SI units. ngspice sweeps only in one direction. A sweep
-        forwards and back is therefore one sweep to twice the range. In its second half, the source
-        has the value ``2 last - value``, where ``last`` is the second value in ``ends``.
+        that returns to its start is therefore one sweep over twice the range. In the second half,
+        the source has the value ``2 last - value``, where ``last`` is the second value in ``ends``.
     """
 
     source: str

@@ -84,8 +84,8 @@ def compute_pin_forces(build: Build, waves: Waveforms) -> Mapping[tuple[str, str
         for name, part in build.scene.parts.items():
             for pin, force in part.type.forces(part, build, waves).items():
                 result[name, pin] = force
-        # The cache key contains the ids of both objects. The cached tuple keeps the objects alive,
-        # so that Python does not reuse their ids.
+        # The cache key contains the ids of the build and of the waves.
+        # The cached tuple keeps both objects alive, so that Python does not reuse their ids.
         return build, waves, result
 
     return build.workspace.get_or_compute("forces", (id(build), id(waves)), compute)[2]

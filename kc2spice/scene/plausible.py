@@ -25,14 +25,15 @@ class ImplausibleError(UsageError):
     """Error about a value that is possible but not plausible, often due to a wrong unit."""
 
 
-MAX_LAYER_ASPECT = 10.0  # largest ratio of thickness and width of a layer
-MAX_OVERHANG = 1.02  # largest ratio of ceramic to plate diameter; wider ceramic breaks
-# Ratio of a voltage to the rated voltage. The check warns above 1, and fails above this ratio.
+MAX_LAYER_ASPECT = 10.0  # largest plausible thickness of a layer, relative to its width
+# largest plausible diameter of a ceramic layer, relative to the plate; wider ceramics break
+MAX_OVERHANG = 1.02
+# Voltage, relative to the rated voltage, above which the check fails; above 1, it warns.
 BREAKDOWN_RATIO = 10.0
-# A value of less than this multiple of a limit probably has the right unit, because SI prefixes
-# differ by a factor of 1000.
+# Multiple of an upper limit below which a value probably has the right unit.
+# A wrong SI prefix would change the value by a factor of 1000.
 MISTAKEN_UNIT_RATIO = 2.0
-LOWEST_DRIVE_RATIO = 1e-4  # ratio of a voltage to the rated voltage; the check warns below it
+LOWEST_DRIVE_RATIO = 1e-4  # voltage, relative to the rated voltage, below which the check warns
 _MICRO_UNITS = ("F", "H")  # units in which the prefix mega is rare
 _ALTERNATIVE_UNITS = {"m": {"mm": 1e-3, "um": 1e-6}, "kg": {"g": 1e-3, "mg": 1e-6, "ug": 1e-9}}
 
@@ -51,7 +52,7 @@ def check_range(
             fitting = None  # the value is only slightly too large, so that its unit is not wrong
         limit = high if value > high else low
         micro = format_quantity(1e-12 * value, unit).replace("µ", "u")
-        if unit in _MICRO_UNITS and 1e6 <= value < 1e9:  # M (mega) in place of u (micro)
+        if unit in _MICRO_UNITS and 1e6 <= value < 1e9:  # probably M (mega) in place of u (micro)
             fitting = None
             advice = f'write  "{micro}"  if you mean micro, not mega'
         else:
@@ -120,7 +121,7 @@ def check_drive_levels(scene: Scene) -> Iterator[UsageError]:
     for body, limit in rated.items():
         for name, peak in _list_peak_voltages(body, scene):
             state = f"{peak:.4g} V at {body}, whose ceramic stands {limit:.4g} V"
-            # the same number in V in place of mV, or in mV in place of V, if the rating permits it
+            # suggest the same number in V or in mV, if the rating permits this voltage
             units = {f"{1e3 * peak:g} V": 1e3 * peak, f"{peak:g} mV": 1e-3 * peak}
             fits = (text for text, v in units.items() if LOWEST_DRIVE_RATIO * limit <= v <= limit)
             fitting = next(fits, None)

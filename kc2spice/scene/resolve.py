@@ -138,7 +138,7 @@ def _find_parts_without_cards(
     return frozenset(name for name, governed in rows if isinstance(governed, str))
 
 
-# largest relative deviation of a period from an integer fraction of the longest period
+# largest permitted relative deviation of a period from an integer fraction of the longest period
 PERIOD_TOLERANCE = 1e-6
 
 

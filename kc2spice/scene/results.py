@@ -103,7 +103,7 @@ def _collect_metered_results(build: Build, known: Mapping[str, Vector]) -> dict[
     for quantity_name, symbol in FLOW_SYMBOLS.items():
         for part in _list_probed_parts(build, quantity_name):
             known_as = f"{part.name}.{symbol}"
-            if known_as in known:  # second name of the flow of an element, as for bodies
+            if known_as in known:  # an element's flow gets the same second name as a body's flow
                 result.setdefault(f"{part.name}.{quantity_name}", known[known_as])
     for part in _list_probed_parts(build, "power"):
         result |= _collect_across_quantity(part, build)

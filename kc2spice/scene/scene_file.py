@@ -104,7 +104,8 @@ def open_scene(name_or_path: str | Path) -> SceneFile:
         reason = getattr(error, "strerror", None) or str(error)
         hint = f"check the permissions and the size of {name}"
         raise UsageError(f"this file cannot be read: {reason}", where=name, hint=hint) from None
-    folder = Path.cwd() if path.parent == Path() else path.parent  # Path() means no folder
+    # Path() means that the path of the file contains no folder
+    folder = Path.cwd() if path.parent == Path() else path.parent
     return SceneFile(name, path.stem, text, folder)
 
 
@@ -116,7 +117,7 @@ def _missing_file_error(name: str, path: Path, scenes: Collection[str]) -> Usage
             f"a TOML file, or a built-in scene: {list_candidates(name, scenes, 'kc2spice scenes')}"
         )
         near = did_you_mean(name, scenes) or did_you_mean(name, read_catalogue())
-        with contextlib.suppress(OSError, ValueError):  # not a valid file name, or too long
+        with contextlib.suppress(OSError, ValueError):  # the name is too long or otherwise invalid
             if Path(f"{path.stem}.toml").is_file():
                 near = f"did you mean '{path.stem}.toml'?"
         hint = near or f"{listing}, kc2spice parts the part numbers"

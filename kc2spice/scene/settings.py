@@ -344,7 +344,7 @@ class ErrorLimits(Section):
 
 # unit of the independent variable (time or frequency) of each type of analysis
 ANALYSIS_UNITS = {"transient": "s", "ac": "Hz", "noise": "Hz"}
-SMALL_SIGNAL_ANALYSES = ("ac", "noise")  # linear about an operating point
+SMALL_SIGNAL_ANALYSES = ("ac", "noise")  # analyses that are linear about an operating point
 
 
 def _default_scale(keys: dict[str, Any]) -> Literal["log", "linear"]:

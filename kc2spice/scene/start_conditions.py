@@ -216,7 +216,7 @@ def _group_nets(scene: Scene, pairs_of_parts: Iterable[tuple[str, Pairs]]) -> li
 
 def _describe_group(group: frozenset[str], scene: Scene) -> FloatingNets:
     """Return the record of a group of nets, with its parts and its domain."""
-    domains: dict[str, Domain] = {}  # domain of the first pin on the nets, by part
+    domains: dict[str, Domain] = {}  # domain of each part's first pin on the nets, keyed by part
     for key, terminal in scene.terminals.items():
         if terminal.domain is not None and terminal.needs_path and scene.nets[key] in group:
             domains.setdefault(key[0], terminal.domain)

@@ -1,9 +1,9 @@
 """Error and CPU time of a scene for various numerical settings, and a recommendation.
 
-The scene runs unchanged, with each single numerical setting
-(:mod:`kc2spice.scene.numerical_settings`) changed, and with all settings finer. The search then
-changes one setting at a time to find the fastest settings within the error limit, and within the
-error of the unchanged scene.
+``bench`` runs the unchanged scene, the scene with one changed numerical setting at a time
+(:mod:`kc2spice.scene.numerical_settings`), and the scene with all settings finer. A search then
+changes one setting at a time. It finds the fastest settings within the error limit, and the fastest
+settings within the error of the unchanged scene.
 
 Errors are relative to a reference run, in which every setting has its finest value. A second,
 coarser run shows how well the reference has converged. If the scene sets a key to its finest value,
@@ -55,14 +55,15 @@ from kc2spice.workflow.simulate import Run
 DEFAULT_ERROR_LIMIT = 1e-4
 # Refinement steps of each numerical setting, from coarse to fine.
 REFINEMENT_STEPS = (-2.0, -1.0, -0.5, 0.0, 0.5, 1.0)
-# Refinement steps of all settings in the run that checks the reference, and in the reference.
+# Refinement steps of all settings in the run that checks the reference, and in the reference run.
 CHECK_STEPS = 1.5
 REFERENCE_STEPS = 2.0
 MAX_POINTS = 80  # largest number of combinations of settings that the search runs
 MAX_METRIC_CHANGE = 1e-2  # largest relative change of a converged metric at the finest settings
-# Ratio of the CPU time to that of the unchanged scene, above which settings are timed only once.
+# CPU time, relative to the unchanged scene, above which settings are timed only once.
 SLOW_TIME_RATIO = 5.0
-EQUAL_TIME_RATIO = 1.05  # ratio of CPU times that count as equal in the choice between two errors
+# largest ratio of two CPU times that count as equal when the more accurate settings are chosen
+EQUAL_TIME_RATIO = 1.05
 
 Combination = tuple[float, ...]  # refinement steps of each numerical setting
 Errors = dict[str, float]  # error of each metric
@@ -202,8 +203,8 @@ class _SettingSearch:
     def run_combinations(self, limit: float, progress: Progress) -> None:
         """Run combinations with one changed setting, then search the fastest combinations.
 
-        One search accepts errors up to ``limit``, and another one errors up to the error of the
-        unchanged scene.
+        One search accepts errors up to ``limit``. Another search accepts errors up to the error of
+        the unchanged scene.
         """
         origin = (0.0,) * len(self.varied_settings)
         combinations = [origin]
@@ -291,9 +292,9 @@ def bench(
 
     Raises
     ------
-    UsageError : an unknown metric, or a scene without numerical settings.
+    UsageError : a metric is unknown, or the scene has no numerical settings.
     SimulationError : the run of the unchanged scene, or the reference run, fails.
-    MissingToolError : no ngspice.
+    MissingToolError : ngspice is missing.
     """
     simulator = find_ngspice()
     with stage_directory(out) as work:
@@ -336,14 +337,14 @@ def bench(
 
 
 def _select_metrics(run: Run, names: Sequence[str]) -> tuple[str, ...]:
-    """Return the metrics of ``run`` with ``names``, or whose names begin with a name and a dot.
+    """Return the metrics of ``run`` that are among ``names``, or nested in one of ``names``.
 
     Without ``names``, the result is all metrics that are single numbers; if there are none, all
     curves.
 
     Raises
     ------
-    UsageError : a metric that the scene does not have.
+    UsageError : the scene does not have one of the metrics ``names``.
     """
     result: list[str] = []
     for name in names:
@@ -361,7 +362,8 @@ def _measure_convergence(
 ) -> Errors:
     """Return the change of each selected metric between the two finest settings.
 
-    The converging metrics become the ``names`` of the search; with ``keep_all``, all metrics do.
+    The converging metrics become the ``names`` of the search. With ``keep_all``, the names of all
+    metrics become these names.
 
     Raises
     ------

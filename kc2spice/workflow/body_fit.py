@@ -40,7 +40,7 @@ from kc2spice.scene.model import Scene
 # Smallest assumed relative noise: the error of the mesh can exceed the noise of the data.
 MIN_NOISE = 1e-3
 DIFFERENCE_STEP = 1e-5  # step of finite differences in the logarithm of a value
-# ratio of the frequency that counts as static to the lowest frequency of the data
+# frequency that counts as static, relative to the lowest frequency of the data
 STATIC_FREQUENCY_RATIO = 1e-3
 # the loss tangent is added to the response, because no finite-element model contains it
 LOSS_TANGENT_KEY = "damping.loss_tangent"
@@ -50,7 +50,7 @@ LOSS_FACTORS: dict[str, Callable[[float], float]] = {
     "damping.ratio": lambda value: 2 * value,
     "damping.loss_factor": lambda value: value,
 }
-# smallest ratio of the motional capacitance of an excited mode to the largest one
+# smallest motional capacitance of an excited mode, relative to the largest motional capacitance
 MIN_MODE_SHARE = 1e-3
 CONSTANT_Q_CAUSE = 'losses by complex constants of IEEE 176: set damping.model = "ieee176"'
 VISCOUS_CAUSE = 'losses by viscous damping: set damping.model = "rayleigh"'
@@ -110,7 +110,7 @@ class BodyFit:
                 hint="write a narrower range: --vary KEY=LOW:HIGH",
             ) from None
         part = loaded.part(self.part, where=self.part)
-        assert isinstance(part.type, LinearBody)  # required before the fit
+        assert isinstance(part.type, LinearBody)  # the type was checked before the fit
         rest = {k: v for k, v in values.items() if not k.startswith("damping.")}
         key, damping = (id(self.like) if moved else 0, *rest.items()), find_damping(part)
         if key in self.last and not damping.per_material:
@@ -186,7 +186,7 @@ class BodyFit:
     ) -> np.ndarray:
         """Return the admittance [S] with viscous damping in proportion to the stiffness.
 
-        The Q factor at the lowest resonance that a voltage excites is that of the ``values``.
+        At the lowest resonance that a voltage excites, the Q factor is the one in ``values``.
         """
         at = self.damping.frequency(self.modes(pencil)[2])
         assert at is not None

@@ -36,8 +36,8 @@ from kc2spice.workflow.models import build_models
 MIN_NOISE = 1e-3
 DIFFERENCE_STEP = 1e-5  # step of forward differences in the logarithm of a value
 MAX_EVALUATIONS = 60
-# Residual, in units of the noise, that is assigned to values that the part cannot have, so that the
-# descent avoids these values.
+# Residual, in units of the noise, that is assigned to values that the part cannot have.
+# This large residual keeps the descent away from impossible values.
 IMPOSSIBLE_RESIDUAL = 1e4
 MISFIT_ADVICE = (
     "vary more keys, or restrict each curve by band to frequencies that the model covers"
@@ -190,7 +190,7 @@ class CircuitFit:
     def jacobian(self, x: np.ndarray) -> np.ndarray:
         """Return the derivatives of :meth:`deviation`, an array of shape (2 n, keys).
 
-        They are computed by one-sided differences inside the range.
+        The derivatives are computed by one-sided differences inside the range.
         """
         columns, middle, first = [], np.mean(self.bounds, axis=0), self.deviation(x)
         for k in range(len(x)):
@@ -207,7 +207,7 @@ class CircuitFit:
         UsageError : the scene of a curve is not valid at the first values.
         """
         values = read_key_values(self.keys)
-        self.residuals(values)  # raises the error of an invalid scene before the fit begins
+        self.residuals(values)  # this call raises the error of an invalid scene before the fit
         start = np.log(np.abs(list(values.values())))
         return least_squares(
             self.deviation, start, self.jacobian, self.bounds,

@@ -36,8 +36,8 @@ from kc2spice.workflow.edited_parts import with_edited_parameters
 from kc2spice.workflow.measures import list_measure_cards
 from kc2spice.workflow.models import build_models
 
-# Inductance [H] that fixes a floating displacement at the operating point. Above 1 Hz, its force is
-# less than the inertia force of a millionth of 1 fg.
+# Inductance [H] that fixes a floating displacement at the operating point.
+# Above 1 Hz, its force is less than the inertia force of a millionth of 1 fg.
 HOLD_INDUCTANCE = 1e30
 
 

@@ -40,9 +40,9 @@ from kc2spice.workflow.misfit import (
     rms_misfit,
 )
 
-# Largest rms misfit relative to |Y|; a larger misfit indicates another resonance or another part.
+# Largest permitted rms misfit relative to |Y|; a larger one indicates another resonance or part.
 MAX_MISFIT = 0.5
-# ratio of the cost of a minimum to the smallest cost, above which the minimum counts as worse
+# cost of a minimum, relative to the smallest cost, above which the minimum counts as worse
 WORSE_COST_RATIO = 2.0
 UNKNOWN_CAUSE = "the geometry, the mounting, or a loss model that the part does not follow"
 VALUES_FILE = "fit.toml"
@@ -70,7 +70,7 @@ def fit(
 
     Standard errors are computed from the linearised problem. If the misfit exceeds the noise, the
     standard errors are multiplied by the misfit. If the model does not describe the data, the
-    standard errors include the scatter of fits without single frequency bands
+    standard errors include the scatter of further fits, each of which omits one frequency band
     (:mod:`kc2spice.workflow.misfit`). If the misfit exceeds three times the noise, a warning names
     the likely cause.
 

@@ -19,8 +19,8 @@ from kc2spice.workflow.body_fit import DIFFERENCE_STEP, BodyFit, ParameterAxes
 from kc2spice.workflow.fit_keys import compute_log_widths, is_at_bound
 from kc2spice.workflow.misfit import noise_ratio
 
-# Number of random samples of the ranges, and number of descents; the first descent begins at the
-# values of the scene.
+# Number of random samples of the ranges, and number of descents.
+# The first descent begins at the values of the scene.
 RANDOM_SAMPLES = 64
 DESCENT_COUNT = 4
 # Ratio of the widths of successive, narrower ranges, and smallest logarithmic width of a range.
@@ -29,7 +29,7 @@ MIN_LOG_WIDTH = 0.01
 POLYNOMIAL_DEGREE = 3  # degree of the polynomials over a narrow parameter range
 RANGE_COUNT = 8  # largest number of successive, narrower ranges
 MESH_CORRECTIONS = 4  # largest number of corrections by the full model in each range
-# largest remaining change of the values by a correction, in standard errors
+# change of the values by a correction, in standard errors, below which corrections end
 CONVERGED_CHANGE = 0.1
 
 
@@ -93,7 +93,7 @@ class Descent:
     def jacobian(self, x: np.ndarray) -> np.ndarray:
         """Return the derivatives of :meth:`deviation`, an array of shape (2 n, keys).
 
-        They are computed by central differences, and by one-sided differences at a bound.
+        The derivatives are central differences, or one-sided differences at a bound.
         """
         low, high = self.bounds
         columns = []

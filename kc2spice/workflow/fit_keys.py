@@ -16,8 +16,7 @@ from kc2spice.parts.bodies._box import VariedKey, make_varied_key, read_number_k
 from kc2spice.scene.model import Scene
 from kc2spice.workflow.sweep.grid import parse_value
 
-# Default ratio of the ends of a range to the value: ceramics vary by 30 %, losses by a factor of
-# ten.
+# Default ends of a range, relative to the value: ceramics vary by 30 %, losses by a factor of ten.
 VALUE_RANGE = 1.3
 LOSS_RANGE = 10.0
 _LOSS_KEY = re.compile(r"damping|quality|ratio|loss")

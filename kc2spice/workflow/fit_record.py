@@ -15,8 +15,8 @@ from kc2spice.parts.bodies._box import VariedKey
 from kc2spice.workflow.fit_keys import compute_log_widths, find_resonances, is_at_bound
 from kc2spice.workflow.misfit import estimate_covariance, noise_ratio, rms_misfit
 
-# A combination of keys is undetermined if this multiple of its standard error exceeds the widest
-# range of a key.
+# Number of standard errors that must fit into the widest range of a key.
+# A combination of keys with a larger standard error is undetermined.
 ERRORS_PER_RANGE = 4
 
 

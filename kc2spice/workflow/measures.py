@@ -27,8 +27,7 @@ from kc2spice.scene.settings import Probe
 
 _FUNCTIONS = {"max": "MAX", "min": "MIN", "peak_to_peak": "PP", "mean": "AVG", "rms": "RMS"}
 _OPPOSITE_EXTREMES = {"MAX": "MIN", "MIN": "MAX", "MAX_AT": "MIN_AT"}
-# Probe functions of a magnitude that a card computes in the same way as kc2spice, without
-# interpolation.
+# Probe functions of a magnitude that cards and kc2spice compute equally, without interpolation.
 _MAGNITUDE_FUNCTIONS = ("max", "argmax", "crossing")
 _VALID_NAME = re.compile(r"[A-Za-z]\w*")
 ANALYSIS_KINDS = {"transient": "tran", "dc": "dc", "ac": "ac", "op": "op"}
@@ -61,7 +60,7 @@ def list_measure_cards(build: Build, sweep_scale: float) -> tuple[Measure, ...]:
             count.update(metrics.keys())
             probes |= metrics
     for name in count:
-        if count[name] > 1:  # a metric name that several parts have has no card
+        if count[name] > 1:  # no card is written if several parts have a metric of this name
             del probes[name]
     return tuple(_list_measures(build, {**probes, **build.scene.probes}, sweep_scale))
 

@@ -19,13 +19,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
-# Misfit above which errors of the model are assumed; with 50 points, the misfit of pure noise
-# scatters by 10 %.
+# Misfit above which errors of the model are assumed.
+# With 50 points, the misfit of pure noise scatters by 10 %.
 MODEL_ERROR_MISFIT = 1.5
 BAND_COUNT = 8
 WARNING_MISFIT = 3.0  # smallest misfit at which a fit prints a warning
-# Two causes count as equally likely if the sums of squared residuals that remain with them differ
-# by less than this ratio.
+# Largest ratio of the remaining sums of squared residuals of two equally likely causes.
 EQUAL_LIKELIHOOD_RATIO = 1.1
 EXPLAINED_SHARE = 0.5  # smallest fraction of the sum of squares that a likely cause removes
 

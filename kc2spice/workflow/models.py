@@ -66,7 +66,7 @@ def replace_parts(build: Build, parts: Mapping[str, Part], unchecked_parts: Iter
 
 
 def rebuild_with_scene(build: Build, scene: Scene) -> Build:
-    """Return a build for a scene with changed keys, which reuses pins, nets and models."""
+    """Return a build that reuses pins, nets and models for a scene with changed keys."""
     return _resolve_equations(replace(build, scene=resolve_again(scene)))
 
 

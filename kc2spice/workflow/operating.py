@@ -42,8 +42,8 @@ def find_operating_point(build: Build, deck: Deck, laws: SceneLaws) -> Operating
     # The probes are kept, because they determine the pins of a body. This run has no noise result.
     probes = {} if build.has_noise else scene.probes
     frame = scene.frame.model_copy(update={"analysis": Analysis(type="op"), "probes": probes})
-    # The highest resolved frequency remains the end of the frequency range. Therefore, pins do not
-    # change, and models that depend on this frequency, such as eddy currents, do not change either.
+    # The highest resolved frequency remains the end of the frequency range.
+    # Therefore, pins and frequency-dependent models, such as those of eddy currents, do not change.
     resolved = replace(scene, frame=frame, resolved_frequency=scene.analysis.stop)
     try:
         deck_at_rest = make_deck(rebuild_with_scene(build, resolved))

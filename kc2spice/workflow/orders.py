@@ -35,17 +35,18 @@ from kc2spice.synthesis.ringing import estimate_time_per_point
 from kc2spice.workflow.decks import prepare_deck
 from kc2spice.workflow.simulate import Run, simulate_deck
 
-# Pairs of factors on the order and on the highest frequency of the band. The pairs are tried in
-# turn until the error is within its limit. A wider band is necessary because massless modes begin
-# above the band (docs/explanation/contact.md). At a damping ratio of 0.01 %, these modes cause an
-# error of 1.8 % for any order, but of 0.7 % with twice the band.
+# Pairs of factors that multiply the order, and the highest frequency of the band.
+# The pairs of factors are tried in turn until the error is within its limit.
+# A wider band is needed for massless modes above the band (docs/explanation/contact.md).
+# At a damping ratio of 0.01 %, massless modes cause an error of 1.8 % for any order.
+# With twice the band, massless modes cause an error of 0.7 %.
 ORDER_FACTORS = ((2, 1.0), (4, 1.0), (4, 2.0), (8, 2.0))
 MAX_VECTORS = 400  # largest order of a model; each basis vector needs a solution of the full model
 # Largest number of states of a model, because each state lengthens every step of the simulator.
 MAX_STATES = 200
 MAX_RERUNS = 3  # largest number of further runs, each of which at least doubles the order
 MAX_SECONDS = 300.0  # largest expected CPU time [s] of the simulator for a further run
-# largest ratio of new error to present error for which a further run is made
+# largest expected error, relative to the present error, for which a further run is made
 IMPROVEMENT_RATIO = 0.7
 
 

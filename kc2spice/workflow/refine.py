@@ -49,24 +49,24 @@ from kc2spice.workflow.simulate import (
 MAX_MESH_UNKNOWNS = 200_000
 # Fraction of the free memory for one factorised matrix; other matrices and modes need the rest.
 MEMORY_SHARE = 0.5
-# Bytes of the factorised matrix of a plane mesh, divided by n log2(n) for n unknowns; 145 000
-# unknowns took 0.2 GB.
+# Bytes of the factorised matrix of a plane mesh, divided by n log2(n) for n unknowns.
+# The factorised matrix for 145 000 unknowns took 0.2 GB.
 PLANE_FACTOR_BYTES = 100.0
 MAX_RUNS = 16  # largest number of runs in addition to the run of the scene
 DEFAULT_ERROR_LIMIT = 1e-2  # error budget if checks.reduction is set without error_budget
-# A refinement step removes at least half of the error of a setting, as for a mesh with corners. The
-# error is therefore at most this multiple of the change of a metric.
+# A refinement step removes at least half of the error of a setting, as for a mesh with corners.
+# The error is therefore at most this multiple of the change of a metric.
 REMAINDER_FACTOR = 2.0
 # Largest factor by which a refinement step reduces an error, and largest number of steps at a time.
 MAX_STEP_GAIN = 4.0
 MAX_ADDED_STEPS = 3
 # Smallest reference of a metric, as a fraction of the largest metric with the same unit.
 NEAR_ZERO_SHARE = 0.1
-# Smallest reference in small-signal analyses, whose metrics are not small differences.
+# Smallest reference of a metric in small-signal analyses, as a fraction of the largest metric.
 SMALL_SIGNAL_SHARE = 1e-6
-# Largest ratio of successive estimates that counts as convergence, and number of larger ratios
-# after which the refinement ends.
+# largest ratio of successive error estimates that counts as convergence
 CONVERGENCE_RATIO = 0.9
+# number of successive larger ratios of error estimates after which the refinement ends
 MAX_STALLS = 2
 
 RefinementSteps = Mapping[str, float]  # refinement steps, keyed by setting
@@ -412,8 +412,8 @@ def estimate_errors(runs: RefinedRuns, steps: RefinementSteps) -> RunEstimate | 
 
     In the refined run, all settings are one step finer. If the refined meshes are too large for the
     machine, the meshes remain unchanged. The error of settings at their finest value is estimated
-    from coarser runs (:func:`estimate_by_coarser_runs`). An ``error_budget`` and ``bench`` report
-    this estimate.
+    from coarser runs (:func:`estimate_by_coarser_runs`). Runs with an ``error_budget`` and the
+    command ``bench`` report this error estimate.
     """
     now = runs.run_at(steps)
     finest = tuple(map(attrgetter("name"), runs.finest))
@@ -492,8 +492,7 @@ def _refine_dominant_setting(
             0,
         )
         if not by:
-            # The setting has its finest value, and refining other settings does not reduce its
-            # error.
+            # The setting has its finest value; refining other settings does not reduce its error.
             return None
         moved = _add_steps(now.steps, [setting], by)
         if _try_run(runs, moved) is not None:

@@ -23,14 +23,15 @@ from kc2spice.reference.system import assemble_system
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.scene.model import Build
 
-MAX_UNKNOWNS = 600  # the eigenvalues of systems with more unknowns take seconds
-# Near a pole p, a response is y = R / (j w - p). In the narrowest range, the spacing of points is a
-# quarter of the half-width of the resonance. The parabola through 1/|y|^2 at three points then
-# gives the maximum of a single pole exactly. Other poles change this maximum by less than 1e-4
-# (tests/spice/test_resonant_maxima.py). Each further range is WIDENING_FACTOR times as wide, with
-# the same number of points, until the spacing of the scene's frequencies is reached. The
-# trapezoidal rule then integrates |y|^2 with an error of at most 2 % (same tests, by
-# equipartition).
+MAX_UNKNOWNS = 600  # the eigenvalues of systems with more unknowns would take seconds
+# Near a pole p, a response is y = R / (j w - p).
+# In the narrowest range, the spacing of points is a quarter of the half-width of the resonance.
+# The parabola through 1/|y|^2 at three points then gives the maximum of a single pole exactly.
+# Other poles change this maximum by less than 1e-4 (tests/spice/test_resonant_maxima.py).
+# Each further range is WIDENING_FACTOR times as wide, with the same number of points.
+# The ranges widen until the spacing of the scene's frequencies is reached.
+# The trapezoidal rule integrates |y|^2 over these ranges with an error of at most 2 %.
+# The same tests measure the error of this integral by equipartition.
 # number of half-widths on each side of a resonance in the narrowest range
 NARROWEST_HALF_WIDTHS = 4.0
 RANGE_POINTS = 33  # number of points in each range

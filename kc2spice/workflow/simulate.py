@@ -126,7 +126,7 @@ def simulate_deck(
     ------
     RetriesFailedError : the last attempt failed.
     SimulationError : ngspice failed, and other settings cannot prevent the failure.
-    MissingToolError : no ngspice.
+    MissingToolError : ngspice is missing.
 
     Examples
     --------

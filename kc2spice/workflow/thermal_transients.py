@@ -27,18 +27,18 @@ from kc2spice.synthesis.heat import compute_heat_modes
 
 JUNCTION = Port("junction", THERMAL.port)
 LARGEST_MISFIT = 0.1  # deviation (rms) above which no network is written
-# Fraction of the thermal resistance whose time constants are too long for the measured times; above
-# this fraction, a warning is printed.
+# Largest fraction of the thermal resistance whose time constants the measured times do not cover.
+# Above this fraction, a warning or a note is printed.
 WARNING_UNSETTLED_RATIO = 0.01
-# Ratio of rms deviation to noise above which a warning is printed. Drift and rounding of
-# instruments cause ratios of up to 1.1.
+# rms deviation, relative to the noise, above which a warning is printed
+# Drift and rounding of instruments cause deviations of up to 1.1 times the noise.
 WARNING_EXCESS_RATIO = 1.5
 # rms deviation up to which no warning is printed, even if the noise is smaller
 NEGLIGIBLE_MISFIT = 1e-3
 MIN_CHANGE_TO_NOISE = (
-    3.0  # ratio of temperature change to noise, below which the data contain no step
+    3.0  # temperature change, relative to the noise, below which the data contain no step
 )
-ENDS = 20  # the direction is determined from the first and the last 1/20 of the samples
+ENDS = 20  # the first and the last 1/20 of the samples determine the direction of the step
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ def fit_transient_network(
 
     Raises
     ------
-    UsageError : the temperature changes by less than its noise, or Zth falls.
+    UsageError : the temperature changes by less than its noise, or the thermal impedance falls.
     GateMissedError : the deviation exceeds :data:`LARGEST_MISFIT`.
     """
     samples, norm, notes = _step_samples(data, power)

@@ -36,15 +36,15 @@ from kc2spice.scene.part_records import StepLimit, Vector
 if TYPE_CHECKING:
     from kc2spice.reference.small_signal import ExponentialSolution
 
-# Largest error of the rms value of a wave, and of the wave itself. Both errors are relative to the
-# largest value.
+# Largest permitted errors of the rms value of a wave, and of the wave itself.
+# Each error is relative to the largest value of the same quantity.
 RMS_ERROR_LIMIT = 5e-4
 SHAPE_ERROR_LIMIT = 1e-3
-# Numbers of time points above which the limit of the wave itself, and the limit of its rms value,
-# no longer reduce the step.
+# number of time points above which SHAPE_ERROR_LIMIT no longer reduces the step
 MAX_SHAPE_POINTS = 2e5
+# number of time points above which RMS_ERROR_LIMIT no longer reduces the step
 MAX_RMS_POINTS = 4e6
-EQUAL_STEP_RATIO = 1.1  # ratio of two steps that count as equal
+EQUAL_STEP_RATIO = 1.1  # largest ratio of two steps that count as equal
 MIN_POINTS = 1000  # smallest number of points of a run
 # Largest step [s] in nonlinear circuits; error control resolves faster changes.
 NONLINEAR_STEP = 10e-6
@@ -55,15 +55,15 @@ SAMPLE_COUNT = 2500
 WINDOW_COUNT = 16
 # largest number of time points at which a run is compared with the exact solution
 MAX_COMPARED_POINTS = 30_000
-# Smallest size of a compared wave, relative to the largest wave with the same unit; ngspice does
-# not iterate smaller waves.
+# Smallest size of a compared wave, relative to the largest wave with the same unit.
+# ngspice does not iterate waves that are smaller than this size.
 MIN_RELATIVE_SIZE = 1e-5
 # smallest size of a compared wave, keyed by unit
 MIN_SIZE = {"A": 1e-11, "V": 1e-6, "N": 1e-11, "m": 1e-12, "m/s": 1e-9}
 # time around jumps that is left out of comparisons, relative to the duration of the run
 EVENT_MARGIN = 1e-9
 FAILURE_LIMIT = 1e-2
-MAX_UNKNOWNS = 600  # the exact solution of circuits with more unknowns takes minutes
+MAX_UNKNOWNS = 600  # the exact solution of circuits with more unknowns would take minutes
 
 
 def choose_largest_step(build: Build) -> StepLimit:
@@ -109,8 +109,8 @@ def _is_thermal_and_aperiodic(network: Network, motion: ExponentialSolution) -> 
 class LinearisedScene:
     """Networks of a transient, linearised at rest, with the exact solution of each network.
 
-    The choice of the largest step, and the check of the steps after a run, use the same object. It
-    computes the eigenvalues of the networks when they are first needed.
+    The choice of the largest step, and the check of the steps after a run, use the same object. The
+    object computes the eigenvalues of the networks when they are first needed.
     """
 
     build: Build
@@ -280,7 +280,7 @@ def largest_errors(t: np.ndarray, ours: np.ndarray, exact: np.ndarray) -> tuple[
     """
     edges = np.linspace(t[0], t[-1], WINDOW_COUNT + 1)[1:-1]
     cuts = np.unique([0, *np.searchsorted(t, edges)])
-    share = np.gradient(t)[:, None]  # time interval [s] of each point, its weight in the rms
+    share = np.gradient(t)[:, None]  # weights of the points in the rms: their time intervals [s]
     length = np.maximum(np.add.reduceat(share, cuts, axis=0), 1e-300)
     mine = np.sqrt(np.add.reduceat(share * ours**2, cuts, axis=0) / length)
     true = np.sqrt(np.add.reduceat(share * exact**2, cuts, axis=0) / length)
@@ -371,8 +371,8 @@ def _largest_deviation(
     """
     time = waves["time"]
     pick = np.unique(np.linspace(0, time.size - 1, min(time.size, MAX_COMPARED_POINTS)).astype(int))
-    # Times at which currents jump; points near these times are left out. An edge can begin at the
-    # end of the run.
+    # Points near times at which currents jump are left out.
+    # An edge of a source, and therefore a jump, can begin at the end of the run.
     corners = np.append(motion.corners, motion.stop)
     near = np.searchsorted(corners, time[pick])
     neighbours = corners[np.clip([near - 1, near], 0, corners.size - 1)]

@@ -11,9 +11,9 @@ from kc2spice.scene.checks import Balance, Check, Gate, Verdict
 from kc2spice.scene.model import Build
 from kc2spice.workflow.time_step import list_step_checks
 
-# ratio of the relative change of a flight's height to the relative change of the launch velocity
+# relative change of a flight's height, divided by the relative change of the launch velocity
 HEIGHT_PER_VELOCITY = 2.0
-# limit of an energy balance as a fraction of error_budget, a tenth of the fraction for time steps
+# limit of an energy balance, as a fraction of error_budget; a tenth of the fraction for time steps
 BALANCE_SHARE = 0.03
 
 

@@ -78,7 +78,7 @@ class Sweep:
     """Checked sweep: points, settings for the workers, and columns of the table.
 
     ``scene`` is the scene of the first point, and ``units`` are the units of the swept keys.
-    ``metrics`` are the requested metrics; if it is empty, the table contains all metrics.
+    ``metrics`` are the requested metrics. If no metric is requested, the table contains all.
     """
 
     scene: Scene
@@ -251,7 +251,7 @@ def _find_study(name: str) -> _StudyFile | None:
         ) from None
 
 
-# --- running it -----------------------------------------------------------------------------------
+# --- running a sweep ------------------------------------------------------------------------------
 
 
 def run_points(
@@ -426,7 +426,7 @@ def table_file_name(table_format: str) -> str:
     Raises
     ------
     UsageError : the format does not exist.
-    MissingToolError : no pyarrow for Parquet.
+    MissingToolError : pyarrow is missing, which Parquet tables need.
     """
     if table_format not in WRITERS:
         raise unknown("this table format does not exist", table_format, WRITERS, "--format")

@@ -239,7 +239,7 @@ def parse_value(text: str, unit: str, where: str) -> float:
         return quantity(text, unit, where=where)
 
 
-# --- all of them ----------------------------------------------------------------------------------
+# --- all ranges -----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

@@ -42,11 +42,11 @@ from kc2spice.workflow.models import replace_parts, value_units
 from kc2spice.workflow.simulate import Run, simulate_deck
 from kc2spice.workflow.sweep.grid import PARAMETER_KEY
 
-# pattern of the error if a signal ended the simulator
+# pattern of the error message if a signal of the operating system ended the simulator
 _SIGNAL_EXIT = re.compile(r"exit code -\d+")
 _MIN_FREE_BYTES = 5_000_000  # free bytes that a run needs in the temporary directory
 _CACHED_DECKS = 8  # number of decks and scenes that a worker keeps in memory
-MAX_FILE_BYTES = 64_000_000  # bytes
+MAX_FILE_BYTES = 64_000_000  # largest total size [B] of the files of a scene
 Number = float | bool | None
 
 
@@ -104,7 +104,7 @@ def read_scene_files(scene: Scene) -> dict[str, bytes]:
 
     Raises
     ------
-    UsageError : a file that is missing, not allowed or too long.
+    UsageError : a file is missing, not allowed or too long.
     """
     parts = [(part.netlist, part.type.files(part, scene)) for part in scene.parts.values()]
     netlists = {*scene.include, *chain.from_iterable(files for local, files in parts if local)}

@@ -32,7 +32,7 @@ create table if not exists sweep (digest text);
 create table if not exists row (point integer primary key, outcome text);
 commit;
 """
-# words in messages of SQLite if it cannot write to a file
+# words in the messages of SQLite about a file that cannot be written
 _WRITE_FAILURES = ("readonly", "unable to open", "is full", "I/O error")
 _OUTCOME_ADAPTER = TypeAdapter(PointResult)
 
@@ -130,7 +130,7 @@ class RowStore:
 def require_columns(outcome: PointResult, names: Sequence[str], scene: str) -> None:
     """Raise an error if a run has no number for the table of a sweep.
 
-    Each of the metrics ``names`` must exist; without ``names``, at least one metric must.
+    Each of the metrics ``names`` must exist; without ``names``, at least one metric must exist.
     """
     known = {**outcome.metrics, **outcome.facts}
     for name in names:

@@ -19,10 +19,10 @@ from typing import Any
 from kc2spice.core.errors import MissingToolError
 from kc2spice.core.extras import import_optional
 
-# Function that returns a context manager, which opens an executor and yields the executor and the
-# number of workers. The function is called again if an executor is lost.
+# Function that returns a context manager; the function is called again if an executor is lost.
+# The context manager opens an executor, and yields the executor and the number of workers.
 Workers = Callable[[], AbstractContextManager[tuple[Executor, int]]]
-RECONNECT_TIME = 60.0  # s, time limit for the reconnection to a lost scheduler
+RECONNECT_TIME = 60.0  # time limit [s] for the reconnection to a lost scheduler
 # Names of exceptions for lost workers and schedulers, so that Dask need not be imported.
 _LOST_EXCEPTIONS = {
     "KilledWorker",
@@ -40,7 +40,7 @@ def available_cores() -> int:
     """Return the number of processors that this process may use."""
     try:
         return len(os.sched_getaffinity(0))
-    except AttributeError:  # not on Linux
+    except AttributeError:  # only Linux has this function
         return os.cpu_count() or 1
 
 

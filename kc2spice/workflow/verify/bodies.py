@@ -42,9 +42,9 @@ NETLIST_FREQUENCIES = 120  # number of frequencies at which the netlist is simul
 # Largest accepted difference, as a multiple of the effect of the leaks of electrical ports.
 MAX_LEAK_RATIO = 2.0
 SOLVER_ROUNDING = 1e-9  # largest difference of two direct solutions of a full model
-# Number of solutions in random units that measure rounding errors, and safety factor.
+# number of solutions in random units from which rounding errors are estimated
 ROUNDING_TRIALS = 3
-ROUNDING_MARGIN = 3.0
+ROUNDING_MARGIN = 3.0  # safety factor of the estimated rounding errors
 NETLIST_ROUNDING = 1e-9  # rounding error of a response that ngspice sums from modes
 MODEL_ROUNDING = 1e-11  # rounding error of the response of a reduced model
 
@@ -61,8 +61,8 @@ def verify_body(
     """Add the comparisons of a body's full model, reduced model and netlist to ``findings``.
 
     ``libraries`` are the tested subcircuits, from an exported deck or from this run. The largest
-    accepted error of the reduced model is the error estimate of its certificate, which is within
-    the tolerance.
+    accepted error of the reduced model is the error estimate in its certificate. This error
+    estimate is within the tolerance of the reduction.
     """
     rom = build.model(part, LinearModel)
     band = choose_verified_band(rom, build)
@@ -111,7 +111,7 @@ def _check_against_full_model(
     """Check the error of a reduced model at the frequencies ``at`` [Hz], and return the error.
 
     ``exact`` is the response of the full model. Frequencies at which the rounding errors of this
-    response exceed the limit are omitted with a note, unless this concerns all frequencies.
+    response exceed the limit are omitted with a note, unless all frequencies would be omitted.
     """
     estimate = rom.certificate.error_estimate if rom.certificate else 0.0
     limit = max(estimate, SOLVER_ROUNDING)
@@ -169,8 +169,8 @@ def list_netlist_checks(
             Check(name + words, relative_error(emitted[at], exact[at]), max(gate, leaked))
         )
     if all(port.conservative for port in rom.ports):
-        # Charge that a load separates flows off through a leak, but a voltage across a leak causes
-        # no force.
+        # A load separates charge, which flows off through a leak of the port.
+        # In the opposite direction, a voltage across a leak causes no force.
         limit = max(NETLIST_ROUNDING, leaked)
         checks += list_structure_checks(
             f"{name}: netlist", frequency, emitted, limit, rates=not is_heat_model(rom)
@@ -229,8 +229,9 @@ def _convert_to_hybrid_parameters(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the three hybrid matrices of the responses H with ``given`` temperatures.
 
-    They are the responses of the other ports to their heat flows, their responses to the given
-    temperatures, and ``H_cc^-1``, the heat flows at the given temperatures (ports c).
+    The first matrix contains the responses of the other ports to their heat flows. The second
+    matrix contains the responses of the other ports to the given temperatures. The third matrix,
+    ``H_cc^-1``, contains the heat flows at the given temperatures (ports c).
     """
     others = [k for k in range(H.shape[1]) if k not in given]
     admittance = np.linalg.inv(H[:, given][:, :, given])
@@ -257,8 +258,8 @@ def list_rom_checks(name: str, rom: LinearModel, band: tuple[float, float]) -> l
         rightmost = float((-modal.damp / (2 * modal.omega)).max())
         limit = 0.0
     else:
-        # An unsupported body has poles at zero, which rounding errors shift; its matrices show that
-        # no mode grows.
+        # Rounding errors shift the poles at zero of an unsupported body.
+        # The matrices of the unsupported body show that no mode grows.
         rightmost, limit = 0.0, SOLVER_ROUNDING
         if prove_stability(rom.pencil.dense(), band).proof != "definite matrices":
             poles = rom.poles()
@@ -279,11 +280,11 @@ def list_structure_checks(
 
     For heat models (without ``rates``), ``Re H`` is checked instead. ``s H`` maps forces and
     voltages to velocities and currents, and H of heat models maps heat flows to temperatures. A
-    network is passive if the
-    Hermitian part of this matrix has no negative eigenvalue at any frequency. Eigenvalues are
-    relative to the largest entry of the balanced response. Reciprocity is checked for each pair of
-    ports, relative to the response between these ports. For heat models, it is relative to the
-    balanced response, because responses between distant ports decay exponentially.
+    network is passive if the Hermitian part of ``s H``, or of H for heat models, has no negative
+    eigenvalue at any frequency. Eigenvalues are relative to the largest entry of the balanced
+    response. Reciprocity is checked for each pair of ports, relative to the response between these
+    ports. In heat models, deviations from reciprocity are relative to the balanced response,
+    because responses between distant ports decay exponentially.
     """
     balance = np.sqrt(np.abs(np.diagonal(H, axis1=1, axis2=2)).max(axis=0))
     H = H / np.outer(balance, balance)

@@ -23,7 +23,7 @@ from kc2spice.workflow.simulate import correct_waves
 MIN_REFERENCE_SHARE = 1e-6
 # largest motion at rest due to rounding errors, as a fraction of the body's size
 REST_MOTION = 1e-9
-ZERO_CURRENT = 1e-150  # smaller currents are rounding errors of zero, whose square underflows
+ZERO_CURRENT = 1e-150  # smaller currents count as zero, because their squares underflow
 # Smallest reference of a metric error, as a fraction of the largest wave with the same unit.
 MIN_METRIC_SHARE = 1e-3
 
@@ -114,7 +114,7 @@ def _wave_difference(gate: Gate, waves: Waveforms, exact: Waveforms, names: Sequ
         pairs.append((a[early], b[early]))
     if gate.measure == "relative":
         return max(starmap(_relative_difference, pairs))
-    # arrays (points, waves)
+    # arrays of shape (points, waves)
     ours, true = (np.stack(wave, axis=1) for wave in zip(*pairs, strict=True))
     if gate.measure == "spectral":
         # imported here, because scipy loads slowly and every run imports this module

@@ -35,8 +35,8 @@ MAX_DIRECT_UNKNOWNS = 3000  # number of unknowns up to which every frequency is 
 def with_full_models(build: Build, clock: Clock) -> Build | None:
     """Return ``build`` with full instead of reduced models; None if no part has a full model.
 
-    In a transient, only bodies have full models, whose equations the integrator solves at the
-    ports.
+    In a transient, only bodies have full models. The integrator solves the equations of such a
+    model at its ports.
     """
     timed = build.scene.analysis.type == "transient"
     result = {}
@@ -53,7 +53,7 @@ def with_full_models(build: Build, clock: Clock) -> Build | None:
 def with_finer_models(build: Build, parts: Iterable[str], clock: Clock) -> Build | None:
     """Return ``build`` with a finer discretisation of ``parts``; None if there is none.
 
-    Examples of finer discretisations are a film with more branches and a conductor with more loops.
+    Examples are a squeezed gas film with more branches and a conductor with more current loops.
     """
     scene, result = build.scene, {}
     for name in parts:

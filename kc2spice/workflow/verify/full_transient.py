@@ -31,14 +31,15 @@ from kc2spice.workflow.verify.law_solution import Reference
 # Number of time steps per period of the highest frequency in the band of a reduced model.
 STEPS_PER_PERIOD = 80
 MAX_STEPS_PER_PERIOD = 800  # number of time steps per period of a resonance in a short scene
-MAX_WORK = 1e7  # largest product of unknowns and time steps of a full model
+MAX_WORK = 1e7  # largest product of the numbers of unknowns and time steps of a full model
 # largest number of time steps; with small models, other parts take most of the time
 MAX_STEPS = 4000
-FULL_STEP_FACTOR = 100.0  # factor on the largest number of steps with --full
-# Largest motion of a body's port that counts as rest, relative to the range of motion. The second
-# value applies if a small motion precedes the load, such as the ripple of a pulse-width modulated
-# force. The solutions of both models neglect this motion, so that the error of their difference is
-# the product of two small quantities.
+FULL_STEP_FACTOR = 100.0  # factor by which --full multiplies the largest number of steps
+# Largest motion of a body's port that counts as rest, relative to the range of motion.
+# The second value applies if a small motion precedes the load.
+# An example of a small motion is the ripple of a pulse-width modulated force.
+# The solutions of the full and of the reduced model both neglect the small motion.
+# The error of the difference of both solutions is then the product of two small quantities.
 REST_MOTIONS = (1e-9, 1e-3)
 
 
@@ -77,7 +78,7 @@ def add_differences(exact: Reference, differences: Sequence[Difference], end: fl
 class Difference:
     """Results of a network with full models minus the results with reduced models.
 
-    Both have equal time steps. ``apart`` contains a value for each time, which is true if a device
+    Both results have equal time steps. ``apart`` contains a mask of times. At these times, a device
     is in different modes in the two solutions. ``events`` [s] are the times of the events in the
     solution with the reduced models.
     """
@@ -207,6 +208,7 @@ def find_last_rest(
     at = first - 1
 
     def reconstruct_state(system: System, z: np.ndarray) -> np.ndarray:
+        """Return the unknowns of a system at the last time of rest."""
         return _reconstruct_state(system, z, float(time[at]), lambda name: float(waves[name][at]))
 
     return float(time[at]), reconstruct_state

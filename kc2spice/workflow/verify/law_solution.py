@@ -23,8 +23,8 @@ from kc2spice.reference.system import assemble_system
 from kc2spice.scene.model import Build
 from kc2spice.scene.results import NOISE_WAVE
 
-# Relative tolerance of the integrator; at 1e-8, a sphere that rings at megahertz loses 5e-7 of its
-# energy.
+# Relative tolerance of the integrator.
+# At a tolerance of 1e-8, a sphere that rings at megahertz loses 5e-7 of its energy.
 INTEGRATOR_RTOL = 1.5e-9
 
 

@@ -54,28 +54,28 @@ from kc2spice.workflow.verify.full_models import (
 )
 from kc2spice.workflow.verify.law_solution import solve_laws
 
-# Largest number of unknowns of a mesh with half the element size, which needs seconds and little
-# memory.
+# Largest permitted number of unknowns of a mesh with half the element size.
+# The model of a mesh with this number of unknowns needs seconds and little memory.
 MAX_FINER_UNKNOWNS = 30_000
-# Time limit for the solution with a finer discretisation: a multiple of the time that the solution
-# of the laws took, plus some seconds.
+# time limit for the solution with a finer discretisation, relative to the time for the laws
 TIME_FACTOR = 5.0
-EXTRA_SECONDS = 30.0
+EXTRA_SECONDS = 30.0  # additional time [s] for the solution with a finer discretisation
 
 
 SOLUTION_NAMES = {"ngspice": "netlist, ngspice", "rom": "laws", "fom": "full model"}
 # default error limits of a transient, as multiples of solver.reltol
 METRIC_LIMIT_FACTOR = 10.0
 WAVE_LIMIT_FACTOR = 200.0
-MAX_WAVE_ERROR = 0.05  # largest error for any reltol, relative to the rms value of a wave
+MAX_WAVE_ERROR = 0.05  # largest permitted error for any reltol, relative to a wave's rms value
 # default error limits of analyses without time steps
 STEADY_METRIC_LIMIT = 5e-9
 STEADY_WAVE_LIMIT = 3e-8
 # default error limit of noise, because Boltzmann's constant has seven digits in ngspice
 NOISE_LIMIT = 1e-6
-# A source that repeats the recorded samples of ngspice has a derivative with an error of about
-# 1e-3. The current into a capacitance has the same error, up to 2.5e-3 at the edges of a
-# half-bridge. The work of the source has an error of 5e-6.
+# A source that repeats recorded samples of ngspice has a derivative with an error of about 1e-3.
+# The current of such a source into a capacitance has the same error.
+# At the edges of a half-bridge, the error of this current is up to 2.5e-3.
+# The work of a source that repeats recorded samples has an error of 5e-6.
 REPLAY_LIMIT_FACTOR = 5.0
 REPLAY_BALANCE_LIMIT = 1e-5
 
@@ -104,7 +104,7 @@ def verify_scenes(
     ------
     UsageError : a ``deck`` is combined with several scenes, the deck does not contain the
         subcircuits of the scene, or :func:`kc2spice.workflow.decks.prepare_deck` fails.
-    MissingToolError : no ngspice; raised before finite elements are computed.
+    MissingToolError : ngspice is missing, which is checked before finite elements are computed.
     SimulationError : one of the solutions ended without a result.
     """
     if deck is not None and len(scenes) != 1:
@@ -298,7 +298,7 @@ class _Verification:
     ) -> None:
         """Compare the solution of the laws with a solution with finer discretisations.
 
-        Only parts with an error limit for their discretisation are solved with a finer one. The
+        Only parts with an error limit for their discretisation get a finer discretisation. The
         integration takes at most ``seconds`` [s], unless the verification is thorough.
         """
         scene, gates = self.build.scene, self.verdict.gates
@@ -328,9 +328,10 @@ class _Verification:
             )
             return
         self.finer = set(parts)
-        # Two solutions of laws are compared here. ngspice is compared with the laws by the rms of
-        # each wave, because a voltage of ngspice jumps one time step earlier or later, which would
-        # dominate the largest difference.
+        # Two solutions of laws are compared here.
+        # Solutions of ngspice and of the laws are instead compared by the rms of each wave.
+        # A voltage of ngspice jumps one time step earlier or later.
+        # The time difference of such a jump would dominate the largest difference.
         finer_gates = [item for item in gates if item[0] in self.finer]
         self.outcome.checks += list_gate_checks(finer_gates, "rom_vs_fom", solutions["rom"], exact)[
             0
@@ -428,8 +429,8 @@ class _Verification:
     def _add_run_checks(self) -> None:
         """Add checks of the ngspice run to the findings.
 
-        These are the checks that can fail a run, and the checks of jumps. In a transient, a check
-        of a discretisation is also added if no finer solution was computed.
+        Checks that can fail a run, and checks of jumps, are added. In a transient, a check of a
+        discretisation is also added if no finer solution was computed.
         """
         unsolved = []
         for check in self.verdict.checks:
