@@ -218,7 +218,7 @@ def get_scene_laws(build: Build) -> SceneLaws:
 
 
 def store_laws(build: Build) -> Build:
-    """Return a copy of a build that contains its laws, so that they are created only once."""
+    """Return a copy of a build that stores its laws, which are then created only once."""
     return replace(build, laws=get_scene_laws(build))
 
 

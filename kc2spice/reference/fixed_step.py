@@ -107,8 +107,8 @@ def _make_solver(pencil: Any, s: float) -> Callable[[np.ndarray], np.ndarray]:
 def make_static_solver(pencil: Any) -> Callable[[np.ndarray], np.ndarray]:
     """Return a function that multiplies a vector by the inverse of a body's static matrix.
 
-    The static matrix is ``P(0)``. For an unsupported body, ``P(0)`` is singular. It is then
-    replaced by ``P(s)`` at a rate ``s`` far below the natural frequencies of the body.
+    The static matrix is ``P(0)``. For an unsupported body, ``P(0)`` is singular. The function then
+    uses ``P(s)`` at a rate ``s`` far below the natural frequencies of the body.
 
     Raises
     ------

@@ -4,10 +4,10 @@ A corner is a jump in the slope of a source, and an event is a change of a devic
 
 Each step solves ``d/dt g(t, z) = f(t, z)`` by the method Radau IIA of order five (Hairer and Wanner
 1996, IV.8). ``scipy.integrate.Radau`` accepts no mass matrix, so it would require the elimination
-of algebraic unknowns. This elimination is possible for equations of index 1 only. Two inductors in
-series, or an inductor in series with a current source, have equations of index 2. This module needs
-no elimination. It integrates the stored quantities ``g``, so that charge, flux and momentum are
-conserved.
+of algebraic unknowns. Algebraic unknowns can be eliminated from equations of index 1 only. Two
+inductors in series, or an inductor in series with a current source, have equations of index 2. This
+module eliminates no unknowns. The integrated quantities are the stored quantities ``g``, so that
+charge, flux and momentum are conserved.
 """
 
 from __future__ import annotations

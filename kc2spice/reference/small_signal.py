@@ -163,9 +163,9 @@ class LinearisedSystem:
         The zeros are an array (m,) of complex rates ``w`` [1/s]. At these rates, the result is zero
         for sources ``amplitudes e^(w t)``. The sources are written as ``amplitudes u``, and their
         rates as ``amplitudes v`` with ``v = w u``. The zeros are then the eigenvalues of a
-        generalised linear problem for ``[z, u, v]``. The rows
-        of the problem are the equations of the circuit, the equation ``w u = v``, and the condition
-        that the result is zero (H. H. Rosenbrock, State-Space and Multivariable Theory (1970)).
+        generalised linear problem for ``[z, u, v]``. The rows of the problem are the equations of
+        the circuit, the equation ``w u = v``, and the condition that the result is zero
+        (H. H. Rosenbrock, State-Space and Multivariable Theory (1970)).
         """
         n, k = self.system.size, len(self.system.sources)
         C0, C1 = self.combine_output_rows(of)
@@ -324,7 +324,8 @@ def _decompose_motion(F: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.nd
 def _sort_by_rate(F: np.ndarray, limit: float) -> tuple[np.ndarray, np.ndarray, int]:
     """Return the ordered Schur form of ``F``, the Schur vectors, and the number of fast rates.
 
-    The fast rates are the eigenvalues of ``F`` with magnitudes above ``limit``. They come first.
+    The fast rates are the eigenvalues of ``F`` with magnitudes above ``limit``. In the Schur form,
+    the fast rates come first.
     """
     T, Q, k = sla.schur(F.astype(complex), "complex", sort=lambda rate: abs(rate) > limit)
     return T, Q, k
@@ -486,7 +487,7 @@ class ExponentialSolution:
         return np.asarray(self._amplitudes[:, None] * np.abs(self.modes.out.T))
 
     def estimate_rounding(self) -> np.ndarray:
-        """Estimate the rounding error of each wave, whose terms may cancel; an array (ny,).
+        """Estimate the rounding error of each wave, whose terms may cancel each other.
 
         For example, the forces on a joint without mass and the currents into a node add up to zero.
         The computed sum is a rounding error, which a shorter time step does not reduce. The

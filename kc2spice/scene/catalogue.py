@@ -23,7 +23,7 @@ class CataloguePart:
     """Commercial part, with the TOML text of a scene that contains the part.
 
     ``keys`` are the lines of the part's table in the scene. ``band`` contains the first and the
-    last frequency of the scene's analysis; it is empty for a transient. ``redundant`` are
+    last frequency of the scene's analysis; for a transient, ``band`` is empty. ``redundant`` are
     data-sheet values that no key of the part contains. ``assumed`` describes values that the data
     sheet does not contain. A part without ``keys`` has a built-in ``scene``.
     """

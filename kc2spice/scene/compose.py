@@ -31,8 +31,8 @@ METER_SUFFIX = "meter"  # suffix of the names of ammeters
 def join_parts(scene: Scene) -> Scene:
     """Return the scene with its nets and the reference frame of each net.
 
-    Parts in an accelerated frame have additional pins for the acceleration of the frame. These pins
-    are joined after the frames have been determined.
+    Parts in an accelerated frame have additional pins for the acceleration of the frame. The
+    additional pins are joined after the frames have been determined.
 
     Raises
     ------
@@ -219,8 +219,8 @@ def _suggest_kind(part: str, terminal: Terminal, other: Terminal) -> str | None:
 def _suggest_target(pin: Pin, choices: Sequence[str], scene: Scene) -> str:
     """Suggest one of the ``choices`` as the target of a pin.
 
-    If the part has two pins and the other one is joined, suggest ground. The first choice may be on
-    the net of the other pin.
+    If the part has two pins and its other pin is joined, suggest ground. The first of the
+    ``choices`` may be on the net of the other pin.
     """
     ends = {end for part, end in scene.terminals if part == pin[0]}
     joined = len(ends) == 2 and not ends.isdisjoint({*scene.parts[pin[0]].pins} - {pin[1]})
@@ -299,7 +299,7 @@ def list_metered_pins(part: Part, scene: Scene) -> dict[str, Domain]:
 def list_power_input_pins(part: Part, scene: Scene) -> dict[str, Domain]:
     """Return the pins through which power enters a part; all these pins have one domain.
 
-    The domain is electrical if the part has electrical pins; otherwise it is the domain of the
+    The domain is electrical if the part has electrical pins. Otherwise, the domain is that of the
     first pin.
     """
     pins = list_metered_pins(part, scene)

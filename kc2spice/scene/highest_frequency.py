@@ -8,8 +8,8 @@ from kc2spice.scene.model import GovernedScene
 def highest_frequency(scene: GovernedScene, constant: float = 0.0) -> float:
     """Return the highest frequency [Hz] with which a scene drives its parts.
 
-    In an ``ac`` or ``noise`` analysis, the result is the end of the frequency range, and in a
-    ``dc`` or ``op`` analysis it is zero. In a transient, the result is the largest frequency of all
+    In an ``ac`` or ``noise`` analysis, the result is the end of the frequency range. In a ``dc`` or
+    ``op`` analysis, the result is zero. In a transient, the result is the largest frequency of all
     sines, carriers and waves with edges. The frequency of a wave with edges is the frequency below
     which the wave has 99.9 % of its energy. If the scene has a ``resolved_frequency``, the
     result is this frequency.

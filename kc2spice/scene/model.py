@@ -974,9 +974,9 @@ class PartType(Generic[KeysT]):
     ) -> Iterable[Check | Balance | Gate]:
         """Return the checks of the waveforms of a run.
 
-        The checks test physical laws that the netlist does not contain. They include the energy
-        balance if a transient has saved all terms of the balance. For ``verify``, they include
-        error limits (:class:`kc2spice.scene.checks.Gate`) of the most important results.
+        The checks test physical laws that the netlist does not contain. If a transient has saved
+        all terms of the energy balance, the result includes the balance. For ``verify``, the result
+        includes error limits (:class:`kc2spice.scene.checks.Gate`) of the most important results.
         """
         return ()
 

@@ -1,6 +1,6 @@
 """Registry of part types, and results that depend on several parts of a scene.
 
-Each module in ``kc2spice.parts`` has the name of a part type. It defines a subclass of
+Each module in ``kc2spice.parts`` has the name of a part type. The module defines a subclass of
 :class:`kc2spice.scene.model.PartType` and passes an instance to :func:`register`. A module named
 ``*_types`` registers several part types. All other modules call the methods of
 :class:`kc2spice.scene.model.PartType` and depend on no particular part type. A module is imported
@@ -31,7 +31,7 @@ SHARED_MODULE_SUFFIX = "_types"  # suffix of the names of modules that define se
 
 
 def find_current_into(part: Part, pin: str, build: Build) -> Vector | None:
-    """Return the current into a pin, if it is a result of the only other part at the pin.
+    """Return the current into a pin, if the only other part at the pin has it as a result.
 
     Return None if several other parts are joined to the pin: the current is then the sum of the
     currents of these parts.
@@ -75,7 +75,7 @@ def find_flow_into(part: Part, pin: str, build: Build) -> Vector | None:
 def compute_pin_forces(build: Build, waves: Waveforms) -> Mapping[tuple[str, str], np.ndarray]:
     """Return the waveforms of the forces [N] that parts exert at their pins.
 
-    The forces are keyed by part and pin. They are computed only once for each run.
+    The forces are keyed by part and pin. The forces are computed only once for each run.
     """
 
     def compute() -> tuple[Build, Waveforms, dict[tuple[str, str], np.ndarray]]:

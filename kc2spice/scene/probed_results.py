@@ -121,8 +121,8 @@ def _suggest_result(name: str, choices: Sequence[str]) -> str | None:
 def _list_results(build: Build, waiting: Collection[str]) -> list[str]:
     """Return the names of all results that a probe may read.
 
-    The names include motions at ports that are not joined. They also include currents and powers
-    for which an ammeter is added only if a probe reads them.
+    The names include motions at ports that are not joined. Also included are currents and powers
+    whose ammeters are added only if a probe reads the current or power.
     """
     scene = resolve(replace(build.scene, ports="all"))
     results = collect_results(with_vectors(replace(build, scene=scene), waiting))

@@ -2,8 +2,8 @@
 
 ``bench`` runs the unchanged scene, the scene with one changed numerical setting at a time
 (:mod:`kc2spice.scene.numerical_settings`), and the scene with all settings finer. A search then
-changes one setting at a time. It finds the fastest settings within the error limit, and the fastest
-settings within the error of the unchanged scene.
+changes one setting at a time. The search finds the fastest settings within the error limit, and the
+fastest settings within the error of the unchanged scene.
 
 Errors are relative to a reference run, in which every setting has its finest value. A second,
 coarser run shows how well the reference has converged. If the scene sets a key to its finest value,

@@ -64,9 +64,9 @@ def fit(
 
     The fit minimises the sum of squares of the real and imaginary parts of ``log(Y_model / Y)``,
     divided by the noise of the data. The unknowns are the logarithms of the values, limited to
-    their ranges. Four descents use a :class:`DenseParametricModel` of the full ranges. They begin
-    at the values of the scene, and at the best of 64 random samples. Models of narrower ranges
-    around the best values follow, until the fit agrees with the full model.
+    their ranges. Four descents use a :class:`DenseParametricModel` of the full ranges. The descents
+    begin at the values of the scene, and at the best of 64 random samples. Models of narrower
+    ranges around the best values follow, until the fit agrees with the full model.
 
     Standard errors are computed from the linearised problem. If the misfit exceeds the noise, the
     standard errors are multiplied by the misfit. If the model does not describe the data, the

@@ -5,7 +5,7 @@ and their Jacobian J. With n values, k keys and the misfit ``m = sqrt(r'r / (n -
 
 - If the residuals are only noise, m is near 1. The covariance is ``max(1, m)^2 (J'J)^-1``.
 - If the model does not describe the data, the residuals at neighbouring frequencies are correlated,
-  and they are largest where the keys have the largest effect. This formula then does not apply.
+  and largest where the keys have the largest effect. The formula for pure noise does not apply.
   If m exceeds :data:`MODEL_ERROR_MISFIT`, the covariance of the block jackknife is added: the
   values x_b are fitted again without the frequency band b, for each of :data:`BAND_COUNT`
   contiguous bands. For g bands, the jackknife covariance is
@@ -73,7 +73,7 @@ def estimate_covariance(J: np.ndarray, residuals: np.ndarray, widest: np.ndarray
     residuals : (2 n,) array
         Residuals at the end of the fit, real parts of n frequencies before imaginary parts.
     widest : (k,) array
-        Widths of the ranges of the values. They limit the standard errors of the jackknife.
+        Widths of the ranges of the values. The widths limit the standard errors of the jackknife.
     """
     _, s, Vt = np.linalg.svd(J, full_matrices=False)
     more = rms_misfit(residuals, J.shape[1])

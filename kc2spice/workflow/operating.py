@@ -32,9 +32,9 @@ class OperatingPoint:
 def find_operating_point(build: Build, deck: Deck, laws: SceneLaws) -> OperatingPoint:
     """Find the operating point of a small-signal analysis in a separate run.
 
-    The result is empty for other analyses and for edited decks. It is also empty for scenes with
-    linear parts only, because their small-signal responses do not depend on the operating point. If
-    no operating point is found, the result is empty and a warning is printed.
+    The result is empty for other analyses and for edited decks. The result is also empty for scenes
+    with linear parts only, because responses of linear parts do not depend on the operating point.
+    If no operating point is found, the result is empty and a warning is printed.
     """
     scene = build.scene
     if not scene.analysis.is_small_signal or deck.text is not None or laws.linear:

@@ -167,7 +167,7 @@ def find_linearised_scene(build: Build) -> LinearisedScene:
 
 
 def with_linearised_scene(build: Build) -> Build:
-    """Return a build with stored linearised networks, so that they are computed once."""
+    """Return a build that stores its linearised networks, which are then computed only once."""
     return replace(build, linearised=find_linearised_scene(build))
 
 
@@ -297,10 +297,11 @@ def list_step_checks(
 ) -> Iterator[Check]:
     """Check the effect of the time steps on the waves of a run.
 
-    Waves of a linear circuit are compared with the exact motion of the circuit. This comparison is
-    left out if a contact determines the steps, because such steps do not resolve all vibrations. In
-    any other circuit, the outputs of each linear body are compared with its exact response to the
-    recorded loads. If a contact determines the steps, these checks only warn.
+    Waves of a linear circuit are compared with the exact motion of the circuit. The comparison with
+    the exact motion is left out if a contact determines the steps, because such steps do not
+    resolve all vibrations. In any other circuit, the outputs of each linear body are compared with
+    its exact response to the recorded loads. If a contact determines the steps, the checks of
+    bodies only warn.
     """
     scene = build.scene
     if scene.analysis.type != "transient" or "time" not in waves:

@@ -1,7 +1,7 @@
 """Execution of a sweep: checks, shared models, points, results and table.
 
-Points run in processes of this machine or on the workers of a Dask scheduler. Both are a
-:class:`concurrent.futures.Executor`, and any other executor is accepted. The rows of the points are
+Points run in processes of this machine or on the workers of a Dask scheduler. Any other
+:class:`concurrent.futures.Executor` is also accepted. The rows of the points are
 stored in a database as the points end, and then written as one sorted table.
 """
 

@@ -204,8 +204,8 @@ def compare_responses(
     by T_s = (H_ss - H_sc H_cc^-1 H_cs) q_s + H_sc H_cc^-1 T_c. The error of the first term is
     relative to its entries, and the error of the second term is relative to T_c. The error of the
     heat flow of prescribed temperatures, ``H_cc^-1``, is relative to its entries plus ``stored``
-    [W/K], the heat flow that changes the temperature of the whole body at each frequency. The
-    certificate states the error of the inner temperatures relative to that heat flow.
+    [W/K]. At each frequency, ``stored`` is the heat flow that changes the temperature of the whole
+    body. The certificate states the error of the inner temperatures relative to ``stored``.
     """
     if not given:
         return relative_error(response, exact)
@@ -421,7 +421,8 @@ def _list_error_frequencies(rom: LinearModel, band: tuple[float, float]) -> np.n
 def _select_frequencies(rom: LinearModel, at: np.ndarray, count: int) -> np.ndarray:
     """Return at most ``count`` of the frequencies ``at``.
 
-    One half are the frequencies with the largest responses; the other half are spread over all.
+    Half of the result are the frequencies with the largest responses. The other half of the result
+    is spread over all frequencies.
     """
     if at.size <= count:
         return at

@@ -91,8 +91,8 @@ class Difference:
     def mask_equal_modes(self, time: np.ndarray) -> np.ndarray:
         """Return a mask that is true at each ``time`` at which both solutions are in the same mode.
 
-        The mask is false within the step that contains an event. It is also false next to a step
-        at whose end only one model has changed its mode.
+        The mask is false within the step that contains an event. The mask is also false next to a
+        step at whose end only one model has changed its mode.
         """
         grid, result = self.time, np.ones(time.size, dtype=bool)
         last = grid.size - 1

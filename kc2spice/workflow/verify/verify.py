@@ -330,7 +330,7 @@ class _Verification:
         self.finer = set(parts)
         # Two solutions of laws are compared here.
         # Solutions of ngspice and of the laws are instead compared by the rms of each wave.
-        # A voltage of ngspice jumps one time step earlier or later.
+        # A voltage of ngspice may jump one time step earlier or later than a voltage of the laws.
         # The time difference of such a jump would dominate the largest difference.
         finer_gates = [item for item in gates if item[0] in self.finer]
         self.outcome.checks += list_gate_checks(finer_gates, "rom_vs_fom", solutions["rom"], exact)[
