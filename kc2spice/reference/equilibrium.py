@@ -360,7 +360,7 @@ def find_equilibrium(
         )
         small = np.abs(step).max(initial=0.0) <= 1e-11 * (1e-3 + np.abs(z).max(initial=0.0))
         if guess is not None and not small and count >= direct and f[forces] @ step[moved] < 0.0:
-            pseudo_time_step *= 0.01  # beyond a turning point, a long step would oppose the forces
+            pseudo_time_step *= 0.01  # a long step over a turning point would oppose the forces
             continue
         z = z + step
         if (

@@ -37,7 +37,7 @@ GAMMA = 1.0 - np.sqrt(0.5)
 MAX_ITERATIONS = 60  # largest number of iterations of a stage, including changes of device modes
 # number of the iteration from which only one device at a time changes its mode
 SINGLE_SWITCH_ITERATION = 30
-GUARD_ROUNDING = 1e-15  # largest magnitude of a negative guard that is a rounding error
+GUARD_ROUNDING = 1e-15  # largest magnitude of a negative guard that counts as a rounding error
 ZERO_LOAD = 1e-100  # largest load that counts as zero, because no solver resolves it
 # rate at which an unsupported body moves only as a rigid body, relative to the body's fastest rate
 DRIFT_RATE_RATIO = 3e-8

@@ -545,8 +545,8 @@ def _locate_zero(
 def _sum_energies(system: System, segment: Segment) -> tuple[list[float], list[float]]:
     """Return the supplied energies [J] and the lost energies [J] of a segment.
 
-    The supplied energies come from sources and from devices with a negative loss. The lost energies
-    belong to all linear laws together and to each device.
+    The supplied energies come from sources and from devices with a negative loss. There is one lost
+    energy for all linear laws together, and one lost energy for each device.
     """
     interval, steps = segment.interval, segment.steps
     t = np.concatenate([*map(attrgetter("stage_times"), steps)])

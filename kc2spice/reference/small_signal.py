@@ -380,12 +380,15 @@ class Modes:
 
     The vector ``u`` contains the sources. The waves are ``y = level + sum_i out_i a_i``.
 
-    The products of ``out`` (ny, m) and ``drive`` (m, sources) are the residues at the poles
-    ``rates`` (m,) [1/s]. ``terms`` (ny, m) are the sums of the absolute values of all terms of
-    ``out``. ``start`` (m,) are the amplitudes at t = 0, and ``level`` (ny,) is the static solution
-    for the values of the sources at t = 0. ``static_gains`` (sources, ny) are the responses to
-    constant sources. ``slope_responses`` (sources, ny) are the additional responses to sources that
-    follow a straight line, per slope of the line.
+    The products of ``out`` and ``drive`` are the residues at the poles ``rates`` [1/s]. ``terms``
+    contains the sums of the absolute values of all terms of ``out``. ``start`` contains the
+    amplitudes at t = 0. ``level`` is the static solution for the values of the sources at t = 0.
+    ``static_gains`` are the responses to constant sources. ``slope_responses`` are the additional
+    responses to sources that follow a straight line, per slope of the line.
+
+    The arrays ``rates`` and ``start`` have the shape (m,). ``level`` has the shape (ny,), and
+    ``drive`` the shape (m, sources). ``out`` and ``terms`` have the shape (ny, m). The static gains
+    and the slope responses have the shape (sources, ny).
     """
 
     rates: np.ndarray

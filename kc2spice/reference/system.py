@@ -77,7 +77,7 @@ class System:
     const: np.ndarray
     differential: np.ndarray  # (n,) mask of the unknowns that have a time derivative
     velocity: np.ndarray  # (m,) indices of velocities among the unknowns
-    moved: np.ndarray  # (m,) indices of the corresponding displacements
+    moved: np.ndarray  # (m,) indices of the displacements that belong to these velocities
     sources: tuple[L.IdealSource, ...]
     devices: tuple[PlacedDevice, ...]
     # devices whose outputs and stored quantities are already included in ``G``, ``F`` and ``const``

@@ -19,8 +19,8 @@ from kc2spice.workflow.models import replace_parts
 def with_edited_parameters(build: Build, edits: DeckEdits, path: Path) -> Build:
     """Return ``build`` with the parameter values of an edited deck.
 
-    A part is not checked if its keys cannot express its cards in that deck. A warning lists these
-    parts, and a second warning lists accuracy options that differ from the scene.
+    A part is not checked if its keys cannot express its cards in the edited deck. One warning lists
+    the unchecked parts, and a second warning lists accuracy options that differ from the scene.
     """
     _warn_about_options(edits, path)
     parts = dict(build.scene.parts)

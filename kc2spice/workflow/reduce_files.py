@@ -102,8 +102,8 @@ def reduce_file(
 
     A measured response becomes a passive circuit (:func:`kc2spice.rom.branch_fit.fit_one_port` or
     :func:`kc2spice.rom.multiport.fit_multiport`). A thermal transient becomes a network
-    (:func:`kc2spice.rom.transient_fit.fit_transient`). In both cases, the data determine the order
-    and the band.
+    (:func:`kc2spice.rom.transient_fit.fit_transient`). Measured data determine the order and band
+    of the model.
 
     Parameters
     ----------

@@ -222,7 +222,7 @@ def _step_samples(
 
 
 def _largest_rise(samples: StepSamples, fit: TransientFit) -> float:
-    """Return the largest rise [K/W] of the network at a sample."""
+    """Return the network's largest temperature rise per watt [K/W], at the last sample."""
     return float(fit.network.step_response(samples.time[-1:])[0])
 
 

@@ -195,9 +195,9 @@ def _solve_motion(network: Network, stop: float) -> ExponentialSolution | None:
 class IntegrationRule(NamedTuple):
     """Integration rule, described by its effect on exponentials with the time step ``h``.
 
-    ``rates`` returns the rates of the numerical solutions of ``e^(r t)``. ``axis`` returns the
-    value s with which the numerical response of a mode with the rate r to ``e^(j w t)`` is ``1 / (s
-    - r)``.
+    ``rates`` returns, for an exponential ``e^(r t)``, the rate of the numerical solution. ``axis``
+    returns a value s for a source ``e^(j w t)``. The numerical response of a mode with the rate r
+    to this source is ``1 / (s - r)``.
     """
 
     rates: Callable[[np.ndarray, float], np.ndarray]
@@ -345,7 +345,7 @@ def _compare_exact_motion(
 def _make_step_check(name: str, largest: tuple[float, float, str]) -> Check:
     """Return the check of the deviation of a wave.
 
-    ``largest`` contains the deviations of the rms and of a value, and the name of the wave.
+    ``largest`` contains the deviation of the rms, the deviation of a value, and the wave's name.
     """
     amplitude, _, wave = largest
     advice = "the steps are too coarse for a resonance: leave solver.max_step out, or lower it"

@@ -238,7 +238,7 @@ def _find_study(name: str) -> _StudyFile | None:
         data = builtin.read_bytes() if builtin else read_bounded(Path(name), MAX_TEXT_BYTES)
         content = parse_toml(decode_text(data))
     except (OSError, ValueError):
-        return None  # the scene loader reports the mistake
+        return None  # the scene loader reports the error in this file
     if not isinstance(content.get("scene"), str):
         return None
     try:

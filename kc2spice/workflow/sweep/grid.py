@@ -135,7 +135,7 @@ def _split_words(text: str, separator: str) -> list[str]:
 def find_swept_key(name: str, keys: Mapping[str, Key]) -> Key:
     """Return the description (unit and type) of a swept key or subcircuit parameter.
 
-    The name may also be that of a list entry or of a table.
+    ``name`` may also be the name of a list entry or of a table.
     """
     plain = Key(name, "" if PARAMETER_KEY.fullmatch(name) else None, None, (), "")
     return keys.get(re.sub(r"\[-?\d+\]", "", name), plain)

@@ -250,7 +250,7 @@ def _disk_is_full() -> bool:
         return True
 
 
-# prevents threads of one worker from building the same model at the same time
+# lock that prevents threads of one worker from building the same model at the same time
 _build_lock = threading.Lock()
 
 

@@ -62,7 +62,8 @@ def list_gate_checks(
 ) -> tuple[list[Check], float | None]:
     """Return a check for each gate of a pair of solutions, and the largest main difference.
 
-    A gate is a pass limit. The difference of a main gate is the error of the pair in the record.
+    A gate is a pass limit. In the record of a verification, the error of a pair of solutions is the
+    largest difference of a main gate.
 
     ``gates`` are pairs of a part's name and its gate. If several parts have the same metric, each
     gate applies to the metric of its part.

@@ -36,7 +36,7 @@ MAX_WORK = 1e7  # largest product of the numbers of unknowns and time steps of a
 MAX_STEPS = 4000
 FULL_STEP_FACTOR = 100.0  # factor by which --full multiplies the largest number of steps
 # Largest motion of a body's port that counts as rest, relative to the range of motion.
-# The second value applies if a small motion precedes the load.
+# The second value of REST_MOTIONS applies if a small motion precedes the load.
 # An example of a small motion is the ripple of a pulse-width modulated force.
 # The solutions of the full and of the reduced model both neglect the small motion.
 # The error of the difference of both solutions is then the product of two small quantities.
@@ -45,7 +45,7 @@ REST_MOTIONS = (1e-9, 1e-3)
 
 @dataclass(frozen=True)
 class FullSolution:
-    """Waves of the full models over ``[0, end]``, at the times of the reduced models.
+    """Waves of the full models over ``[0, end]``, at the times of the reduced models' waves.
 
     ``coarse`` are the waves with steps twice as long. ``end`` is the end of the compared time range
     [s]; None without a transient.

@@ -57,7 +57,7 @@ from kc2spice.workflow.verify.law_solution import solve_laws
 # Largest permitted number of unknowns of a mesh with half the element size.
 # The model of a mesh with this number of unknowns needs seconds and little memory.
 MAX_FINER_UNKNOWNS = 30_000
-# time limit for the solution with a finer discretisation, relative to the time for the laws
+# time limit for a finer discretisation, relative to the time that the solution of the laws took
 TIME_FACTOR = 5.0
 EXTRA_SECONDS = 30.0  # additional time [s] for the solution with a finer discretisation
 
@@ -495,7 +495,7 @@ class _IntegrationTimeoutError(Exception):
 
 
 def _limit_time(progress: Callable[[float], None], seconds: float) -> Callable[[float], None]:
-    """Return ``progress`` with a time limit.
+    """Return a function that calls ``progress`` and enforces a time limit.
 
     A call after ``seconds`` [s] raises an error, which ends the integration.
     """
