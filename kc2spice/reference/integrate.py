@@ -48,7 +48,7 @@ _MAX_ROUNDING = 0.1
 _MACHINE_EPSILON = float(np.finfo(float).eps)
 # safety factor for rounding errors that are estimated from only one set of random signs
 _ROUNDING_FACTOR = 3.0
-# Both matrices convert values at the stages of a step to the coefficients of a polynomial.
+# The matrices below convert values at the stages of a step to the coefficients of a polynomial.
 # The cubic polynomial passes through the values at the start and at the stages.
 # The quadratic polynomial passes through the values at the stages only.
 _CUBIC_MATRIX = np.linalg.inv(RADAU_NODES[:, None] ** _POWERS)

@@ -340,7 +340,7 @@ def _list_metered_pins(scene: Scene) -> Iterator[Pin]:
 
 
 def _reports_pin_current(body: Part, pin: str, scene: Scene) -> bool:
-    """Return whether the only other part at a body's pin has the current there as a result."""
+    """Return whether the only other part at a body's pin has a result for the pin's current."""
     build = Build(scene, {})
     records = {}
     for name, _ in scene.joined_pins(body.name, pin):

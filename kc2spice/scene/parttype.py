@@ -31,7 +31,7 @@ SHARED_MODULE_SUFFIX = "_types"  # suffix of the names of modules that define se
 
 
 def find_current_into(part: Part, pin: str, build: Build) -> Vector | None:
-    """Return the current into a pin, if the only other part at the pin has it as a result.
+    """Return the current into a pin, if the only other part at the pin reports the current.
 
     Return None if several other parts are joined to the pin: the current is then the sum of the
     currents of these parts.

@@ -24,7 +24,7 @@ import numpy as np
 MODEL_ERROR_MISFIT = 1.5
 BAND_COUNT = 8
 WARNING_MISFIT = 3.0  # smallest misfit at which a fit prints a warning
-# Largest ratio of the remaining sums of squared residuals of two equally likely causes.
+# Largest ratio of the remaining sums of squared residuals at which two causes are equally likely.
 EQUAL_LIKELIHOOD_RATIO = 1.1
 EXPLAINED_SHARE = 0.5  # smallest fraction of the sum of squares that a likely cause removes
 

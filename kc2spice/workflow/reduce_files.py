@@ -308,7 +308,7 @@ def describe_order(model: LinearModel) -> str:
 
 
 def load_full_model(path: Path | str) -> LinearModel:
-    """Return the full model in matrix files, or of a scene's body ``SCENE:PART``."""
+    """Return the full model in matrix files, or the full model of a body ``SCENE:PART``."""
     return _load_scene_body(str(path)) or read_model(path)
 
 

@@ -23,7 +23,7 @@ from kc2spice.core.extras import import_optional
 # The context manager opens an executor, and yields the executor and the number of workers.
 Workers = Callable[[], AbstractContextManager[tuple[Executor, int]]]
 RECONNECT_TIME = 60.0  # time limit [s] for the reconnection to a lost scheduler
-# Dask exceptions about lost workers are known by name, so that Dask need not be imported.
+# Exceptions about lost workers are identified by name, so that Dask need not be imported.
 _LOST_EXCEPTIONS = {
     "KilledWorker",
     "FutureCancelledError",

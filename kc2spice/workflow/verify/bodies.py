@@ -392,8 +392,8 @@ def _find_accurate_solutions(
 ) -> np.ndarray:
     """Return a mask of the frequencies at which rounding errors of ``exact`` are below ``limit``.
 
-    In other units of the unknowns, the response of the full model is the same, but it has other
-    rounding errors. At low frequencies, the inertia of an unsupported body is a small difference
+    In other units of the unknowns, the response of the full model is the same, but its rounding
+    errors differ. At low frequencies, the inertia of an unsupported body is a small difference
     of large elastic forces, so its response has the largest rounding errors there.
     """
     rng, s = np.random.default_rng(0), 2j * np.pi * at
