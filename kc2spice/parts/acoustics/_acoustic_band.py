@@ -21,8 +21,8 @@ class AcousticBand(NamedTuple):
 def acoustic_band(scene: GovernedScene) -> AcousticBand:
     """Return the frequency band in which acoustic networks must be accurate.
 
-    It ends at the highest frequency of the analysis or its sources. In an ac analysis, it begins at
-    the lowest frequency. It has at most four decades.
+    The band ends at the highest frequency of the analysis or of its sources. In an ac analysis, the
+    band begins at the lowest frequency of the analysis. The band spans at most four decades.
     """
     high = highest_frequency(scene) or AUDIO_END
     start = scene.analysis.start if scene.analysis.is_small_signal else 0.0

@@ -1,10 +1,11 @@
 """Acoustic parts in front of the faces of a body: impedance and radiated sound.
 
-:func:`collect_load` follows the nets from the pins of the faces through all acoustic parts. Their
-elements are acoustic masses M, resistances R and compliances C with the admittances ``1 / (j omega
-M)``, ``1 / R`` and ``j omega C``. The nodal equations ``Y p = U`` with the admittance matrix Y give
-the pressures p that unit volume velocities U cause. The pressure on a part of type ``radiation``,
-and the volume velocity through this part, determine its far field.
+:func:`collect_load` follows the nets from the pins of the faces through all acoustic parts. The
+elements of these parts are acoustic masses M, resistances R and compliances C with the admittances
+``1 / (j omega M)``, ``1 / R`` and ``j omega C``. The nodal equations ``Y p = U`` with the
+admittance matrix Y give the pressures p that unit volume velocities U cause. The pressure on a part
+of type ``radiation``, and the volume velocity through this part, determine the far field of this
+part.
 """
 
 from __future__ import annotations
@@ -72,9 +73,9 @@ class AcousticLoad:
     def respond(self, frequency: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return impedances and sound pressures, both per unit volume velocity [Pa s/m3].
 
-        The impedances are the pressures at the faces, an array of shape (frequencies, faces,
-        faces). The sound pressures are the pressures at a listener at the reference distance from
-        all sources, an array of shape (frequencies, faces).
+        The impedances are the pressures at the faces, returned as an array of shape (frequencies,
+        faces, faces). The sound pressures are the pressures at a listener at the reference distance
+        from all sources. They are returned as an array of shape (frequencies, faces).
         """
         nodes = sorted({node for b in self.branches for node in (b.plus, b.minus)} - {GROUND})
         place = {node: k for k, node in enumerate(nodes)}
@@ -124,7 +125,7 @@ def _solve_nodes(A: sparse.csc_array, admittances: np.ndarray, push: np.ndarray)
 def collect_load(scene: Scene, body: str, pins: Sequence[str]) -> AcousticLoad:
     """Return the load of all acoustic parts that are connected to the ``pins`` of a body.
 
-    Parts that are connected to these parts in turn are included.
+    The load also includes parts that are connected to the body only through other acoustic parts.
     """
     faces = tuple(scene.net(body, pin) for pin in pins)
     nets, parts, complete = set(faces) - {GROUND}, dict[str, Part](), True
@@ -147,7 +148,7 @@ def collect_load(scene: Scene, body: str, pins: Sequence[str]) -> AcousticLoad:
 
 
 def _list_pins_on(scene: Scene, net: str) -> Iterable[tuple[str, str]]:
-    """Return the pins that are connected to a net, each as part name and pin name."""
+    """Return the pins that are connected to a net, each as a pair of part name and pin name."""
     return [key for key, other in scene.nets.items() if other == net]
 
 

@@ -44,8 +44,8 @@ FluidKeysT = TypeVar("FluidKeysT", bound=FluidKeys, default=FluidKeys, covariant
 
 MASS, RESISTANCE, COMPLIANCE = "acoustic_mass", "acoustic_resistor", "acoustic_compliance"
 ELEMENT_LETTERS = {MASS: "L", RESISTANCE: "R", COMPLIANCE: "C"}
-# Ratio of an element's value in the netlist to its SI value. In the netlist, 1 V represents 1 Pa,
-# and 1 A represents 1e-6 m3/s.
+# Ratio of an element's value in the netlist to its SI value.
+# In the netlist, 1 V represents 1 Pa, and 1 A represents 1e-6 m3/s.
 SCALES = {
     MASS: 1 / ACOUSTIC.admittance,
     RESISTANCE: 1 / ACOUSTIC.admittance,

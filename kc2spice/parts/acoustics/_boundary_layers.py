@@ -11,8 +11,9 @@ following functions are sums of relaxations with positive weights:
 
 nu is the kinematic viscosity, or in the thermal functions the thermal diffusivity (C. Zwikker and
 C. W. Kosten, Sound Absorbing Materials, 1949, chapter 2; I. B. Crandall, Theory of Vibrating
-Systems and Sound, 1926, appendix A). For corners p at given distances, the weights are fitted over
-a frequency band by non-negative least squares. Every network is therefore positive real.
+Systems and Sound, 1926, appendix A). The corners p are chosen first; the weights are then fitted
+over a frequency band by non-negative least squares. No weight is negative, so every network is
+positive real.
 """
 
 from __future__ import annotations
@@ -31,14 +32,14 @@ LOWEST_CORNERS = {
     "heat": 2.404825557695773**2,
     "layer": math.pi**2 / 4,
 }
-# Values and negative slopes of the boundary-layer functions at q = 0. For ``flow``, they are the
-# sums of 4 / j^4 and of 4 / j^6 over the zeros j of J0.
+# Values and negative slopes of the boundary-layer functions at q = 0.
+# For ``flow``, value and negative slope are the sums of 4 / j^4 and 4 / j^6 over the zeros j of J0.
 STATIC_VALUES = {"flow": 1 / 8, "heat": 1.0, "layer": 1.0}
 STATIC_SLOPES = {"flow": 1 / 48, "heat": 1 / 8, "layer": 1 / 3}
 LAYER_START = 1e6  # |z| above which the Bessel functions I1(z) and I0(z) differ by less than 1e-6
 SERIES_END = 1e-4  # |q| below which two terms of the power series have an error below 1e-9
 SAMPLES_PER_DECADE = 12  # number of frequencies of the fit in each decade
-# Factors by which the corners extend below and above the band.
+# Factors by which the range of the corners extends below and above the band.
 RATIO_BELOW_BAND, RATIO_ABOVE_BAND = 6.0, 6.0
 STATIC_WEIGHT = 0.1  # weight of the value and the slope at q = 0 in the fit
 
@@ -68,8 +69,8 @@ def evaluate_layer(layer: BoundaryLayer, q: np.ndarray) -> np.ndarray:
         ratio = np.where(np.abs(z) < LAYER_START, ive(1, thick) / ive(0, thick), 1.0)
         heat = 2 * ratio / z
         result = heat if layer == "heat" else (1 - heat) / q
-    # For small arguments, rounding errors dominate the difference 1 - heat. Two terms of the power
-    # series of the function are used instead.
+    # For small arguments, rounding errors dominate the difference 1 - heat.
+    # For these arguments, the function is computed from two terms of its power series.
     slow = STATIC_VALUES[layer] - STATIC_SLOPES[layer] * q
     return np.asarray(np.where(np.abs(q) < SERIES_END, slow, result))
 
@@ -145,10 +146,10 @@ def _space_corners(layer: BoundaryLayer, low: float, high: float, per_decade: in
 def _compute_dissipation(layer: BoundaryLayer, q: np.ndarray, value: np.ndarray) -> np.ndarray:
     """Return the dissipative part of a boundary-layer function.
 
-    It is a linear function of the weights.
+    The dissipative part is a linear function of the weights.
 
-    This part is the real part of the admittance, which is ``flow`` for a duct's volume velocity,
-    and ``q heat`` or ``q layer`` for heat conduction.
+    The dissipative part is the real part of the admittance. The admittance is ``flow`` for a duct's
+    volume velocity, and ``q heat`` or ``q layer`` for heat conduction.
     """
     return np.asarray(value.real if layer == "flow" else (q * value).real)
 

@@ -97,7 +97,7 @@ class DuctLaw(Device):
     def _drop_matrix(self) -> np.ndarray:
         """Matrix that gives the pressure drops along channels and across relaxation resistances.
 
-        It has a row for each drop, and a column for each end pressure and state.
+        The matrix has a row for each drop, and a column for each end pressure and state.
         """
         channels, walls = len(self.channels), len(self.walls)
         width = len(self.ends) + self._stored.size
@@ -114,7 +114,7 @@ class DuctLaw(Device):
     def _flow_matrix(self) -> np.ndarray:
         """Matrix that gives the volume velocities in channels and into relaxations.
 
-        Its rows and columns are those of the matrix of the pressure drops.
+        The rows and columns of this matrix are those of the matrix of the pressure drops.
         """
         channels, ends = len(self.channels), len(self.ends)
         result = np.zeros(self._drop_matrix.shape)
@@ -139,7 +139,7 @@ class DuctLaw(Device):
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         """Return the flows into the ends and the right-hand sides of the state equations.
 
-        The second returned value contains their derivatives.
+        The second returned value contains the derivatives of these flows and right-hand sides.
         """
         return self._slope @ e, self._slope
 

@@ -8,8 +8,8 @@ baffle has the directivity D and the impulse response d
     d(t)     = 2 / (pi w) (1 - (t / w)^2)^1/2,     |t| < w
 
 at an angle from its axis (L. E. Kinsler et al., Fundamentals of Acoustics, 4th ed., section 7.4).
-d(t) is the inverse Fourier transform of D. It is the fraction of the surface, per unit time, whose
-sound arrives at the time t.
+d(t) is the inverse Fourier transform of D. d(t) is the fraction of the surface, per unit time,
+whose sound arrives at the time t.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from kc2spice.core.laws import low_pass_response
 from kc2spice.parts.acoustics._sound_filter import delay_wave, low_pass_delay
 from kc2spice.parts.acoustics.radiation import RadiationKeys
 
-# Number of delays at which d(t) is sampled. The sum is exact for polynomials of the degree 63; its
-# error for a sine with omega w = 30 is below 1e-9.
+# Number of delays at which d(t) is sampled. The sum is exact for polynomials of the degree 63.
+# For a sine with omega w = 30, the error of the sum is below 1e-9.
 DELAY_COUNT = 32
 FIRST_NULL = 3.8317  # first zero of J1
 
@@ -32,7 +32,7 @@ FIRST_NULL = 3.8317  # first zero of J1
 def baffled_radius(keys: RadiationKeys) -> float:
     """Return the radius [m] of a piston in a baffle; 0 for other shapes.
 
-    The radius determines the directivity, which other shapes do not have.
+    This radius determines the directivity. Other shapes have no directivity.
     """
     return keys.surface_radius if keys.shape == "baffled_piston" else 0.0
 
@@ -40,7 +40,8 @@ def baffled_radius(keys: RadiationKeys) -> float:
 def edge_delay(keys: RadiationKeys, angle: float) -> float:
     """Return the time w [s] by which sound from the edge of a piston arrives early.
 
-    It is relative to sound from the centre, for a listener at ``angle`` in degrees from the axis.
+    The time is relative to sound from the centre. The listener is at ``angle`` degrees from the
+    axis.
     """
     return baffled_radius(keys) * math.sin(math.radians(angle)) / keys.fluid.sound_speed
 
@@ -63,7 +64,7 @@ def travel_time(keys: RadiationKeys, distance: float) -> float:
 def propagate_response(
     keys: RadiationKeys, sound: np.ndarray, frequency: np.ndarray, distance: float, angle: float
 ) -> np.ndarray:
-    """Return the sound pressure response [Pa] at a listener, times distance / 1 m.
+    """Return the sound pressure response [Pa] at a listener, multiplied by (distance / 1 m).
 
     The listener is at a distance [m] and an angle [degrees]. ``sound`` is the response of the
     netlist including its low pass, an array of shape (frequencies,).
@@ -76,11 +77,11 @@ def propagate_response(
 def propagate_wave(
     keys: RadiationKeys, sound: np.ndarray, time: np.ndarray, distance: float, angle: float
 ) -> np.ndarray:
-    """Return the sound pressure [Pa] at a listener versus time, times distance / 1 m.
+    """Return the sound pressure [Pa] at a listener versus time, multiplied by (distance / 1 m).
 
     The listener is at a distance [m] and an angle [degrees]. ``sound`` is the waveform of the
-    netlist, an array of shape (points,). It is zero before the first point. The delay of the low
-    pass is subtracted from the travel time.
+    netlist, an array of shape (points,). The waveform is zero before its first point. The delay of
+    the low pass is subtracted from the travel time.
     """
     first = travel_time(keys, distance) - low_pass_delay(keys.sound_corner)
     weights, offsets = _sample_delays(edge_delay(keys, angle))
@@ -90,7 +91,7 @@ def propagate_wave(
 def _sample_delays(width: float) -> tuple[np.ndarray, np.ndarray]:
     """Return weights and delays [s] that sample the impulse response d(t) of a piston.
 
-    They are the weights and points of the Gauss-Chebyshev rule of the second kind.
+    The weights and delays are those of the Gauss-Chebyshev rule of the second kind.
     """
     if width == 0.0:
         return np.ones(1), np.zeros(1)

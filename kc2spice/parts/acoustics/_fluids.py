@@ -1,7 +1,7 @@
 """Fluids of acoustic parts, either built in with references, or given by a table of constants.
 
-A key of the type :data:`Fluid` accepts the name of a fluid in :data:`LIBRARY` or a table. Its value
-is a :class:`FluidTable`.
+A key of the type :data:`Fluid` accepts the name of a fluid in :data:`LIBRARY` or a table. The value
+of such a key is a :class:`FluidTable`.
 """
 
 from __future__ import annotations
@@ -29,8 +29,7 @@ LARGEST_GAS_DENSITY = 100.0  # kg/m3; a denser fluid counts as a liquid
 LARGEST_HEAT_RATIO = 5 / 3  # ratio of the specific heats of a monatomic gas
 SMALLEST_DENSITY, LARGEST_DENSITY = 1e-6, 3e4  # kg/m3, from thin gases to above all liquids
 SMALLEST_SPEED, LARGEST_SPEED = 1.0, 1e4  # m/s, below and above the speeds of sound of all fluids
-# The lower limits of viscosity and conductivity are a thousandth of the values of the thinnest
-# gases.
+# Lower limits of viscosity and conductivity: a thousandth of the values of the thinnest gases.
 SMALLEST_VISCOSITY, LARGEST_VISCOSITY = 1e-9, 1e6  # Pa s
 SMALLEST_CONDUCTIVITY, LARGEST_CONDUCTIVITY = 1e-6, 1e4  # W/(m K)
 

@@ -39,8 +39,8 @@ class RadiationNetwork(NamedTuple):
         Largest product k a for which the errors hold.
     impedance_error : float
         Largest relative error of the impedance.
-    power_error : float Largest relative error of the radiation resistance, which is the error of
-        the radiated power.
+    power_error : float
+        Largest relative error of the radiation resistance, and therefore of the radiated power.
     """
 
     sections: tuple[NetworkSection, ...]

@@ -31,8 +31,8 @@ class Radiator:
     """Properties of a radiator shape: network, area, and solid angle of the far field.
 
     ``network`` approximates the radiation impedance. ``area`` is the surface area divided by the
-    squared radius. ``solid_angle`` is 2 pi if a baffle
-    confines the sound to a half-space, otherwise 4 pi.
+    squared radius. ``solid_angle`` is 2 pi if a baffle confines the sound to a half-space.
+    Otherwise, it is 4 pi.
     """
 
     words: str
@@ -77,8 +77,8 @@ def list_elements(network: RadiationNetwork, first: str, last: str) -> Iterator[
     for k, section in enumerate(network.sections):
         start, end, (r, w, b) = nodes[k], nodes[k + 1], section
         yield AcousticElement(RESISTANCE, f"r{k + 1}", start, end, f"{r:.12g}*impedance")
-        # A resonator has the bandwidth b w = 1 / (R C) and the resonance frequency w = 1 / sqrt(L
-        # C).
+        # A resonator has the bandwidth b w = 1 / (R C).
+        # The resonance frequency of a resonator is w = 1 / sqrt(L C).
         mass = r * b / w if b else r / w
         yield AcousticElement(MASS, f"m{k + 1}", start, end, f"{mass:.12g}*impedance/rate")
         if b:

@@ -3,8 +3,8 @@
 The pressure at the pin ``sound`` is proportional to the time derivative of a volume velocity. With
 the trapezoidal rule, a plain derivative oscillates after each kink of the volume velocity and never
 decays: ``v_n+1 = 2 L (i_n+1 - i_n) / h - v_n``. A resistor ``R = w L / sqrt(2)`` and a capacitor
-``C = 1 / (w^2 L)`` parallel to the inductance L avoid this. They add a second-order low pass with
-the corner frequency w to the derivative.
+``C = 1 / (w^2 L)`` parallel to the inductance L avoid this oscillation. The resistor and the
+capacitor add a second-order low pass with the corner frequency w to the derivative.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from collections.abc import Iterable
 import numpy as np
 
 # Ratio of the corner frequency of the low pass to the largest frequency of the radiation network.
-# The amplitude is 0.6 % too small at this largest frequency, and 0.04 % too small at half of it.
+# The amplitude is 0.6 % too small at the largest frequency, and 0.04 % at half this frequency.
 CORNER_RATIO = 3.0
 
 
@@ -30,8 +30,8 @@ def delay_wave(
     """Return the weighted sum of delayed copies of a waveform.
 
     ``delays`` contains pairs of a weight and a delay [s]. ``wave`` has the shape (points,) and is
-    interpolated between its points. It is zero before its first point, and constant after its last
-    point.
+    interpolated between its points. ``wave`` is zero before its first point, and constant after its
+    last point.
     """
     from scipy.interpolate import Akima1DInterpolator  # loads slowly
 

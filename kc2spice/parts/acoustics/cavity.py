@@ -38,8 +38,8 @@ SMALLEST_VOLUME = 1e-18  # m3, a cubic micrometre
 CORNERS_PER_DECADE = 2
 # largest ratio of a cavity's length to the wavelength at which the pressure counts as uniform
 LARGEST_WAVELENGTH_RATIO = 0.1
-# Ratio of surface area to volume^(2/3) for a cube and for a sphere. The ratio of a sphere is the
-# smallest of all shapes.
+# Ratio of surface area to volume^(2/3) for a cube and for a sphere.
+# Of all shapes, a sphere has the smallest ratio of surface area to volume^(2/3).
 CUBE_SURFACE, SPHERE_SURFACE = 6.0, 4.835975862049409
 
 

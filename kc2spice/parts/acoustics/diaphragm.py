@@ -6,8 +6,8 @@ pin ``b``, and p_front and p_rear are the pressures on the two sides::
     U = S v                                  volume velocity out of the pin front, into the pin rear
     F = m dv/dt + S (p_front - p_rear)       force on the pin a
 
-The area is the ratio of an ideal transformer between the mechanical and the acoustic network (L. L.
-Beranek, T. J. Mellow, Acoustics: Sound Fields and Transducers, 2012, section 3.5).
+The area is the transformation ratio of an ideal transformer between the mechanical and the acoustic
+network (L. L. Beranek, T. J. Mellow, Acoustics: Sound Fields and Transducers, 2012, section 3.5).
 """
 
 from collections.abc import Iterator

@@ -54,11 +54,11 @@ from kc2spice.scene.parttype import register
 EndType = Literal["none", "unflanged", "flanged"]
 END_CORRECTIONS: Mapping[EndType, float] = {"none": 0.0, "unflanged": 0.6127, "flanged": 0.8216}
 WIDEST_DUCT = 1.84  # product k a above which the first transverse mode of a duct propagates
-SECTIONS_PER_WAVELENGTH = 30  # for a phase velocity error of (2 pi / 30)^2 / 24 = 0.18 %
+SECTIONS_PER_WAVELENGTH = 30  # the phase velocity error is (2 pi / 30)^2 / 24 = 0.18 %
 MOST_SECTIONS = 400  # largest number of sections of a tube
 FEW_SECTIONS = 10  # ducts with more sections have fewer relaxations in each section
-# Number of relaxation corners in each decade for ducts with many sections. Their losses have an
-# error below 5 %.
+# Number of relaxation corners in each decade for ducts with many sections.
+# With this number of corners, the losses of these ducts have an error below 5 %.
 CORNERS_OF_LONG_DUCTS = 1
 FAR_END = "b"  # pin of the far end
 FAR_METER = "Vflow_b"  # name of the ammeter for the volume velocity out of the far end
@@ -140,11 +140,10 @@ class TubeKeys(DuctKeys):
 
 @dataclass(frozen=True)
 class DuctModel:
-    """Model of a duct: its number of sections, and their losses.
+    """Model of a duct: the number of its sections, and the losses in its boundary layers.
 
-    ``viscous`` and ``thermal`` are the relaxations of the boundary
-    layers; None without losses. ``phase_error`` is the relative error of the phase velocity at the
-    end of the band.
+    ``viscous`` and ``thermal`` are the relaxations of the boundary layers. Without losses, they are
+    None. ``phase_error`` is the relative error of the phase velocity at the end of the band.
     """
 
     sections: int
@@ -198,7 +197,10 @@ class DuctPart(AcousticPart[DuctKeys]):
         self._warn_of_double_ends(part, scene)
 
     def _warn_of_double_ends(self, part: Part[DuctKeys], scene: GovernedScene) -> None:
-        """Warn about an end correction at an end with a ``radiation`` part, which includes it."""
+        """Warn about an end correction at an end with a ``radiation`` part.
+
+        A part of type ``radiation`` already includes the end correction.
+        """
         for end in self.ends(part):
             correction = getattr(part.keys, f"end_{end}")
             joined = part.pins.get(end, "").partition(".")[0]
@@ -294,7 +296,7 @@ class DuctPart(AcousticPart[DuctKeys]):
     def law(self, part: Part[DuctKeys], build: Build) -> laws.Equations:
         """Return the equations of the whole duct as a single device.
 
-        The number of devices is otherwise the number of elements, which can be hundreds.
+        With a separate device for each element, a duct could have hundreds of devices.
         """
         n, network = part.name, self.network(part, build.scene)
         pins = {network.entry: "a"} | {node: pin for pin, node in network.exits.items()}
@@ -320,7 +322,7 @@ class DuctPart(AcousticPart[DuctKeys]):
 
 
 def make_duct_law(name: str, network: AcousticNetwork, pins: Mapping[str, str]) -> DuctLaw:
-    """Return the equations of a duct from its elements; ``pins`` maps nodes to their pins."""
+    """Derive the equations of a duct from its elements; ``pins`` maps nodes to their pins."""
     nodes = {pins.get(item.plus, item.plus): 0.0 for item in network.elements}
     middles: dict[str, AcousticElement] = {}
     channels, walls = list[tuple[str, str, float, float]](), list[tuple[str, float, float]]()

@@ -48,7 +48,7 @@ from kc2spice.scene.parttype import register
 OUT = "out"  # pin whose voltage is the sound pressure
 RADIATION = "radiation"  # part type of the radiating surfaces
 RIGHT_ANGLE = 90.0  # largest angle [degrees] from the axis that is in front of a baffle
-# Functions that apply directivity and travel time to a sound pressure, by its scale.
+# Functions that apply directivity and travel time to a response or waveform of sound pressure.
 _PROPAGATIONS = {"frequency": propagate_response, "time": propagate_wave}
 LOG_DECADES = 1.3  # number of decades above which the frequency axis is logarithmic
 

@@ -255,8 +255,9 @@ stop = "20 kHz"
 class FarField:
     """Far-field pressure on the axis at the reference distance, without travel time.
 
-    It is ``pressure * p + flow * U`` for the pressure p [Pa] on the surface and the volume velocity
-    U [m3/s] of the surface. With ``rate``, it is the time derivative of this sum.
+    The far-field pressure is ``pressure * p + flow * U`` for the pressure p [Pa] on the surface and
+    the volume velocity U [m3/s] of the surface. With ``rate``, the far-field pressure is the time
+    derivative of this sum.
     """
 
     pressure: float
@@ -271,10 +272,10 @@ class FarField:
 def find_far_field(keys: RadiationKeys) -> FarField:
     """Return the coefficients of the far-field pressure of a surface.
 
-    It is ``rho / (2 pi r) dU/dt`` for a piston in a baffle, ``p a / r`` for a sphere with the
-    pressure p on its surface, and ``rho / (4 pi r) d/dt (U + p S / (rho c))`` for an open end. The
-    intensity on the axis of an open end is ``(k a)^2 / (1 - |R|^2)`` times the intensity of a point
-    source with the same power.
+    The far-field pressure is ``rho / (2 pi r) dU/dt`` for a piston in a baffle, ``p a / r`` for a
+    sphere with the pressure p on its surface, and ``rho / (4 pi r) d/dt (U + p S / (rho c))`` for
+    an open end. The intensity on the axis of an open end is ``(k a)^2 / (1 - |R|^2)`` times the
+    intensity of a point source with the same power.
     """
     if keys.shape == "sphere":
         return FarField(keys.surface_radius / REFERENCE_DISTANCE, 0.0, rate=False)

@@ -35,16 +35,17 @@ from kc2spice.synthesis.mode_cards import COARSE_WEIGHTS
 
 DEPOLING_ADVICE = "the ceramic depolarises or breaks down; lower the drive, or state another limit"
 OUTSIDE_BAND_ADVICE = "the reduced model has no error estimate above its band: widen rom.band"
-# A model that is too coarse is recommended to have this many times its number of states.
+# Factor on the number of states that is recommended for a model that is too coarse.
 STATE_FACTOR = 2
 # Relative error estimates of a reduced model above which a run fails, or prints a warning.
 FAILURE_ERROR = 0.1
 WARNING_ERROR = 0.01
-# Largest relative error of a port's compliance above the band. If the reduced model of a body in
-# contact exceeds it, the model is checked under the loads of the run. The built-in kick scenes,
-# such as ``kick_slew``, have compliance errors of at most 0.20, and errors under load below 0.3 %
-# (rms). Models of small chips with 7 to 12 states have compliance errors of at least 0.53, and
-# errors under load of 2 to 3 %.
+# Largest permitted relative error of a port's compliance above the band.
+# If a body in contact exceeds this error, its reduced model is checked under the loads of the run.
+# The built-in kick scenes, such as ``kick_slew``, have compliance errors of at most 0.20.
+# The errors under load of these kick scenes are below 0.3 % (rms).
+# Models of small chips with 7 to 12 states have compliance errors of at least 0.53.
+# The errors under load of these small chips are 2 to 3 %.
 MAX_COMPLIANCE_ERROR = 0.3
 REDUCED_ADVICE = (
     "the reduced model is that far off somewhere in its band: set rom.tolerance, or rom.order"
@@ -68,18 +69,18 @@ STEEP_EDGE_ADVICE = (
     "its current within an edge is off: widen rom.band, or give the drive the edge that it has"
 )
 CONTACT_ADVICE = "a contact excites modes of the body that the reduced model lacks: widen rom.band"
-# Smallest ratio of the upper end of the band to the lowest resonance frequency. With a smaller
-# ratio, the results of a kick scene had an error of 2 %.
+# Smallest ratio of the upper end of the band to the lowest resonance frequency.
+# With a smaller ratio, the results of a kick scene had an error of 2 %.
 MIN_BAND_RATIO = 1.5
 # Time points count as equal if their distance is below this fraction of the run's duration.
 EQUAL_TIME_TOLERANCE = 1e-9
 # largest fraction of a floating electrode's charge that the leak of the netlist may remove
 MAX_CHARGE_LOSS = 1e-4
-# Limit of the error of the energy balance, relative to the stored energy. It is wide, because a
-# small piezoelectric chip rings at up to 30 MHz after a pulse.
+# Largest permitted error of the energy balance, relative to the stored energy.
+# This limit is wide, because a small piezoelectric chip rings at up to 30 MHz after a pulse.
 MAX_STORED_SHARE = 0.1
-# A force or energy below this fraction of its largest value counts as zero. The fraction is far
-# above rounding errors.
+# A force or energy below this fraction of its largest value counts as zero.
+# The fraction is far above rounding errors.
 ZERO_LOAD = 1e-9
 
 
@@ -159,9 +160,10 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         large, or a contact excites modes above the band.
 
         A large error at the frequency of a sharp resonance may have no effect under the recorded
-        loads. A small error in the band does not hold for loads with frequencies above the band. To
-        compute the error under load, the recorded forces and voltages drive the reduced model and a
-        model with more states. The error is the difference between the responses of the two models.
+        loads. For loads with frequencies above the band, the error can exceed the error in the
+        band. To compute the error under load, the recorded forces and voltages drive the reduced
+        model and a model with more states. The error is the difference between the responses of the
+        two models.
         """
         name, error = part.name, certificate.error_estimate
         unlike = max((size for _, size in certificate.above), default=0.0) > MAX_COMPLIANCE_ERROR
@@ -283,14 +285,14 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
     def _balance_energy(
         self, part: Part[LinearKeysT], build: Build, waves: Waveforms
     ) -> Balance | None:
-        """Return the energy balance of the body: work in the run, compared with the exact response.
+        """Return the energy balance of the body, which compares the run with the exact response.
 
         The exact response is the response of the reduced model to the recorded loads. The losses
-        are the work of the loads on the exact response minus its stored energy. The electrical
-        work is computed from the current of the body, if this current is among the waveforms. The
-        scale of the balance is the largest change of the stored energy, or the rounding error of
-        this energy without motion. If the time steps do not resolve the ringing, the comparison
-        ends when the last force on the body ends.
+        are the work of the loads on the exact response, minus the energy that this response stores.
+        The electrical work is computed from the current of the body, if this current is among the
+        waveforms. The scale of the balance is the largest change of the stored energy, or the
+        rounding error of this energy without motion. If the time steps do not resolve the ringing,
+        the comparison ends when the last force on the body ends.
         """
         model, t = resonators(build.model(part, LinearModel)), waves["time"]
         ports = self.used_ports(part, build.scene)

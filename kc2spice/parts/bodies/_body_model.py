@@ -44,14 +44,13 @@ from kc2spice.scene.settings import Rom
 if TYPE_CHECKING:
     from kc2spice.rom.enriched import ReductionsByOrder
 
-# Relative tolerance of a reduction over parameter ranges, for bodies that are reduced to a fixed
-# order without such ranges.
+# Default relative tolerance of a reduction over parameter ranges.
 RANGE_TOLERANCE = 1e-4
-# Smallest upper end [Hz] of the model's band in a transient; switching in a circuit excites unknown
-# frequencies.
+# Smallest upper end [Hz] of the model's band in a transient.
+# The band has this smallest end, because switching in a circuit excites unknown frequencies.
 MIN_BAND_END = 10e3
-# Largest number of natural frequencies in the default band. Higher natural frequencies depend on
-# the mesh.
+# Largest number of natural frequencies in the default band.
+# Natural frequencies above the default band depend on the mesh.
 BAND_MODES = 20
 # Keys of a body that do not affect its models.
 _IRRELEVANT_KEYS = {"rom", "fields", "rated_voltage", "number"}
@@ -72,8 +71,8 @@ class BodyModel(BodyPorts[LinearKeysT]):
     state the band of the reduction, and its order or tolerance.
     """
 
-    # Classes of the objects that a reduced model over parameter ranges contains. The cache needs
-    # them to store such a model.
+    # Classes of the objects in a reduced model over parameter ranges.
+    # The cache needs these classes to store such a model.
     range_classes: tuple[type, ...] = (ResonatorsOverRanges, DampingParameter)
     ranges_from_zero = False  # whether parameter ranges of the part may begin at zero
     # Class of the material tables in the keys of the part.
@@ -116,8 +115,8 @@ class BodyModel(BodyPorts[LinearKeysT]):
         In ``ac``, the band ends 20 % above the last frequency. In a transient, the band contains
         the excited frequencies (:meth:`PartType.numerics`), but at most the first
         :data:`BAND_MODES` natural frequencies of the body. The tolerance of 1e-3 in ``ac`` is a
-        tenth of usual mesh errors. It exceeds the rounding errors of a free thin plate, about 1e-4
-        at its resonances.
+        tenth of usual mesh errors. This tolerance exceeds the rounding errors of a free thin plate,
+        which are about 1e-4 at resonances.
         """
         specified, result = part.keys.rom, self._stated_reduction(part, scene)
         if result is None and scene.analysis.is_small_signal:
@@ -133,8 +132,8 @@ class BodyModel(BodyPorts[LinearKeysT]):
     def least_band_end(self, part: Part[LinearKeysT], scene: Scene) -> float | None:
         """Return the smallest upper end [Hz] of the model's band in a transient.
 
-        Return None if the user set the band, or in other analyses. This frequency does not depend
-        on the natural frequencies of the body.
+        The function returns None in other analyses, and if the user set the band. This frequency
+        does not depend on the natural frequencies of the body.
         """
         if self._stated_reduction(part, scene) is not None or scene.analysis.type != "transient":
             return None
@@ -213,6 +212,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
             """Return the reduced model over the parameter ranges."""
 
             def full(values: Mapping[str, float]) -> LinearModel:
+                """Return the full model for other values of the varied keys."""
                 other = with_values(part, values)
                 return self.full_on_mesh(other, scene, clock, middle).select(key["ports"])
 
@@ -263,8 +263,8 @@ class BodyModel(BodyPorts[LinearKeysT]):
             return None if self._has_constant_losses(part) else self._full_model(part, scene, clock)
         if keys := list_varied_keys(part):
             return self.build_over_ranges(part, scene, clock).at(read_key_values(keys))
-        # ``build`` uses these variables, so their values are part of the cache key. The key also
-        # contains hashes of the modules with the code of ``build``.
+        # ``build`` uses these variables, so their values are part of the cache key.
+        # The cache key also contains hashes of the modules with the code of ``build``.
         target, model_key = reduction_target(part, scene), self.model_key(part, scene)
         tangent, constants = loss_tangent(part), has_complex_constants(part)
 
@@ -351,10 +351,10 @@ class BodyModel(BodyPorts[LinearKeysT]):
     def fixed_order_reductions(
         self, part: Part[LinearKeysT], scene: Scene, clock: Clock
     ) -> ReductionsByOrder:
-        """Return the reductions of the full model with the ports of the scene, keyed by order.
+        """Return the reductions of the full model with the scene's ports to prescribed orders.
 
-        The returned object reduces the model on request. It stays in the workspace, because the
-        next scene often needs another order of the same model.
+        The returned object reduces the model on request. The object stays in the workspace, because
+        the next scene often needs another order of the same model.
         """
         from kc2spice.rom.enriched import ReductionsByOrder
 
@@ -394,12 +394,12 @@ def find_damping(part: Part) -> Damping:
 def make_complex_constants(part: Part, model: LinearModel) -> ComplexConstants:
     """Return the complex material constants that represent the damping of a body.
 
-    The constants hold at the frequency in the key ``damping.at``. Without this key, they hold at
-    the first resonance of the ``model``.
+    The constants are valid at the frequency in the key ``damping.at``. Without this key, they are
+    valid at the first resonance of the ``model``.
 
     Raises
     ------
-    UsageError : the key is missing, and the model has no resonance.
+    UsageError : the key ``damping.at`` is missing, and the model has no resonance.
     """
     damping, facts = find_damping(part), model.facts
     at = damping.frequency(facts.get("resonance_short_hz", facts.get("resonance_hz")))
@@ -420,15 +420,15 @@ def _replace_by_least_damping(
 ) -> LinearModel:
     """Return ``model`` with viscous losses that nowhere in the band exceed its constant losses.
 
-    The constant losses are those of the complex material constants. With these larger losses, a
-    reduction has at most the error that it has with the viscous losses.
+    The constant losses are those of the complex material constants. With the larger constant
+    losses, the error of a reduction is at most its error with the viscous losses.
     """
     loss = make_complex_constants(part, model).loss_factor
     return replace(model, E=None, rayleigh=(0.0, loss / (2 * math.pi * band[1])))
 
 
 def full_model(part: Part, scene: Scene, clock: Clock) -> LinearModel | None:
-    """Return the full model of a body in its scene; None if it cannot represent the losses."""
+    """Return the full model of a body in its scene; None if no full model has its losses."""
     kind = part.type
     assert isinstance(kind, BodyModel)
     return kind.build(part, scene, clock, full=True)

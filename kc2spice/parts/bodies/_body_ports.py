@@ -32,8 +32,7 @@ from kc2spice.synthesis.terminals import reference_pin
 
 # Physical domain by kind of port, for ports with one pin of their own and a shared reference pin.
 SINGLE_PIN_KINDS = {kind: domain for kind, domain in PORTS.items() if domain.reference}
-# Symbol of the through quantity by kind of port, if the output of the port is the integral of this
-# quantity.
+# Symbol of the through quantity whose time integral is the output of a port, by kind of port.
 FLOW_SYMBOLS_OF_PORTS = {
     row.port: row.through_variable.symbol
     for row in SINGLE_PIN_KINDS.values()
@@ -47,7 +46,7 @@ ZERO_ENERGY = 1e-13  # largest energy that counts as zero, relative to that of t
 
 
 class BodyPorts(TouchablePart[LinearKeysT]):
-    """Part with typed ports, of which a scene uses those that other parts or probes refer to.
+    """Part with typed ports; a scene uses only ports that other parts or probes refer to.
 
     A subclass derives its :meth:`ports` from the keys of the part.
     """
@@ -151,7 +150,7 @@ class BodyPorts(TouchablePart[LinearKeysT]):
     def equilibrium_with_model(
         self, part: Part[LinearKeysT], build: Build
     ) -> EquilibriumConditions:
-        """Return the paths for steady flow in equilibrium that the built model has.
+        """Return the paths for steady flow through the built model in equilibrium.
 
         The pins of a supported body have paths to the reference pin. The pins of a free body have
         paths between each other. A steady flow passes an acoustic port only if the body is free.
@@ -200,7 +199,7 @@ class BodyPorts(TouchablePart[LinearKeysT]):
 def _reject_missing_ports(
     part: Part, missing: Sequence[str], known: Sequence[str], kind: str = ""
 ) -> None:
-    """Raise an error for the first of the ``missing`` ports; ``known`` ports are the hint."""
+    """Raise an error for the first of the ``missing`` ports; its hint lists ``known`` ports."""
     for name in missing:
         raise unknown(f"{part.name} has no such {kind}port", name, known, part.name)
 
@@ -208,7 +207,7 @@ def _reject_missing_ports(
 def required_ports(part: Part, scene: JoinedScene) -> set[str]:
     """Return the names of all ports and pins of ``part`` that the scene refers to.
 
-    Other parts, probes, or the key ``pins`` of the part itself refer to them.
+    Other parts, probes, or the key ``pins`` of the part itself refer to these ports and pins.
     """
     prefix = f"{part.name}."
     assert isinstance(part.type, BodyPorts)
@@ -216,7 +215,7 @@ def required_ports(part: Part, scene: JoinedScene) -> set[str]:
     for other in scene.parts.values():
         names = (*other.pins.values(), *scene.joins[other.name].values())
         result.update(name.removeprefix(prefix) for name in names if name.startswith(prefix))
-        # Such a part adds copies of the body to the deck, with loads on all ports.
+        # A part with "copied" adds copies of the body with loads on all ports to the deck.
         if scene.records[other.name].governed_parts.get(part.name) == "copied":
             result |= {
                 port.name for port in part.type.ports(part, scene) if port.kind in SINGLE_PIN_KINDS
@@ -286,8 +285,8 @@ def has_energy_free_mode(model: LinearModel) -> bool:
 def wave_name(name: str, ports: Sequence[Port], port: Port) -> str:
     """Return the name of a port in the results.
 
-    For an electrical port, this is the prefix of the result names ``.voltage`` and ``.current``.
-    The first electrical port has the name of the part.
+    For an electrical port, the returned name is the prefix of the result names ``.voltage`` and
+    ``.current``. The first electrical port has the name of the part.
     """
     if port.paired:
         return name if port == paired_ports(ports)[0] else f"{name}.{port.name}"

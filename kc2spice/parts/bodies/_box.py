@@ -1,4 +1,4 @@
-"""Keys of a body that ``rom.parameters`` makes parameters of its netlist.
+"""Keys of a body that become parameters of its netlist because ``rom.parameters`` lists them.
 
 The module also contains functions that change the values of these keys.
 """

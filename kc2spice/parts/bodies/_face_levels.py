@@ -3,8 +3,8 @@
 Acoustic parts represent the face by its volume velocity. A part of type ``radiation`` on the face
 is a piston with this volume velocity. In front of a face that works into a cavity, a vent or a
 tube, acoustic parts assume a uniform pressure. This module estimates the effects of the shape of
-the motion, of the baffle, and of the tolerances of resonance, support and Q factor. They are
-computed before a simulation from the full model, at the frequency with the largest level.
+the motion, of the baffle, and of the tolerances of resonance, support and Q factor. These effects
+are computed before a simulation from the full model, at the frequency with the largest level.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from kc2spice.parts.bodies._face_response import (
 from kc2spice.scene.part_records import Neglected
 
 TOLERANCE = 0.01  # relative tolerance of a resonance frequency and of a support's diameter
-# Largest product k a of wave number and radius for which the dipole formula holds. At this k a, the
-# exact pressure of a rigid disc without a baffle differs by about 2 dB (F. M. Wiener, J. Acoust.
-# Soc. Am. 23 (1951) 697).
+# Largest product k a of wave number and radius for which the dipole formula is used.
+# At this k a, the formula differs by about 2 dB from the pressure of a rigid disc without a baffle.
+# Source: F. M. Wiener, J. Acoust. Soc. Am. 23 (1951) 697.
 LARGEST_DIPOLE_KA = 1.5
-# Largest difference [dB] of the radiated power that prints no warning. It equals the tolerance of a
-# sound level meter of class 2 (IEC 61672-1).
+# Largest difference [dB] of the radiated power without a warning.
+# This difference equals the tolerance of a sound level meter of class 2 (IEC 61672-1).
 PISTON_TOLERANCE = 1.0
-MIN_PISTON_SHARE = 0.5  # smallest ratio of mean to rms face velocity that prints no warning
+MIN_PISTON_SHARE = 0.5  # smallest ratio of mean to rms face velocity without a warning
 
 
 @dataclass(frozen=True)
@@ -127,8 +127,8 @@ def estimate_face_levels(face: LoadedFace) -> FaceLevelEffects | None:
     damped = face.find_largest_level(tone, damping=2.0)
     near = 0.0
     if 0 < result.shift < np.inf:
-        # The shift lowers the resonance frequencies, while the frequency of the tone stays the
-        # same. A tone at a higher frequency has the same effect.
+        # The shift lowers the resonance frequencies, while the frequency of the tone is constant.
+        # The level changes as it would for a tone at a higher frequency without the shift.
         near = float((face.levels([tone * (1 + result.shift)]) - level)[0])
     return replace(
         result, detuned=float(sides.min()), halved=float(damped - level), near_field=near
@@ -163,7 +163,7 @@ def _compare_with_piston(
 
 
 def describe_piston_difference(name: str, facing: FluidAtFace, levels: FaceLevelEffects) -> str:
-    """Return the warning that a face does not move like a piston; an empty string if it does."""
+    """Return the warning that a face does not move like a piston; empty for a piston-like face."""
     share = levels.piston_ratio
     differences = (levels.worst, levels.near_field)
     if share >= MIN_PISTON_SHARE and max(map(abs, differences)) <= PISTON_TOLERANCE:
@@ -198,7 +198,7 @@ def _describe_near_field(levels: FaceLevelEffects) -> str:
 def list_level_effects(
     name: str, port: str, levels: FaceLevelEffects, *, direct: bool
 ) -> Iterator[Neglected]:
-    """Yield the assumptions about a face with their effects on its sound level.
+    """Yield each assumption about a face, with its effect on the sound level of the face.
 
     With ``direct``, a part of type ``radiation`` is on the face.
     """

@@ -31,14 +31,13 @@ MAX_MODES = 6  # number of modes that are compared with the motion of a piston
 # Lowest frequency of the search for the largest level, divided by the first natural frequency.
 LOWEST_SHARE = 0.1
 SEARCH_POINTS = 150  # number of logarithmically spaced frequencies of the search for the level
-# The search for sharp resonances adds points at these relative distances from each natural
-# frequency.
+# Relative distances from each natural frequency at which the search adds points.
 MODE_DISTANCES = np.geomspace(1e-4, 0.1, 16)
 MODE_RATIOS = np.concatenate([1 - MODE_DISTANCES, [1.0], 1 + MODE_DISTANCES])
 # Each refinement divides the frequency interval around a peak by (REFINED_POINTS - 1) / 2 = 5.
 REFINEMENTS, REFINED_POINTS = 3, 11
-# Only peaks within this margin [dB] of the largest peak are refined. Between two points of the
-# first search, the peak of a resonance with a Q factor of 200 can appear lower by this margin.
+# Only peaks within this margin [dB] of the largest peak are refined.
+# For a Q factor of 200, a peak between two points of the first search appears lower by this margin.
 PEAK_MARGIN = 12.0
 HALF_OCTAVE = 2**0.5  # largest expected ratio of a resonance's frequencies on two supports
 MIN_PRESSURE = 1e-300  # Pa/V, smallest sound pressure per volt, which avoids the logarithm of zero
@@ -61,7 +60,7 @@ class FluidAtFace:
 
 @dataclass(frozen=True)
 class LoadedFace:
-    """Full model of a body with an acoustic port, the fluid in front of it, and its load.
+    """Full model of a body with an acoustic port, the fluid at this port, and its load.
 
     ``joined`` contains the names of all acoustic ports that the scene connects, in the order of the
     load. At most ``count`` modes are compared; their natural frequencies are below ``end`` [Hz].

@@ -39,8 +39,7 @@ from kc2spice.scene.part_records import LargestRealPartFrequency, Neglected
 from kc2spice.scene.settings import Probe
 from kc2spice.synthesis.mode_cards import COARSE_WEIGHTS
 
-# A negative real part of an impedance below this fraction of its magnitude counts as a rounding
-# error of a lossless body.
+# Fraction of an impedance's magnitude below which a negative real part is a rounding error.
 MAX_ACTIVE_SHARE = 1e-3
 SENSITIVITY_STEP = 1e-2  # relative step of a parameter in the central differences of a metric
 
@@ -48,8 +47,8 @@ SENSITIVITY_STEP = 1e-2  # relative step of a parameter in the central differenc
 class LinearBody(BodyChecks[LinearKeysT]):
     """Base class of linear parts, with metrics, figures and notes.
 
-    Each of its base classes covers one subject: ports, models, netlist, checks. A subclass derives
-    the :meth:`ports` from its keys and builds the :meth:`full` model of the whole device.
+    Each base class of ``LinearBody`` covers one subject: ports, models, netlist, checks. A subclass
+    derives the :meth:`ports` from its keys and builds the :meth:`full` model of the whole device.
     """
 
     def metrics(
@@ -102,10 +101,10 @@ class LinearBody(BodyChecks[LinearKeysT]):
     def main_metrics(
         self, part: Part[LinearKeysT], build: Build
     ) -> Mapping[str, Probe | LargestRealPartFrequency]:
-        """Return the metric ``resonance_hz``, if the conductance of the body is largest there.
+        """Return the metric ``resonance_hz`` if the body's conductance has its peak there.
 
-        The metric is the frequency at which a voltage source at the first electrode delivers the
-        largest in-phase current to the body, without other loads on it.
+        At the frequency ``resonance_hz``, a voltage source at the first electrode delivers the
+        largest in-phase current to a body without other loads.
         """
         result = f"{part.name}.current"
         if build.scene.analysis.type != "ac" or result not in build.records[part.name].vectors:
@@ -117,7 +116,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
         )
 
     def lightly_loaded_pins(self, part: Part[LinearKeysT], scene: Scene) -> set[str]:
-        """Return the pins with loads so light that the largest resonance remains the largest."""
+        """Return the pins whose loads are too light to change which resonance is the largest."""
         return set()
 
     def _is_driven_alone(self, part: Part[LinearKeysT], build: Build) -> bool:

@@ -154,13 +154,13 @@ def read_groups(keys: MeshKeys, home: Path, splits: int) -> mesh_file.GroupedMes
 
 
 def assign_materials(names: Iterable[str], groups: mesh_file.GroupedMesh) -> np.ndarray:
-    """Return the material of each element as an index into ``names``, an array (elements,).
+    """Return an array (elements,) with each element's material as an index into ``names``.
 
     ``names`` are the names of the mesh groups that have a material.
 
     Raises
     ------
-    UsageError : an element has no material, or two materials.
+    UsageError : an element has no material or has two materials.
     """
     names = list(names)
     owner = np.full(groups.mesh.nelements, -1)

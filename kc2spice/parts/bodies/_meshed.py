@@ -2,7 +2,7 @@
 
 The full model computes the fields from the port waveforms of the run
 (:mod:`kc2spice.bodies.fields`). For each material, the results are the largest principal stress and
-the largest electric field with their limits. For the instant of the largest stress, a run also
+the largest electric field, each with its limit. For the instant of the largest stress, a run also
 writes a VTU file and draws the body. An ``ac`` analysis draws the shapes of the lowest modes.
 """
 
@@ -52,8 +52,7 @@ MAX_DRAWN_MODES = 6  # number of drawn modes, lowest first
 _SINGULARITY_ADVICE = (
     "look at the VTU file: edges of clamps and corners exceed any limit when refined"
 )
-# Per quantity: word and unit in the metric's name, axis label of the plot, and the effect of
-# exceeding the limit.
+# For each quantity: word and unit in the metric's name, axis label, and effect above the limit.
 _FIELD_DESCRIPTIONS = {
     "principal_stress": (
         "stress", "pa", "largest principal stress in MPa", f"it may crack; {_SINGULARITY_ADVICE}",
@@ -81,7 +80,7 @@ class RecoveredFields:
 
     @property
     def worst_stress(self) -> Extreme:
-        """Extreme of the stress that is closest to its limit; without limits, the largest."""
+        """Stress extreme that is closest to its limit; without limits, the largest stress."""
         stresses = self.extremes_of("principal_stress")
         limited = [item for item in stresses if item.limit]
         if not limited:
@@ -228,8 +227,8 @@ class MeshedBody(SoundingBody[FieldKeysT]):
             motion = recover_motion(self.device(part, build.scene), waves["time"], loads)
             return waves, RecoveredFields(motion, tuple(find_extremes(motion)))
 
-        # The stored result contains a reference to ``waves``, so no other object can get the same
-        # ``id``, which is part of the key.
+        # The stored result contains a reference to ``waves``.
+        # No other object can therefore get the ``id`` of ``waves``, which is the key of the result.
         kind = f"fields of {part.name}"
         return build.workspace.get_or_compute(kind, id(waves), recover_fields)[1]
 
@@ -239,8 +238,8 @@ def find_field_problems(
 ) -> Iterator[UsageError]:
     """Yield the error of an invalid key ``fields``.
 
-    The key is valid only in transients. With ``shapes``, the value ``true`` is also valid in ac
-    analyses, where it draws the mode shapes.
+    The key ``fields`` is valid only in transients. With the argument ``shapes``, the value ``true``
+    is also valid in ac analyses, where a run draws the mode shapes.
     """
     kind, instants = scene.analysis.type, chosen_instants(part)
     drawn = shapes and kind == "ac" and not instants
@@ -322,7 +321,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
     def full_on_mesh(
         self, part: Part[FieldKeysT], scene: GovernedScene, clock: Clock, like: Part[FieldKeysT]
     ) -> LinearModel:
-        """Return the full model of ``part`` on the mesh of ``like``, with nodes moved to fit."""
+        """Return the full model of ``part`` on the mesh of ``like``, whose nodes are moved."""
         body = replace(self.sounding(part, scene), like=self.bonded(like))
         return body.device().model
 
@@ -350,7 +349,8 @@ class BondedBody(MeshedBody[FieldKeysT]):
     def problems(self, part: Part[FieldKeysT], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield an error for each invalid key of a body, and for each implausible layer.
 
-        The width of a layer is its diameter, or the width of the whole body.
+        The width of a layer is the width of the whole body; in bodies without a width, it is the
+        diameter of the layer.
         """
         yield from super().problems(part, scene)
         layers, width = getattr(part.keys, "layers", ()), getattr(part.keys, "width", None)
@@ -370,7 +370,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
         top = max(block.box[-1][1] for block in blocks)
         for block in blocks:
             made_of, (inner, outer), (low, high) = block.material, block.box[0], block.box[-1]
-            if len(block.box) == 3:  # a beam is drawn about its middle
+            if len(block.box) == 3:  # a beam is drawn with its middle at x = 0
                 outer /= 2
             label = f"{part.name}: {made_of.name}, {2e3 * outer:g} mm by {1e3 * (high - low):g} mm"
             kind: Literal["ceramic", "metal"] = "ceramic" if made_of.piezoelectric else "metal"

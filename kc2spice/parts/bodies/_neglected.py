@@ -24,9 +24,10 @@ if TYPE_CHECKING:
     # Imported for annotations only, because the module loads the finite elements.
     from kc2spice.bodies.device import Block
 
-# Heat transfer coefficient [W/(m^2 K)] from a small surface to still air, by convection and
-# radiation, for sizes of 10 mm to 50 mm at about 20 K above the air temperature. Source: VDI Heat
-# Atlas, 2nd ed. 2010, sections F2 and K1.
+# Heat transfer coefficient [W/(m^2 K)] from a small surface to still air.
+# The coefficient includes convection and radiation of surfaces of 10 mm to 50 mm.
+# These surfaces are about 20 K warmer than the air.
+# Source of the coefficient: VDI Heat Atlas, 2nd ed. 2010, sections F2 and K1.
 COOLING_COEFFICIENT = 10.0
 GLUE_THICKNESS = 10e-6  # thickness [m] of an epoxy joint that is pressed during curing
 # Total thickness [m] of both fired silver electrodes of a layer, and density [kg/m^3] of silver.
@@ -101,10 +102,10 @@ def beam_envelope(blocks: Sequence[Block]) -> Envelope:
 def box_envelope(sides: Sequence[float]) -> Envelope:
     """Return the envelope of a box with these sides [m].
 
-    Two sides are the radius and the height of a cylinder.
+    If only two sides are stated, they are the radius and the height of a cylinder.
 
-    The mass of the moved air is at most ``8/3 rho a^3``. This is the mass for a disc of radius a
-    that has the area of the largest face.
+    The mass of the moved air is at most ``8/3 rho a^3``. A disc of this radius a has the area of
+    the largest face.
     """
     if len(sides) == 2:
         radius, height = sides

@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 
 # number of plotted frequencies of an impedance, without the extra frequencies near resonances
 IMPEDANCE_FREQUENCIES = 600
-# Largest number of drawn mesh lines on a surface. A finer mesh is drawn with only the edges at
-# which the surface bends.
+# Largest number of drawn mesh lines on a surface.
+# If a mesh has more lines, only the edges at which the surface bends are drawn.
 MAX_MESH_LINES = 4000
-# The surface bends at an edge if the second eigenvalue of ``sum n n'``, relative to the largest,
-# exceeds this value. n are the normals of the faces at the edge.
+# Smallest bend of a drawn edge: second eigenvalue of ``sum n n'``, relative to the largest one.
+# The vectors n in ``sum n n'`` are the normals of the faces at the edge.
 MIN_BEND = 0.05
 DISPLACEMENT_SHARE = 0.1  # largest drawn displacement, relative to the size of the body
 MAX_PIXELS = 360  # number of pixels along the longer side of a coloured picture
@@ -180,7 +180,7 @@ def _scale_displacements(device: FiniteElementModel, moves: np.ndarray) -> tuple
 
 
 def element_corners(mesh: Any) -> np.ndarray:
-    """Return the corners [m] of all elements, an array of shape (elements, vertices, 3).
+    """Return the corners [m] of all elements as an array of shape (elements, vertices, 3).
 
     The coordinates of a two-dimensional mesh are x and z.
     """
@@ -205,8 +205,8 @@ def map_surface(mesh: Any, corners: np.ndarray, values: np.ndarray, label: str) 
         local = np.argmax(mesh.t[:, element].T[:, None, :] == nodes[:, :, None], axis=2)
     points, colours = corners[element[:, None], local], values[element[:, None], local, None]
     flat = 1e3 * (points[..., [0, 2]] + OBLIQUE_SHIFT * points[..., [1]])
-    # A triangle is drawn for each three corners of a face, because the order of its four corners
-    # can differ.
+    # A triangle is drawn for each three corners of a face.
+    # The order of the four corners can differ between faces.
     vertices = np.concatenate([flat, points[..., [1]], colours], axis=-1)
     corner_sets = np.array([*combinations(range(vertices.shape[1]), 3)])
     triangles = vertices[:, corner_sets].swapaxes(0, 1).reshape(-1, 3, vertices.shape[2])
@@ -232,7 +232,7 @@ def map_surface(mesh: Any, corners: np.ndarray, values: np.ndarray, label: str) 
 
 
 def _find_visible_edges(mesh: Any, fine: int) -> np.ndarray:
-    """Return the two vertices of each drawn edge of the surface, an array of shape (2, edges).
+    """Return an array of shape (2, edges) with the vertices of each drawn edge of the surface.
 
     If the surface has more than ``fine`` mesh lines, only the edges at which it bends are returned.
     """
@@ -245,8 +245,8 @@ def _find_visible_edges(mesh: Any, fine: int) -> np.ndarray:
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, -1] - corners[:, 0], axis=0)
     normal = normal / np.maximum(np.linalg.norm(normal, axis=0), 1e-300)
     edges = mesh.f2e[:, facets]
-    # n are the normals of the faces at an edge. If these faces lie in one plane, the sum of n n'
-    # has rank one.
+    # The vectors n are the normals of the faces at an edge.
+    # If these faces lie in one plane, the sum of n n' has rank one.
     spread = np.zeros((mesh.edges.shape[1], 3, 3))
     for edge in edges:
         np.add.at(spread, edge, np.einsum("if,jf->fij", normal, normal))

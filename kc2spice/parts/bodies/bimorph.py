@@ -1,7 +1,7 @@
 """The part ``bimorph``: a layered rectangular beam or plate that bends.
 
-It models unimorphs, series bimorphs and parallel bimorphs. A beam of metal alone has no electrical
-pins.
+The part models unimorphs, series bimorphs and parallel bimorphs. A beam of metal alone has no
+electrical pins.
 
 x runs along the length from the clamp, y along the width, z up. Every layer consists of quadratic
 hexahedra. The model therefore includes the bending of plates, the lateral contraction at the clamp
@@ -164,8 +164,8 @@ def make_bimorph_blocks(
         """Return the part of the cross-section at ``x`` that the intervals ``y`` and ``z`` span."""
         return (x, x), y, z
 
-    # Electrodes are listed from the bottom up. The faces on one conductor, or the touching faces of
-    # two ceramic layers, form one electrode.
+    # Electrodes are listed from the bottom up.
+    # The faces on one conductor, or the touching faces of two ceramic layers, form one electrode.
     ends = [*chain.from_iterable(map(spans.__getitem__, active))]
     levels = [ends[:1], *zip(ends[1:-1:2], ends[2::2], strict=True), ends[-1:]] if active else []
     series = beam.wiring != "parallel"
@@ -176,8 +176,8 @@ def make_bimorph_blocks(
     blocks = []
     for k, (one, span) in enumerate(zip(materials, spans, strict=True)):
         above = sum(span) / 2 >= top / 2 * (1 - 1e-9)
-        # A positive voltage causes a downward field in all layers of a series bimorph, but only in
-        # every second layer of a parallel bimorph.
+        # In a series bimorph, a positive voltage causes a downward field in all layers.
+        # In a parallel bimorph, a positive voltage causes a downward field in every second layer.
         down = series or k not in active or (active.index(k) - len(active)) % 2
         poled = one.poled((0, 0, -1.0 if down == above else 1.0)) if k in active else one
         box = ((0.0, length), (0.0, width), span)

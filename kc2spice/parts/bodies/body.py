@@ -80,8 +80,8 @@ Vector: TypeAlias = tuple[float, float, float]
 _MOTION_NAMES = ("x", "y", "z", "rx", "ry", "rz")
 # Radial, circumferential and axial component of the poling vector, by the name of the direction.
 _CYLINDRICAL_VECTORS = {"radial": (1.0, 0.0, 0.0), "tangential": (0.0, 1.0, 0.0)}
-# Physical domain of a port by its kind. A port on a rigid face is not listed, because its domain
-# depends on the motion.
+# Physical domain of a port by its kind.
+# A port on a rigid face is not listed, because the domain of this port depends on its motion.
 _DOMAINS_OF_KINDS = {"mean": TRANSLATION, "base": ACCELERATION, "face": ACOUSTIC}
 _NEEDS_OF_KINDS = {
     "mean": "needs group or at",
@@ -666,7 +666,7 @@ def _find_clamped_components(
 def _distribute_unit_force(
     port: PortKeys, groups: mesh_file.GroupedMesh, solid: Solid
 ) -> np.ndarray:
-    """Return the fraction of a unit force on a port that acts on each node, an array (nodes,)."""
+    """Return an array (nodes,) with the fraction of a unit force on a port at each node."""
     shares = np.zeros(solid.places.shape[1])
     if port.at is not None:
         point = np.array(port.at)[solid.axes]
@@ -738,6 +738,7 @@ class Body(MeshedBody[BodyKeys]):
         """Return the side lengths [m] of the bounding box of the mesh, read from its file."""
 
         def size() -> list[float]:
+            """Read the side lengths [m] of the bounding box from the mesh file."""
             with name_part_in_errors(part.name):
                 path = mesh_path(part, scene)
                 sides = mesh_file.find_length_unit(path, part.keys.unit) * mesh_file.measure_extent(

@@ -93,8 +93,8 @@ from kc2spice.scene.parttype import find_current_into, register
 from kc2spice.synthesis.heat import compute_heat_modes
 
 LAYER_ELEMENTS = 4  # number of elements through each layer
-# Factor on the tolerance if the error is relative to the largest temperature of a pin, and not to
-# its temperature at each frequency.
+# Factor on the tolerance for errors that are relative to the largest temperature of a pin.
+# Other errors are relative to the temperature of the pin at each frequency.
 PEAK_TOLERANCE_SHARE = 0.01
 IMPEDANCE_FREQUENCIES = 300  # number of time points of a plotted thermal impedance
 # Upper end of the default band, multiplied by the duration of the run.
@@ -115,7 +115,7 @@ class HeatGeometry:
         return self._group(name, where, 1).members
 
     def shares(self, source: str | HeatSourceKeys, where: str) -> np.ndarray:
-        """Return the fraction of a source's heat that enters each node, an array (nodes,)."""
+        """Return an array (nodes,) with the fraction of a source's heat that enters each node."""
         if isinstance(source, str):
             source = HeatSourceKeys(group=source)
         if source.at is not None:
@@ -233,7 +233,9 @@ def _stack_layers(keys: HeatBodyKeys) -> tuple[HeatGeometry, list[tuple[np.ndarr
             problem = "nothing is below the last layer"
             raise wrong(f"layers[{len(layers)}].resistance", problem, hint="delete this key")
         facet = np.flatnonzero(np.isclose(mesh.p[0, mesh.facets[0]], bottoms[number], rtol=1e-12))
-        area = layers[owner[int(mesh.f2t[0, facet[0]])]].area  # area that the matrices contain
+        area = layers[
+            owner[int(mesh.f2t[0, facet[0]])]
+        ].area  # cross-sectional area in the matrices
         interfaces.append((facet, layer.resistance * area / layer.area))
     if interfaces:
         solid = duplicate_face_nodes(solid, np.concatenate([facets for facets, _ in interfaces]))
@@ -372,6 +374,7 @@ dc = "1 W"
         key = json.dumps([part.name, self.full_key(part, scene)], sort_keys=True)
 
         def make() -> HeatModel:
+            """Build the full heat model of the body."""
             return make_heat_device(part.keys, scene.home, part.name)
 
         return scene.workspace.get_or_compute(f"device {self.name}", key, make)
@@ -388,7 +391,7 @@ dc = "1 W"
         model: LinearModel,
         aims: Mapping[str, Any],
     ) -> LinearModel:
-        """Reduce the model so that its error also holds for prescribed temperatures.
+        """Reduce the model with an error estimate that includes prescribed temperatures.
 
         Isothermal faces and the fluids of films have prescribed temperatures. At high frequencies,
         the temperature of a pin behind thick insulation is so small that rounding errors exceed the
@@ -398,6 +401,7 @@ dc = "1 W"
         tolerance = aims["tolerance"]
 
         def reduce(norm: Norm, share: float) -> LinearModel:
+            """Reduce the model to ``share`` times the tolerance, with an error norm."""
             changed = {**aims, "norm": norm, "tolerance": tolerance and share * tolerance}
             return reduce_with_interfaces(model, prescribed_ports, **changed)
 
@@ -418,6 +422,7 @@ dc = "1 W"
         reduction = HeatReduction(task.full, task.axes, _list_prescribed_names(part))
 
         def reduce(norm: Norm, share: float) -> HeatOverRanges:
+            """Reduce the ranges to ``share`` times the tolerance, with an error norm."""
             return reduction.reduce(replace(task, norm=norm, tolerance=share * task.tolerance))
 
         return _reduce_with_peak_fallback(part, task.norm, reduce)
@@ -427,7 +432,8 @@ dc = "1 W"
     ) -> LinearModel | None:
         """Return the model; with parameter ranges, its thermal resistances are recomputed.
 
-        They are then the static resistances of the model at the key values of the part.
+        With parameter ranges, the thermal resistances are the static resistances of the model at
+        the key values of the part.
         """
         model = super().build(part, scene, clock, full)
         if full or model is None or not part.parameter_ranges:
@@ -506,6 +512,7 @@ dc = "1 W"
             return None
 
         def recover() -> tuple[Waveforms, TemperatureField]:
+            """Compute the temperature field from the heat flows of the run."""
             flows = {}
             for port in self.used_ports(part, build.scene):
                 flow = waves.data.get(f"{part.name}.heat.{port.name}")
@@ -519,8 +526,8 @@ dc = "1 W"
             heat = self.device(part, build.scene)
             return waves, recover_temperatures(heat, waves["time"], flows)
 
-        # The stored result contains a reference to ``waves``, so no other object can get the same
-        # ``id``, which is part of the key.
+        # The stored result contains a reference to ``waves``.
+        # No other object can therefore get the ``id`` of ``waves``, which is the key of the result.
         kind = f"temperatures of {part.name}"
         return build.workspace.get_or_compute(kind, id(waves), recover)[1]
 
@@ -545,9 +552,9 @@ def _reduce_with_peak_fallback(
 ) -> ModelT:
     """Return a model reduced with the error norm ``norm``, or with the norm ``peak``.
 
-    The norm ``peak`` is used if the reduction fails with ``norm``. Its error is relative to the
-    largest temperature of each pin. ``reduce(norm, share)`` reduces the model to ``share`` times
-    the tolerance.
+    The norm ``peak`` is used if the reduction fails with ``norm``. With the norm ``peak``, the
+    error is relative to the largest temperature of each pin. ``reduce(norm, share)`` reduces the
+    model to ``share`` times the tolerance.
     """
     try:
         return reduce(norm, 1.0)
@@ -608,8 +615,8 @@ def _draw_field(
     caption = f"At {instant:.4g} s."
     values = rises[geometry.basis(1).element_dofs.T]
     if mesh.dim() == 1:
-        # The curve contains the nodes of each element separately, because the temperature jumps at
-        # a joint with a resistance.
+        # The temperature jumps at a joint with a resistance.
+        # The curve therefore contains the nodes of each element separately.
         cells = np.argsort(mesh.p[0, mesh.t].mean(axis=0))
         nodes = geometry.basis(1).element_dofs[:, cells]
         nodes = np.take_along_axis(nodes, np.argsort(geometry.places[0, nodes], axis=0), axis=0)

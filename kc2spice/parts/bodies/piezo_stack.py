@@ -44,23 +44,25 @@ from kc2spice.scene.plausible import check_range
 from kc2spice.scene.settings import Rom
 from kc2spice.synthesis.mode_cards import COARSE_WEIGHTS, THROWING_WEIGHTS, StepWeights
 
-# The modules with meshes and solvers are imported at first use, because most runs read their models
-# from the cache.
+# The modules with meshes and solvers are imported at first use.
+# Most runs do not need these modules, because they read their models from the cache.
 if TYPE_CHECKING:
     from kc2spice.bodies.pressure import LocalCompliance, PressureBasis
     from kc2spice.bodies.undamped import FiniteElementModel
 
 DAMPING_FREQUENCY = 250e3  # frequency [Hz] at which the paper's chip has a damping ratio of 1 %
-# Damping ratio at ``DAMPING_FREQUENCY`` below which modes ring during the whole kick, so that the
-# errors of time steps add up. With the value of reltol for a damping ratio of 1 %, chips with a
-# damping ratio of 0.01 to 0.1 % have errors of the launch velocity up to 2.6e-4.
+# Damping ratio at ``DAMPING_FREQUENCY`` below which modes ring during the whole kick.
+# If modes ring during the whole kick, the errors of the time steps add up.
+# Chips with a damping ratio of 0.01 to 0.1 % have launch velocity errors of up to 2.6e-4.
+# These errors occur if reltol has the value for chips with a damping ratio of 1 %.
 RINGING_DAMPING = 4e-3
 MIN_DAMPING = 2e-4  # damping ratio below which reltol is not reduced further
 # Factor on reltol that makes kicks of 40 to 60 V as accurate as kicks of 100 V.
 LOW_KICK_FACTOR = 0.03
-# Factor on reltol for a downward kick. The chip leaves the sphere, rings, and strikes the sphere at
-# a phase to which the errors of all time steps contribute. For -100 V, the relative error of the
-# launch velocity is 1.2e-2 at a reltol of 1e-4, 6e-4 at 1e-6, and 1.1e-4 at 1e-7.
+# Factor on reltol for a downward kick: the chip leaves the sphere, rings, and strikes the sphere.
+# The errors of all time steps contribute to the phase of the ringing at this impact.
+# For -100 V, the relative error of the launch velocity is 1.2e-2 at a reltol of 1e-4.
+# For -100 V, this error is 6e-4 at a reltol of 1e-6, and 1.1e-4 at a reltol of 1e-7.
 DOWNWARD_RELTOL_FACTOR = 2e-3
 DOWNWARD_SPEED_RATIO = 0.1  # speed of a downward kick, relative to an upward kick
 OVERSHOOT = 2.0  # ratio of the largest to the static displacement under a sudden load
@@ -79,8 +81,8 @@ MOUNTING_TEXTS = {  # description of each value of the key ``mounting``
     "free": "nothing holds its bottom face",
 }
 PAPER_ORDER = 30  # number of states of the reduced model in the paper
-# Keys that determine the finite-element model. The other keys, such as ``drive``, only affect the
-# circuit.
+# Keys that determine the finite-element model.
+# All other keys, such as ``drive``, only affect the circuit.
 CHIP_KEYS = set(Chip.model_fields)
 # Keys whose values do not decide whether a chip counts as the paper's chip.
 KEYS_IGNORED_FOR_PAPER_CHIP = {"mesh", "damping", "mounting", "preload_spring", "layer_thickness"}
@@ -291,7 +293,7 @@ class PiezoStack(MeshedBody[Stack]):
         Ringing increases the phase error of the trapezoidal rule. A kick with a low voltage closes
         fewer contact rings, so its launch velocity depends more on each time step. At 40 to 60 V,
         the relative error of the launch velocity is ten times the error at 100 V with the same
-        tolerances. This error is proportional to reltol^0.55.
+        tolerances. The error of the launch velocity is proportional to reltol^0.55.
         """
         if not scene.list_parts("contact"):
             return
@@ -299,9 +301,9 @@ class PiezoStack(MeshedBody[Stack]):
         close = math.sqrt(min(1.0, max(ratio, MIN_DAMPING) / RINGING_DAMPING))
         speed = _estimate_kick_speed(part, scene)
         if self.weights(part, scene) == COARSE_WEIGHTS and speed is not None:
-            # Parts other than sources at the anode can slow down a kick. With an amplifier of 5 A,
-            # the launch velocity is 0.67 m/s. At the tolerances for 1 m/s, its relative error is
-            # 1.5e-3.
+            # Parts other than sources at the anode can slow down a kick.
+            # With an amplifier of 5 A, the launch velocity is 0.67 m/s.
+            # With the tolerances for 1 m/s, the relative error of this launch velocity is 1.5e-3.
             driven = not scene.joined_types(part.name, "anode") <= {"source"}
             close *= min(1.0, LOW_KICK_FACTOR if driven else max(speed**8, LOW_KICK_FACTOR))
         if _moves_down_first(part):
@@ -318,7 +320,7 @@ class PiezoStack(MeshedBody[Stack]):
         return THROWING_WEIGHTS if _moves_down_first(part) else super().weights(part, scene)
 
     def penetrations(self, part: Part[Stack], scene: GovernedScene) -> Iterator[LargestIndentation]:
-        """Yield the largest dynamic stroke of the chip, which limits a contact's indentation."""
+        """Yield the largest dynamic stroke of the chip, an upper bound of an indentation."""
         voltage = highest_voltage(part, scene)
         if voltage:
             stroke = free_stroke(part.keys, voltage)
