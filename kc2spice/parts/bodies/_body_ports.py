@@ -215,7 +215,7 @@ def required_ports(part: Part, scene: JoinedScene) -> set[str]:
     for other in scene.parts.values():
         names = (*other.pins.values(), *scene.joins[other.name].values())
         result.update(name.removeprefix(prefix) for name in names if name.startswith(prefix))
-        # A part with "copied" adds copies of the body with loads on all ports to the deck.
+        # If the other part copies the body, the copies have loads on all ports.
         if scene.records[other.name].governed_parts.get(part.name) == "copied":
             result |= {
                 port.name for port in part.type.ports(part, scene) if port.kind in SINGLE_PIN_KINDS

@@ -233,9 +233,8 @@ def _stack_layers(keys: HeatBodyKeys) -> tuple[HeatGeometry, list[tuple[np.ndarr
             problem = "nothing is below the last layer"
             raise wrong(f"layers[{len(layers)}].resistance", problem, hint="delete this key")
         facet = np.flatnonzero(np.isclose(mesh.p[0, mesh.facets[0]], bottoms[number], rtol=1e-12))
-        area = layers[
-            owner[int(mesh.f2t[0, facet[0]])]
-        ].area  # cross-sectional area in the matrices
+        # The matrices contain the area of this layer.
+        area = layers[owner[int(mesh.f2t[0, facet[0]])]].area
         interfaces.append((facet, layer.resistance * area / layer.area))
     if interfaces:
         solid = duplicate_face_nodes(solid, np.concatenate([facets for facets, _ in interfaces]))

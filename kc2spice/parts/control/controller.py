@@ -160,6 +160,7 @@ wiring = "parallel"
             function = build.functions.get(part.name) or self._load_function(part, build)
 
             def call(time: float, values: Mapping[str, float]) -> float:
+                """Return the output of the user's function at a time, for node voltages."""
                 inputs = {name: factor * values[net] for name, (net, factor) in sources.items()}
                 return float(function(time, inputs))
 

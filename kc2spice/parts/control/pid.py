@@ -40,20 +40,20 @@ from kc2spice.scene.parttype import register
 from kc2spice.synthesis.header import render_library
 
 SENSOR_GAIN = 2e3  # V/m; the sensor voltage is 5 V at the paper's set point
-SENSE_RESISTANCE = 100.0  # Ohm; its voltage is 10 V at the paper's current limit of 0.1 A
+SENSE_RESISTANCE = 100.0  # Ohm; the resistor has 10 V at the paper's current limit of 0.1 A
 # largest command voltage [V] of the output stage, far below the supply of the signal amplifiers
 MAX_COMMAND = 10.0
 SUPPLY_VOLTAGE = 400.0  # smallest supply voltage [V] of the output stage
 SUPPLY_RATIO = 1.2  # ratio of a supply voltage to the required output voltage
 ENABLE_EDGE = 1e-8  # s, rise and fall time of the enable signal
 DISCHARGE_TIME = 1e-6  # s, time constant with which a disabled controller's integral decays
-# Largest fraction of the run during which the current may be at its limit. At the limit, the
-# controller has no effect.
+# Largest permitted fraction of the run during which the current is at its limit.
+# While the current is at its limit, the controller has no effect.
 MAX_SATURATED_SHARE = 0.9
 
 
-# Gains that are parameters of the netlist, each with the gain that it requires. A gain of zero has
-# no amplifier stage, so it is not a parameter.
+# Gains that are parameters of the netlist, each with the other gain that it requires.
+# A gain of zero has no amplifier stage, so this gain is not a parameter.
 GAIN_PARAMETERS = (
     ("kp", "kp", "A/m", "proportional gain, above zero"),
     ("ki", "ki", "A/(m.s)", "integral gain, above zero"),
@@ -63,7 +63,7 @@ GAIN_PARAMETERS = (
 
 
 def _list_pins(output: bool) -> tuple[Terminal, ...]:
-    """Return the pins of a controller; without ``output`` stage, it commands a driver."""
+    """Return the pins of a controller; without an ``output`` stage, its output is ``command``."""
     ends = ("drive", "sense") if output else ("command",)
     return (
         Terminal.signal("y", DISPLACEMENT, required=True),
@@ -78,10 +78,9 @@ def declare_control(control: Control, *, output: bool = True) -> Declaration:
 
     The output current is ``i = clip(kp e + ki integral(e) + kd de/dt / (1 + rolloff s),
     +-current_limit)`` between ``drive`` and ``sense``, where ``e = setpoint - y`` is a sensor
-    voltage. Without ``output``, the controller has a voltage at ``command`` instead, 100 V for each
-    ampere. The integral is constant while the current is at its limit. Integral and current are
-    zero until the voltage at ``enable`` is 1 V. A gain of zero has no term in the equation and no
-    parameter.
+    voltage. Without ``output``, the output is a voltage at ``command``, with 100 V for each ampere.
+    The integral is constant while the current is at its limit. Integral and current are zero until
+    the voltage at ``enable`` is 1 V. A gain of zero has no term in the equation and no parameter.
     """
     limited = "demand/current_limit"
     within = f"(1 - above({limited} - 1) - above(-{limited} - 1))"
@@ -145,12 +144,13 @@ def pid_subcircuit(
 ) -> Subcircuit:
     """Return the subcircuit of a controller for coils between ``drive`` and ``sense``.
 
-    Its inputs are the height ``y`` and ``enable``. The output stage measures the coil current with
-    a resistor of at most 100 Ohm. The voltage of this resistor at the current limit is at most 10
-    V, within the rails. The supply voltage of the output stage is a multiple of 100 V. With it, the
-    stage can drive the limit current through the resistance ``load`` [Ohm] of the coils, with a
-    margin for changes of the current. Without the output stage, the output of the controller is the
-    voltage at ``command``, with 100 V for each ampere of the set current.
+    The inputs of the subcircuit are the height ``y`` and ``enable``. The output stage measures the
+    coil current with a resistor of at most 100 Ohm. The voltage of this resistor at the current
+    limit is at most 10 V, within the rails. The supply voltage of the output stage is a multiple of
+    100 V. With this supply voltage, the stage can drive the limit current through the resistance
+    ``load`` [Ohm] of the coils, with a margin for changes of the current. Without the output stage,
+    the output of the controller is the voltage at ``command``, with 100 V for each ampere of the
+    set current.
     """
     declared = declare_control(control, output=output)
     if control.form == "ideal":

@@ -54,7 +54,8 @@ class SensorKeys(Section):
 def declare_sensor(keys: SensorKeys) -> Declaration:
     """Return the declaration of the noise-free sensor.
 
-    Its output is the position, filtered by a first-order low-pass filter, plus the offset.
+    The output of the sensor is the position, filtered by a first-order low-pass filter, plus the
+    offset.
     """
     return Declaration(
         "sensor",
@@ -123,8 +124,7 @@ dc = "1 um"
         cards: tuple[Item, ...] = ()
         size = DISPLACEMENT.per_unit * keys.noise
         if keys.noise and build.has_noise:
-            # The white noise up to the bandwidth is a multiple of the noise voltage of a resistor
-            # of 1 Ohm.
+            # The white noise is a multiple of the noise voltage of a resistor of 1 Ohm.
             root = math.sqrt(4 * BOLTZMANN * DEFAULT_TEMPERATURE * keys.bandwidth)
             cards = attach_comments((
                 "* noise of 1 Ohm at 27 C times a gain",

@@ -45,8 +45,8 @@ def baffle_air_mass(area: float) -> float:
 
     This mass is the low-frequency limit.
 
-    It is ``8/3 rho a^3`` with the radius a and the density rho (L. E. Kinsler et al., Fundamentals
-    of Acoustics, 2000, section 7.5).
+    The mass is ``8/3 rho a^3`` with the radius a and the density rho (L. E. Kinsler et al.,
+    Fundamentals of Acoustics, 2000, section 7.5).
     """
     return 8 / 3 * AIR_DENSITY * (area / math.pi) ** 1.5
 
@@ -54,8 +54,8 @@ def baffle_air_mass(area: float) -> float:
 class SemiInductance(NamedTuple):
     """Elements that model a voice coil with eddy currents; a missing element is 0.
 
-    They are the inductances ``leb`` and ``le`` [H], the semi-inductance ``ke`` [H s^-1/2] and the
-    resistance ``rss`` [Ohm] of shorted turns.
+    The elements are the inductances ``leb`` and ``le`` [H], the semi-inductance ``ke`` [H s^-1/2]
+    and the resistance ``rss`` [Ohm] of shorted turns.
     """
 
     leb: float
@@ -141,8 +141,8 @@ def _add_semi_inductance(
             terms.params.append(positive_parameter(name, value, unit, notes[name]))
     if semi.leb:
         terms.coenergy.append(f"0.5*leb*{COIL}^2")
-    # Parallel inductors are combined to a single inductor, because the distribution of a constant
-    # current between two inductors would be undetermined.
+    # Parallel inductors are combined into a single inductor.
+    # The distribution of a constant current between two inductors would be undetermined.
     conductances = [f"{ladder.constant!r}/ke"] * bool(semi.ke) + ["1/rss"] * bool(semi.rss)
     inverses = [f"{ladder.integral!r}/ke"] * bool(semi.ke) + ["1/le"] * bool(semi.le)
     terms.constants["r_fast"] = f"1/({_join_terms(*conductances)})"
@@ -152,8 +152,8 @@ def _add_semi_inductance(
     if not semi.ke:
         return
     for k, (corner, weight) in enumerate(zip(ladder.corners, ladder.weights, strict=True), 1):
-        # The term weight corner / (ke (s + corner)) is a resistance R = ke / weight in series with
-        # an inductance L = R / corner.
+        # The term weight corner / (ke (s + corner)) is a resistance in series with an inductance.
+        # Their values are R = ke / weight and L = R / corner.
         terms.constants[f"r_eddy{k}"] = f"ke/{weight!r}"
         terms.constants[f"l_eddy{k}"] = f"r_eddy{k}/{corner!r}"
         terms.add_path(f"i_eddy{k}", f"l_eddy{k}", f"r_eddy{k}")
@@ -180,8 +180,8 @@ def _add_creep(terms: _DeclarationTerms, creep: float, ladder: RelaxationLadder)
     stretches = [f"x{k}" for k in range(1, len(nodes) + 1)]
     terms.energy.append(f"0.5*({' - '.join(['x', *stretches])})^2/c0")
     for k, (corner, weight) in enumerate(zip(ladder.corners, ladder.weights, strict=True), 1):
-        # This element contributes c0 creep weight corner / (s + corner) to the compliance, with s
-        # relative to 2 pi fs.
+        # This element adds c0 creep weight corner / (s + corner) to the compliance.
+        # The frequency s in this term is relative to 2 pi fs.
         terms.constants[f"c_creep{k}"] = f"c0*creep*{weight!r}"
         terms.constants[f"r_creep{k}"] = f"1/({corner!r}*omega*c_creep{k})"
         terms.branches.append(displacement(f"x{k}", nodes[k - 1], "frame", f"force_x{k}"))
@@ -193,7 +193,7 @@ def _add_sound(terms: _DeclarationTerms, sides: tuple[str, ...], area: float) ->
     """Add acoustic pins, which the cone couples to its motion as an ideal transformer.
 
     The ratio of the transformer is the area ``sd``. The pressure p on the rear of the cone has the
-    coenergy ``sd x p``. On the front, where the cone presses air out, it has ``-sd x p``.
+    coenergy ``sd x p``. On the front, where the cone presses air out, the coenergy is ``-sd x p``.
     """
     terms.params.append(
         positive_parameter("sd", round_to_digits(area), "m2", "effective area of the cone")
@@ -245,8 +245,8 @@ def declare_motor(
         rating="not known; i^2 re heats the coil, and xmax limits the excursion",
         sign=SIGN_NOTE + SOUND_SIGN_NOTE * bool(sides),
         inner=tuple(more.inner),
-        # The sound pressure is computed from the velocity, because a second numerical derivative of
-        # the displacement would be inaccurate.
+        # The sound pressure is computed from the velocity of the cone.
+        # A second numerical derivative of the displacement would be inaccurate.
         velocities={"x": "speed_m"} if sides else {},
     )
 

@@ -15,8 +15,8 @@ STEADY_SHARE = 0.5  # last fraction of a transient in which the oscillation coun
 def compute_efficiency(part: Part, scene: Scene, waves: Waveforms) -> np.ndarray | None:
     """Return the efficiency of a loudspeaker, radiated power divided by electrical power.
 
-    The array has the shape (n,) with a value for each frequency, or the shape (1,) with the mean
-    over the last periods of a transient. The radiated power is ::
+    The returned array has the shape (n,) with a value for each frequency, or the shape (1,) with
+    the mean over the last periods of a transient. The radiated power is ::
 
         P = angle r^2 |p|^2 / (rho c)
 
@@ -56,7 +56,7 @@ def _average_periods(
     period: float | None,
     delay: float,
 ) -> np.ndarray | None:
-    """Return the ratio of two mean powers over the last complete periods, of shape (1,).
+    """Return an array (1,) with the ratio of mean powers over the last complete periods.
 
     ``radiated`` and ``electrical`` are powers versus time, of shape (n,). The radiated power
     arrives ``delay`` [s] later than the electrical power that generates it. Return None without a

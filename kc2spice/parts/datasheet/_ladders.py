@@ -21,11 +21,10 @@ import numpy as np
 
 # Numbers of frequencies at which a ladder is fitted, and at which its error is computed.
 _FIT_POINTS, _CHECK_POINTS = 120, 2000
-# Band [rad/s] of the ladder of semi-inductances, 5 Hz to 50 kHz, which is wider than the audio
-# band.
+# Band [rad/s] of the ladder of semi-inductances: 5 Hz to 50 kHz, wider than the audio band.
 SEMI_INDUCTANCE_BAND = 2 * np.pi * 5.0, 2 * np.pi * 50e3
-# Number of branches of the ladder of semi-inductances. Each additional branch divides the error by
-# 2.3.
+# Number of branches of the ladder of semi-inductances.
+# Each additional branch divides the error of the ladder by 2.3.
 SEMI_INDUCTANCE_BRANCHES = 9
 # Frequency band of the ladder of creep, relative to the creep frequency.
 CREEP_BAND = 1e-3, 30.0
@@ -44,7 +43,7 @@ class RelaxationLadder:
     error: float
 
     def evaluate(self, s: np.ndarray) -> np.ndarray:
-        """Return the response of the ladder at the complex frequencies ``s``, of shape (n,)."""
+        """Return an array (n,) with the ladder's response at the complex frequencies ``s``."""
         corners, weights = np.array(self.corners), np.array(self.weights)
         terms = weights * corners / (s[:, None] + corners)
         return np.asarray(self.constant + self.integral / s + terms.sum(axis=1))

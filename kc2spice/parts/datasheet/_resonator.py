@@ -79,8 +79,8 @@ class RatedKeys(NumberedKeys):
 class Resonator:
     """Circuit elements of a resonator in SI units.
 
-    They are the clamped capacitance ``c0``, and for each mode the series resonance frequency
-    ``fs``, the capacitance ``cm`` and the resistance ``rm``.
+    The elements are the clamped capacitance ``c0``, and for each mode the series resonance
+    frequency ``fs``, the capacitance ``cm`` and the resistance ``rm``.
     """
 
     c0: float
@@ -126,7 +126,7 @@ class Resonator:
     def capacitance(self, frequency: float) -> float:
         """Return the capacitance [F] of the circuit without losses at ``frequency`` [Hz].
 
-        It is ``c0 + sum cm / (1 - (f / fs)^2)``.
+        The capacitance is ``c0 + sum cm / (1 - (f / fs)^2)``.
         """
         modes = zip(self.cm, self.fs, strict=True)
         return self.c0 + sum(c / (1 - (frequency / f) ** 2) for c, f in modes)
@@ -315,7 +315,7 @@ class ResonatorPart(NumberedPart[KeysT]):
 
 
 def as_function_of_unknowns(value: Callable[[Resonator], float]) -> Relation:
-    """Return a function of the unknowns that computes ``value`` of their resonator."""
+    """Return a function that computes ``value`` of the resonator with the passed unknowns."""
     return lambda unknowns: value(Resonator.from_unknowns(unknowns))
 
 
@@ -330,9 +330,8 @@ def _list_cards(content: ResonatorNetlist, plus: str, minus: str) -> Iterator[It
     yield Element.of("Vmeter", plus, "inner", "0")
     yield Element.of("C0", "inner", minus, "{c0}")
     for n in content.modes:
-        # The inductor separates the resistor from the capacitor. At a common node, the large
-        # conductance of the resistor would cause rounding errors in the small admittance of the
-        # capacitor.
+        # The inductor separates the resistor with a large conductance from the capacitor.
+        # At a common node, this conductance would cause rounding errors in the small admittance.
         inductor, capacitor = f"motion{n}", f"charge{n}"
         yield Element.of(f"Rm{n}", "inner", inductor, f"{{rm{n}}}")
         yield Element.of(f"Lm{n}", inductor, capacitor, f"{{lm{n}}}")
@@ -361,5 +360,5 @@ def tolerance_note(value: float, tolerance: float | None) -> str:
 
 
 def mode_suffixes(modes: int) -> Sequence[str]:
-    """Return the suffix of the element names of each mode; an empty one for a single mode."""
+    """Return the suffix of each mode's element names; an empty suffix for a single mode."""
     return ("",) if modes == 1 else [str(n + 1) for n in range(modes)]

@@ -23,16 +23,16 @@ from kc2spice.core.errors import MAX_CANDIDATES, UsageError
 VALUE_ROUNDING = 0.005  # largest relative rounding error of a value with three significant digits
 # Step of the central differences with respect to logarithms; their errors are 1e-10 and 1e-11.
 DIFFERENCE_STEP = 1e-5
-# Relative singular value below which an unknown counts as undetermined, far above the errors of the
-# differences.
+# Relative singular value below which an unknown counts as undetermined.
+# This value is far above the errors of the central differences.
 RANK_TOLERANCE = 1e-7
 SOLUTION_TOLERANCE = 1e-6  # largest relative error of an equation that counts as solved
 # factor by which one unknown changes at the start of the search for a second circuit
 RESTART_FACTOR = 30.0
 # Two circuits count as different if the logarithm of an unknown differs by more than this value.
 DISTINCT_DIFFERENCE = 1e-3
-# Smallest accepted value in SI units, far below all values of data sheets; its reciprocal is the
-# largest.
+# Smallest accepted value in SI units, far below all values of data sheets.
+# The largest accepted value is the reciprocal of the smallest accepted value.
 SMALLEST_VALUE = 1e-24
 LARGEST_LOGARITHM = 150.0  # logarithm of the largest unknown, far inside the range of a float
 
@@ -44,10 +44,10 @@ class StatedValues:
     """Stated values of a data sheet, and each value as a function of the unknowns.
 
     ``stated`` contains the values by their keys. ``relations`` contains the functions for all
-    values that a data sheet can state. Their argument is the vector of unknowns in SI units.
-    ``start`` contains the unknowns at the start of the iteration. ``units`` contains the units of
-    the values. The relative tolerance of a value is its entry in ``tolerance``, or without one its
-    entry in ``rounding``.
+    values that a data sheet can state. The argument of each function is the vector of unknowns in
+    SI units. ``start`` contains the unknowns at the start of the iteration. ``units`` contains the
+    units of the values. The relative tolerance of a value is its entry in ``tolerance``, or without
+    such an entry, its entry in ``rounding``.
     """
 
     part: str
@@ -92,8 +92,8 @@ class StatedValues:
     def _compute_gradient(self, key: str, x: np.ndarray) -> np.ndarray:
         """Return the derivatives of the logarithm of the value ``key``.
 
-        They are the derivatives with respect to the logarithms of the unknowns, an array
-        (unknowns,).
+        The derivatives are taken with respect to the logarithms of the unknowns; their array has
+        the shape (unknowns,).
         """
         steps = DIFFERENCE_STEP * np.eye(x.size)
         rows = [
@@ -102,7 +102,7 @@ class StatedValues:
         return np.array(rows) / (2 * DIFFERENCE_STEP)
 
     def _compute_residual(self, key: str, x: np.ndarray) -> float:
-        """Return the logarithm of the ratio of the value at ``x`` to the stated value."""
+        """Return ``ln(value / stated value)`` for the logarithms ``x`` of the unknowns."""
         return self._compute_logarithm(key, x) - math.log(self.stated[key])
 
     @cached_property
@@ -135,7 +135,8 @@ class StatedValues:
         return replace(self, stated=stated)
 
     def _count_determined_unknowns(self, x: np.ndarray, *more: str) -> int:
-        """Return the number of unknowns that the stated values, and the values ``more``, fix."""
+        """Return the number of unknowns that the stated values and the values ``more``
+        determine."""
         rows = [self._compute_gradient(key, x) for key in (*self.stated, *more)]
         return int(np.linalg.matrix_rank(np.array(rows), tol=RANK_TOLERANCE)) if rows else 0
 

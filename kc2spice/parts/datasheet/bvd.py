@@ -37,8 +37,8 @@ from kc2spice.scene.parttype import register
 MAX_MODES = 8
 CAPACITANCE_FREQUENCY = 1e3  # Hz, at which data sheets usually state capacitances
 FREQUENCY_ROUNDING = 5e-4  # largest relative rounding error of a frequency with four digits
-# Start values of the iteration: ratio of motional to clamped capacitance, and Q factor. They belong
-# to a ceramic with a coupling coefficient of 0.22.
+# Start values of the iteration: ratio of motional to clamped capacitance, and Q factor.
+# These start values belong to a ceramic with a coupling coefficient of 0.22.
 START_RATIO = 0.05
 START_QUALITY = 100.0
 # smallest ratio of motional to clamped capacitance, below the ratio of any crystal
@@ -49,7 +49,7 @@ START_CAPACITANCE = 1e-9
 
 
 def _wrap_in_list(value: object) -> object:
-    """Return a tuple with a single value, and a list unchanged."""
+    """Return a single value as a tuple, and return a list unchanged."""
     if isinstance(value, (list, tuple)):
         if value == []:  # the default is an empty tuple
             raise invalid_value_error(

@@ -66,8 +66,8 @@ from kc2spice.scene.part_records import EquilibriumConditions, Neglected, Vector
 from kc2spice.scene.parttype import register
 
 RADIATION = "radiation"  # part type that models the mass of the air at the cone
-# Default ratio le / re [s] for a data sheet without le. The corner frequency of 159 kHz is above
-# the audio band.
+# Default ratio le / re [s] for a data sheet without le.
+# With this ratio, the corner frequency of the coil is 159 kHz, far above the audio band.
 INDUCTANCE_TIME = 1e-6
 
 
@@ -240,7 +240,8 @@ stop = "1 kHz"
     def mass_declaration(self, part: Part[LoudspeakerKeys], scene: WiredScene) -> Declaration:
         """Return the declaration of the moving mass.
 
-        It excludes the mass of the air that connected parts of type ``radiation`` contain.
+        The moving mass excludes the mass of the air that connected parts of type ``radiation``
+        contain.
         """
         driver = self._find_parameters(part, scene)
         sides = [
@@ -260,7 +261,7 @@ stop = "1 kHz"
     def vectors(self, part: Part[LoudspeakerKeys], build: Build) -> Mapping[str, Vector]:
         """Return the ngspice vectors of the part's results, keyed by result name.
 
-        They are the results of the declaration, and the current and voltage of the whole part.
+        The results are those of the declaration, and the current and voltage of the whole part.
         """
         result, n = dict(super().vectors(part, build)), part.name
         if f"{n}.{COIL}" in result:
@@ -334,7 +335,7 @@ stop = "1 kHz"
     def _describe_air(
         self, part: Part[LoudspeakerKeys], scene: Scene, area: float, sides: tuple[str, ...]
     ) -> Iterator[str | Neglected]:
-        """Yield a note for each side of the cone that states which part contains the air mass."""
+        """Yield a note on each side of the cone, stating which part contains the air mass."""
         load = f"{1e3 * baffle_air_mass(area):.3g} g"
         for side in (FRONT, REAR):
             if side not in sides:

@@ -24,8 +24,7 @@ from kc2spice.scene.model import GovernedScene, JoinedScene, Part, Scene, Termin
 from kc2spice.scene.part_records import Neglected, Numerics
 from kc2spice.scene.parttype import register
 
-# Rise time of the current divided by the operate time, assumed for a data sheet without an
-# inductance.
+# Assumed rise time of the current, divided by the operate time, for an unknown inductance.
 CURRENT_RISE_SHARE = 0.9
 # time from one end of the armature's travel to the middle, in time constants of the armature
 HALF_WAY_TIME = math.log(2)
@@ -124,8 +123,8 @@ def declare_relay(params: tuple[Param, ...], changeover: bool) -> Declaration:
 
     The position of the armature is 0 at rest and at most 1. The armature moves towards 1 while the
     voltage across the coil resistance exceeds the pick-up voltage. Beyond the middle of its travel,
-    it does so while this voltage exceeds the release voltage. The contacts switch when the armature
-    is in the middle.
+    the armature moves towards 1 while this voltage exceeds the release voltage. The contacts switch
+    when the armature is in the middle.
     """
     closed, opened = "1/contact_resistance", "1/insulation_resistance"
     step = f"({closed} - {opened})*above(armature - 0.5)"

@@ -24,11 +24,11 @@ RAIL_STIFFNESS = 1e3  # restoring rate divided by the slew rate, per volt beyond
 FULL_TURN = repr(2 * math.pi)
 # Name of the parameter with the resistance [Ohm] of ``Rout``, the last resistor of each circuit.
 SERIES_PARAMETER = "series_resistance"
-# Gain with which a linear amplifier limits a voltage beyond a rail: 1 kS of the rail divided by 1
-# mS of the input stage.
+# Gain with which a linear amplifier limits a voltage beyond a rail.
+# The gain is 1 kS of the rail, divided by 1 mS of the input stage.
 RAIL_GAIN = 1e6
-# Amplitude of the sine in the arcsine that generates the triangle. An amplitude below 1 rounds the
-# corners of the triangle.
+# Amplitude of the sine whose arcsine is the triangle.
+# An amplitude below 1 rounds the corners of the triangle.
 SINE_SHARE = 0.9999
 PI_BANDWIDTH = 1e7  # Hz, gain-bandwidth product of the amplifier of a PI controller
 INPUT_RESISTANCE = 1e5  # Ohm, input resistor of a PI controller
@@ -90,7 +90,7 @@ def declare_linear_drive(parameters: Iterable[Param], sense: float) -> Declarati
 
     A sense resistor ``sense`` [Ohm] connects ``ret`` to ``ref``. R1 = 1 kOhm connects ``ret`` to
     ``inverting``, and R2 = ``ratio`` R1 connects ``inverting`` to ``middle``. A capacitor connects
-    ``middle`` to ``drive``. Its time constant with R2 is ``constant``.
+    ``middle`` to ``drive``. The time constant of this capacitor with R2 is ``constant``.
     """
     return Declaration(
         "linear_drive",
@@ -155,8 +155,8 @@ def declare_pwm_drive(
     A comparator compares the output of the controller with a triangle between plus and minus
     ``carrier`` [V]. The triangle is the arcsine of the sine on the pin ``sine``. ``shunt`` [Ohm] is
     the resistor in the return line. ``sense`` [Ohm] is the amplified voltage for each ampere in the
-    shunt. The operational amplifier of the controller has a linear input stage. Its rails are plus
-    and minus ``headroom`` times ``carrier``.
+    shunt. The operational amplifier of the controller has a linear input stage. The rails of this
+    amplifier are plus and minus ``headroom`` times ``carrier``.
     """
     rounded = f"{SINE_SHARE!r}*sine"
     supply = headroom * carrier

@@ -72,7 +72,7 @@ class InputNoise(Section):
 
 
 class TemplatePart(PartType[KeysT]):
-    """Part with the netlist ``templates/TEMPLATE.j2``, where TEMPLATE is ``template``.
+    """Part with a netlist template in ``templates/``; the attribute ``template`` is its name.
 
     ``heading`` describes the part in the first line of its library. ``fixed`` contains the pins.
     ``constants`` contains numbers of the template that no key sets. ``opamp`` is the level of the
@@ -142,8 +142,8 @@ def opamp_subcircuit(
 
     Between the rails ``vee`` and ``vcc``, the output voltage is ``V(out) = A(s) (V(inp) - V(inn))``
     with ``A = a0 / (1 + s a0 / (2 pi gbw))``. With the level ``slew``, the subcircuit
-    ``opamp_slew`` also limits slew rate and output current. Its input ``noise`` is the thermal
-    noise ``sqrt(4 k T 1 Ohm)`` of resistors of 1 Ohm, multiplied by a gain.
+    ``opamp_slew`` also limits slew rate and output current. The input ``noise`` of ``opamp_slew``
+    is the thermal noise ``sqrt(4 k T 1 Ohm)`` of resistors of 1 Ohm, multiplied by a gain.
     """
     pins = [Terminal(pin, "V", "A") for pin in ("inp", "inn", "out", "vcc", "vee", "ref")]
     params = (
@@ -170,8 +170,8 @@ def opamp_subcircuit(
     return render_library("opamp_slew", header, "opamp_slew", title, pins, params + limits, **words)
 
 
-# Relative margin of rail checks, which allows for the resistance of supplies and the errors of
-# saved time points.
+# Relative margin of rail checks.
+# The margin allows for the resistance of supplies and for the errors of saved time points.
 RAIL_MARGIN = 1e-3
 OVERDRIVE_ADVICE = (
     "its load drives it beyond its rails, where diodes of a real output would conduct"
@@ -192,7 +192,7 @@ class CoilLoad(NamedTuple):
 def pin_voltages(part: Part, build: Build, pins: Iterable[str]) -> dict[str, Vector]:
     """Return the vectors of the results ``PART.PIN``, which are pin voltages.
 
-    They are relative to the pin ``ref`` if the part has it, otherwise to node 0.
+    The voltages are relative to the pin ``ref`` if the part has this pin, otherwise to node 0.
     """
     base = build.net(part, "ref") if (part.name, "ref") in build.scene.nets else "0"
     result = {}
@@ -305,9 +305,9 @@ class CoilDriver(Driver[KeysT]):
         return {} if control is None else {"command": f"{control.name}.command"}
 
     def load(self, part: Part[KeysT], build: Build) -> CoilLoad:
-        """Return the load of the driver, the coils at its terminals.
+        """Return the load of the driver, which consists of the coils at its terminals.
 
-        Their inductance is the inductance with the sphere at its set point.
+        The inductance of the coils is computed with the sphere at its set point.
         """
         coils = _find_joined_part(part, "drive", build.scene, "ring_magnet_coils")
         if coils is None:

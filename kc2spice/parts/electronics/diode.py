@@ -90,7 +90,8 @@ class Diode(TemplatePart[DiodeKeys]):
     def numerics(self, part: Part[DiodeKeys], scene: WiredScene) -> Iterator[Numerics]:
         """Yield a tighter tolerance for all analyses except transients.
 
-        Newton's method needs it, because the equation of the diode is exponential.
+        Newton's method needs this tighter tolerance, because the equation of the diode is
+        exponential.
         """
         if scene.analysis.type != "transient":
             change = "1e-9", "change at which Newton's method stops: exponential laws"

@@ -238,8 +238,9 @@ class PwmDrive(CoilDriver[PwmKeys]):
     template, heading = "driver_pwm", "H-bridge for the coils"
     opamp = "pole"
     noise = "no noise: it switches, which an operating point knows nothing of"
-    # ``carrier`` is the peak of the triangle [V], and ``headroom`` is the rail voltage of the
-    # controller divided by this peak. ``shunt`` is the resistor in the return line [Ohm], and
+    # ``carrier`` is the peak of the triangle [V].
+    # ``headroom`` is the rail voltage of the controller, divided by the peak of the triangle.
+    # ``shunt`` is the resistor in the return line [Ohm].
     # ``sense`` is the voltage for each ampere in the shunt [Ohm].
     constants: ClassVar = {"carrier": 10.0, "headroom": 1.2, "shunt": 1, "sense": SENSE_RESISTANCE}
 
@@ -253,8 +254,8 @@ class PwmDrive(CoilDriver[PwmKeys]):
             return result
         name = f"{part.name} carrier"
         carrier = laws.IdealSource(name, "signal", sine_waveform(1.0, part.keys.frequency))
-        # The resistor to the pin ``drive`` begins at the output of one bridge leg, which is not a
-        # node of the equations.
+        # The resistor to the pin ``drive`` begins at the output of one bridge leg.
+        # The output of this bridge leg is not a node of the equations.
         results = {
             **result.results,
             f"{part.name}.i": laws.scale_wave(f"{part.name}.drive.through", -1.0),
@@ -272,9 +273,9 @@ class PwmDrive(CoilDriver[PwmKeys]):
         """Return parameters and values of the control loop for the coils ``load``.
 
         The output of the controller is ``u = command + (command - 100 Ohm i) ratio (1 + 1 / (s L /
-        R))`` with ``ratio = 2 pi f L carrier / (100 Ohm rail)``. It is compared with a triangle of
-        the amplitude ``carrier``. f is the bandwidth of the loop, and L and R are the inductance
-        and the resistance of the coils.
+        R))`` with ``ratio = 2 pi f L carrier / (100 Ohm rail)``. This output is compared with a
+        triangle of the amplitude ``carrier``. f is the bandwidth of the loop, and L and R are the
+        inductance and the resistance of the coils.
         """
         resistance = load.resistance + 2 * keys.resistance + self.constants["shunt"]
         r2 = (

@@ -44,8 +44,8 @@ from kc2spice.scene.part_records import Vector
 from kc2spice.scene.parttype import register
 from kc2spice.scene.settings import FileName
 
-# Device parameter that is the current of an element in ngspice, by the letter of the element. It is
-# empty for elements with a branch current.
+# Device parameter that is the current of an element in ngspice, by the letter of the element.
+# The device parameter is empty for elements with a branch current.
 _CURRENT_PARAMETERS = {
     **dict.fromkeys("rclb", "i"),
     **dict.fromkeys("dmj", "id"),
@@ -320,7 +320,7 @@ def _read_pins(part: Part[NetlistKeys], scene: DeclaredScene) -> tuple[str, ...]
         if error.where in (
             Path(file).name,
             (scene.home / file).name,
-        ):  # the whole file, not one of its lines
+        ):  # the error concerns the whole file, not a single line
             error.where, error.got = f"{part.name}.file", error.got or repr(file)
         raise
     pins = known.get(part.keys.subckt.lower())
@@ -349,7 +349,7 @@ def _read_pins(part: Part[NetlistKeys], scene: DeclaredScene) -> tuple[str, ...]
 
 
 def _list_probed_nodes(part: Part[NetlistKeys], scene: DeclaredScene) -> Iterator[tuple[str, str]]:
-    """Yield the name of each probe of this part, and the pin, node or ``i(ELEMENT)`` it reads.
+    """Yield the name of each probe of this part, and the pin, node or ``i(ELEMENT)`` it measures.
 
     Probes of the current or power at a pin are left out.
     """

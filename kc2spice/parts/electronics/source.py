@@ -87,19 +87,19 @@ class SourceKind(NamedTuple):
 
 
 SOURCE_TYPES = {name: SourceKind(*place) for name, place in QUANTITIES.items()}
-# Kinds of sources with steps that an inductance or a mass smooths. The other kinds prescribe
-# motions or flows.
+# Kinds of sources with steps that an inductance or a mass smooths.
+# All other kinds of sources prescribe motions or flows.
 SMOOTHED_KINDS = ("voltage", "force")
 WAVEFORM_KEYS = ("dc", "pulse", "sine", "pwl", "file")
 MAX_ROWS = 100_000  # largest number of rows of a waveform file
-# Time points per period of a sine, for which linear interpolation has an error of 4e-4 of the
-# amplitude.
+# Time points per period of a sine.
+# With these points, linear interpolation has an error of 4e-4 of the amplitude.
 POINTS_PER_PERIOD = 125
-# Highest frequency of an edge, multiplied by the edge time. A fraction of 1e-4 of the spectrum is
-# above this frequency.
+# Highest frequency of an edge, multiplied by the edge time.
+# A fraction of 1e-4 of the spectrum of an edge is above this highest frequency.
 EDGE_FACTOR = 0.5
-# Ratio of the highest resolved frequency to the frequency of a sine that is switched on. With a
-# ratio of 3, a mode above the band had an error of 1.3 %.
+# Highest resolved frequency, relative to the frequency of a sine that is switched on.
+# With a ratio of 3 of these frequencies, a mode above the band had an error of 1.3 %.
 RESOLVED_HARMONICS = 8.0
 # Largest deviation of a simulated source from its definition, relative to its range of values.
 MAX_DEVIATION = 1e-3

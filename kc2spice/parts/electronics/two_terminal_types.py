@@ -239,14 +239,14 @@ class LinearElement(DeclaredPart[KeysT]):
 
     @cached_property
     def _has_si_units(self) -> bool:
-        """Whether the pins have SI units; a resistor card then has the noise of the loss."""
+        """Whether the pins have SI units, so that a resistor card has the noise of the loss."""
         return self._unit_factor == ONE
 
     def _noise_cards(self, part: Part[KeysT], build: Build, a: str, b: str) -> tuple[Element, ...]:
         """Return the cards of the thermal noise of a loss, such as the force noise of a damper.
 
-        The spectral density of the force is ``4 k T c`` [N^2/Hz] for the damping c. Its value
-        equals the voltage noise of a resistor of c ohms.
+        The spectral density of the force is ``4 k T c`` [N^2/Hz] for the damping c. The value of
+        this density equals the voltage noise density of a resistor of c ohms.
         """
         if not self._has_loss:
             return ()

@@ -70,18 +70,17 @@ from kc2spice.scene.part_records import Vector
 from kc2spice.scene.parttype import register
 
 PATCH_PREFIX = "patch"  # prefix of the names of ports that form a row of patches
-# Relative error of the ratio of force to displacement that the iterations of an operating point
-# cause.
+# Relative error of force / displacement due to the iterations of an operating point.
 ITERATION_ROUNDING = 1e-9
-# Largest relative change of the capacitance that counts as zero, far above the rounding errors of
-# ngspice.
+# Largest relative change of the capacitance that counts as zero.
+# This change is far above the rounding errors of ngspice.
 MAX_CAPACITANCE_CHANGE = 1e-5
 # Largest odd m and n of the film series; the remaining terms contribute 1e-4 of the damping.
 MAX_SERIES_INDEX = 99
 # factor on the number of film branches for the model of ``verify``
 REFINEMENT_RATIO = 2
-# Smallest and largest number of film branches. The smallest number exceeds 1, because the motion
-# can be faster than the drive.
+# Smallest and largest number of film branches.
+# The smallest number exceeds 1, because the motion can be faster than the drive.
 MIN_BRANCHES = 3
 MAX_BRANCHES = 100
 
@@ -165,7 +164,7 @@ class GapKeys(_stop.StopKeys):
 
 
 class PatchedPart(DeclaredPart[KeysT]):
-    """Part that acts on a row of patches through pins ``p1`` …, as many as its key ``a`` names."""
+    """Part with a pin ``p1``, ``p2``, … for each patch that its key ``a`` names."""
 
     def pins(self, part: Part[KeysT], scene: JoinedScene) -> tuple[Terminal, ...]:
         """Return the pins in the order of the subcircuit."""
@@ -173,7 +172,7 @@ class PatchedPart(DeclaredPart[KeysT]):
         return tuple(replace(pin, required=pin.name in ("plus", HEAT)) for pin in pins)
 
     def default_joins(self, part: Part[KeysT], scene: GovernedScene) -> Mapping[str, str]:
-        """Return the default connection of each patch pin, a port of the body."""
+        """Return the port of the body to which each patch pin is connected by default."""
         return {f"p{k}": port for k, port in enumerate(patch_ports(part, scene), 1)}
 
 
@@ -240,7 +239,7 @@ class Gap(PatchedPart[GapKeys]):
     ) -> Iterator[Check | Balance | Gate]:
         """Yield the checks of the gap after a run.
 
-        After a dc sweep, they include a check that no point is on the unstable branch between
+        After a dc sweep, the checks include a check that no point is on the unstable branch between
         pull-in and release. At a stable point, the capacitance never decreases with ``v^2``.
         """
         yield from super().checks(part, build, waves)
@@ -397,8 +396,8 @@ def _declare_gap(text: str, count: int, film_branches: int, top: float) -> Decla
     for k, share in enumerate(shares, 1):
         numbers[f"share{k}"] = share
         branches.append(displacement(f"x{k}", f"p{k}", "b", f"force{k}"))
-        # The divisor is the gap relative to the gap at rest, because ngspice adds 1e-32 to every
-        # divisor.
+        # The divisor is the gap divided by the gap at rest.
+        # A divisor in metres would be inaccurate, because ngspice adds 1e-32 to every divisor.
         gap = f"(1 - {sign}1*x{k}/gap)"
         capacitance = f"share{k}*area/gap/{gap}"
         # The gap is limited, because the argument of a root must not be negative in any iteration.
@@ -477,8 +476,8 @@ def _list_neglected_effects(
 def _compute_series_terms(film: SqueezeFilmKeys) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the dampers, the springs and the indices m of all terms of the film series.
 
-    Each is an array of shape (n,), largest damper first. The dampers are multiplied by gap^3, and
-    the springs by gap.
+    Each returned array has the shape (n,) and begins with the term of the largest damper. The
+    dampers are multiplied by gap^3, and the springs by gap.
     """
     area, odd = film.length * film.width, np.arange(1, MAX_SERIES_INDEX + 1, 2)
     m, n = np.reshape(np.meshgrid(odd, odd), (2, -1))

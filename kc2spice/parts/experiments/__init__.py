@@ -1,4 +1,4 @@
 """Part types for the experiments of the paper.
 
-They are impact, imprint, frequency response and force map.
+The experiments are impact, imprint, frequency response and force map.
 """

@@ -80,7 +80,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
     def governed_parts(
         self, part: Part[CurrentCasesKeys], scene: DeclaredScene
     ) -> Mapping[str, Governed]:
-        """Return the sphere, which this part moves, and the coils, which it copies per case."""
+        """Return the sphere that this part moves, and the coils that this part copies."""
         return {_find_sphere(part, scene): "moved", _find_coils(part, scene).name: "copied"}
 
     def cards(self, part: Part[CurrentCasesKeys], build: Build) -> tuple[Item, ...]:
@@ -197,7 +197,7 @@ def _list_force_names(part: Part[CurrentCasesKeys], build: Build) -> list[str]:
 def _read_recorded_forces(
     part: Part[CurrentCasesKeys], build: Build, waves: Waveforms
 ) -> np.ndarray:
-    """Return the recorded forces [N], an array of shape (current pairs, heights)."""
+    """Return the recorded forces [N] as an array of shape (current pairs, heights)."""
     return np.array([*map(waves.__getitem__, _list_force_names(part, build))])
 
 

@@ -39,8 +39,8 @@ from kc2spice.scene.model import (
 from kc2spice.scene.part_records import Governed, Vector
 from kc2spice.scene.parttype import register
 
-# Capacitance [F] in series with a voltage source of 1 C / CHARGE_CAPACITANCE. It carries one
-# coulomb, whatever the voltage of the anode is.
+# Capacitance [F] in series with a voltage source of 1 C / CHARGE_CAPACITANCE.
+# The charge of this capacitance is one coulomb at any voltage of the anode.
 CHARGE_CAPACITANCE = 1e-24
 
 

@@ -132,9 +132,9 @@ class Push(TouchablePart[PushKeys]):
     def checks(self, part: Part[PushKeys], build: Build, waves: Waveforms) -> Iterator[Gate]:
         """Yield the checks of the part after a run."""
         pair, gates = _find_contact(part, build.scene), build.scene.gates
-        # At the first depths, only one basis function carries the contact force, which is too
-        # coarse for a pressure contact. All errors are therefore relative to the largest force. The
-        # error limit against the full model is the error of the basis.
+        # At the first depths, only one basis function carries the contact force.
+        # A single basis function is too coarse, so all errors are relative to the largest force.
+        # The error limit against the full model is the error of the pressure basis.
         law = pair.basis_error()
         limits = {
             "rom_vs_fom": max(gates.imprint_rom, law),

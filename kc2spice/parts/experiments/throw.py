@@ -91,7 +91,8 @@ class Throw(_touching.TouchablePart[ThrowKeys]):
     ) -> Mapping[str, object]:
         """Return the metrics of the impact.
 
-        Positions are relative to the first contact, and the force is that on a symmetry sector.
+        Positions are relative to the first contact, and the force is the force on one symmetry
+        sector.
         """
         pair = _touching.single_pair(build.scene)
         if pair is None or "time" not in waves:
@@ -143,7 +144,7 @@ def _compute_impact_speed(part: Part[ThrowKeys], scene: DeclaredScene) -> float:
 def find_minimum(t: np.ndarray, y: np.ndarray) -> tuple[float, float]:
     """Return time and value of the minimum of ``y``.
 
-    Both are computed from a parabola through the lowest sample and its two neighbours.
+    Time and value are computed from a parabola through the lowest sample and its two neighbours.
     """
     k = int(np.argmin(y))
     if k in (0, t.size - 1):
