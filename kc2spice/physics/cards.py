@@ -619,8 +619,8 @@ def _write_stored_quantity(
     unit = moved if moved != ZERO else Number("1e-12")
     yield Parameters({f"scale_{b.name}": f"{{{format_tree(unit)}}}"})
     amount = substitute_names(declaration.name_power_series(stored), nodes)
-    # A charge is multiplied by 1/scale, because ngspice adds 1e-32 to scale^2 in derivatives of
-    # quotients.
+    # A charge is multiplied by 1/scale, and not divided by scale.
+    # In derivatives of quotients, ngspice would add 1e-32 to scale^2.
     if not b.flows:
         yield Parameters({f"per_{b.name}": f"{{1/scale_{b.name}}}"})
         amount = Binary("*", Name(f"per_{b.name}"), amount)
@@ -633,7 +633,8 @@ def _write_stored_quantity(
 def _compute_change_by_motion(declaration: Declaration, stored: Tree) -> Tree:
     """Return the change of a stored quantity per 1 um of a displacement.
 
-    All coordinates are zero. The first displacement on which the quantity depends is used.
+    The change is computed with all coordinates at zero, for the first displacement on which the
+    quantity depends.
     """
     for b in declaration.displacements:
         slope = declaration.set_to_rest(differentiate_tree(stored, b.name))

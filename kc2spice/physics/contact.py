@@ -26,8 +26,8 @@ from kc2spice.physics.symbolic import (
 CONTACT_RATING = "not known; compare the force with the strength of both surfaces (Hertz)"
 # Note on the mesh error of a pressure law: the error of the compliances that the law is fitted to.
 SPACING_NOTE = "error not estimated; a run with half the key spacing shows it"
-# Reason for FRICTION_NOTE: in a test with compiled modules, a block slid 35 mm instead of 0.2 mm,
-# and the simulator printed no error.
+# Reason for FRICTION_NOTE: in a test with compiled modules, a block slid 35 mm, not 0.2 mm.
+# In this test, the simulator printed no error.
 FRICTION_NOTE = "compiled modules lose the digits that friction below its creep speed needs"
 SIGN_NOTE = "um, m/s and N count upwards; 1 A into a pin pushes the part up with 1 N"
 
@@ -89,8 +89,8 @@ def _make_contact_laws(power: float, count: int, damped: bool) -> tuple[Tree, Tr
     coefficients of the curve.
     """
     terms = []
-    # With the arguments in the order (0, x), the derivative of max(0, x) is 1 at x = 0, where
-    # Newton's method starts.
+    # With the arguments in the order (0, x), the derivative of max(0, x) is 1 at x = 0.
+    # Newton's method starts at x = 0.
     for k in range(count):
         order = power + 1 + k / 2
         closed = f"{f'c{k}*' if k else ''}max(0, x)^{int(order)}"

@@ -75,8 +75,9 @@ COEFFICIENT = "temperature_coefficient"
 REFERENCE = "reference_temperature"
 _ENERGIES = ("kinetic", "energy", "coenergy", "content")
 RATE = "_rate"  # suffix that makes the name of a velocity from the name of a displacement
-# Quantities that can be coordinates of a branch. Forces and torques cannot, because a force does
-# not determine a displacement. Heat flows cannot, because a heat flow stores no energy.
+# Quantities that can be coordinates of a branch.
+# Forces and torques cannot be coordinates, because a force does not determine a displacement.
+# Heat flows cannot be coordinates, because a heat flow stores no energy.
 COORDINATES = tuple(
     kind
     for kind, (domain, side) in QUANTITIES.items()
@@ -173,7 +174,7 @@ def displacement(
 ) -> Branch:
     """Make a branch whose coordinate is the displacement ``name`` [m] of ``plus``.
 
-    The displacements of the pins ``minus`` and ``less`` are subtracted from it.
+    The displacements of the pins ``minus`` and ``less`` are subtracted from that of ``plus``.
     """
     return Branch("displacement", name, plus, minus, force, less)
 
@@ -265,8 +266,9 @@ class Declaration:
     and rates, keyed by displacement. ``limits`` maps the description of a limit to an expression
     that must stay above zero. ``stops`` maps the description of a stop to an expression that is
     above zero in contact. ``neglected`` contains the name, the reason and the size of each
-    neglected effect. ``validity`` describes the range in which the equations hold. By default, this
-    is a constant temperature, or for a part with heat pins, that keys do not depend on temperature.
+    neglected effect. ``validity`` describes the range in which the equations hold. The default text
+    states a constant temperature, or for a part with heat pins, that keys do not depend on
+    temperature.
 
     ``conductors`` are the names of current or voltage branches whose resistance rises with the
     temperature of the heat pin. ``temperature_coefficient`` [1/K] is this rise, relative to the
@@ -569,7 +571,7 @@ class Declaration:
 
     @cached_property
     def with_loop_pin(self) -> Declaration:
-        """This declaration with each loop between the inner pin ``loops`` and itself."""
+        """Declaration in which each loop begins and ends at the inner pin ``loops``."""
         if self.open_branches == self.acting_branches:
             return self
         branches = (b if b.plus else replace(b, plus=LOOPS, minus=LOOPS) for b in self.branches)
@@ -718,7 +720,7 @@ class Declaration:
     def _lossy_flow(self, branch: Branch) -> Tree:
         """Return the part of a branch's flow that its losses cause.
 
-        For a branch whose coordinate is a current, this is the voltage across its resistance.
+        For a branch whose coordinate is a current, this part is the voltage across its resistance.
         """
         slope = self._differentiate_field("content", branch.lossy_variable)
         if not self.heated or branch.name not in self.conductors:
@@ -757,8 +759,8 @@ class Declaration:
     def split_motion(self, stored: Tree) -> tuple[Tree, Tree]:
         """Split a stored quantity into its rate due to motion, and the part without motion.
 
-        The motion is that of the displacements with a node in ``velocities``. The stored quantity
-        must be an affine function of these displacements.
+        Only displacements with a node in ``velocities`` count as motion. The stored quantity must
+        be an affine function of these displacements.
         """
         moving = [b for b in self.displacements if b.name in self.velocities]
         if not moving:
@@ -791,7 +793,8 @@ class Declaration:
     def dissipation(self) -> Tree:
         """Expression of the power [W] that all branches and ``forces`` dissipate.
 
-        For a branch of the thermal domain, this is the product of temperature and heat flow.
+        For a branch of the thermal domain, the dissipated power is the product of temperature and
+        heat flow.
         """
         moving = (b for b in self.branches if b.moves)
         rates = map(self._dissipated_power, moving)

@@ -16,9 +16,10 @@ import numpy as np
 from kc2spice.core.laws import AcrossInput, Device, Flow, LawPin
 from kc2spice.core.quantities import DEFAULT_TEMPERATURE
 
-# Boltzmann constant [J/K] and elementary charge [C] of ngspice (include/ngspice/const.h; CODATA
-# 2014). With the exact constants of the SI, the thermal voltage would be larger by the factor 1 +
-# 3.4e-7, and the current at 0.6 V smaller by the factor 1 - 8e-6.
+# Boltzmann constant [J/K] and elementary charge [C] of ngspice, from CODATA 2014.
+# The file include/ngspice/const.h of ngspice contains both constants.
+# With the exact constants of the SI, the thermal voltage would be larger by the factor 1 + 3.4e-7.
+# With the exact constants, the current at 0.6 V would be smaller by the factor 1 - 8e-6.
 SIMULATOR_BOLTZMANN = 1.38064852e-23
 SIMULATOR_CHARGE = 1.6021766208e-19
 THERMAL_VOLTAGE = SIMULATOR_BOLTZMANN * DEFAULT_TEMPERATURE / SIMULATOR_CHARGE  # V, at 27 C
@@ -27,12 +28,10 @@ MIN_CONDUCTANCE = 1e-12  # conductance [S] in parallel with each junction in ngs
 BUILT_IN_VOLTAGE = 1.0  # built-in voltage VJ [V]
 FORWARD_SHARE = 0.5  # FC, share of VJ above which the capacitance rises linearly
 BREAKDOWN_CURRENT = 1e-3  # current IBV [A] at the breakdown voltage
-# Reverse voltage, in thermal voltages, beyond which ngspice replaces the exponential law of the
-# current by a cubic law.
+# Reverse voltage, in thermal voltages, beyond which ngspice uses a cubic law of the current.
 REVERSE_RANGE = 3.0
 BREAKDOWN_ITERATIONS = 25  # fixed-point iterations; each reduces the error by the factor 1e-5
-# Distance from the breakdown voltage, in thermal voltages, within which steps of Newton's method
-# are limited as in the forward direction.
+# Distance from the breakdown voltage, in thermal voltages, within which Newton steps are limited.
 BREAKDOWN_MARGIN = 10.0
 # Largest voltage change in a Newton step, in thermal voltages, that is not limited.
 MAX_UNLIMITED_CHANGE = 2.0
@@ -189,7 +188,7 @@ class Junction(Device):
         return charge + over * (farad + over * slope / 2.0), farad + slope * over, coenergy
 
     def _compute_charge(self, v: float) -> tuple[float, float, float]:
-        """Return depletion and diffusion charge [C], its capacitance [F] and energy [J]."""
+        """Return the depletion plus diffusion charge [C], its capacitance [F] and energy [J]."""
         current, slope, content = self._compute_current(v)
         charge, farad, coenergy = self._compute_depletion_charge(v)
         charge += self.transit_time * current
@@ -209,7 +208,7 @@ class Junction(Device):
         return np.array([current, *(e[1:] / (self.series_resistance or 1.0))])
 
     def store(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the charge [C] of the junction and its derivatives [F] by the inputs ``e``."""
+        """Return the charge [C] of the junction and its derivatives [F] with respect to ``e``."""
         charge, farad, _ = self._compute_charge(float(e[0]))
         return np.array([charge]), np.array([[farad, *np.zeros(len(e) - 1)]])
 

@@ -282,11 +282,11 @@ class DeclaredLaw(Device):
         return result[:count], result[count:].reshape(count, e.size)
 
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the outputs of the law and their derivatives by the inputs ``e``."""
+        """Return the outputs of the law and their derivatives with respect to the inputs ``e``."""
         return self._evaluate_with_slopes(self._flow_function, e, mode)
 
     def store(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the stored quantities and their derivatives by the inputs ``e``.
+        """Return the stored quantities and their derivatives with respect to the inputs ``e``.
 
         The stored quantities are fluxes of current branches, states, and charges or momenta of
         other branches, in this order.

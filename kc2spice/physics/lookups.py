@@ -113,7 +113,7 @@ class Lookups:
             self.step = (high - self.low) / (self.points - 1)
 
     def tabulate(self, tree: Tree) -> np.ndarray:
-        """Return the values (points,) of an expression whose only variables are tables."""
+        """Return an array (points,) with the values of an expression that contains only tables."""
         known = {name: table.values for name, table in self.tables.items()}
         return np.asarray(evaluate_tree(_replace_calls_by_names(tree, self.tables), known))
 
@@ -187,15 +187,15 @@ def smooth_lookup(values: np.ndarray) -> tuple[tuple[Number, ...], tuple[Number,
     order up to both ends. Beyond the ends, ``f - w b`` is constant.
 
     Redundant points of ``b`` are omitted, because the time in which ngspice reads a table is
-    proportional to the square of the number of points. A point is omitted if this changes ``f - w
-    b`` by less than a sixteenth of a fourth difference, which is the interpolation error.
+    proportional to the square of the number of points. A point is omitted if its omission changes
+    ``f - w b`` by less than a sixteenth of a fourth difference, which is the interpolation error.
     """
     weights = np.array([4, -6, 4, -1])
     first, last = weights @ values[:4], weights @ values[:-5:-1]
     f = np.concatenate([[first], values, [last]])
     halves = np.diff(f[[0, *range(f.size), -1]], 2) / 2
-    # The fourth difference is estimated as (second difference)^2 / value. The second differences at
-    # both ends are excluded, because the function has a corner there.
+    # The fourth difference is estimated as (second difference)^2 / value.
+    # The second differences at both ends are excluded, because the function has corners there.
     largest, second = float(np.abs(values).max()), float(np.abs(2 * halves[2:-2]).max())
     return _list_pwl_points(f), _list_pwl_points(halves, second**2 / 4 / (largest or 1.0))
 

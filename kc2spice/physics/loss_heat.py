@@ -53,7 +53,7 @@ class LossHeatLaw(laws.Device):
         return (laws.Flow(HEAT, AMBIENT),)
 
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the heat flow into the pin ``heat`` [W] and its derivatives by ``e``."""
+        """Return the heat flow [W] into ``heat`` and its derivatives with respect to ``e``."""
         slope = -2 * np.array([*self.weights, 0.0]) * e
         return np.array([slope @ e / 2]), slope[None]
 
@@ -81,8 +81,8 @@ def add_loss_heat(equations: laws.Equations, body: laws.SecondOrderBody) -> laws
     model, n = body.model, body.name
     damping = np.diag(model.E)
     lossy = np.flatnonzero(damping > 0)
-    # Each additional port excites one mode, with the largest gain of any original port. The
-    # additional ports then do not change the scales of the integrator's error control.
+    # Each additional port excites one mode, with the largest gain of any original port.
+    # With this gain, the ports do not change the scales of the integrator's error control.
     reach = np.abs(model.B).max(axis=1)[lossy]
     reach = np.where(reach > 0, reach, 1.0)
     rows = np.zeros((len(lossy), len(damping)))

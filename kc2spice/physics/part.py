@@ -55,8 +55,8 @@ from kc2spice.scene.part_records import EquilibriumConditions, Neglected, Numeri
 if TYPE_CHECKING:
     from kc2spice.netlist.library import Header
 
-# Largest number of impacts on a stop without a warning. In tests, runs with two to nine impacts had
-# errors of up to 20 %.
+# Largest number of impacts on a stop without a warning.
+# In tests, runs with two to nine impacts had errors of up to 20 %.
 MAX_IMPACTS = 1.0
 REBOUND_ADVICE = (
     "what follows may hang on every step: error_budget estimates the error of each metric"
@@ -154,8 +154,7 @@ class DeclaredPart(PartType[KeysT]):
             if b.domain.path_to_reference and b.flows:
                 flowing.append((b.plus, b.minus))
             elif b.domain.path_to_reference:
-                # other variables are set to zero before differentiation, so that the expression is
-                # short
+                # zeros in place of all other variables keep the differentiated expression short
                 slope = differentiate_tree(d.set_to_rest(d.direct_flow(b), b.name), b.name)
                 if evaluate_tree(d.set_to_rest(slope), values):
                     stiff.append((b.plus, b.minus))
@@ -528,11 +527,12 @@ def _compute_step_heat(
     means: Mapping[str, np.ndarray],
     time: np.ndarray,
 ) -> np.ndarray:
-    """Compute the heat (nt - 1,) [J] in each time step from the variables ``known`` (nt,).
+    """Compute an array (nt - 1,) with the heat [J] in each time step.
 
-    The heat is the mean of the power at both ends of a step, times the duration of the step. The
-    velocity of a coordinate without mass jumps at corners of the driving wave. Therefore, the
-    velocities at both ends are replaced by the mean velocities ``means`` (nt - 1,) of the steps.
+    ``known`` contains the variables as arrays of shape (nt,). The heat is the mean of the power at
+    both ends of a step, times the duration of the step. The velocity of a coordinate without mass
+    jumps at corners of the driving wave. Therefore, the velocities at both ends are replaced by the
+    mean velocities ``means`` (nt - 1,) of the steps.
     """
     first, last = dict(known), dict(known)
     for name, values in known.items():
@@ -548,7 +548,7 @@ def _compute_step_heat(
 def _compute_step_work(
     forces: Iterable[tuple[np.ndarray, np.ndarray]], near: np.ndarray, *, jumps: bool
 ) -> np.ndarray:
-    """Compute the work (nt - 1,) [J] of forces in each time step.
+    """Compute an array (nt - 1,) with the work [J] of forces in each time step.
 
     ``forces`` contains pairs of a force (nt,) and the changes (nt - 1,) of its displacement. The
     work is the mean force in a step times the change of the displacement. With ``jumps``, the force
@@ -568,10 +568,11 @@ def _select_nearer(near: np.ndarray, *tried: np.ndarray) -> np.ndarray:
 
 
 def _integrate_steps(rate: np.ndarray, time: np.ndarray, near: np.ndarray) -> np.ndarray:
-    """Return the integral (nt - 1,) of a rate (nt,) over each time step, as in simulators.
+    """Return an array (nt - 1,) with the integral of a rate over each time step.
 
-    Simulators use the trapezoidal rule, or after a jump, the rate at the end of the step. In each
-    step, the rule whose integral is nearer to ``near`` (nt - 1,) is used.
+    The rate is an array of shape (nt,). Simulators use the trapezoidal rule, or after a jump, the
+    rate at the end of the step. In each step, the rule whose integral is nearer to ``near`` (nt -
+    1,) is used.
     """
     step = np.diff(time)
     return _select_nearer(near, step * (rate[1:] + rate[:-1]) / 2, step * rate[1:])

@@ -57,7 +57,7 @@ _REPLACEMENTS = {
     "sign": "write above(x) - above(-x)",
     "tan": "write sin(x)/cos(x)",
 }
-# Functions that accept only certain arguments, in the form that is accepted.
+# Functions that accept only certain arguments, written with accepted arguments.
 _RESTRICTED_FUNCTIONS = ("max(0, …)", "above(…)", "clip(…)", "poly(…, numbers)", "integral(…, x)")
 # Derivative of each function with respect to its argument u.
 _FUNCTION_DERIVATIVES = {
@@ -282,8 +282,8 @@ def _step_function(value: Tree) -> Tree:
 def _clip_excesses(value: Tree) -> tuple[Tree, Tree]:
     """Return the two expressions ``value - 1`` and ``-value - 1``.
 
-    Where ``clip(value)`` limits the value above or below, the first or second expression is
-    positive.
+    Where ``clip(value)`` limits the value from above, the first expression is positive. Where it
+    limits the value from below, the second expression is positive.
     """
     return subtract_trees(value, ONE), subtract_trees(Unary("-", value), ONE)
 

@@ -76,16 +76,16 @@ REFINEMENT_RATIO = 2
 # description of the method that computes couplings without rings
 CIRCLE_METHOD = "closed form of coaxial circles"
 MIN_FREQUENCY = 1e3  # Hz, frequency up to which eddy currents are always resolved
-# Assumed ratio of the inductance of a coil above a conductor to its inductance without it.
+# Assumed inductance of a coil above a conductor, relative to that of the coil alone.
 SCREENED_RATIO = 0.5
-# Largest ratio of the frequency of a run's currents to the resolved frequency.
+# Largest permitted frequency of a run's currents, relative to the resolved frequency.
 MAX_FREQUENCY_RATIO = 2.0
-# Fraction of a coil current's energy below the highest frequency of a run. It is less than 1,
-# because a short sine also has energy above its frequency.
+# Fraction of a coil current's energy below the highest frequency of a run.
+# This fraction is less than 1, because a short sine also has energy above its frequency.
 CURRENT_ENERGY_SHARE = 0.99
 MAX_RING_ERROR = 0.02  # largest relative error of flux, force and loss due to the rings
-# Largest relative change of a magnet's path in ``verify``, where its field has a ten times smaller
-# tolerance.
+# Largest permitted relative change of a magnet's path in ``verify``.
+# In ``verify``, the tolerance of the magnet's field is ten times smaller.
 MAX_PATH_CHANGE = 1e-3
 # Finer rings are assumed to remove at least this share of the error of the rings.
 MIN_CHANGE_RATIO = 0.1
@@ -343,8 +343,8 @@ class MovingBody(DeclaredPart[MovingT]):
     ) -> LoopModel:
         """Return the current loops of the body and their couplings to the coils.
 
-        The ``full`` model has more loops and rings, which resolve twice the highest frequency. It
-        also has more accurate couplings.
+        The ``full`` model has more loops and rings, which resolve twice the highest frequency. The
+        couplings of the full model are also more accurate.
         """
         keys, frequency = part.keys, self.resolved_frequency(part, scene)
         tolerance = (TOLERANCE_RATIO if full else 1.0) * keys.tolerance
@@ -572,6 +572,7 @@ def _divide_body(keys: MovingConductorKeys, rings: int, frequency: float) -> Rin
     box = keys.inner, keys.radius, -_body_height(keys) / 2, _body_height(keys) / 2, rings
 
     def inside(r: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """Return whether each point lies in the sphere."""
         return np.asarray(r**2 + z**2 < keys.radius**2)
 
     ball = keys.shape == "sphere"
@@ -604,8 +605,8 @@ def _find_highest_run_frequency(
 ) -> float:
     """Return the highest frequency [Hz] of a run.
 
-    It is the last frequency of a response, or the highest frequency of the coil currents in a
-    transient.
+    The highest frequency of a frequency response is its last frequency. The highest frequency of a
+    transient is that of the coil currents.
     """
     if "frequency" in waves:
         return float(waves["frequency"].real[-1])

@@ -1,6 +1,6 @@
 """The part ``moving_magnet``: a magnet that moves along coils and fixed magnets.
 
-It models shakers, buzzers, energy harvesters and magnetic levitation.
+The part models shakers, buzzers, energy harvesters and magnetic levitation.
 """
 
 from __future__ import annotations

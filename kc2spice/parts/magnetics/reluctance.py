@@ -1,6 +1,6 @@
 """The part ``reluctance``: a magnet or coil that pulls iron across air gaps.
 
-It models relays, valves and holding magnets.
+The part models relays, valves and holding magnets.
 """
 
 from typing import Annotated

@@ -2,8 +2,8 @@
 
 The sphere moves along the common axis (paper 2.2.1, 2.4). The force on it is a polynomial of both
 coil currents with six coefficients, which are tabulated functions of the height. With an ideal
-current drive, the coils are resistors. Otherwise, they have inductance and back-EMF from the same
-table. :mod:`kc2spice.physics.coils` contains the declarations.
+current drive, the coils are resistors. Otherwise, the coils have inductance and back-EMF from the
+same table. :mod:`kc2spice.physics.coils` contains the declarations.
 """
 
 from __future__ import annotations
@@ -79,8 +79,8 @@ DEFAULT_CURRENT = 0.1
 REFINEMENT_RATIO = 2
 # Factor on the number of heights for the denser table, with which the netlist's table is compared.
 DENSITY_RATIO = 4
-LOOKUP_POINTS = 201  # points of a lookup table, for an error of 6e-6 of the largest force
-# Largest error of the force spline between the computed heights, relative to the largest force.
+LOOKUP_POINTS = 201  # number of lookup points for an error of 6e-6 of the largest force
+# Largest permitted error of the force spline between heights, relative to the largest force.
 MAX_SPLINE_ERROR = 1e-2
 # suggested launch velocity, relative to the velocity with which a flight reaches the table's end
 KICK_MARGIN = 0.85
@@ -109,9 +109,9 @@ class Coils(ConductorKeys, Catch):
     )
 
 
-# In the control loop, a single current i flows through both coils: i2 = i and i1 = -i. The force is
-# then a polynomial of i. These weights convert the coefficients of the force table to the
-# coefficients of this polynomial.
+# In the control loop, a single current i flows through both coils: i2 = i and i1 = -i.
+# The force is then a polynomial of the single current i.
+# These weights convert the coefficients of the force table to those of the polynomial.
 SERIES_COEFFICIENTS = {
     name: tuple((-1) ** a * (a + b == power) for a, b in CURRENT_EXPONENTS.values())
     for power, name in enumerate(("c0", "d1", "d2"))
@@ -237,7 +237,8 @@ class RingMagnetCoils(TouchablePart[Coils]):
     def default_joins(self, part: Part[Coils], scene: GovernedScene) -> Mapping[str, str]:
         """Return the default connections of ``y`` and ``v`` to the sphere.
 
-        If another part prescribes the motion of the sphere, they are connected to that part.
+        If another part prescribes the motion of the sphere, ``y`` and ``v`` are connected to that
+        part.
         """
         ball = find_sphere(part, scene).name
         ball = scene.movers.get(ball) or ball
@@ -259,8 +260,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
             )
         bodies: dict[str, Ring] = {item: getattr(keys, item) for item in ("ring", *COIL_NAMES)}
         for body_name, body in bodies.items():
-            # Each rule contains a problem, the key, whether its value is right, the limit in words,
-            # and the limit.
+            # Each rule: problem, key, whether the value of the key is valid, limit in words, limit.
             rules = (
                 ("inner is not smaller than outer", "inner", body.inner < body.outer,
                  "less than outer", body.outer),
@@ -466,6 +466,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         key = {**self.model_key(part, build.scene), "finer": settings}
 
         def finer() -> EMTable:
+            """Compute the force table on the mesh of half the cell size."""
             with clock.time_stage("full model", f"{part.name}: mesh half as wide") as share:
                 return compute_catch_table(unit, key["radius"], share)
 
@@ -631,7 +632,7 @@ def plot_impedance(part: Part[Coils], build: Build) -> Figure:
 def get_result_prefix(part: Part[Coils]) -> str:
     """Return the prefix of the part's result names.
 
-    It is ``coil`` for the part ``catch`` of the paper, otherwise the name of the part.
+    The prefix is ``coil`` for the part ``catch`` of the paper, otherwise the name of the part.
     """
     return "coil" if part.name == "catch" else part.name
 
@@ -719,11 +720,10 @@ def interpolation_error(table: EMTable, current: float) -> float:
     """Return the error estimate of the force spline, relative to the largest force.
 
     The largest force is for currents up to ``current`` [A] in both coils. Doubling the distance
-    between heights makes the error of a fine spline 16 times larger. Measured ratios are at least
-    11, for the paper's magnets with 9 positions. The estimate is the error of a spline through
-    every second height, divided by a ratio of at most 8. The ratio is smaller if the error of a
-    spline through every fourth height is less than 8 times larger. With too few heights, the ratio
-    is 1.
+    between heights makes the error of a fine spline 16 times larger. The smallest measured ratio is
+    11, for the paper's magnets with 9 heights. The estimate is the error of a spline through every
+    second height, divided by a ratio of at most 8. The ratio is smaller if the error of a spline
+    through every fourth height is less than 8 times larger. With too few heights, the ratio is 1.
     """
     values = table.coefficients
     largest = float(np.abs(_compute_force_contributions(values, current)).sum(axis=0).max())

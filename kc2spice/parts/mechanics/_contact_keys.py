@@ -18,8 +18,8 @@ from kc2spice.core.quantities import (
     si,
 )
 
-# Largest stiffness [N/m]. A mass of one gram on this spring vibrates at 160 MHz, far above all
-# frequencies of a run.
+# Largest permitted stiffness [N/m] of a contact spring.
+# A mass of one gram on such a spring vibrates at 160 MHz, far above all frequencies of a run.
 MAX_STIFFNESS = 1e15
 
 

@@ -6,10 +6,10 @@ Beyond the displacement ``travel``, the stop is indented by d at the rate v = dd
     loss = (1 - restitution^2) / (1 + restitution^2)
 
 Without ``damping``, a mass that is faster than ``slow`` feels ``1 + loss`` times the stiffness
-``stop`` while d increases, and ``1 - loss`` times this stiffness while d decreases. Any such mass
-keeps the fraction ``restitution^2`` of its energy. Slower masses come to rest (O. R. Walton, R. L.
-Braun, J. Rheol. 30 (1986) 949). The damping is proportional to the stiffness (H. Hunt, F. R. E.
-Crossley, J. Appl. Mech. 42 (1975) 440).
+``stop`` while d increases, and ``1 - loss`` times this stiffness while d decreases. A mass that is
+faster than ``slow`` keeps the fraction ``restitution^2`` of its energy. Slower masses come to rest
+(O. R. Walton, R. L. Braun, J. Rheol. 30 (1986) 949). The damping is proportional to the stiffness
+(H. Hunt, F. R. E. Crossley, J. Appl. Mech. 42 (1975) 440).
 """
 
 from typing import Annotated
@@ -18,8 +18,8 @@ from pydantic import Field
 
 from kc2spice.core.quantities import Ratio, Section, si
 
-# Velocity [m/s] below which an impact has no rebound. At this velocity, a mass rebounds by only a
-# nanometre against an acceleration of 5 m/s2.
+# Velocity [m/s] below which an impact has no rebound.
+# At this velocity, a mass rebounds by only a nanometre against an acceleration of 5 m/s2.
 MIN_STRIKE_VELOCITY = 1e-4
 
 

@@ -29,13 +29,13 @@ if TYPE_CHECKING:
 
 FLOOR_PORT = "floor"  # name of the port of a fixed rigid plane
 SPHERE_PATCH = "patch"  # name of the port of an elastic sphere
-# Assumed ratio of the error due to the pressure basis to the change of the force with basis
-# functions of half the width. A comparison with functions of a quarter of the width gives a ratio
-# of 1.8.
+# Assumed force error of the pressure basis, relative to the change of the force on refinement.
+# On refinement, the basis functions have half the width.
+# A comparison with basis functions of a quarter of the width gives a ratio of 1.8.
 REFINEMENT_LIMIT = 3.0
 _MIN_FLIGHT = 20e-6  # s, several periods of a chip; a shorter interval is a bounce in the kick
-# Safety factor on an estimated indentation, because a body is not a half-space, and only a few
-# rings carry the force.
+# Safety factor on an estimated indentation.
+# A body is not a half-space, and only a few rings carry the force, so this factor is necessary.
 _INDENTATION_MARGIN = 1.25
 
 
@@ -165,7 +165,7 @@ class ContactPair:
     def _find_side(self, key: str, *, spherical: bool) -> ContactSurface:
         """Return the surface that the key ``a`` or ``b`` selects.
 
-        By default, it is the only surface of the scene that fits.
+        Without the key, the side is the only surface of the scene that fits.
         """
         part, scene = self.part, self.scene
         selected: str | tuple[str, ...] | None = getattr(part.keys, key)
@@ -240,12 +240,12 @@ class ContactPair:
     def may_move_at_start(self) -> bool:
         """Whether a side of the contact may already move at t = 0.
 
-        This is also assumed for a fixed upper side, and for a rigid lower side.
+        Motion at t = 0 is also assumed for a fixed upper side, and for a rigid lower side.
         """
         return self.b.part == GROUND or self.a.rigid or self.b.part in self.scene.initial_states
 
     def forces(self, waves: Waveforms) -> np.ndarray:
-        """Return the recorded forces [N] at the ports, an array of shape (ports, n)."""
+        """Return the recorded forces [N] at the ports as an array of shape (ports, n)."""
         return np.array([waves[f"{self.part.name}.force.{port}"] for port in self.ports])
 
     # --- the law ----------------------------------------------------------------------------------
@@ -257,7 +257,7 @@ class ContactPair:
         For a sphere of radius R, the force is ``4/3 E* sqrt(R) x^(3/2)`` at the indentation x
         (Hertz 1881). The combined modulus follows from the indentation moduli of both sides,
         ``1/E* = 1/M_a + 1/M_b``. For two spheres, ``1/R = 1/R_a + 1/R_b``. In a groove of opening
-        angle g, both flanks are indented by ``s x`` with ``s = sin(g/2)``, and the component ``s``
+        angle g, both flanks are indented by ``s x`` with ``s = sin(g/2)``, and the fraction ``s``
         of the flank forces acts along the axis. The stiffness is therefore ``2 s^(1 + power)``
         times the stiffness of one flank, and the damping depends on the closing speed ``s x'``. The
         normal force of each flank is ``F / (2 s)``, so that the friction force along the groove is
@@ -341,7 +341,7 @@ class ContactPair:
         return replace(result, compliance=total, patch=result.patch + other.patch), pace
 
     def basis_forces(self, force: float) -> np.ndarray:
-        """Return the contact force [N] on each basis function, an array of shape (n,).
+        """Return the contact force [N] on each basis function as an array of shape (n,).
 
         The sum of these forces is ``force``.
         """
@@ -360,8 +360,8 @@ class ContactPair:
         """Return the error estimate of the force due to the pressure basis; 0 for rings.
 
         The estimate is a multiple of the relative change of the force with basis functions of half
-        the width. The forces are compared at depths from half of the largest depth of the scene on.
-        Both forces include the compliance of the patch.
+        the width. The forces are compared at depths between half of the largest depth of the scene
+        and this depth. Both forces include the compliance of the patch.
         """
         from kc2spice.bodies.pressure import choose_pressure_basis
 
@@ -443,8 +443,7 @@ def impact_penetration(
             yield LargestIndentation(_INDENTATION_MARGIN * float(depth), why)
 
 
-# --- separation of both sides
-# ----------------------------------------------------------------------
+# --- separation of both sides ---------------------------------------------------------------------
 
 
 def find_separation(
@@ -456,9 +455,10 @@ def find_separation(
 
     An interval without contact is a flight if it lasts at least 20 us, or until the end of the
     data. There can be several flights, because a body may rebound and strike again later. Only
-    flights are compared that begin at most 20 us after ``busy`` [s], the end of the drive; if there
-    is none, only the first flight is used. The launch is the first of them with at least half of
-    their largest speed. By default, the end of the drive is unknown, and all flights are compared.
+    flights that begin at most 20 us after ``busy`` [s], the end of the drive, are compared. If
+    there is no such flight, only the first flight is used. The launch is the first compared flight
+    with at least half of the largest speed of all compared flights. By default, the end of the
+    drive is unknown, and all flights are compared.
     """
     loaded = force > 1e-9 * force.max(initial=0.0)
     force = np.maximum(force, 0.0) ** (1 / power)

@@ -45,22 +45,24 @@ from kc2spice.scene.part_records import EquilibriumConditions, Neglected, Numeri
 from kc2spice.scene.parttype import register
 
 # Limits of the relative difference between the launch velocities of the reduced and the full model.
-# The three constants are a factor on the error estimate of the reduction, the limit without a
-# certificate, and the largest limit. The largest limit is necessary because the error at a sharp
-# resonance can be arbitrarily large. Runs print a warning if the error under load exceeds 1 %.
+# The constants are a factor on the error estimate, the limit without an estimate, and a maximum.
+# The maximum is necessary, because the error at a sharp resonance can be arbitrarily large.
+# Runs print a warning if the error under load exceeds 1 %.
 ESTIMATE_FACTOR = 0.4
 DEFAULT_LAUNCH_LIMIT = 1e-3
 MAX_LAUNCH_LIMIT = 1e-2
-# Largest energy error of the contact springs, relative to the energy that flowed through them.
+# Largest permitted energy error of the contact springs.
+# The error is relative to the energy that flowed through the springs.
 MAX_ENERGY_ERROR = 1e-3
-# Number of basis functions across the radius of a contact, for a relative force error of 5e-3. With
-# half of this number, the error is 3e-2.
+# Number of basis functions across the radius of a contact, for a relative force error of 5e-3.
+# With half of this number of basis functions, the relative force error is 3e-2.
 FUNCTIONS_PER_RADIUS = 3.0
-MAX_BASIS_ERROR = 3e-2  # largest relative error of the force due to the pressure basis
-MAX_RING_MOTION = 0.95  # largest displacement of an omitted ring, relative to its gap
-# Largest product of reltol and the number of contact events in a kick, because every event adds the
-# error of a time step. Among 37 kicks of chips with damping ratios of 0.01 to 0.05 %, kicks above
-# this limit had relative errors of the launch velocity of 9e-4.
+MAX_BASIS_ERROR = 3e-2  # largest permitted relative force error of a pressure basis
+MAX_RING_MOTION = 0.95  # largest permitted motion of an omitted ring, relative to its gap
+# Largest permitted product of reltol and the number of contact events in a kick.
+# Every contact event adds the error of a time step.
+# In 37 kicks of chips with damping ratios of 0.01 to 0.05 %, some products exceeded this limit.
+# In these cases, the launch velocity had a relative error of 9e-4.
 MAX_EVENT_RELTOL = 4e-3
 MAX_START_HEIGHT = 1e-8  # largest height [m] above the body that counts as resting on it
 CONTACT_FREQUENCY = 500e3  # highest frequency [Hz] that a contact excites in bodies

@@ -1,6 +1,6 @@
 """The part ``elastic_sphere``: indentation and vibration modes of a sphere.
 
-They are added to the rigid-body motion, which the part ``sphere`` models.
+Indentation and vibration are added to the rigid-body motion, which the part ``sphere`` models.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ from kc2spice.synthesis.mode_cards import COARSE_WEIGHTS, StepWeights
 if TYPE_CHECKING:
     from kc2spice.bodies.pressure import LocalCompliance, PressureBasis, TransverselyIsotropicSphere
 
-# Ratio of the upper end of the band to the lowest natural frequency. With this ratio, the band
-# contains the radial mode.
+# Upper end of the band, relative to the lowest natural frequency.
+# With this upper end, the band contains the radial mode.
 BAND_RATIO = 2.0
 
 
@@ -156,8 +156,8 @@ elastic = true
     def reduction(self, part: Part[ElasticSphereKeys], scene: Scene) -> Rom:
         """Return the reduction settings of the elastic sphere.
 
-        The settings of the scene do not apply to it, because the modes of a sphere are above the
-        band of any actuator.
+        The settings of the scene do not apply to the elastic sphere, because the modes of a sphere
+        are above the band of any actuator.
         """
         specified: Rom | None = part.keys.rom
         if specified is not None:

@@ -52,9 +52,9 @@ from kc2spice.synthesis.header import SIGN_TEXT
 AIR_VISCOSITY = 1.825e-5  # Pa s
 STEEL_DENSITY = 7850.0  # kg/m^3
 REST_STATE = State(0.0, 0.0)
-SETTLING_BAND = 0.05  # half-width of the band, relative to the step from rest to the set point
-# Largest relative error of the work on a sphere. With this error, a launch velocity has a relative
-# error of about 1e-3.
+SETTLING_BAND = 0.05  # half-width of the settling band, relative to the step to the set point
+# Largest permitted relative error of the work on a sphere.
+# With this error of the work, a launch velocity has a relative error of about 1e-3.
 MAX_WORK_ERROR = 1e-4
 
 
