@@ -203,7 +203,7 @@ def _list_laws(declaration: Declaration, linkages: FluxLinkages | None) -> tuple
 
 
 def _write_lookups(lookups: Lookups, nodes: Mapping[str, Tree]) -> Iterator[Line]:
-    """Yield the cards of the cell number that all lookups share, and of repeated lookups.
+    """Yield the cards of the common cell number of all lookups, and of repeated lookups.
 
     A repeated lookup occurs in several laws, and has a node.
     """

@@ -145,8 +145,8 @@ def _declare_force(
 def _choose_declaration_options(height: str, names: tuple[str, ...]) -> dict[str, Any]:
     """Return the arguments of a declaration that differ between law and netlist.
 
-    For a law, they are the parameters and limits of the height. For a netlist, they are the
-    velocity pin and the option ``metered``.
+    For a law, the arguments are the parameters and limits of the height. For a netlist, the
+    arguments are the velocity pin and the option ``metered``.
     """
     if height == _RAISED_HEIGHT:
         return {

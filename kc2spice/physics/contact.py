@@ -121,8 +121,8 @@ def declare_contact(
     Each of the ``ports`` is a ring, at which the overlap is the displacement of the port, minus the
     displacement of the lower side and minus the gap. ``law`` is the law of the force on one ring,
     and ``gaps`` [m] are the initial gaps of the rings. ``under`` contains the radius R [m] of a
-    sphere above the rings and the radii r [m] of the rings. The gap ``r^2 / (R + sqrt(R^2 - r^2))``
-    under the sphere is then added to ``gaps``, and R is the parameter ``radius``.
+    sphere above the rings and the radii r [m] of the rings. With ``under``, the gap ``r^2 / (R +
+    sqrt(R^2 - r^2))`` under the sphere is added to ``gaps``, and R is the parameter ``radius``.
 
     ``rigid`` states whether the first and the second side are rigid. A rigid first side has the
     pins ``va`` (velocity) and ``a``, and a rigid second side has the pins ``v`` and ``bottom``. An

@@ -459,7 +459,8 @@ class Declaration:
             Relative rise of the conductors' resistance [1/K], by default the value in the
             declaration.
         reference_temperature : float, default 0
-            Temperature [K] relative to the pin ``ambient`` at which the stated resistances hold.
+            Temperature [K] relative to the pin ``ambient`` at which the stated resistances are
+            valid.
 
         Returns
         -------
@@ -816,9 +817,9 @@ class Declaration:
     def network_loss(self) -> Tree:
         """Expression of the power that enters through the pins and is not stored.
 
-        The power at a pin is the product of the across and the through quantity. At a heat pin, it
-        is the product of temperature and heat flow. The sum of these products over all pins of a
-        network is zero (Tellegen's theorem).
+        The power at a pin is the product of the across and the through quantity. At a heat pin, the
+        power is the product of temperature and heat flow. The sum of these products over all pins
+        of a network is zero (Tellegen's theorem).
         """
         branch = self.heat_branch
         if branch is None:

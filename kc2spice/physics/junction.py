@@ -1,7 +1,7 @@
 """Law of a junction diode, with the equations and constants of ngspice.
 
-The independent integrator solves this law. The netlist does not contain it, because a diode in a
-netlist is the built-in diode model of the simulator.
+The independent integrator solves this law. The netlist does not contain this law, because a diode
+in a netlist is the built-in diode model of the simulator.
 """
 
 from __future__ import annotations

@@ -373,7 +373,7 @@ def declared_subcircuit(
     declaration : Declaration
         Physics of the part.
     values : mapping of str to float
-        Values of the keys in SI units. They become the default values of the parameters.
+        Values of the keys in SI units, which become the default values of the parameters.
     noise : bool, default False
         Whether the netlist includes the thermal noise of the losses.
     more : sequence of Item, optional

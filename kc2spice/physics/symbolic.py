@@ -282,8 +282,8 @@ def _step_function(value: Tree) -> Tree:
 def _clip_excesses(value: Tree) -> tuple[Tree, Tree]:
     """Return the two expressions ``value - 1`` and ``-value - 1``.
 
-    Where ``clip(value)`` limits the value from above, the first expression is positive. Where it
-    limits the value from below, the second expression is positive.
+    Where ``clip(value)`` limits the value from above, the first expression is positive. Where
+    ``clip(value)`` limits the value from below, the second expression is positive.
     """
     return subtract_trees(value, ONE), subtract_trees(Unary("-", value), ONE)
 

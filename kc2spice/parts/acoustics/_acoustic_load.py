@@ -75,7 +75,8 @@ class AcousticLoad:
 
         The impedances are the pressures at the faces, returned as an array of shape (frequencies,
         faces, faces). The sound pressures are the pressures at a listener at the reference distance
-        from all sources. They are returned as an array of shape (frequencies, faces).
+        from all sources. The sound pressures are returned as an array of shape (frequencies,
+        faces).
         """
         nodes = sorted({node for b in self.branches for node in (b.plus, b.minus)} - {GROUND})
         place = {node: k for k, node in enumerate(nodes)}

@@ -69,6 +69,6 @@ def plot_displacements(
 
 
 def _find_peak(x: np.ndarray, sizes: Mapping[str, np.ndarray]) -> float:
-    """Return the value of ``x`` at which one of the ``sizes`` is largest, rounded for a title."""
+    """Return the value of ``x`` at the largest of all ``sizes``, rounded for a title."""
     largest = np.nanmax(list(sizes.values()), axis=0)
     return float(f"{x[int(np.nanargmax(largest))]:.{PLACE_DIGITS}g}")

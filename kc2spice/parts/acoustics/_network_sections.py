@@ -36,7 +36,7 @@ class RadiationNetwork(NamedTuple):
     sections : tuple of NetworkSection
         Sections of the network.
     largest_ka : float
-        Largest product k a for which the errors hold.
+        Largest product k a up to which the stated errors are valid.
     impedance_error : float
         Largest relative error of the impedance.
     power_error : float

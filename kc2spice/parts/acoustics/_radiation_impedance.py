@@ -32,7 +32,7 @@ class Radiator:
 
     ``network`` approximates the radiation impedance. ``area`` is the surface area divided by the
     squared radius. ``solid_angle`` is 2 pi if a baffle confines the sound to a half-space.
-    Otherwise, it is 4 pi.
+    Otherwise, ``solid_angle`` is 4 pi.
     """
 
     words: str
@@ -52,7 +52,7 @@ class Radiator:
         )
 
     def largest_frequency(self, radius: float, sound_speed: float) -> float:
-        """Return the largest frequency [Hz] for which the errors of the network hold."""
+        """Return the frequency [Hz] up to which the stated errors of the network are valid."""
         return self.network.largest_ka * sound_speed / (2 * math.pi * radius)
 
 

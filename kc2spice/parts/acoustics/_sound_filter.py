@@ -1,4 +1,4 @@
-"""Low-pass filter of the sound pressure in a netlist, and its compensation after a run.
+"""Low-pass filter of the sound pressure in a netlist, and compensation of this filter.
 
 The pressure at the pin ``sound`` is proportional to the time derivative of a volume velocity. With
 the trapezoidal rule, a plain derivative oscillates after each kink of the volume velocity and never

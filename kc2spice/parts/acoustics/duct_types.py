@@ -142,8 +142,9 @@ class TubeKeys(DuctKeys):
 class DuctModel:
     """Model of a duct: the number of its sections, and the losses in its boundary layers.
 
-    ``viscous`` and ``thermal`` are the relaxations of the boundary layers. Without losses, they are
-    None. ``phase_error`` is the relative error of the phase velocity at the end of the band.
+    ``viscous`` and ``thermal`` are the relaxations of the boundary layers. Without losses,
+    ``viscous`` and ``thermal`` are None. ``phase_error`` is the relative error of the phase
+    velocity at the end of the band.
     """
 
     sections: int
@@ -249,7 +250,7 @@ class DuctPart(AcousticPart[DuctKeys]):
         return {} if self.closed(part) else {FAR_END: "out"}
 
     def _describe_duct(self, duct: DuctModel) -> str:
-        """Return the sections and losses of a duct, with their errors in the band, in words."""
+        """Describe the sections and losses of a duct, with their errors in the band."""
         losses = f"losses within {100 * duct.loss_error:.2g} %" if duct.viscous else "no losses"
         count = f"{duct.sections} section{'s' if duct.sections > 1 else ''}"
         return f"{count}, phase within {100 * duct.phase_error:.2g} % and {losses} in the band"
@@ -351,7 +352,7 @@ def _list_series_elements(
 ) -> Iterator[AcousticElement]:
     """Yield the series elements of a duct section.
 
-    Without losses, a section has a mass. With losses, it has parallel branches, each with a
+    Without losses, a section has a mass. With losses, a section has parallel branches, each with a
     resistance and a mass in series.
     """
     keys, (start, end) = part.keys, ends

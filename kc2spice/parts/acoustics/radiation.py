@@ -100,7 +100,7 @@ class RadiationKeys(FluidKeys):
 
     @property
     def largest_frequency(self) -> float:
-        """Largest frequency [Hz] for which the errors of the radiation network hold."""
+        """Frequency [Hz] up to which the stated errors of the radiation network are valid."""
         return self.radiator.largest_frequency(self.surface_radius, self.fluid.sound_speed)
 
 

@@ -93,7 +93,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         """Yield the checks of a reduced body after a run.
 
         The checks cover the error of the reduced model, the stability of the full model, the
-        frequency band and the voltage rating. After a transient, they also cover the energy
+        frequency band and the voltage rating. After a transient, the checks also cover the energy
         balance, the frequencies of the excitation and the charge of floating electrodes.
         """
         model = build.model(part, LinearModel)
@@ -236,9 +236,9 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         """Yield checks whether the band of the model contains the frequencies of the drives.
 
         The frequency of a drive voltage v is ``max |v'| / (pi (max v - min v))``. For a sine, this
-        is its frequency; for an edge, it is about a third of the reciprocal of the edge time. With
-        a contact, only the first resonance is compared with the band, because a contact excites it
-        more than any drive.
+        value is the frequency of the sine. For an edge, this value is about a third of the
+        reciprocal of the edge time. With a contact, only the first resonance is compared with the
+        band, because a contact excites it more than any drive.
         """
         scene, t, high = build.scene, waves["time"], certificate.band_hz[1]
         rows = scene.numerics

@@ -132,7 +132,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
     def least_band_end(self, part: Part[LinearKeysT], scene: Scene) -> float | None:
         """Return the smallest upper end [Hz] of the model's band in a transient.
 
-        The function returns None in other analyses, and if the user set the band. This frequency
+        The function returns None in other analyses, and if the user set the band. This upper end
         does not depend on the natural frequencies of the body.
         """
         if self._stated_reduction(part, scene) is not None or scene.analysis.type != "transient":
@@ -257,7 +257,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
     def build(
         self, part: Part[LinearKeysT], scene: Scene, clock: Clock, full: bool = False
     ) -> LinearModel | None:
-        """Return the reduced model of the part, or its full model with ``full``."""
+        """Return the reduced model of the part; with ``full``, return its full model."""
         if full:
             # The matrices of a full model cannot represent losses that are constant over frequency.
             return None if self._has_constant_losses(part) else self._full_model(part, scene, clock)

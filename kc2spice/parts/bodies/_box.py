@@ -96,7 +96,7 @@ def make_varied_key(
     where: str | None = None,
     from_zero: bool = False,
 ) -> VariedKey:
-    """Return a key with its range; the two ``ends`` of the range can be in any order.
+    """Return a key with its range, whose two ``ends`` can be in any order.
 
     With ``from_zero``, the range may begin at zero.
 

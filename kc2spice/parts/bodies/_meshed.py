@@ -280,7 +280,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
     structure: Callable[[Any, str], BondedBlocks]
 
     def is_clamped(self, part: Part[FieldKeysT]) -> bool:
-        """Return whether air cannot flow around the rim of the body, because it is clamped."""
+        """Return whether the rim is clamped, so that air cannot flow around it."""
         return False
 
     def bonded(self, part: Part[FieldKeysT]) -> BondedBlocks:
@@ -383,7 +383,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
 
 @lru_cache(maxsize=32)
 def _make_bonded(kind: BondedBody, keys: str, name: str) -> BondedBlocks:
-    """Return the blocks of a body of type ``kind`` from its keys, a JSON string."""
+    """Return the blocks of a body of type ``kind`` from a JSON string of its keys."""
     return kind.structure(kind.schema.model_validate_json(keys), name)
 
 

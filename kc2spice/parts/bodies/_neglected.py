@@ -100,7 +100,7 @@ def beam_envelope(blocks: Sequence[Block]) -> Envelope:
 
 
 def box_envelope(sides: Sequence[float]) -> Envelope:
-    """Return the envelope of a box with these sides [m].
+    """Return the envelope of a box whose side lengths [m] are ``sides``.
 
     If only two sides are stated, they are the radius and the height of a cylinder.
 

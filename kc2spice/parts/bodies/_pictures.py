@@ -234,7 +234,8 @@ def map_surface(mesh: Any, corners: np.ndarray, values: np.ndarray, label: str) 
 def _find_visible_edges(mesh: Any, fine: int) -> np.ndarray:
     """Return an array of shape (2, edges) with the vertices of each drawn edge of the surface.
 
-    If the surface has more than ``fine`` mesh lines, only the edges at which it bends are returned.
+    If the surface has more than ``fine`` mesh lines, only the edges at which the surface bends are
+    returned.
     """
     facets = mesh.boundary_facets()
     if mesh.dim() == 2:

@@ -5,10 +5,11 @@ electrical pins.
 
 x runs along the length from the clamp, y along the width, z up. Every layer consists of quadratic
 hexahedra. The model therefore includes the bending of plates, the lateral contraction at the clamp
-and the field inside the layers, which beam theory neglects. Both faces of a piezoelectric layer are
-completely covered by electrodes. Two faces form one electrode if they lie on the same conductor, or
-if two piezoelectric layers touch at these faces. A positive voltage at the anode bends the tip up:
-the voltage contracts layers above the middle and stretches layers below the middle.
+and the field inside the layers. Beam theory neglects these three effects. Both faces of a
+piezoelectric layer are completely covered by electrodes. Two faces form one electrode if they lie
+on the same conductor, or if two piezoelectric layers touch at these faces. A positive voltage at
+the anode bends the tip up: the voltage contracts layers above the middle and stretches layers below
+the middle.
 
 * *series*: the anode is on top, the cathode is at the bottom, and all electrodes in between float;
 * *parallel*: from the top down, the electrodes belong alternately to the anode and the cathode.

@@ -296,7 +296,7 @@ class AxesKeys(Section):
         return np.stack([first, np.cross(third, first), third], axis=-1)
 
     def apply(self, plain: Material) -> Material:
-        """Return the material with its tensors rotated to these axes."""
+        """Return the material with its tensors rotated to the axes of these keys."""
         if self.kind == "cartesian":
             return plain.rotated(self.rotation)
         return replace(plain, local_axes=CylindricalAxes(self.z, self.origin or (0.0, 0.0, 0.0)))
@@ -428,8 +428,9 @@ class BodyKeys(MeshKeys):
 def _write_terminal_example(keys: BodyKeys, info: ValidationInfo) -> str:
     """Return example text for the keys ``electrodes`` or ``ports`` of a body, for an error hint.
 
-    The example has electrodes on a piezoelectric group of the mesh. Without such a group, it has a
-    port on a group of faces. Without any group of faces, it has a port at a point.
+    The example has electrodes on a piezoelectric group of the mesh. Without such a group, the
+    example has a port on a group of faces. Without any group of faces, the example has a port at a
+    point.
     """
     place, clamped = "at = [0, 0, 0]", {item for item in keys.fixed if isinstance(item, str)}
     with suppress(UsageError):

@@ -333,8 +333,8 @@ dc = "1 W"
     def default_band_end(self, scene: Scene) -> float:
         """Return the upper end [Hz] of the default band of a transient.
 
-        It is :data:`RUN_POINTS` divided by the duration of the run, because a heat body has no
-        resonance.
+        The upper end is :data:`RUN_POINTS` divided by the duration of the run, because a heat body
+        has no resonance.
         """
         return RUN_POINTS / scene.stop
 
@@ -351,7 +351,7 @@ dc = "1 W"
         return low, high
 
     def model_key(self, part: Part[HeatBodyKeys], scene: Scene) -> Mapping[str, Any]:
-        """Return the cache key of the reduced model, with the kind of its band."""
+        """Return the cache key of the reduced model, with the flag ``limited`` of its band."""
         chosen = self._stated_reduction(part, scene) is None and not scene.analysis.is_small_signal
         return {**super().model_key(part, scene), "limited": chosen}
 
@@ -394,7 +394,7 @@ dc = "1 W"
 
         Isothermal faces and the fluids of films have prescribed temperatures. At high frequencies,
         the temperature of a pin behind thick insulation is so small that rounding errors exceed the
-        tolerance. The tolerance is then relative to the largest temperature of each pin.
+        tolerance. In this case, the tolerance is relative to the largest temperature of each pin.
         """
         prescribed_ports = self.prescribed_ports(part, model)
         tolerance = aims["tolerance"]

@@ -114,7 +114,7 @@ class Matrices(LinearBody[MatricesKeys]):
 
 @lru_cache(maxsize=4)
 def _read_model_files(path: Path, sidecar: Path | None, stamps: str) -> LinearModel:
-    """Read a model from its files; ``stamps`` contains their hashes, as a key of the cache."""
+    """Read a model from its files; ``stamps`` contains the files' hashes as a cache key."""
     return read_model(path, sidecar)
 
 

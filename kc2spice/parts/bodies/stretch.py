@@ -7,13 +7,13 @@ equal strips of width d in a row from clamp to clamp. The slope between the stri
 ``w' = (15 (w_k+1 - w_k) - (w_k+2 - w_k-1)) / (12 d)``, which is exact for cubics. Beyond a clamp, w
 is the mirror image of w before the clamp.
 
-For a plate clamped along all edges, whose face is divided into rows of patches, the same energy
-holds with ``e = int |grad w|^2 dA / (2 width)`` and stiffness = E h width / (length (1 - nu^2)).
-The source of this expression is H. M. Berger, J. Appl. Mech. 22 (1955) 465, who neglects the second
-invariant of the in-plane strains. A twelfth of the squared differences between rows is missing in
-the square of a mean slope; the formula adds this term. At a mirror plane, w continues as its mirror
-image, as at a clamp. A model of a quarter of a plate therefore uses length, width and stiffness of
-the quarter.
+For a plate clamped along all edges, whose face is divided into rows of patches, the energy has the
+same expression. For this plate, ``e = int |grad w|^2 dA / (2 width)`` and stiffness = E h width /
+(length (1 - nu^2)). The source of this expression is H. M. Berger, J. Appl. Mech. 22 (1955) 465,
+who neglects the second invariant of the in-plane strains. A twelfth of the squared differences
+between rows is missing in the square of a mean slope; the formula adds this term. At a mirror
+plane, w continues as its mirror image, as at a clamp. A model of a quarter of a plate therefore
+uses length, width and stiffness of the quarter.
 """
 
 from __future__ import annotations

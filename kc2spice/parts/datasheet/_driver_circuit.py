@@ -163,7 +163,7 @@ def _add_creep(terms: _DeclarationTerms, creep: float, ladder: RelaxationLadder)
     """Add the suspension: the compliance c0 in series with the elements of creep.
 
     Each element of creep is a spring in parallel with a damper. The displacement of each inner node
-    is the elongation of one of these elements.
+    is the elongation of one element of creep.
     """
     terms.params.append(
         positive_parameter("creep", creep, "-", "creep of the suspension, c0 ln(1 + 2 pi fs/s)")

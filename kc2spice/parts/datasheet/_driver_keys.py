@@ -119,7 +119,7 @@ DRIVER_PARAMETERS = {
 
 
 def compute_thiele_small(driver: Mapping[str, float]) -> dict[str, float]:
-    """Return all data-sheet values of a driver, computed from six of them.
+    """Return all data-sheet values of a driver, computed from six of these values.
 
     ``driver`` contains ``re``, ``bl``, ``mms``, ``cms``, ``rms`` and ``sd`` in SI units.
     """

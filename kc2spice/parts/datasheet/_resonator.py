@@ -6,8 +6,8 @@ each mode. The admittance is
     Y(s) = s c0 + sum_n s cm_n / (1 + s rm_n cm_n + s^2 lm_n cm_n)
 
 (K. S. Van Dyke, Proc. IRE 16 (1928) 742; IEEE Std 177-1966). Part types define their keys as
-functions of these elements. The module :mod:`._stated_values` solves for the elements that match
-the keys.
+functions of the circuit elements. The module :mod:`._stated_values` solves for the elements that
+match the keys.
 """
 
 from __future__ import annotations
@@ -165,7 +165,7 @@ class NumberedPart(PartType[KeysT]):
 
 
 class ResonatorPart(NumberedPart[KeysT]):
-    """Part with a Butterworth-Van Dyke circuit between its two pins as its subcircuit."""
+    """Part whose subcircuit is a Butterworth-Van Dyke circuit between two pins."""
 
     source = "data sheet"
     noise = ("Rm*",)

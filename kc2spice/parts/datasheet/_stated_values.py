@@ -223,7 +223,7 @@ class StatedValues:
     def _compute_correction(self, key: str) -> float:
         """Return how far the value ``key`` is from the value that all other values imply.
 
-        The distance is the magnitude of the logarithm of their ratio.
+        The distance is the magnitude of the logarithm of the ratio of both values.
         """
         return abs(self._compute_residual(key, self._drop_value(key)._fitted_unknowns))
 

@@ -228,7 +228,7 @@ class Driver(TemplatePart[KeysT]):
 
     @abstractmethod
     def declare_circuit(self, parameters: tuple[Param, ...]) -> Declaration:
-        """Return the declaration of the driver's circuit with these parameters."""
+        """Return the declaration of the driver's circuit with the netlist ``parameters``."""
 
     def law(self, part: Part[KeysT], build: Build) -> laws.Equations | laws.MissingEquations:
         """Return the model equations of the part."""

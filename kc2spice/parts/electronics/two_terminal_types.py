@@ -1,8 +1,8 @@
 """Part types of linear elements between two pins, such as resistors, springs and dampers.
 
-They are generated from a table. A row of the table contains the energy that an element stores, or
-the power that it loses (:mod:`kc2spice.physics.declaration`). Keys, netlist card, results,
-documentation, and the equations for the independent integrator are generated from the row.
+The part types are generated from a table. A row of the table contains the energy that an element
+stores, or the power that it loses (:mod:`kc2spice.physics.declaration`). Keys, netlist card,
+results, documentation, and the equations for the independent integrator are generated from the row.
 """
 
 from __future__ import annotations
@@ -53,8 +53,9 @@ from kc2spice.scene.parttype import register
 class ElementRow(NamedTuple):
     """Table row that defines a linear element.
 
-    ``key`` is its only key, with ``unit`` and the example ``value``. ``stated`` contains its energy
-    or power terms, and ``drive`` contains the keys of the source in its example scene.
+    ``key`` is the only key of the element, with ``unit`` and the example ``value``. ``stated``
+    contains the energy or power terms of the element. ``drive`` contains the keys of the source in
+    the example scene.
     """
 
     name: str
@@ -136,8 +137,8 @@ part = "source"
 class LinearElement(DeclaredPart[KeysT]):
     """Linear element that is a single netlist card.
 
-    Its equation is ``through = admittance d^order/dt^order`` of ``across``. An element with a
-    connected pin ``heat`` is a subcircuit instead.
+    The equation of an element is ``through = admittance d^order/dt^order`` of ``across``. An
+    element with a connected pin ``heat`` is a subcircuit instead.
 
     The current of an element is not the device parameter ``@r[i]``, because in an ac analysis
     ngspice computes this parameter only at the operating point. The current of a resistance is

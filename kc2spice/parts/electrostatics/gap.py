@@ -1,18 +1,18 @@
 """Gap between faces of a body and a fixed electrode: pull-in, contact, release, squeezed film.
 
 The face consists of patches. Each patch is a port of the body, and x is the upward displacement of
-the patch. Its distance d to the electrode is ``gap - x`` for an electrode above, and ``gap + x``
-for an electrode below. At the voltage v, a patch of area A has the coenergy ``C v^2 / 2`` with the
-capacitance ``C = permittivity eps0 A / d``. With ``fringing``, C is the capacitance of a strip of
-width w and thickness t. Its capacitance per length is ``eps0 permittivity (w/d + 0.77 + 1.06
-(w/d)^(1/4) + 1.06 (t/d)^(1/2))`` (N. van der Meijs, J. T. Fokkema, Integration 2 (1984) 85). Beyond
-the displacement ``travel``, a stop acts (:mod:`kc2spice.parts.mechanics._stop`).
+the patch. The distance d of the patch to the electrode is ``gap - x`` for an electrode above, and
+``gap + x`` for an electrode below. At the voltage v, a patch of area A has the coenergy ``C v^2 /
+2`` with the capacitance ``C = permittivity eps0 A / d``. With ``fringing``, C is the capacitance of
+a strip of width w and thickness t. The capacitance per length of the strip is ``eps0 permittivity
+(w/d + 0.77 + 1.06 (w/d)^(1/4) + 1.06 (t/d)^(1/2))`` (N. van der Meijs, J. T. Fokkema, Integration 2
+(1984) 85). Beyond the displacement ``travel``, a stop acts (:mod:`kc2spice.parts.mechanics._stop`).
 
 The gas film is a rectangle of length l and width w that is vented on all sides (J. J. Blech, J.
-Lubr. Technol. 105 (1983) 615). Its pressure is a series of the terms ``sin(m pi x / l) sin(n pi y /
-w)`` with odd m and n. Each term is a damper c in series with a spring k of the trapped gas. The
-displacement of a term is the sum of the patch displacements, weighted with the share of each patch
-in the term::
+Lubr. Technol. 105 (1983) 615). The pressure of the gas film is a series of the terms ``sin(m pi x /
+l) sin(n pi y / w)`` with odd m and n. Each term is a damper c in series with a spring k of the
+trapped gas. The displacement of a term is the sum of the patch displacements, weighted with the
+contribution of each patch to the term::
 
     S = 4 l w / (pi^2 m n)     q^2 = pi^2 (m^2 / l^2 + n^2 / w^2)
     c = 48 viscosity S^2 / (q^2 gap^3 l w)     k = 4 pressure S^2 / (gap l w)
@@ -493,8 +493,8 @@ def _split_series(
 ) -> tuple[list[tuple[float, float, np.ndarray]], float]:
     """Return the terms of the film series with a spring, and the sum of all other dampers.
 
-    A term contains the damper times gap^3, the spring times gap, and the share of each patch in the
-    motion of the term.
+    A term contains the damper times gap^3, the spring times gap, and the contribution of each patch
+    to the motion of the term.
     """
     dampers, springs, orders = _compute_series_terms(film)
     edges = np.linspace(0, 1, count + 1)

@@ -142,7 +142,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
     def law(self, part: Part[CurrentCasesKeys], build: Build) -> laws.Equations:
         """Return the model equations of all copies of the coils.
 
-        A source prescribes the height of the sphere, and the forces of the coils act on it.
+        A source prescribes the height of the sphere, and the forces of the coils act on the sphere.
         """
         n, pulled, fed = part.name, _find_sphere(part, build.scene), _find_coils(part, build.scene)
         table, height = build.model(fed, EMTable), [f"{n}.out"]
@@ -163,8 +163,9 @@ class CurrentCases(PartType[CurrentCasesKeys]):
     ) -> Iterator[Check | Gate]:
         """Yield the check of the force table's slope, and the error limits of the forces.
 
-        The check limits the largest jump of the slope between two segments of the table. The
-        heights of the sweep are closer than the segments, so each jump has its full size.
+        The check sets a limit for the largest jump of the slope between two segments of the table.
+        The heights of the sweep are closer than the segments, so the sweep contains each jump in
+        full.
         """
         forces = _read_recorded_forces(part, build, waves)
         slope = np.diff(forces, axis=1) / np.diff(waves[f"{_find_sphere(part, build.scene)}.y"])

@@ -130,7 +130,7 @@ class PortLoads(PartType[PortLoadsKeys]):
     def inner_names(
         self, part: Part[PortLoadsKeys], scene: WiredScene
     ) -> Iterator[tuple[str, ...]]:
-        """Yield the names of the copies of the body, and of the elements that load them."""
+        """Yield the names of the copies of the body, and of the elements that load these copies."""
         rings = _list_loaded_rings(find_loaded_body(part, scene), scene)
         for load in (*rings, "anode"):
             yield (f"X{load}",)
@@ -143,7 +143,7 @@ class PortLoads(PartType[PortLoadsKeys]):
         """Return the ngspice vectors of the responses, with keys ``INPUT>OUTPUT``.
 
         The response of a contact ring is its displacement [m]. The response of the anode is its
-        charge [C], or its voltage [V] if it is open.
+        charge [C], or its voltage [V] if the anode is open.
         """
         body = find_loaded_body(part, build.scene)
         rings = _list_loaded_rings(body, build.scene)

@@ -30,7 +30,7 @@ def get_wire_coefficients(keys: ConductorKeys) -> tuple[float, float]:
 
 
 def resistance_ratio(keys: ConductorKeys, temperature: np.ndarray) -> np.ndarray:
-    """Return the ratio of the resistance of the wire to its stated resistance.
+    """Return the resistance of the wire, relative to its stated resistance.
 
     ``temperature`` [K] is the difference from the ambient temperature.
     """

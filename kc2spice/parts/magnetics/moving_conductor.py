@@ -219,7 +219,8 @@ def declare_moving_body(part: Part[MovingBodyKeys], model: LoopModel) -> Declara
     """Return the declaration of a moving body from its built ``model``.
 
     The coenergy is ``i' L i / 2`` with the currents i of coils and loops. The couplings in L are
-    power series of the height. A magnet has no loops; its couplings are per tesla of remanence.
+    power series of the height. A magnet has no loops, and the couplings of a magnet are per tesla
+    of remanence.
     """
     keys, coils = part.keys, list(map(_current_name, part.keys.coils))
     eddies = _eddy_names(model.rates.size)
@@ -439,7 +440,7 @@ class MovingBody(DeclaredPart[MovingT]):
         return iter(())
 
     def resolved_frequency(self, part: Part[MovingT], scene: Scene) -> float:
-        """Return the largest frequency [Hz] of resolved eddy currents; 0 without them."""
+        """Return the largest frequency [Hz] of resolved eddy currents; 0 without eddy currents."""
         return 0.0
 
     def add_ring_error(

@@ -1,9 +1,9 @@
 """The part ``ring_magnet_coils``: a ring magnet and two coils that catch a magnetic sphere.
 
-The sphere moves along the common axis (paper 2.2.1, 2.4). The force on it is a polynomial of both
-coil currents with six coefficients, which are tabulated functions of the height. With an ideal
-current drive, the coils are resistors. Otherwise, the coils have inductance and back-EMF from the
-same table. :mod:`kc2spice.physics.coils` contains the declarations.
+The sphere moves along the common axis (paper 2.2.1, 2.4). The force on the sphere is a polynomial
+of both coil currents with six coefficients, which are tabulated functions of the height. With an
+ideal current drive, the coils are resistors. Otherwise, the coils have inductance and back-EMF from
+the same table. :mod:`kc2spice.physics.coils` contains the declarations.
 """
 
 from __future__ import annotations
@@ -338,7 +338,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
     def build(self, part: Part[Coils], scene: Scene, clock: Clock, full: bool = False) -> EMTable:
         """Return the force table of the actuator.
 
-        The table is computed for unit remanence, and then scaled and shifted, which is exact. A
+        The table is computed for unit remanence, and then scaled and shifted without an error. A
         ``full`` table has so many heights that the interpolation error of its splines is
         ``DENSITY_RATIO**4`` times smaller. The air box of the mesh moves with the ring magnet.
         """

@@ -1,6 +1,7 @@
 """Stop of a moving plate, comb or armature, a spring that returns part of the impact energy.
 
-Beyond the displacement ``travel``, the stop is indented by d at the rate v = dd/dt. Its force is::
+Beyond the displacement ``travel``, the stop is indented by d at the rate v = dd/dt. The force of
+the stop is::
 
     F = stop d (1 + loss v / sqrt(v^2 + slow^2) + damping v)
     loss = (1 - restitution^2) / (1 + restitution^2)

@@ -128,10 +128,10 @@ def find_surface(
 
 
 def ring_gaps(distance: np.ndarray, sphere_radius: float) -> np.ndarray:
-    """Return the gap [m] between a sphere and a plane that it touches on the axis.
+    """Return the gap [m] between a sphere and a plane that touch on the axis.
 
     At the distance r from the axis, the gap under a sphere of radius R is ``R - sqrt(R^2 - r^2)``.
-    It is computed as ``r^2 / (R + sqrt(R^2 - r^2))``, which avoids cancellation.
+    The gap is computed as ``r^2 / (R + sqrt(R^2 - r^2))``, which avoids cancellation.
     """
     r = np.asarray(distance, dtype=float)
     return r**2 / (sphere_radius + np.sqrt(sphere_radius**2 - r**2))
@@ -318,7 +318,7 @@ class ContactPair:
 
     @cached_property
     def basis_compliance(self) -> tuple[LocalCompliance, float]:
-        """Compliance of both sides for the pressure basis, and its response time [s]."""
+        """Compliance of both sides for the pressure basis, with the response time [s]."""
         return self._combine_compliances(self.pressure_basis)
 
     def _combine_compliances(self, shape: PressureBasis) -> tuple[LocalCompliance, float]:
@@ -480,7 +480,7 @@ def _extrapolate_release(
     """Return the time [s] and velocity [m/s] at which the extrapolated contact force is zero.
 
     The velocity is extrapolated from the flight back to this time. After the last sample with a
-    contact force, the velocity still changes under load, while in flight it changes steadily.
+    contact force, the velocity still changes under load. In flight, the velocity changes steadily.
     """
     time, free = float(t[last]), last + 1
     if last > 0 and force[last - 1] > force[last]:

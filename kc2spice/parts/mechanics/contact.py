@@ -452,13 +452,14 @@ def _check_open_ports(
     The check is *ring_left_out*, or *outer_ring* if all rings have contact springs.
 
     *ring_left_out* checks that the first ring without a contact spring stays open. The
-    displacement of this ring is not a result of the run. It is estimated as the displacement of the
-    outermost ring K with a spring, plus the indentation of K by the recorded forces F_j, ``u_K +
-    sum_j S_Kj F_j``. Any indentation of the omitted ring only increases its distance to the sphere.
-    S is the static compliance, because the response time over the distance of one ring is
-    negligible. According to models with all rings, the estimate is 10 to 100 % above the largest
-    displacement of the next ring, or below it by at most 5 % of the gap. If all rings have springs,
-    *outer_ring* checks that the last one stays open.
+    displacement of this ring is not a result of the run. The displacement of the first ring without
+    a spring is estimated as the displacement of the outermost ring K with a spring, plus the
+    indentation of K by the recorded forces F_j, ``u_K + sum_j S_Kj F_j``. Any indentation of the
+    omitted ring only increases the distance of the ring to the sphere. S is the static compliance,
+    because the response time over the distance of one ring is negligible. According to models with
+    all rings, the estimate is 10 to 100 % above the largest displacement of the next ring, or below
+    it by at most 5 % of the gap. If all rings have springs, *outer_ring* checks that the last ring
+    stays open.
     """
     n, a, ports, action = pair.part.name, pair.a, pair.ports, pair.scene.checks.range
     if pair.b.radius is None or len(a.ports) < 2:
@@ -489,8 +490,8 @@ def _check_open_ports(
 def _check_depth(pair: ContactPair, waves: Waveforms, place: np.ndarray) -> Iterator[Check]:
     """Yield checks of the indentation of a contact with a pressure basis.
 
-    The contact law holds until the contact radius is half of the patch radius. It is inaccurate if
-    only a few basis functions carry the force (:data:`FUNCTIONS_PER_RADIUS`).
+    The contact law is accurate until the contact radius is half of the patch radius. The contact
+    law is inaccurate if only a few basis functions carry the force (:data:`FUNCTIONS_PER_RADIUS`).
     """
     height = pair.a.height(pair.a.ports[0], waves)
     if pair.keys.shape != "pressure" or height is None:

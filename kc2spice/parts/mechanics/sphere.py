@@ -131,7 +131,7 @@ class SphereKeys(Section):
 def declare_sphere(
     mass: float, radius: float, gravity: float, velocity: float = 0.0, height: float = 0.0
 ) -> Declaration:
-    """Return the declaration of a sphere; x is the height of its lowest point.
+    """Return the declaration of a sphere; x is the height of the sphere's lowest point.
 
     x is zero at the first touch. If x were the height of the centre, an indentation of a picometre
     would be within rounding errors. Without the option ``uic``, ngspice starts from the operating
