@@ -27,7 +27,7 @@ CONTACT_RATING = "not known; compare the force with the strength of both surface
 # Note on the mesh error of a pressure law: the error of the compliances that the law is fitted to.
 SPACING_NOTE = "error not estimated; a run with half the key spacing shows it"
 # Reason for FRICTION_NOTE: in a test with compiled modules, a block slid 35 mm, not 0.2 mm.
-# In this test, the simulator printed no error.
+# In the test with compiled modules, the simulator printed no error.
 FRICTION_NOTE = "compiled modules lose the digits that friction below its creep speed needs"
 SIGN_NOTE = "um, m/s and N count upwards; 1 A into a pin pushes the part up with 1 N"
 

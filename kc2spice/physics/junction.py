@@ -19,14 +19,14 @@ from kc2spice.core.quantities import DEFAULT_TEMPERATURE
 # Boltzmann constant [J/K] and elementary charge [C] of ngspice, from CODATA 2014.
 # The file include/ngspice/const.h of ngspice contains both constants.
 # With the exact constants of the SI, the thermal voltage would be larger by the factor 1 + 3.4e-7.
-# With the exact constants, the current at 0.6 V would be smaller by the factor 1 - 8e-6.
+# With the exact constants of the SI, the current at 0.6 V would be smaller by the factor 1 - 8e-6.
 SIMULATOR_BOLTZMANN = 1.38064852e-23
 SIMULATOR_CHARGE = 1.6021766208e-19
 THERMAL_VOLTAGE = SIMULATOR_BOLTZMANN * DEFAULT_TEMPERATURE / SIMULATOR_CHARGE  # V, at 27 C
 MIN_CONDUCTANCE = 1e-12  # conductance [S] in parallel with each junction in ngspice (option gmin)
 # default parameters of the SPICE diode model; the grading coefficient M is 0.5
 BUILT_IN_VOLTAGE = 1.0  # built-in voltage VJ [V]
-FORWARD_SHARE = 0.5  # FC, share of VJ above which the capacitance rises linearly
+FORWARD_SHARE = 0.5  # FC, fraction of VJ above which the capacitance rises linearly
 BREAKDOWN_CURRENT = 1e-3  # current IBV [A] at the breakdown voltage
 # Reverse voltage, in thermal voltages, beyond which ngspice uses a cubic law of the current.
 REVERSE_RANGE = 3.0
@@ -82,12 +82,12 @@ class Junction(Device):
     """
 
     name: str
-    saturation_current: float  # A, IS
-    emission: float  # N
-    series_resistance: float  # Ohm, RS
-    capacitance: float  # F, CJO
-    transit_time: float  # s, TT
-    breakdown_voltage: float  # V, BV
+    saturation_current: float  # A, SPICE parameter IS
+    emission: float  # SPICE parameter N
+    series_resistance: float  # Ohm, SPICE parameter RS
+    capacitance: float  # F, SPICE parameter CJO
+    transit_time: float  # s, SPICE parameter TT
+    breakdown_voltage: float  # V, SPICE parameter BV
 
     @property
     def pins(self) -> tuple[LawPin, ...]:

@@ -130,7 +130,7 @@ class _CardWriter(ExpressionWriter):
     def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
         """Return the text of a function call in the syntax of netlist cards."""
         match function, arguments:
-            case "sqrt", (Call("max", (_, value)),):  # with a finite derivative at zero
+            case "sqrt", (Call("max", (_, value)),):  # this text has a finite derivative at zero
                 return f"sqrt(max(1e-18, {self.write(value)}))"
             case "clip", (value,):
                 return f"max(-1, min(1, {self.write(value)}))"
@@ -245,7 +245,7 @@ def _differentiate(tree: Tree, name: str) -> Tree:
                 else _differentiate_function(function, value)
             )
             return _make_product(outer, _differentiate(value, name))
-    return ZERO  # for numbers, and for step functions, which are constant except at the step
+    return ZERO  # numbers, and step functions except at the step, have zero slope
 
 
 def _differentiate_function(function: str, value: Tree) -> Tree:
@@ -563,7 +563,7 @@ class _PythonWriter(ExpressionWriter):
 
     def name(self, text: str) -> str:
         """Return the Python name of a variable."""
-        return f"_{text}"  # because the name of a key may be a Python keyword
+        return f"_{text}"  # the underscore allows keys with the name of a Python keyword
 
     def write(self, tree: Tree, level: int = 0) -> str:
         """Return the text of an expression tree in Python syntax."""

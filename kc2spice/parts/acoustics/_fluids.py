@@ -30,8 +30,8 @@ LARGEST_HEAT_RATIO = 5 / 3  # ratio of the specific heats of a monatomic gas
 SMALLEST_DENSITY, LARGEST_DENSITY = 1e-6, 3e4  # kg/m3, from thin gases to above all liquids
 SMALLEST_SPEED, LARGEST_SPEED = 1.0, 1e4  # m/s, below and above the speeds of sound of all fluids
 # Lower limits of viscosity and conductivity: a thousandth of the values of the thinnest gases.
-SMALLEST_VISCOSITY, LARGEST_VISCOSITY = 1e-9, 1e6  # Pa s
-SMALLEST_CONDUCTIVITY, LARGEST_CONDUCTIVITY = 1e-6, 1e4  # W/(m K)
+SMALLEST_VISCOSITY, LARGEST_VISCOSITY = 1e-9, 1e6  # viscosities [Pa s]
+SMALLEST_CONDUCTIVITY, LARGEST_CONDUCTIVITY = 1e-6, 1e4  # conductivities [W/(m K)]
 
 
 class FluidTable(Section):
@@ -158,8 +158,8 @@ Fluid = Annotated[FluidTable, BeforeValidator(_read_fluid)]
 
 
 # Limits of lengths and areas of acoustic parts, from nanometres to kilometres.
-SMALLEST_LENGTH, LARGEST_LENGTH = 1e-9, 1e4  # m
-SMALLEST_AREA, LARGEST_AREA = 1e-18, 1e8  # m2
+SMALLEST_LENGTH, LARGEST_LENGTH = 1e-9, 1e4  # lengths [m]
+SMALLEST_AREA, LARGEST_AREA = 1e-18, 1e8  # areas [m2]
 
 
 class FluidKeys(Section):

@@ -70,17 +70,17 @@ STEEP_EDGE_ADVICE = (
 )
 CONTACT_ADVICE = "a contact excites modes of the body that the reduced model lacks: widen rom.band"
 # Smallest ratio of the upper end of the band to the lowest resonance frequency.
-# With a smaller ratio, the results of a kick scene had an error of 2 %.
+# With a smaller ratio of band to resonance, the results of a kick scene had an error of 2 %.
 MIN_BAND_RATIO = 1.5
 # Time points count as equal if their distance is below this fraction of the run's duration.
 EQUAL_TIME_TOLERANCE = 1e-9
 # largest fraction of a floating electrode's charge that the leak of the netlist may remove
 MAX_CHARGE_LOSS = 1e-4
 # Largest permitted error of the energy balance, relative to the stored energy.
-# This limit is wide, because a small piezoelectric chip rings at up to 30 MHz after a pulse.
+# The permitted error is large, because a small piezoelectric chip rings at up to 30 MHz.
 MAX_STORED_SHARE = 0.1
 # A force or energy below this fraction of its largest value counts as zero.
-# The fraction is far above rounding errors.
+# This fraction is far above the rounding errors of forces and energies.
 ZERO_LOAD = 1e-9
 
 

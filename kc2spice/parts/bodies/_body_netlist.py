@@ -155,7 +155,7 @@ class BodyNetlist(BodyModel[LinearKeysT]):
         for pin in chain.from_iterable(port.terminals[1:] for port in ports):
             joins.append((pin, f"{n}.{pin}"))
         joins += [(last, f"{n}.{last}")] * heat
-        results: dict[str, laws.WaveCombination] = {}  # keyed by the names of vectors
+        results: dict[str, laws.WaveCombination] = {}  # results, keyed by the names of vectors
         for port in ports:
             mine, name = f"{n}.{port.name}", wave_name(n, ports, port)
             if port.paired:

@@ -31,7 +31,7 @@ TOLERANCE = 0.01  # relative tolerance of a resonance frequency and of a support
 # Source: F. M. Wiener, J. Acoust. Soc. Am. 23 (1951) 697.
 LARGEST_DIPOLE_KA = 1.5
 # Largest difference [dB] of the radiated power without a warning.
-# This difference equals the tolerance of a sound level meter of class 2 (IEC 61672-1).
+# The difference equals the tolerance of a sound level meter of class 2 (IEC 61672-1).
 PISTON_TOLERANCE = 1.0
 MIN_PISTON_SHARE = 0.5  # smallest ratio of mean to rms face velocity without a warning
 

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from kc2spice.bodies.device import Block
 
 # Heat transfer coefficient [W/(m^2 K)] from a small surface to still air.
-# The coefficient includes convection and radiation of surfaces of 10 mm to 50 mm.
-# These surfaces are about 20 K warmer than the air.
+# The coefficient includes convection and radiation, for surfaces of 10 mm to 50 mm.
+# The surfaces are about 20 K warmer than the air.
 # Source of the coefficient: VDI Heat Atlas, 2nd ed. 2010, sections F2 and K1.
 COOLING_COEFFICIENT = 10.0
 GLUE_THICKNESS = 10e-6  # thickness [m] of an epoxy joint that is pressed during curing

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 # number of plotted frequencies of an impedance, without the extra frequencies near resonances
 IMPEDANCE_FREQUENCIES = 600
 # Largest number of drawn mesh lines on a surface.
-# If a mesh has more lines, only the edges at which the surface bends are drawn.
+# If a mesh has more mesh lines, only the edges at which the surface bends are drawn.
 MAX_MESH_LINES = 4000
 # Smallest bend of a drawn edge: second eigenvalue of ``sum n n'``, relative to the largest one.
 # The vectors n in ``sum n n'`` are the normals of the faces at the edge.

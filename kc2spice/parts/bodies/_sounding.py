@@ -105,7 +105,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
         from kc2spice.parts.bodies._face_response import MAX_MODES, LoadedFace
 
         end = float(self.reduction(part, scene).band[1])
-        # A transient mainly excites the first mode, so only this mode is compared.
+        # A transient mainly excites the first mode, so a piston is compared with this mode only.
         count = MAX_MODES if scene.analysis.is_small_signal else 1
         faces = [item for item in self.used_ports(part, scene) if item.domain is ACOUSTIC]
         joined = tuple(item.name for item in faces)

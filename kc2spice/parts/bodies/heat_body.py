@@ -233,7 +233,7 @@ def _stack_layers(keys: HeatBodyKeys) -> tuple[HeatGeometry, list[tuple[np.ndarr
             problem = "nothing is below the last layer"
             raise wrong(f"layers[{len(layers)}].resistance", problem, hint="delete this key")
         facet = np.flatnonzero(np.isclose(mesh.p[0, mesh.facets[0]], bottoms[number], rtol=1e-12))
-        # The matrices contain the area of this layer.
+        # The matrices contain the cross-sectional area of the layer at the joint.
         area = layers[owner[int(mesh.f2t[0, facet[0]])]].area
         interfaces.append((facet, layer.resistance * area / layer.area))
     if interfaces:
@@ -440,7 +440,7 @@ dc = "1 W"
         known = [name for name in model.facts if name.startswith(RESISTANCE_PREFIX)]
         if not known:
             return model
-        resistances = compute_static_resistances(model)  # only for the ports that the scene uses
+        resistances = compute_static_resistances(model)  # only for used ports
         exact = {name: resistances[name] for name in known if name in resistances}
         return replace(model, facts={**model.facts, **exact})
 

@@ -54,15 +54,15 @@ DAMPING_FREQUENCY = 250e3  # frequency [Hz] at which the paper's chip has a damp
 # Damping ratio at ``DAMPING_FREQUENCY`` below which modes ring during the whole kick.
 # If modes ring during the whole kick, the errors of the time steps add up.
 # Chips with a damping ratio of 0.01 to 0.1 % have launch velocity errors of up to 2.6e-4.
-# These errors occur if reltol has the value for chips with a damping ratio of 1 %.
+# Launch velocity errors of this size occur with the reltol for a damping ratio of 1 %.
 RINGING_DAMPING = 4e-3
 MIN_DAMPING = 2e-4  # damping ratio below which reltol is not reduced further
 # Factor on reltol that makes kicks of 40 to 60 V as accurate as kicks of 100 V.
 LOW_KICK_FACTOR = 0.03
 # Factor on reltol for a downward kick: the chip leaves the sphere, rings, and strikes the sphere.
-# The errors of all time steps contribute to the phase of the ringing at this impact.
+# The errors of all time steps contribute to the phase of the ringing at the impact.
 # For -100 V, the relative error of the launch velocity is 1.2e-2 at a reltol of 1e-4.
-# For -100 V, this error is 6e-4 at a reltol of 1e-6, and 1.1e-4 at a reltol of 1e-7.
+# The error for -100 V is 6e-4 at a reltol of 1e-6, and 1.1e-4 at a reltol of 1e-7.
 DOWNWARD_RELTOL_FACTOR = 2e-3
 DOWNWARD_SPEED_RATIO = 0.1  # speed of a downward kick, relative to an upward kick
 OVERSHOOT = 2.0  # ratio of the largest to the static displacement under a sudden load

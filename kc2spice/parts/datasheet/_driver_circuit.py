@@ -153,7 +153,7 @@ def _add_semi_inductance(
         return
     for k, (corner, weight) in enumerate(zip(ladder.corners, ladder.weights, strict=True), 1):
         # The term weight corner / (ke (s + corner)) is a resistance in series with an inductance.
-        # Their values are R = ke / weight and L = R / corner.
+        # The resistance is R = ke / weight, and the inductance is L = R / corner.
         terms.constants[f"r_eddy{k}"] = f"ke/{weight!r}"
         terms.constants[f"l_eddy{k}"] = f"r_eddy{k}/{corner!r}"
         terms.add_path(f"i_eddy{k}", f"l_eddy{k}", f"r_eddy{k}")
@@ -180,8 +180,8 @@ def _add_creep(terms: _DeclarationTerms, creep: float, ladder: RelaxationLadder)
     stretches = [f"x{k}" for k in range(1, len(nodes) + 1)]
     terms.energy.append(f"0.5*({' - '.join(['x', *stretches])})^2/c0")
     for k, (corner, weight) in enumerate(zip(ladder.corners, ladder.weights, strict=True), 1):
-        # This element adds c0 creep weight corner / (s + corner) to the compliance.
-        # The frequency s in this term is relative to 2 pi fs.
+        # Each element of creep adds c0 creep weight corner / (s + corner) to the compliance.
+        # Here, the complex frequency s is relative to 2 pi fs.
         terms.constants[f"c_creep{k}"] = f"c0*creep*{weight!r}"
         terms.constants[f"r_creep{k}"] = f"1/({corner!r}*omega*c_creep{k})"
         terms.branches.append(displacement(f"x{k}", nodes[k - 1], "frame", f"force_x{k}"))

@@ -21,10 +21,10 @@ import numpy as np
 from kc2spice.core.errors import MAX_CANDIDATES, UsageError
 
 VALUE_ROUNDING = 0.005  # largest relative rounding error of a value with three significant digits
-# Step of the central differences with respect to logarithms; their errors are 1e-10 and 1e-11.
+# Step of the central differences of logarithms; the differences have errors of 1e-10 and 1e-11.
 DIFFERENCE_STEP = 1e-5
 # Relative singular value below which an unknown counts as undetermined.
-# This value is far above the errors of the central differences.
+# This singular value is far above the errors of the central differences.
 RANK_TOLERANCE = 1e-7
 SOLUTION_TOLERANCE = 1e-6  # largest relative error of an equation that counts as solved
 # factor by which one unknown changes at the start of the search for a second circuit
@@ -135,8 +135,7 @@ class StatedValues:
         return replace(self, stated=stated)
 
     def _count_determined_unknowns(self, x: np.ndarray, *more: str) -> int:
-        """Return the number of unknowns that the stated values and the values ``more``
-        determine."""
+        """Return how many unknowns the stated values and the values ``more`` determine."""
         rows = [self._compute_gradient(key, x) for key in (*self.stated, *more)]
         return int(np.linalg.matrix_rank(np.array(rows), tol=RANK_TOLERANCE)) if rows else 0
 

@@ -67,7 +67,7 @@ from kc2spice.scene.parttype import register
 
 RADIATION = "radiation"  # part type that models the mass of the air at the cone
 # Default ratio le / re [s] for a data sheet without le.
-# With this ratio, the corner frequency of the coil is 159 kHz, far above the audio band.
+# With this ratio le / re, the corner frequency of the coil is 159 kHz, far above the audio band.
 INDUCTANCE_TIME = 1e-6
 
 

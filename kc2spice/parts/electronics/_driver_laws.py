@@ -25,10 +25,10 @@ FULL_TURN = repr(2 * math.pi)
 # Name of the parameter with the resistance [Ohm] of ``Rout``, the last resistor of each circuit.
 SERIES_PARAMETER = "series_resistance"
 # Gain with which a linear amplifier limits a voltage beyond a rail.
-# The gain is 1 kS of the rail, divided by 1 mS of the input stage.
+# The gain is the conductance of the rail, 1 kS, divided by that of the input stage, 1 mS.
 RAIL_GAIN = 1e6
 # Amplitude of the sine whose arcsine is the triangle.
-# An amplitude below 1 rounds the corners of the triangle.
+# An amplitude of the sine below 1 rounds the corners of the triangle.
 SINE_SHARE = 0.9999
 PI_BANDWIDTH = 1e7  # Hz, gain-bandwidth product of the amplifier of a PI controller
 INPUT_RESISTANCE = 1e5  # Ohm, input resistor of a PI controller

@@ -171,7 +171,7 @@ def opamp_subcircuit(
 
 
 # Relative margin of rail checks.
-# The margin allows for the resistance of supplies and for the errors of saved time points.
+# The relative margin allows for the resistance of supplies and for the errors of saved time points.
 RAIL_MARGIN = 1e-3
 OVERDRIVE_ADVICE = (
     "its load drives it beyond its rails, where diodes of a real output would conduct"
@@ -184,8 +184,8 @@ class CoilLoad(NamedTuple):
     Both coils are in series, with the lower coil reversed.
     """
 
-    inductance: float  # H
-    resistance: float  # Ohm
+    inductance: float  # of the coils [H]
+    resistance: float  # of the coils [Ohm]
     current: float = 1.0  # A, largest set current of the controller
 
 

@@ -103,7 +103,7 @@ class NetlistKeys(Section):
     )
 
 
-# Kind of pin that an error suggests, by the unit that the user wrote.
+# Kind of pin that an error message suggests, by the unit that the user wrote.
 _UNITS_OF_PINS = {
     "K": "K/W", "degC": "K/W", "C": "K/W", "V": "V/A", "A": "V/A", "um": "um/N", "m": "um/N",
     "mm": "um/N", "N": "um/N", "m/s": "m/s/N", "Pa": "Pa/cm3/s", "rad": "rad/Nm",

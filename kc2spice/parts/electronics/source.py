@@ -99,7 +99,7 @@ POINTS_PER_PERIOD = 125
 # A fraction of 1e-4 of the spectrum of an edge is above this highest frequency.
 EDGE_FACTOR = 0.5
 # Highest resolved frequency, relative to the frequency of a sine that is switched on.
-# With a ratio of 3 of these frequencies, a mode above the band had an error of 1.3 %.
+# With a frequency ratio of 3, a mode above the band had an error of 1.3 %.
 RESOLVED_HARMONICS = 8.0
 # Largest deviation of a simulated source from its definition, relative to its range of values.
 MAX_DEVIATION = 1e-3
@@ -487,7 +487,7 @@ def _read_table(home: Path, name: str) -> np.ndarray:
             expected="rows of two numbers: time [s], value",
             hint="write two numbers, separated by a comma, in each line",
         ) from None
-    if rows.shape[1:] == (2,) and np.isnan(rows[0]).any():  # a header line
+    if rows.shape[1:] == (2,) and np.isnan(rows[0]).any():  # the first line is a header line
         rows = rows[1:]
     if rows.ndim != 2 or rows.shape[1] != 2 or not np.isfinite(rows).all():
         hint = "separate the numbers by a comma, and write decimal points"

@@ -73,14 +73,14 @@ PATCH_PREFIX = "patch"  # prefix of the names of ports that form a row of patche
 # Relative error of force / displacement due to the iterations of an operating point.
 ITERATION_ROUNDING = 1e-9
 # Largest relative change of the capacitance that counts as zero.
-# This change is far above the rounding errors of ngspice.
+# This change of the capacitance is far above the rounding errors of ngspice.
 MAX_CAPACITANCE_CHANGE = 1e-5
 # Largest odd m and n of the film series; the remaining terms contribute 1e-4 of the damping.
 MAX_SERIES_INDEX = 99
 # factor on the number of film branches for the model of ``verify``
 REFINEMENT_RATIO = 2
 # Smallest and largest number of film branches.
-# The smallest number exceeds 1, because the motion can be faster than the drive.
+# The smallest number of film branches exceeds 1, because the motion can be faster than the drive.
 MIN_BRANCHES = 3
 MAX_BRANCHES = 100
 

@@ -149,7 +149,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
         result: list[laws.Law] = [laws.IdealSource(n, "displacement", constant_waveform(0.0))]
         results = {f"{pulled}.y": laws.scale_wave(f"{n}.out")}
         for k, force in enumerate(_list_force_names(part, build)):
-            case = f"{fed.name} {k}"  # unique, because part names contain no spaces
+            case = f"{fed.name} {k}"  # unique name, because part names contain no spaces
             lower, upper = current_pairs(part)[k]
             declared = coils.declare_prescribed_currents()
             result.append(coils.make_law(case, declared, table, lower=lower, upper=upper))

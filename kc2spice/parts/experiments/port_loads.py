@@ -215,7 +215,7 @@ class PortLoads(PartType[PortLoadsKeys]):
         results: dict[str, laws.WaveCombination] = {}
         still = constant_waveform(0.0)
         for load in (*rings, "anode"):
-            name = f"{body.name} {load}"  # unique, because part names contain no spaces
+            name = f"{body.name} {load}"  # unique name, because part names contain no spaces
             result.append(replace(law, name=name))
             volts = laws.IdealSource(f"{name}_volts", "voltage", still, float(load == "anode"))
             if load != "anode":

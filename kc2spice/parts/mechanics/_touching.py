@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 FLOOR_PORT = "floor"  # name of the port of a fixed rigid plane
 SPHERE_PATCH = "patch"  # name of the port of an elastic sphere
 # Assumed force error of the pressure basis, relative to the change of the force on refinement.
-# On refinement, the basis functions have half the width.
+# On refinement, the basis functions of the pressure have half the width.
 # A comparison with basis functions of a quarter of the width gives a ratio of 1.8.
 REFINEMENT_LIMIT = 3.0
 _MIN_FLIGHT = 20e-6  # s, several periods of a chip; a shorter interval is a bounce in the kick

@@ -52,7 +52,7 @@ ESTIMATE_FACTOR = 0.4
 DEFAULT_LAUNCH_LIMIT = 1e-3
 MAX_LAUNCH_LIMIT = 1e-2
 # Largest permitted energy error of the contact springs.
-# The error is relative to the energy that flowed through the springs.
+# The energy error is relative to the energy that flowed through the springs.
 MAX_ENERGY_ERROR = 1e-3
 # Number of basis functions across the radius of a contact, for a relative force error of 5e-3.
 # With half of this number of basis functions, the relative force error is 3e-2.
@@ -62,7 +62,7 @@ MAX_RING_MOTION = 0.95  # largest permitted motion of an omitted ring, relative 
 # Largest permitted product of reltol and the number of contact events in a kick.
 # Every contact event adds the error of a time step.
 # In 37 kicks of chips with damping ratios of 0.01 to 0.05 %, some products exceeded this limit.
-# In these cases, the launch velocity had a relative error of 9e-4.
+# If a product exceeded this limit, the launch velocity had a relative error of 9e-4.
 MAX_EVENT_RELTOL = 4e-3
 MAX_START_HEIGHT = 1e-8  # largest height [m] above the body that counts as resting on it
 CONTACT_FREQUENCY = 500e3  # highest frequency [Hz] that a contact excites in bodies

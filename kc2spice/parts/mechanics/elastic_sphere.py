@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from kc2spice.bodies.pressure import LocalCompliance, PressureBasis, TransverselyIsotropicSphere
 
 # Upper end of the band, relative to the lowest natural frequency.
-# With this upper end, the band contains the radial mode.
+# With this ratio, the band contains the radial mode of the sphere.
 BAND_RATIO = 2.0
 
 

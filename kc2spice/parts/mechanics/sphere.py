@@ -49,8 +49,8 @@ from kc2spice.scene.plausible import check_range
 from kc2spice.scene.settings import Probe
 from kc2spice.synthesis.header import SIGN_TEXT
 
-AIR_VISCOSITY = 1.825e-5  # Pa s
-STEEL_DENSITY = 7850.0  # kg/m^3
+AIR_VISCOSITY = 1.825e-5  # viscosity of air [Pa s]
+STEEL_DENSITY = 7850.0  # density of steel [kg/m^3]
 REST_STATE = State(0.0, 0.0)
 SETTLING_BAND = 0.05  # half-width of the settling band, relative to the step to the set point
 # Largest permitted relative error of the work on a sphere.
