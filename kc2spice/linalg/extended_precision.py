@@ -18,9 +18,9 @@ from kc2spice.core.errors import SimulationError
 
 SLICE_COUNT = 4  # number of slices with about 21 bits each
 MAX_REFINEMENTS = 5
-# Limits of the relative correction in a refinement step: below the first limit, the next correction
-# is only rounding error; above the second limit, no digit of the solution is correct.
+# relative correction of a solution below which the next correction is only a rounding error
 CONVERGED_CORRECTION = 1e-8
+# relative correction of a solution above which refinement has failed
 DIVERGED_CORRECTION = 1e-3
 
 
@@ -52,8 +52,9 @@ class ExactMatrix:
 def _slice_matrix(P: np.ndarray, bits: int) -> Iterator[np.ndarray]:
     """Split a matrix into slices of few bits, so that products of slices are exact.
 
-    Each slice contains the next ``bits`` bits below the largest entry of each column. The product
-    of two slices is exact in double precision.
+    The first slice contains the leading ``bits`` bits, counted from the largest entry of each
+    column. Each further slice contains the next ``bits`` bits. The product of two slices is exact
+    in double precision.
     """
     for _ in range(SLICE_COUNT):
         top = np.abs(P).max(axis=0, initial=0.0).astype(float)

@@ -27,8 +27,8 @@ from kc2spice.linalg.solver import (
 )
 
 USABLE_MEMORY_SHARE = 0.9
-# Number of entries of the LU factors of n equations, divided by n sqrt(bandwidth): 4 for chains, 9
-# for plates, 34 for solids.
+# Number of entries of the LU factors of n equations, divided by n sqrt(bandwidth).
+# This number is 4 for chains, 9 for plates, and 34 for solids.
 FILL_FACTOR = 34.0
 REAL_BYTES = 12.0  # memory [B] of a real entry of a factor: its value and half of its index
 ENTRY_BYTES = 24.0  # memory [B] of a complex entry of a factor: its value, index and work space
@@ -59,8 +59,8 @@ def require_memory_for_factors(
 
     A reduction needs one real and one complex factor. For plates, the estimated memory of both
     factors is up to five times too large. A ``definite`` or quasi-definite matrix needs only one
-    factor without pivoting. This factor has half as many entries as an LU factor. If the user
-    supplies a solver, this function does nothing, because the memory of this solver is unknown.
+    factor without pivoting, which has half as many entries as an LU factor. If the user supplies a
+    solver, this function does nothing, because the memory of this solver is unknown.
     The error message states ``where`` as its location.
 
     Raises
@@ -69,8 +69,8 @@ def require_memory_for_factors(
     """
     rows = matrix.shape[0]
     size = 0.5 * REAL_BYTES if definite else ENTRY_BYTES + REAL_BYTES
-    # The bandwidth is at most the number of rows. The computation of the bandwidth takes as long as
-    # an assembly, so the first check uses the number of rows instead.
+    # The first check uses the number of rows, which is an upper limit of the bandwidth.
+    # The computation of the bandwidth would take as long as an assembly of the matrix.
     if (
         get_supplied_solver() is not None
         or size * FILL_FACTOR * rows**1.5 <= USABLE_MEMORY_SHARE * available_bytes()
@@ -92,11 +92,10 @@ def require_memory_for_factors(
 
 Inverse: TypeAlias = Callable[[np.ndarray], np.ndarray]
 
-# Largest backward error of a solution. The backward error of a stable solver is about 1e-15; the
-# limit is 10^4 times larger.
+# largest permitted backward error of a solution: 10^4 times the error of a stable solver
 RESIDUAL_LIMIT = 1e-11
-# Factors without pivoting lose digits. If k digits of a factor are correct, each refinement step
-# makes k more digits of the solution correct.
+# Largest number of refinement steps of a solution; factors without pivoting lose digits.
+# If k digits of a factor are correct, each step makes k more digits of the solution correct.
 MAX_REFINEMENTS = 3
 # Half-bandwidth up to which a banded factor costs less than the search for an elimination order.
 MAX_HALF_BANDWIDTH = 600
@@ -211,8 +210,8 @@ def factorise(
     """Factorise a symmetric matrix, real or complex.
 
     A positive definite matrix with a small half-bandwidth b gets a banded Cholesky factor. For n
-    unknowns, this factor costs n b^2 operations. A positive definite matrix with a larger bandwidth
-    gets a supernodal Cholesky factor. All other matrices get the factor of
+    unknowns, the banded factor costs n b^2 operations. A positive definite matrix with a larger
+    bandwidth gets a supernodal Cholesky factor. All other matrices get the factor of
     :func:`factorise_two_sided`.
 
     If the elimination ``order`` of a matrix with a similar sparsity pattern is given, no search for
@@ -388,9 +387,9 @@ def find_elimination_order(matrix: scipy.sparse.csc_array) -> np.ndarray | None:
     returns None and issues a warning.
 
     Unknowns whose columns have the same sparsity pattern, such as the unknowns of one node, become
-    one vertex of the graph for METIS. This graph equals the graph of the mesh. Time and memory
-    depend on the elimination order, but the accuracy of solutions does not. The elimination orders
-    of the most recent sparsity patterns are stored for later calls.
+    one vertex of the graph for METIS. The graph for METIS therefore equals the graph of the mesh.
+    Time and memory depend on the elimination order, but the accuracy of solutions does not. The
+    elimination orders of the most recent sparsity patterns are stored for later calls.
 
     Source: G. Karypis, V. Kumar, SIAM J. Sci. Comput. 20 (1998) 359.
     """

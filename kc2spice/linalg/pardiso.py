@@ -21,18 +21,18 @@ import scipy
 from kc2spice.core.errors import MissingToolError
 from kc2spice.core.extras import OPTIONAL_LIBRARIES
 
-# PARDISO's numbers of matrix types, keyed by whether the matrix is complex. PARDISO reads only the
-# upper triangle of a symmetric matrix.
+# PARDISO's numbers of symmetric matrix types, keyed by whether the matrix is complex.
+# PARDISO reads only the upper triangle of a symmetric matrix.
 SYMMETRIC_TYPES = {False: -2, True: 6}
 UNSYMMETRIC_TYPES = {False: 11, True: 13}
 # phases of a PARDISO call
 FACTORISE = 12
 SOLVE = 33
 RELEASE = -1
-# largest relative difference between a symmetric matrix and its transpose
+# largest relative difference between a matrix that counts as symmetric and its transpose
 SYMMETRY_TOLERANCE = 1e-12
-# Exponents k, keyed by whether the matrix is symmetric. PARDISO replaces pivots that are smaller
-# than 10^-k times the norm of the matrix.
+# Exponents k, keyed by whether the matrix is symmetric.
+# PARDISO replaces pivots that are smaller than 10^-k times the norm of the matrix.
 PIVOT_DIGITS = {True: 8, False: 13}
 # indices in the parameter array ``iparm``, counted from 0
 OWN_VALUES = 0
@@ -66,7 +66,7 @@ class Pardiso:
     """
 
     def __init__(self, matrix: Any) -> None:
-        _load_library()  # loaded first, so that an error leaves no memory to release
+        _load_library()  # first, so that an error of this call leaves no memory to release
         difference = abs(matrix - matrix.T).max()
         symmetric = bool(difference <= SYMMETRY_TOLERANCE * abs(matrix).max())
         complex_numbers = bool(np.iscomplexobj(matrix))

@@ -1,8 +1,8 @@
 """Choice of OpenBLAS kernels for processors that are newer than the OpenBLAS library.
 
 The OpenBLAS in cvxopt supports processors up to 2021. On a newer Intel processor, OpenBLAS uses
-kernels from 2004. With these kernels, a Cholesky factor of 103 000 unknowns took 12.5 s of CPU time
-instead of 4.4 s with kernels for AVX-512.
+kernels from 2004. With the kernels from 2004, a Cholesky factor of 103 000 unknowns took 12.5 s of
+CPU time; with kernels for AVX-512, it took 4.4 s.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ KERNELS = {
     "SkylakeX": {"avx512f", "avx512cd", "avx512bw", "avx512dq", "avx512vl", "fma", "avx2"},
     "Haswell": {"fma", "avx2"},
 }
-# This file exists only on Linux. On other operating systems, OpenBLAS selects the kernels itself.
+# File of processor flags, only on Linux. On other systems, OpenBLAS selects the kernels itself.
 _CPU_INFO = Path("/proc/cpuinfo")
 
 
 def select_kernels(flags: set[str]) -> str | None:
     """Return the name of the fastest kernels for a set of processor instructions.
 
-    Return None if no kernels match.
+    Return None if the processor lacks the instructions that the kernels need.
 
     Examples
     --------
@@ -52,7 +52,8 @@ def read_processor_flags() -> set[str]:
 def use_fast_kernels() -> Iterator[None]:
     """Make a library that is imported within this context use the fastest OpenBLAS kernels.
 
-    If the user has set the environment variable ``OPENBLAS_CORETYPE``, its value has priority.
+    If the user has set the environment variable ``OPENBLAS_CORETYPE``, this variable selects the
+    kernels instead.
     """
     kernels = None if CORE_TYPE_VARIABLE in os.environ else select_kernels(read_processor_flags())
     if kernels is None:

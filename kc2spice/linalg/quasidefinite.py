@@ -1,13 +1,14 @@
 """Factors of large sparse quasi-definite matrices, such as matrices of piezoelectric solids.
 
 A quasi-definite matrix ``[A B; B' -C]`` has positive definite blocks A and C. For any order of its
-unknowns, it has a factor ``L D L'`` without pivoting. The diagonal of D is 1 for unknowns of A and
--1 for unknowns of C. These signs are prescribed, so a successful factorisation also proves that
-both blocks are definite.
+unknowns, such a matrix has a factor ``L D L'`` without pivoting. The diagonal of D is 1 for
+unknowns of A and -1 for unknowns of C. The signs in D are prescribed, so a successful factorisation
+also proves that A and C are definite.
 
 The method is multifrontal. The elimination tree is divided into supernodes. A supernode is a set of
 unknowns, its pivots, whose columns of L have nearly the same sparsity pattern. The front of a
-supernode is a dense matrix of the pivots and of the later unknowns that are coupled to the pivots.
+supernode is a dense matrix. The rows of a front are the pivots and the later unknowns that are
+coupled to the pivots.
 Dense Cholesky factors eliminate the pivots, first the pivots of A and then the pivots of C. The
 remaining Schur complement is added to the front of the parent supernode.
 
@@ -26,9 +27,8 @@ import scipy
 from scipy.linalg.blas import dsyrk, dtrsm
 from scipy.linalg.lapack import dpotrf
 
-# Pairs: a number of unknowns, and the largest share of zeros in supernodes with at most this number
-# of unknowns. The shares were found by trials: zeros cost floating-point operations, and small
-# supernodes cost time of the Python interpreter.
+# Pairs: a size, and the largest permitted share of zeros in supernodes of at most this size.
+# The shares were found by trials: zeros cost operations, and small supernodes cost Python time.
 ZERO_SHARES = ((48, 1.0), (160, 0.4), (500, 0.12), (np.inf, 0.05))
 STRIP_WIDTH = 64  # number of columns of a Schur complement that are added to a front at once
 
@@ -137,7 +137,7 @@ def _assemble_front(
     size = count + rows.size
     place[node.begin : node.end] = np.arange(count)
     place[rows] = np.arange(count, size)
-    # both arrays are transposed
+    # the arrays of the pivots and of the coupled rows are transposed
     panel, remainder = np.zeros((count, size)), np.zeros((rows.size,) * 2)
     begin, end = lower.indptr[[node.begin, node.end]]
     column = np.repeat(np.arange(count), np.diff(lower.indptr[node.begin : node.end + 1]))
@@ -216,7 +216,7 @@ def find_supernodes(
     Return the new elimination order (n,) and the supernodes. The fill of the new order equals the
     fill of ``order``, apart from zeros in supernodes.
     """
-    sequence = group[order][np.r_[True, np.diff(group[order]) != 0]]  # groups by elimination
+    sequence = group[order][np.r_[True, np.diff(group[order]) != 0]]  # groups in elimination order
     rank = np.empty(len(sequence), dtype=np.intp)
     rank[sequence] = np.arange(len(sequence))
     numbers = rank[group]  # position of each unknown's group in the elimination order

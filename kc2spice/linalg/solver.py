@@ -45,7 +45,7 @@ def use_solver(solver: DirectSolver | str | None) -> Iterator[None]:
     """Use ``solver`` for all factorisations within the context.
 
     The name ``"pardiso"`` selects :class:`kc2spice.linalg.pardiso.Pardiso`. With None, the
-    solver of the outer context remains. Without an outer context, this is the built-in solver.
+    solver of the outer context remains. Without an outer context, None selects the built-in solver.
 
     Raises
     ------

@@ -78,7 +78,7 @@ class ModelParameter:
 class AffineTerm:
     """Term ``factor(p) matrix`` that is added to one matrix of the model.
 
-    ``letter`` is the name of this matrix of the model: M or K; in a heat model E or K.
+    ``letter`` is the name of the matrix: M or K, and in a heat model E or K.
     ``description`` is the name of the factor in error messages.
     """
 
@@ -120,9 +120,9 @@ class AffineTerm:
 
 @dataclass(frozen=True, eq=False)
 class AffineModel:
-    """Model whose matrices M and K depend on parameters; in a heat model E and K.
+    """Model whose matrices (M and K, or E and K of heat models) depend on parameters.
 
-    The stiffness is ``K(p) = K + sum f_i(p) K_i``. M and E have the same form.
+    The stiffness is ``K(p) = K + sum f_i(p) K_i``. M and E are sums of the same form.
 
     Parameters
     ----------
@@ -137,8 +137,8 @@ class AffineModel:
     parameters : sequence of ModelParameter
         One to four parameters with their ranges.
     assemble : callable, optional
-        Function that returns the full-order model for values of the parameters. This function
-        replaces ``terms``.
+        Function that returns the full-order model for values of the parameters. If ``assemble`` is
+        given, the model ignores ``terms``.
 
     Raises
     ------
@@ -288,7 +288,7 @@ def reduce_affine(
     affine : AffineModel
         Full-order models, symmetric and with conservative ports only.
     tolerance : float
-        Largest relative error of the response over the band and over the parameter ranges.
+        Largest permitted relative error of the response over the band and the parameter ranges.
     band : tuple of two floats or strings, optional
         Lowest and highest frequency: numbers in Hz, or strings with a unit. The default is the band
         of the model. If the model has no band, the default band ends a little above the fifth
@@ -363,7 +363,7 @@ def _make_indefinite_error(affine: AffineModel, got: str) -> UsageError:
 
 def _reduce_heat(task: RangeTask) -> ModelOverRanges:
     """Reduce heat models over the ranges of a task; the input of each port is a heat flow."""
-    from kc2spice.rom.heat_ranges import HeatReduction  # models of other kinds need no import
+    from kc2spice.rom.heat_ranges import HeatReduction  # imported here: only heat models need it
 
     return HeatReduction(task.full, task.axes).reduce(task)
 
@@ -374,7 +374,7 @@ def _keep_damping(model: LinearModel) -> LinearModel:
 
 
 def _complete_rayleigh_factors(model: LinearModel) -> LinearModel:
-    """Return the model with Rayleigh factors; they are zero if the model has no damping.
+    """Return the model with Rayleigh factors, which are zero for undamped models.
 
     Raises
     ------

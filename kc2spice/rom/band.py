@@ -15,23 +15,23 @@ from kc2spice.rom.rigid_body import ENERGY_FACTOR, estimate_energy_rounding
 from kc2spice.rom.rounding import ENERGY_ROUNDING
 
 BAND_MODES = 5
-MAX_DENSE_EQUATIONS = 200  # largest number of equations of a model for which all poles are computed
+MAX_DENSE_EQUATIONS = 200  # all poles are computed if a model has at most this size
 BAND_MARGIN = 1.1  # ratio of the upper band limit to the highest natural frequency in the band
-# shift for models with massless unknowns, relative to the largest stiffness per largest mass
+# shift for models with massless unknowns, relative to (largest stiffness) / (largest mass)
 MASSLESS_SHIFT = 1e-6
 # shift that separates rigid-body modes in the Lanczos method, relative to the largest K_ii / M_ii
 RIGID_SHIFT = 1e-9
 ZERO_MASS = 1e-13  # largest mass that counts as zero, relative to the largest mass
 RIGID_MODES_PLUS_ONE = 7  # number of rigid-body modes of one solid, plus one
-EIGENVALUE_TOLERANCE = 1e-9  # largest relative error of the eigenvalues that ARPACK computes
+EIGENVALUE_TOLERANCE = 1e-9  # largest permitted relative error of eigenvalues by ARPACK
 
 
 def choose_natural_band(pencil: Pencil) -> tuple[float, float]:
     """Choose the band ``(0, f)`` [Hz] from the fifth lowest natural frequency.
 
-    The band ends a little above this frequency of the full model. For second-order models, natural
-    frequencies are undamped; for first-order models, they are corner frequencies. Rigid-body modes
-    do not count.
+    The band ends a little above the fifth natural frequency of the full model. For second-order
+    models, natural frequencies are undamped; for first-order models, they are corner frequencies.
+    Rigid-body modes do not count.
 
     Raises
     ------
@@ -150,7 +150,8 @@ def _compute_all_rates(pencil: Pencil) -> np.ndarray:
 def _compute_lowest_rates(pencil: Pencil) -> np.ndarray:
     """Return the smallest magnitudes of the eigenvalues of a pencil.
 
-    They are the reciprocals of the largest eigenvalues of ``P(0)^-1`` times the inertia matrix.
+    The smallest eigenvalues of the pencil are the reciprocals of the largest eigenvalues of
+    ``P(0)^-1`` times the inertia matrix.
     """
     require_memory_for_factors(pencil.bordered(1.0, 1.0, 1.0))
     solve, inertia = pencil.solver(0.0)[0].solve, pencil.coefficients[-1]

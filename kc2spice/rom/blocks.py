@@ -22,14 +22,14 @@ from kc2spice.rom.error_estimate import relative_error
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.pencil import largest_entry, make_explicit_pencil
 
-# Largest norm of the solution of a Sylvester equation: a decoupling with this norm loses three
-# digits. The larger limits are tried too, and the loss of accuracy is measured.
+# Largest norm of the solution of a Sylvester equation; a norm of 1000 costs three digits.
 CONDITION_LIMIT = 1e3
+# larger limits of the norm, which are also tried; the loss of accuracy is then measured
 LARGER_LIMITS = 1e5, 1e7, 1e9
-MAX_BLOCK_STATES = 4  # largest number of states of a block for which no larger limit is tried
-# Largest change of the response that a larger limit may cause: relative to the response, and
-# relative to the error estimate.
+MAX_BLOCK_STATES = 4  # larger limits are tried only if a block has more states
+# largest permitted change of the response by a larger limit, relative to the response
 MAX_RESPONSE_CHANGE = 1e-9
+# largest permitted change of the response by a larger limit, relative to the error estimate
 MAX_ERROR_SHARE = 1e-2
 COMPARED_FREQUENCIES = 40  # number of frequencies at which the response is compared
 EQUALITY_TOLERANCE = 1e-13  # largest relative size of numbers that count as zero
@@ -39,10 +39,10 @@ EQUALITY_TOLERANCE = 1e-13  # largest relative size of numbers that count as zer
 class BlockModel(EqualByContent):
     """Model ``z' = diag(blocks) z + B u + F w``, ``y = C z + D u + R w``.
 
-    The real square blocks have any size. The signals w are determined by algebraic equations:
+    Each block is a real square matrix. The signals w are determined by algebraic equations:
     ``0 = P z + Q u + S w``. For example, the signals w are the waves at the ports of a measured
-    multiport. Because the signals w are separate, the blocks have few entries. ``loops`` contains
-    the matrices ``(F, P, Q, R, S)``, and is None if there are no signals w.
+    multiport. Because the signals w are separate from the states, the blocks have few entries.
+    ``loops`` contains the matrices ``(F, P, Q, R, S)``, and is None if there are no signals w.
     """
 
     blocks: tuple[np.ndarray, ...]
@@ -129,8 +129,8 @@ def decouple_states(
 ) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray]:
     """Return the blocks, X and X^-1 of the decomposition ``A = X diag(blocks) X^-1``.
 
-    If A is symmetric or skew-symmetric, X is orthogonal. ``growth`` is the largest norm of the
-    solution of a Sylvester equation.
+    If A is symmetric or skew-symmetric, X is orthogonal. ``growth`` is the largest permitted norm
+    of the solution of a Sylvester equation.
     """
     one = np.eye(len(A))
     if len(A) % 2 == 0 and not A[np.kron(np.eye(len(A) // 2), np.ones((2, 2))) == 0].any():

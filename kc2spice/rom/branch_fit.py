@@ -19,13 +19,13 @@ and g_i are omitted.
 
 The fit minimises the sum of squares of log(Y / Y_measured) over the logarithms of all parameters
 (Levenberg and Marquardt; J. J. More, Lecture Notes in Mathematics 630 (1978) 105). For small
-deviations, this logarithm equals the relative deviation. Unlike the relative deviation, it grows
-without limit as Y approaches zero. Elements are added one by one. A new resonance starts at the
-frequency of the largest conductance that no element describes yet. Relaxations and inductances
-start on a grid of time constants, and leads at fractions of the largest possible lead impedance. An
-element remains if it reduces the Bayesian information criterion (G. Schwarz, Ann. Statist. 6 (1978)
-461). Elements without which the criterion is smaller are removed. Leads replace branches whose
-frequency is above the band.
+deviations, this logarithm equals the relative deviation. Unlike the relative deviation, the
+logarithm grows without limit as Y approaches zero. Elements are added one by one. A new resonance
+starts at the frequency of the largest conductance that no element describes yet. The start values
+of relaxations and inductances are time constants on a grid. The start values of leads are fractions
+of the largest possible lead impedance. An element remains if it reduces the Bayesian information
+criterion (G. Schwarz, Ann. Statist. 6 (1978) 461). An element is removed if its removal reduces the
+criterion. Leads replace branches whose frequency is above the band.
 
 Rounding errors of the samples do not change the number of elements. Each sum of elements is fitted
 completely before its criterion is evaluated. Of two sums with equal criteria, the sum that was
@@ -55,19 +55,18 @@ MAX_ELEMENTS = 40
 MIN_IMPROVEMENT = 0.1  # minimum relative reduction of the deviation per added element
 # number of successive elements with improvements below MIN_IMPROVEMENT after which the search ends
 PATIENCE = 2
-POOR_PATIENCE = 5  # the same number as long as the deviation exceeds POOR_DEVIATION
+POOR_PATIENCE = 5  # replaces PATIENCE as long as the deviation exceeds POOR_DEVIATION
 POOR_DEVIATION = 0.2  # relative rms deviation above which a fit is poor
 START_Q_FACTORS = (5.0, 30.0, 200.0, 1500.0)  # start values of the Q factor of a resonance
 # start values of a lead impedance, as fractions of the largest possible lead impedance
 LEAD_SHARES = (1e-3, 0.03, 0.5)
 STARTS_PER_DECADE = 2  # number of start values of a time constant per decade
-# largest number of evaluations of a fit: to select among sums of elements, and for the final fit
+# largest numbers of evaluations in a fit that selects among sums of elements, and in the final fit
 SELECTION_EVALUATIONS = 100
 FINAL_EVALUATIONS = 400
 # largest insignificant difference of the information criterion (Kass and Raftery, 1995)
 CRITERION_TOLERANCE = 2.0
-# largest ratio of a resonance frequency to the end of the band; above this ratio, a simpler element
-# replaces the resonance
+# a simpler element replaces a resonance if (frequency / end of the band) exceeds this ratio
 MAX_FREQUENCY_RATIO = 3.0
 # longest time constant, relative to the reciprocal of the lowest angular frequency
 MAX_TIME_RATIO = 1e4
@@ -80,13 +79,13 @@ def fit_one_port(
     """Fit a circuit to admittances ``Y`` (n,) [S] at ``f`` (n,) [Hz].
 
     Return the model, with one electrical port ``anode``, and its relative rms deviation from the
-    samples. If this deviation exceeds :data:`POOR_DEVIATION`, None replaces the model. The error
-    estimate in the certificate is the largest relative deviation from the samples.
+    samples. If the rms deviation exceeds :data:`POOR_DEVIATION`, None is returned instead of the
+    model. The error estimate in the certificate is the largest relative deviation from the samples.
 
     Parameters
     ----------
-    noise : relative standard deviation of the real or imaginary part of Y, which the certificate
-    states.
+    noise : relative standard deviation of the real or imaginary part of Y; the certificate states
+    this number.
     conductance : conductance at zero frequency [S]: 0 for a part that blocks direct current, None
     if the samples determine the conductance.
     """
@@ -216,7 +215,7 @@ def _log_time(element: FitElement) -> float:
 
 
 def _exceeds_noise(samples: Samples, elements: Elements) -> bool:
-    """Return whether no element describes only the noise of a few samples.
+    """Return whether every element describes more than the noise of a few samples.
 
     The effect of each element must exceed the rms deviation at more samples than the element has
     parameters.
@@ -297,7 +296,7 @@ def _convert_form(element: FitElement, form: str) -> FitElement:
 
 
 def _propose_starts(samples: Samples, elements: Elements) -> list[Elements]:
-    """Return sums with one additional element each: the best start values of each form."""
+    """Return sums of ``elements`` and one more element, with the best start values of each form."""
     result = [_fit_peak(samples, elements)]
     for options in _propose_elements(samples, elements):
         tried = [samples.fit_amplitudes((*elements, option)) for option in options]
@@ -309,8 +308,8 @@ def _propose_starts(samples: Samples, elements: Elements) -> list[Elements]:
 def _fit_peak(samples: Samples, elements: Elements) -> Elements:
     """Add a resonance at the largest conductance that no element describes yet.
 
-    The resonance has the height of this peak, and the width of the peak at half of its height. If
-    the sum of elements has no capacitance, a capacitance is added too.
+    The added resonance has the same height and the same width at half height as the peak of the
+    conductance. If the sum of elements has no capacitance, a capacitance is added too.
     """
     missing = samples.unexplained_admittance(elements)
     top = int(np.argmax(missing.real))

@@ -14,12 +14,11 @@ from kc2spice.rom.reduced_basis import MIN_ERROR_ESTIMATE, ReducedBasis
 from kc2spice.rom.response import FLANK_DISTANCE, MIN_DAMPING_RATIO
 from kc2spice.rom.stability import DEFINITE_EVIDENCE, StabilityProof
 
-# Smallest error estimate at a resonance, as a multiple of eps / (damping ratio): a relative
-# rounding error eps of the stiffness changes the response by eps / (2 damping ratio). The multiple
-# was found by trials.
+# Smallest error estimate at a resonance, as a multiple of eps / (damping ratio); found by trials.
+# A relative rounding error eps of the stiffness changes the response by eps / (2 damping ratio).
 RESONANCE_ROUNDING = 4.0
-# Largest number of entries that a certificate lists by name because they are zero by symmetry. The
-# certificate states only the number of further zero entries.
+# Largest number of entries, zero by symmetry, that a certificate lists by name.
+# For further zero entries, the certificate states only their number.
 MAX_LISTED_ZEROS = 6
 
 

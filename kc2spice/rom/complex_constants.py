@@ -16,9 +16,9 @@ voltage V:
 Here chi approximates ``1 / (1 - j / Q)`` with an error of ``1 / Q^2``. The free body at rest has
 the loss tangent of the data sheet and no mechanical loss. The clamped body has the complex
 capacitance ``D - j (C_T tan delta + (C_T - D) / Q)``. By causality, chi and psi are powers of
-frequency (:mod:`kc2spice.rom.structural_damping`, :mod:`kc2spice.rom.modal`). Each of chi and psi
-has the value above at only one frequency: chi at the frequency at which the damping is stated, and
-psi at 1 kHz. Sums of relaxations approximate chi and psi. All amplitudes of the relaxations are
+frequency (:mod:`kc2spice.rom.structural_damping`, :mod:`kc2spice.rom.modal`). Therefore, chi is
+``1 + j / Q`` only at the frequency at which the damping is stated, and psi is ``1 - j tan delta``
+only at 1 kHz. Sums of relaxations approximate chi and psi. All amplitudes of the relaxations are
 positive, so each relaxation is passive. The model is passive if its instantaneous capacitance is
 positive.
 """
@@ -39,9 +39,9 @@ from kc2spice.rom.structural_damping import (
     fit_relaxing_stiffness,
 )
 
-# largest relative error of the response at resonances that the fit of relaxations may cause
+# largest permitted relative error of the response at resonances due to the fit of relaxations
 MAX_RELAXATION_ERROR = 1e-3
-# error of the permittivity, relative to the loss tangent or to 0.02, whichever is smaller
+# permitted error of the permittivity, relative to the loss tangent or to 0.02, whichever is smaller
 DIELECTRIC_SHARE = 0.01
 # frequency, relative to the lowest resonance, above which errors of the stiffness are amplified
 SENSITIVITY_LIMIT = 0.7

@@ -41,8 +41,8 @@ from kc2spice.rom.pencil import (
 
 # largest size of a linearly dependent constraint, relative to the largest constraint
 DEPENDENT_CONSTRAINT = 1e-12
-# Singular values below this multiple of eps times the norm of the matrix count as zero. The
-# multiple is large, because E of many models is a product of matrices.
+# Singular values below this multiple of eps times the norm of the matrix count as zero.
+# The multiple of eps is large, because the matrix E of many models is a product of matrices.
 ZERO_SINGULAR_VALUE = 100.0
 MAX_DESCRIPTOR_STATES = 2000  # largest number of states of a model whose infinite poles are removed
 MAX_CONSTRAINT_ENTRIES = 5e7  # largest number of entries of the constraints as a dense matrix
@@ -295,6 +295,7 @@ def _submatrix(P: Matrix, rows: np.ndarray, columns: np.ndarray) -> Matrix:
 
 
 def _symmetrise(P: Matrix, symmetric: bool) -> Matrix:
+    """Return the symmetric part of a matrix if ``symmetric`` is true, otherwise the matrix."""
     P = scipy.sparse.csc_array(P) if scipy.sparse.issparse(P) else P
     return 0.5 * (P + P.T) if symmetric else P
 

@@ -19,8 +19,8 @@ def has_definite_form(pencil: Pencil, *, undamped_too: bool = False) -> bool:
 def expects_cholesky(pencil: Pencil) -> bool:
     """Return whether one factorisation without pivoting is enough for a reduction.
 
-    It is enough for models of definite form whose K is positive definite. This function does not
-    check that K is positive definite.
+    One factorisation is enough for models of definite form whose K is positive definite. The
+    function does not check that K is positive definite.
     """
     K, form = pencil.coefficients[0], has_definite_form(pencil, undamped_too=True)
     return form and not (isinstance(K, Schur) and not K.is_large)
@@ -50,8 +50,8 @@ def _is_unsupported(K: Matrix, y: np.ndarray, load: np.ndarray) -> bool:
     soft = bool(np.sum(y * load) < rounding)
     if not soft or isinstance(K, Schur):
         return soft
-    # The rounding errors of the factor may exceed the rounding errors of the entries of K. Only the
-    # entries of K define a soft support, so the energy is computed from the entries.
+    # The energy is computed from the entries of K, because only these entries define soft supports.
+    # The rounding errors of the factor of K may exceed the rounding errors of the entries of K.
     y = y / np.linalg.norm(y)
     energy, noise = float(np.sum(y * (K @ y))), float(estimate_energy_rounding(K, y)[0, 0])
     return energy <= ENERGY_FACTOR * noise

@@ -6,9 +6,9 @@ total admittance
     Y = 1 / (sum_l Z_l + 1 / Y_p),    Y_p = sum_k Y_k,
     dY / dY_k = (Y / Y_p)^2,    dY / dZ_l = -Y^2.
 
-:class:`Samples` contains measured frequencies and admittances. Its methods compute the deviation of
-a sum of elements (:class:`FitElement`) from the samples. They also fit the amplitudes or all
-parameters of the elements. :mod:`kc2spice.rom.branch_fit` chooses the elements.
+:class:`Samples` contains measured frequencies and admittances. Methods of :class:`Samples` compute
+the deviation of a sum of elements (:class:`FitElement`) from the samples. Other methods fit the
+amplitudes or all parameters of the elements. :mod:`kc2spice.rom.branch_fit` chooses the elements.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from scipy.optimize import least_squares, nnls
 from kc2spice.rom.network import CircuitBranch
 
 INSTRUMENT_DEVIATION = 1e-5  # smallest relative rms error of measuring instruments
-ROUNDING_FACTOR = 1.5  # accepted deviation, relative to the deviation by rounded frequencies
+ROUNDING_FACTOR = 1.5  # accepted deviation, relative to the deviation due to rounded frequencies
 MAX_DIGIT_FRACTION = 0.6  # largest rounding error of a frequency, as a fraction of its last digit
 DEVIATION_FLOOR = 1e-6  # largest relative deviation that a fit may ignore
 TRIAL_EVALUATIONS = 40  # largest number of evaluations of the residuals for a candidate sum
@@ -32,8 +32,7 @@ CONVERGENCE_TOLERANCE = 1e-12
 # largest logarithm of a parameter: larger than for any real part, and within the range of floats
 MAX_LOG_PARAMETER = 150.0
 DC_WEIGHT = 1e4  # weight of a prescribed dc conductance, relative to the weight of all samples
-# smallest ratio of susceptance to conductance, at the lowest frequencies, of a part that blocks
-# direct current
+# a part blocks direct current if (susceptance / conductance) at low frequencies exceeds this ratio
 CAPACITIVE_RATIO = np.tan(np.deg2rad(45))
 LOWEST_SAMPLES = 5  # number of samples at the lowest frequencies whose mean phase is used
 Logs = tuple[float, ...]
@@ -81,7 +80,7 @@ PARALLEL_FORMS: dict[str, Callable[[np.ndarray, np.ndarray], Response]] = {
     "relaxing": _relaxation_response,
     "resonant": _resonance_response,
 }
-# The impedance of a lead resistance is constant, and of a lead inductance proportional to s.
+# The impedance of a lead resistance is constant; that of a lead inductance is proportional to s.
 LEAD_FORMS = {"lead resistance": _resistor_response, "lead inductance": _capacitor_response}
 ELEMENT_FORMS = PARALLEL_FORMS | LEAD_FORMS
 CONDUCTING_FORMS = ("conductance", "inductive")
@@ -202,6 +201,7 @@ class Samples:
 
     @cached_property
     def _dc_weight(self) -> float:
+        """Weight of the deviation from the dc conductance; zero if it is zero or not stated."""
         return DC_WEIGHT * np.sqrt(len(self.f)) if self.conductance else 0.0
 
     def _sum_elements(self, elements: Elements) -> tuple[np.ndarray, np.ndarray]:
@@ -238,7 +238,7 @@ class Samples:
         return np.asarray(self.response(elements) / self.Y - 1)
 
     def misfit(self, elements: Elements) -> np.ndarray:
-        """Compute the complex logarithm (n,) of the ratio of a sum of elements to the samples."""
+        """Compute the complex logarithm (n,) of ``Y / Y_measured`` for a sum of elements."""
         ratio = self.response(elements) / self.Y
         return np.log(np.where(ratio == 0, np.finfo(float).tiny, ratio))
 
@@ -304,6 +304,7 @@ class Samples:
         ends = np.cumsum([len(e.logs) for e in elements])[:-1]
 
         def unpack(logs: np.ndarray) -> Elements:
+            """Return the elements whose logarithms of all parameters are ``logs``."""
             parts = np.split(logs, ends)
             return tuple(
                 FitElement(e.form, tuple(map(float, part)))
@@ -346,8 +347,9 @@ class Samples:
 def estimate_frequency_rounding(f: np.ndarray) -> float:
     """Estimate the rounding error (rms) [Hz] of frequencies ``f`` (n,).
 
-    The estimate is the rms difference to equal linear or logarithmic steps. If rounding of the last
-    decimal digit cannot cause this difference, the estimate is 0.
+    The estimate is the rms difference between ``f`` and frequencies with equal linear or
+    logarithmic steps. If rounding of the last decimal digit cannot cause this difference, the
+    estimate is 0.
 
     Examples
     --------

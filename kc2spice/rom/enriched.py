@@ -2,9 +2,10 @@
 
 The error in a certificate is the largest error at any frequency. If a sharp resonance is shifted by
 a thousandth of its frequency, this error is 100 %, even if the loads of a run do not excite the
-resonance. Therefore, this module compares the responses of both models to the recorded loads over
-time. The responses are exact for loads that are linear between the recorded points. The model with
-more states also contains the modes above the band that a contact excites.
+resonance. Therefore, this module compares the reduced model with a model of more states by their
+responses over time to the recorded loads. The responses are exact for loads that are linear between
+the recorded points. The model with more states also contains modes above the band, which contacts
+excite.
 """
 
 from __future__ import annotations
@@ -26,13 +27,13 @@ from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.reduce import Target, reduce_to
 from kc2spice.rom.reductors.block_krylov import BlockArnoldi, make_krylov_space
 
-# Number of states of the comparison model, relative to the reduced model, and smallest number of
-# additional states. Example: the stroke of a chip with 0.1 % damping under a kick, with 30 states,
-# differs by 1.9, 1.7 and 1.7 % (rms) from the stroke with 60, 120 and 300 states.
+# Number of states of the comparison model, relative to the number of states of the reduced model.
+# Example: the stroke of a kicked chip with 0.1 % damping was computed with different models.
+# The stroke with 30 states differs by 1.9, 1.7 and 1.7 % (rms) from 60, 120 and 300 states.
 STATE_RATIO = 2
-MIN_ADDED_STATES = 60
-# ratio of the upper band limits of the comparison model and of the request, for models that need
-# expansion points at frequencies above zero
+MIN_ADDED_STATES = 60  # smallest number of additional states of the comparison model
+# Upper band limit of the comparison model, relative to the requested upper band limit.
+# Only models that need expansion points at frequencies above zero have this wider band.
 BAND_RATIO = 2.0
 TARGET_ERROR = 1e-6  # requested error of the comparison model over the wider band
 MAX_ERROR = 1e-3  # largest accepted error of the comparison model over the wider band
@@ -45,7 +46,7 @@ CONSTANT_VARIATION = 1e-9
 
 
 class ReductionsByOrder:
-    """Reductions of one full-order model to prescribed orders, and to many more states.
+    """Reductions of one full-order model to prescribed orders and to much larger orders.
 
     If the model has definite matrices, all orders use one Krylov subspace: the basis of a larger
     order contains the basis of a smaller order.
@@ -64,7 +65,7 @@ class ReductionsByOrder:
         return make_krylov_space(self._pencil) if definite else None
 
     def reduce(self, order: int, band: tuple[float, float], norm: Norm) -> LinearModel:
-        """Return the reduced model of the given order, with massless highest modes for contacts."""
+        """Return the reduced model of the given order; contacts require massless highest modes."""
         target = Target(None, order, band, norm, contact=True, method=None, space=self._space)
         return reduce_to(self.model, target)
 
@@ -73,7 +74,7 @@ class ReductionsByOrder:
 
         Raises
         ------
-        SimulationError, UsageError : such a model cannot be computed with sufficient accuracy.
+        SimulationError, UsageError : the model cannot be reduced with sufficient accuracy.
         """
         pencil, ports = self._pencil, self.model.ports
         states = max(STATE_RATIO * order, order + MIN_ADDED_STATES)
@@ -149,10 +150,10 @@ def compute_time_errors(
 
     The error is the difference to the responses of ``rich``, a model with more states. Both models
     respond to the ``load`` (n, inputs) at the times ``t`` (n,). Each difference is divided by the
-    largest rms change of its output. These changes are computed for the loads of each of the
-    ``groups`` (masks of inputs), for the direct term D, and for all loads together. Therefore,
-    loads whose effects cancel count separately, such as the voltage across an open electrode.
-    Return None if the response of a model cannot be computed.
+    largest rms change of its output. The rms changes of an output are computed for the loads of
+    each of the ``groups`` (masks of inputs), for the direct term D, and for all loads together.
+    Therefore, loads whose effects cancel count separately, such as the voltage across an open
+    electrode. Return None if the response of a model cannot be computed.
     """
     ours = response(small, t, load)
     alone = [response(rich, t, load * group) for group in groups]

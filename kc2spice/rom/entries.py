@@ -1,11 +1,11 @@
 """Scales for relative errors of the entries of a transfer function, including zero entries.
 
 The transfer function of a body with a mirror plane has entries that are zero by symmetry: a force
-along y causes no motion along z. In such an entry, a full and a reduced model contain only rounding
-errors, so that a relative error has no meaning. Errors of such an entry are divided by the
-geometric mean of the largest entries of its row and its column: ``sqrt(|H_ii| |H_jj|)`` for two
-ports of a passive model. Rows and columns are balanced first, so that the result does not depend on
-units (D. Ruiz, RAL-TR-2001-034 (2001)).
+along y causes no motion along z. The computed values of a zero entry are only rounding errors, so
+that a relative error has no meaning. Errors of a zero entry are divided by the geometric mean of
+the largest entries of its row and its column: ``sqrt(|H_ii| |H_jj|)`` for two ports of a passive
+model. Rows and columns are balanced first, so that the result does not depend on units (D. Ruiz,
+RAL-TR-2001-034 (2001)).
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ import numpy as np
 
 # Smallest value by which the error of an entry is divided, as a share of the entry's peak.
 PEAK_SHARE = 1e-6
-# An entry counts as zero below this share of the geometric mean of its row and column. Rounding
-# errors are about eps times the Q factor of the resonance: 2e-13 for a Q factor of 1000.
+# An entry counts as zero below this share of the geometric mean of its row and column.
+# Rounding errors are about eps times the Q factor of the resonance: 2e-13 for a Q factor of 1000.
 ZERO_ENTRY = 1e-11
 BALANCING_STEPS = 40  # each iteration halves the logarithm of the remaining scale factor
 
@@ -70,7 +70,8 @@ class Entries:
     def negligible(self, H: np.ndarray) -> np.ndarray:
         """Return a mask of the values of H (..., outputs, inputs) that count as zero.
 
-        Such values are below ``ZERO_ENTRY`` times the geometric mean of their row and column.
+        A value counts as zero if it is less than ``ZERO_ENTRY`` times the geometric mean of its row
+        and column.
         """
         scale = self.rows[:, None] * self.columns
         mean = _compute_geometric_mean(np.abs(H), self.rows, self.columns)
@@ -82,7 +83,7 @@ class Entries:
         """Return the relative magnitude of a ``difference`` from the response H.
 
         Both arrays have the shape (..., outputs, inputs). The difference is divided by the values
-        of :meth:`base`. Where such a value is zero, the relative magnitude is zero.
+        of :meth:`base`. Where the divisor is zero, the relative magnitude is zero.
         """
         base = self.base(H, share)
         return np.asarray(

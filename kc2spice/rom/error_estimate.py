@@ -26,22 +26,22 @@ from kc2spice.rom.response import (
     sample_resonances,
 )
 
-# multiples of the end of the band at which the error above the band is computed; contacts excite a
-# body up to these frequencies
+# Frequencies above the band at which errors are computed, as multiples of the upper band limit.
+# Contacts excite a body up to these frequencies above the band.
 MULTIPLES_ABOVE_BAND = np.array([2.0, 4.0])
-# Settings of the search for the largest error, found by trials. A test in
+# Settings of the search for the largest error, found by trials.
 # tests/physics/test_certificates.py compares the result of the search with errors on fine grids.
 REFINED_NOTCHES = 60  # number of deepest minima that each round refines
 ZOOM_FREQUENCIES = 9  # number of frequencies in a refined interval
 NOTCH_ROUNDS = 20  # number of rounds that refine notches
 EQUAL_FREQUENCY = 1e-12  # largest relative difference of equal frequencies
-# Smallest ratio that indicates a deeper minimum nearby: a neighbouring sample divided by a sampled
-# minimum, or the sampled minimum divided by the minimum of the interpolation.
+# Smallest ratio that indicates a deeper minimum near a sampled minimum.
+# The ratio is (neighbouring sample / sampled minimum) or (sampled / interpolated minimum).
 MIN_STEEPNESS = 1.5
 REFINED_PEAKS = 40  # number of largest errors that each round refines
 PEAK_ROUNDS = 3  # number of rounds that refine the largest errors
-# Number of equally spaced frequencies at which a model is tested first. The frequencies at which
-# earlier models were inaccurate are also tested first.
+# Number of equally spaced frequencies at which a model is tested first.
+# Models are also tested first at the frequencies at which earlier models were inaccurate.
 FIRST_FREQUENCIES = 6
 
 
@@ -57,9 +57,8 @@ def choose_adaptive_frequencies(
     at, ratio = response.within(near)
     frequency = np.union1d(grid(band, GRID_FREQUENCIES, static), sample_resonances(at, ratio))
     if norm == "pointwise":
-        # Each distance from a pole is three times the previous distance. Near a weak and narrow
-        # resonance there is a zero, which lies between two of these distances and appears as a
-        # minimum.
+        # Each distance from a pole is three times the previous distance from this pole.
+        # The zero near a weak, narrow resonance lies between two distances and shows as a minimum.
         width = np.where(ratio < MIN_DAMPING_RATIO, FLANK_DISTANCE, ratio) * at
         away = RESONANCE_OFFSETS[-1] * width[:, None] * 3.0 ** np.arange(1, 16)
         both = [(at[:, None] + k * away)[away < band[1] / GRID_FREQUENCIES] for k in (-1, 1)]
@@ -88,9 +87,10 @@ def choose_adaptive_frequencies(
 def _find_minima_near_zeros(H: np.ndarray) -> np.ndarray:
     """Return the magnitudes of the minima of ``H`` that may be near a deeper minimum.
 
-    H is scaled to a peak of 1. At all other samples, the returned array is infinite. If a zero is
-    near a minimum, a neighbouring sample is much larger, or the straight line to this sample in the
-    complex plane passes much nearer to zero. Minima below :data:`PEAK_SHARE` are ignored.
+    H is scaled to a peak of 1. At samples that are not such minima, the returned array is infinite.
+    If a zero is near a minimum, a neighbouring sample is much larger than the minimum, or the
+    straight line to this sample in the complex plane passes much nearer to zero. Minima below
+    :data:`PEAK_SHARE` are ignored.
     """
     size = np.abs(H)
     step = np.diff(H, axis=0)
@@ -186,7 +186,7 @@ class ErrorEstimator:
         The search ends at the first error above ``limit``. See :func:`relative_error`.
         """
         for last, H in reversed(self.failed.items()):
-            try:  # direct solutions: a coordinate transformation saves time only for many points
+            try:  # direct solutions, because a transformation takes less time only for many points
                 ours = reduced.pencil.transfer(np.array([2j * np.pi * last]))[0]
                 worst = float(self.sizes(ours - H, H))
             except SimulationError:
@@ -222,7 +222,7 @@ def estimate_errors_above_band(
 
     Return pairs of a frequency [Hz] and an error. The frequencies are ``MULTIPLES_ABOVE_BAND``
     times the upper band limit. Each error is the largest relative error of the driving-point
-    responses of all mechanical ports. Models without a mechanical port have no pairs.
+    responses of all mechanical ports. For a model without mechanical ports, there are no pairs.
     """
     columns = [port for port in ports if port.kind != "output"]
     rows = [port for port in ports if port.kind != "input"]

@@ -48,8 +48,7 @@ from kc2spice.rom.stability import is_dissipative
 
 # Largest number of unknowns for which modes are computed with 19 digits, to limit the time.
 MAX_EXTENDED_UNKNOWNS = 500
-# Largest sizes of models that serve as their own intermediate model. The sizes were found by
-# trials.
+# largest sizes, found by trials, of models that serve as their own intermediate model
 MAX_COMPLETE_DECOUPLED = 1300  # unknowns of decoupled models
 MAX_COMPLETE_STATES = 600  # first-order states of other models
 MAX_DENSE_STATES = 2000  # states of models whose many resonances prevent convergence of samples
@@ -83,8 +82,8 @@ def build_intermediate_model(
         except SimulationError as error:
             inaccurate = error
         sound = complete is not None and complete.response.diagonal
-        # If the stored energy is not proven to be positive, a congruence transformation converges
-        # only for a model with well-conditioned modes.
+        # A congruence transformation converges if the stored energy is proven to be positive.
+        # Without this proof, it converges only for a model with well-conditioned modes.
         if pencil.degree == 1 and not sound and not is_dissipative(full):
             try:
                 return reduce_by_samples(full, band, target, limit)
@@ -96,7 +95,7 @@ def build_intermediate_model(
             return _restore_units(pencil, band, complete)
     if (result := _build_definite_model(pencil, band, target, limit, deflated)) is not None:
         return result
-    if expects_cholesky(pencil):  # an earlier check compared only a Cholesky factor with the memory
+    if expects_cholesky(pencil):  # an earlier check was only for the memory of a Cholesky factor
         require_memory_for_factors(pencil.bordered(1.0, 1.0, 1.0))
     scaled = pencil.scale_unknowns(2 * np.pi * band[1])
     states = pencil.degree * pencil.size
@@ -121,7 +120,7 @@ def _build_definite_model(
 
     Return None for other models. For a model with electric potentials, the search for rigid-body
     modes takes less time than the factorisation of the stiffness matrix K. Therefore, if no factor
-    of K is known, this search comes first.
+    of K is known, the search for rigid-body modes comes first.
     """
     omega, body = 2 * np.pi * band[1], None
     if deflated and isinstance(pencil.coefficients[0], Schur) and not pencil.factorised:
@@ -199,7 +198,7 @@ def _use_full_order(
             "increase the tolerance; other units or fewer elements may also help",
         )
     proof = f"these are all states of the full model, solved to {error:.0e}{note}"
-    error = min(error, limit)  # a larger error is a rounding error of the input matrices
+    error = min(error, limit)  # an error above the limit is a rounding error of the matrices
     if projected is not None:
         floor = max(floor, estimate_removed_stiffness(projected, full, band))
     return IntermediateModel(

@@ -21,23 +21,23 @@ from kc2spice.rom.pencil import Pencil, Schur, absolute_entries
 from kc2spice.rom.rigid_body import estimate_energy_rounding, split_driven_modes
 from kc2spice.rom.rounding import ENERGY_ROUNDING
 
-# Shift, relative to the square of the upper band limit [rad/s]. With a small shift, the Krylov
-# subspace is close to the subspace for a shift of zero, and inverse iteration needs few steps.
+# Shift, relative to the square of the upper band limit [rad/s].
+# With a small shift, the Krylov subspace is accurate, and inverse iteration needs few steps.
 SHIFT_RATIO = 1e-6
-# smallest shift, relative to the largest ratio K_ii / M_ii times eps
+# smallest shift, relative to eps times the largest ratio K_ii / M_ii
 MIN_SHIFT_ROUNDING = 100.0
 # largest shift, relative to the square of the upper band limit [rad/s]
 MAX_SHIFT_RATIO = 1e-2
 MAX_STEPS = 12  # largest number of steps of inverse iteration
-# Error of a mode below which inverse iteration ends. Each step multiplies the error by
-# shift / (shift + w^2) with the lowest elastic angular frequency w.
+# Error of a mode below which inverse iteration ends.
+# Each step multiplies the error by shift / (shift + w^2), with the lowest elastic frequency w.
 MODE_TOLERANCE = 1e-14
-# Largest elastic energy of a rigid-body mode, relative to the energy of random rounding errors of
-# K. This ratio is up to 0.02 for unsupported bodies. It is 1.5 for a chain of 1 400 masses whose
-# support has 3e-14 of the chain's stiffness. Bodies above this limit are reduced by other methods,
-# which retain soft supports.
+# Largest elastic energy of a rigid-body mode, relative to the energy of random rounding errors.
+# The relative elastic energy is up to 0.02 for unsupported bodies.
+# For 1 400 masses in a chain whose support has 3e-14 of the chain's stiffness, the energy is 1.5.
+# Bodies above the limit are reduced by other methods, which retain soft supports.
 MAX_RIGID_ENERGY = 1.0
-# First and largest number of vectors of inverse iteration. One body has six rigid-body modes.
+# First and largest number of vectors of inverse iteration; one body has six rigid-body modes.
 BLOCK_VECTORS = 8
 MAX_BLOCK_VECTORS = 64
 
@@ -69,7 +69,7 @@ class FreeBody:
 
     @cached_property
     def vectors(self) -> np.ndarray:
-        """Rigid-body modes (n, r), orthonormal in ``K + shift M``, with which a basis begins."""
+        """First vectors of a basis: rigid-body modes (n, r), orthonormal in ``K + shift M``."""
         return np.asarray(self.modes / np.sqrt(self.shift))
 
     def separate_rigid_body_modes(

@@ -34,10 +34,11 @@ from kc2spice.rom.linear_model import LinearModel, Port
 
 NetworkForm = Literal["foster", "cauer"]
 NETWORK_FORMS: tuple[NetworkForm, ...] = ("foster", "cauer")
-# largest relative difference of equal time constants: a hundred times eps
+# largest relative difference of time constants that count as equal: a hundred times eps
 EQUAL_TIME = 2e-14
-# Number of decimal digits per mode in the continued fraction. Each step loses at most the 14 digits
-# in which two time constants are equal, both in the numerator and in the denominator.
+# Number of decimal digits per mode in the continued fraction.
+# Each step loses at most 14 digits, both in the numerator and in the denominator.
+# The lost digits are the digits in which two time constants agree.
 DIGITS_PER_MODE = 30
 
 

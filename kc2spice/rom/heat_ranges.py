@@ -57,9 +57,9 @@ from kc2spice.rom.stability import is_semidefinite, prove_stability
 SAMPLE_SHARE = 0.05  # share of the tolerance for the reduced model at each value of the parameters
 BASIS_SHARE = 0.2  # share of the tolerance for the basis before basis vectors are removed
 FINAL_SHARE = 0.6  # share of the tolerance for the final model at the samples
-SAFETY = 1.5  # ratio of the error estimate over the ranges to the largest error at the samples
+SAFETY = 1.5  # error estimate over the ranges, relative to the largest error at the samples
 SAMPLES = 8  # number of random samples per parameter, in addition to the corners of the ranges
-CHECKS = 4  # number of full models that only test the reduced model, besides one at a corner
+CHECKS = 4  # number of full models that only test the reduced model, in addition to one corner
 ROUNDS = 4  # largest number of rounds in which test values with large errors become samples
 MOST_VALUES = 40  # largest number of parameter values whose reduced models are in the basis
 DEPENDENT = 1e-12  # largest size of a linearly dependent direction, relative to the largest one
@@ -96,7 +96,7 @@ class HeatReduction:
         relative difference to reference models, in the norm of the task, times :data:`SAFETY`. The
         reference models are accurate reduced models at the samples of the ranges. In addition, the
         reduced model is compared with full models at :data:`CHECKS` parameter values and at a
-        corner of the ranges. The reduction does not use these values.
+        corner of the ranges. The reduction does not use the values of these full models.
 
         Raises
         ------

@@ -7,10 +7,11 @@ ports, such as isothermal faces, and all other temperatures ``T_e``. With the st
     T_e = Psi T_i + x,    Psi = -K_ee^-1 K_ei,
     E_ee x' + K_ee x = B_e q - (E_ei + E_ee Psi) T_i'.
 
-A congruence reduces the model of ``T_e`` with the inputs q, ``K_ei T_i`` and ``E_ei T_i'``. This
-model gives accurate heat flows (:mod:`kc2spice.rom.prescribed_flows`). The basis of the congruence
-and ``Psi`` together are a basis of the whole model. E and K remain symmetric and positive
-semi-definite, so the model is passive. The static responses to prescribed temperatures are exact.
+A congruence reduces the model of ``T_e`` with the inputs q, ``K_ei T_i`` and ``E_ei T_i'``. The
+reduced model of ``T_e`` gives accurate heat flows (:mod:`kc2spice.rom.prescribed_flows`). The basis
+of the congruence and ``Psi`` together are a basis of the whole model. E and K remain symmetric and
+positive semi-definite, so the model is passive. The static responses to prescribed temperatures are
+exact.
 R. R. Craig and M. C. C. Bampton, AIAA Journal 6 (1968) 1313, describe this method for structures.
 """
 
@@ -60,8 +61,8 @@ def reduce_with_interfaces(
     prescribed : names of the ports with prescribed temperatures.
     parts : the result of :func:`split_prescribed` if it is known.
     flows : whether the basis also represents the heat flows into prescribed ports.
-    measured : whether heat flows into prescribed ports must meet the tolerance. If so, the error
-        estimate includes them.
+    measured : whether heat flows into prescribed ports must meet the tolerance. If ``measured`` is
+        true, the error estimate includes these heat flows.
     aims : ``band``, ``norm``, ``tolerance`` and ``order`` of
         :func:`kc2spice.rom.reduce.reduce_model`.
 

@@ -18,7 +18,7 @@ from kc2spice.core.naming import list_names
 from kc2spice.rom.linear_model import LinearModel, Port
 
 DENSE = 1500  # largest number of unknowns of a model whose modes are computed
-# largest row sum of a K without a thermal path to the ambient, relative to its largest K_ii
+# largest row sum of K without a thermal path to the ambient, relative to the largest entry K_ii
 ROUNDING = 1e-12
 
 
@@ -41,7 +41,7 @@ class PrescribedTemperatures:
         1 K.
     stored : (at, at) [J/K] heat that the body stores in the static state for prescribed
         temperatures of 1 K.
-    inner : model of x (:mod:`kc2spice.rom.interface_modes`), with the ports q and then T_i'.
+    inner : model of x (:mod:`kc2spice.rom.interface_modes`); its ports are q, followed by T_i'.
     """
 
     at: np.ndarray

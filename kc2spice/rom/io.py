@@ -31,7 +31,7 @@ from kc2spice.rom.pencil import Matrix
 
 MARKET_BANNER = b"%%matrixmarket"
 _MARKET_LAYOUTS = ("coordinate", "array")
-# how many numbers represent one entry of a matrix
+# number of decimal numbers that represent one entry of a matrix
 _MARKET_FIELDS = {"real": 1, "double": 1, "integer": 1, "complex": 2}
 _SYMMETRIES = ("general", "symmetric", "skew-symmetric")
 # translation of Fortran's exponents D and d to E, and of commas to blanks
@@ -163,7 +163,7 @@ def parse_indices(values: np.ndarray, size: int) -> np.ndarray:
 
 
 def complete_triangle(matrix: sparse.csc_array, sign: int = 1) -> sparse.csc_array:
-    """Return the whole symmetric matrix of a stored triangle; skew-symmetric for ``sign`` -1."""
+    """Return the matrix of a stored triangle: symmetric, or skew-symmetric for ``sign`` -1."""
     diagonal = sparse.diags_array(matrix.diagonal(), format="csc")
     return sparse.csc_array(matrix + sign * matrix.T - sign * diagonal)
 
@@ -178,9 +178,9 @@ _RECORD_NAME = "record"  # name of the JSON text in an archive
 def write_rom(model: LinearModel, directory: Path, name: str) -> list[str]:
     """Write a reduced model to ``name.npz``, to Matrix Market files and to ``name.json``.
 
-    The Matrix Market files ``name.M`` ... contain numbers with 17 digits. ``name.json`` contains
-    ports, certificate and error estimates of the mesh, for other programs that read the Matrix
-    Market files. Return the file names, the ``.npz`` file first.
+    The Matrix Market files, such as ``name.M``, contain numbers with 17 digits. ``name.json``
+    contains ports, certificate and error estimates of the mesh, for other programs that read the
+    Matrix Market files. Return the file names, the ``.npz`` file first.
     """
     letters = _matrix_letters(model.first_order)
     matrices = {letter: getattr(model, letter) for letter in letters}
@@ -338,7 +338,7 @@ def parse_ports(records: object) -> tuple[Port, ...]:
     ports = TypeAdapter(tuple[Port, ...]).validate_python(records)
     words = chain.from_iterable((p.name, p.across, p.flow, *p.pins) for p in ports)
     stated = [record[key] for record in records for key in ("across", "flow") if key in record]  # type: ignore[attr-defined]
-    for text in (*words, *stated):  # a port replaces an empty unit by its default
+    for text in (*words, *stated):  # a port replaces an empty unit by a default
         if len(require_single_line(text, MAX_TEXT_LENGTH).split()) != 1:
             raise ValueError(f"a name or unit is empty or contains a blank: {text!r}")
     return ports

@@ -122,11 +122,11 @@ class Certificate:
     the ``norm`` *pointwise*, each error is divided by the size of the entry at this frequency, but
     at least by a millionth of the entry's peak. In the norm *peak*, each error is divided by the
     entry's largest size in the band. ``method`` describes the estimator. Because a contact also
-    excites frequencies above the band, ``above`` contains pairs of such a frequency [Hz] and an
-    error. This error is the largest relative difference between the compliances of a mechanical
-    port in the reduced model and in a larger model. ``stable`` applies to the full and the reduced
-    model; None means that there is no proof. If ``passive`` is true, both models are proven
-    passive.
+    excites frequencies above the band, ``above`` contains pairs of a frequency [Hz] above the band
+    and the error at this frequency. An error above the band is the largest relative difference
+    between the compliances of a mechanical port in the reduced model and in a larger model.
+    ``stable`` applies to the full and the reduced model; None means that there is no proof. If
+    ``passive`` is true, both models are proven passive.
     """
 
     band_hz: tuple[float, float]
@@ -157,7 +157,7 @@ class Certificate:
 class LinearModel:
     """Linear model ``M x'' + E x' + K x = B u``, ``y = C x + D u`` with ports.
 
-    In this second-order model, ``A`` is None. A first-order model ``E x' = A x + B u``, ``y = C x +
+    In a second-order model, ``A`` is None. A first-order model ``E x' = A x + B u``, ``y = C x +
     D u`` has no ``M`` and ``K``. A heat model ``E x' + K x = B u`` becomes a first-order model with
     ``A = -K``.
 
@@ -174,9 +174,9 @@ class LinearModel:
     signals ``u1``..., ``y1``.... Symmetric models with conservative ports only have ``C = B'``.
 
     A complex K contains structural damping; the model then stores only the real part as ``K``. The
-    imaginary part is ``loss_factor`` times K, or a symmetric positive semi-definite matrix
-    ``loss``, for example of several materials. A model with structural damping has only a frequency
-    response; :func:`kc2spice.reduce` converts it to a circuit.
+    imaginary part is ``loss_factor`` times K. If several materials have different losses, the
+    imaginary part is a symmetric positive semi-definite matrix ``loss``. A model with structural
+    damping has only a frequency response; :func:`kc2spice.reduce` converts it to a circuit.
 
     ``facts`` are characteristic numbers of the body (``mass_kg``, ``unknowns``,
     ``capacitance_free_f``, …). ``band`` [Hz] is the frequency range that the author of the model
@@ -416,7 +416,7 @@ class LinearModel:
 
     def to_statespace(self) -> StateSpace:
         """Return the model as ``scipy.signal.StateSpace``; see :meth:`state_space`."""
-        from scipy.signal import StateSpace  # the import takes a second
+        from scipy.signal import StateSpace  # imported here: the import takes a second
 
         return StateSpace(*self.state_space())
 
@@ -426,7 +426,7 @@ class LinearModel:
         Raises
         ------
         MissingToolError : pyMOR is not installed.
-        UsageError : the model has structural damping, which these classes cannot represent.
+        UsageError : the model has structural damping, which pyMOR's classes cannot represent.
         """
         if self.structural:
             raise self._make_no_state_space_error()
@@ -574,7 +574,7 @@ def negate(matrix: Matrix) -> Matrix:
 
 
 _INDEFINITE_LOSS_TEXT = "an imaginary part that is not symmetric and positive semi-definite"
-# largest difference, relative to K, between eta times K and an imaginary part that is stored as eta
+# largest difference of an imaginary part from ``eta K``, relative to K, for which eta is stored
 LOSS_FACTOR_TOLERANCE = 1e-9
 
 
@@ -643,9 +643,9 @@ def _make_structural_loss_error(where: str, got: str, what: str = "matrix K") ->
 
 
 def _reject_ambiguous_outputs(C: np.ndarray | None, B: np.ndarray, n: int, where: str) -> None:
-    """Reject a square C of an undamped second-order model that may be its damping matrix.
+    """Reject a square C of an undamped second-order model if C may be a damping matrix.
 
-    Rows of such a C couple several unknowns.
+    A square C may be a damping matrix if its rows couple several unknowns.
     """
     if C is None or C.shape != (n, n) or n == 1 or np.array_equal(C, B.T):
         return

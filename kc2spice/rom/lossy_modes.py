@@ -6,7 +6,7 @@ A mode of stiffness k, unit mass and loss h has the dynamic stiffness ``k + j h 
     d(s) = c_0 + v s + sum_l c_l s / (s + r_l) + m s^2,    all coefficients >= 0,
 
 approximates this dynamic stiffness by a spring, a dashpot, springs in series with dampers, and a
-mass. A dashpot ``v = h / w_j`` alone is exact at the resonance ``w_j``. The loss of this dashpot
+mass. A dashpot ``v = h / w_j`` alone is exact at the resonance ``w_j``. The loss of a dashpot
 increases with frequency. Beside the resonance, the response therefore has an error of a quarter of
 the loss factor ``eta = h / k``, relative to the peak. With one relaxation of rate ``w_j``, the loss
 is constant near the resonance. By causality, the stiffness then increases with frequency. A
@@ -40,9 +40,9 @@ class Oscillator:
     Attributes
     ----------
     spring, dashpot, mass : float
-        ``c_0``, ``v``, ``m``.
+        Coefficients ``c_0``, ``v`` and ``m`` of the dynamic stiffness.
     amplitudes, rates : (k,) arrays
-        ``c_l > 0``, ``r_l > 0`` [1/s].
+        Amplitudes ``c_l > 0`` and rates ``r_l > 0`` [1/s] of the relaxations.
     """
 
     spring: float
@@ -118,7 +118,7 @@ def assemble_oscillators(
     """Assemble symmetric K, E and M of oscillators; E includes ``damping`` (modes, modes).
 
     Each relaxation is an additional unknown without mass: the displacement between its spring and
-    its damper. These unknowns are numbered after the modes.
+    its damper. The unknowns of the relaxations are numbered after the modes.
     """
     springs = np.array([mode.spring + mode.amplitudes.sum() for mode in modes])
     owner = np.repeat(np.arange(len(modes)), [mode.rates.size for mode in modes])

@@ -26,10 +26,10 @@ from kc2spice.core.errors import UsageError
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.parametric import Full, ParameterAxis, Values
 
-# Candidates for the exponents of a parameter. The first candidate that represents the matrices is
-# used. A parameter that may be zero has no exponent -1.
+# Candidates for the exponents of a parameter; the first that represents the matrices is used.
+# A parameter that may be zero has no exponent -1.
 POWERS: tuple[tuple[int, ...], ...] = ((0,), (0, 1), (0, -1), (0, 1, -1))
-PLACES = {1: (0.0,), 2: (-1.0, 1.0), 3: (-1.0, 0.0, 1.0)}  # coordinates by number of exponents
+PLACES = {1: (0.0,), 2: (-1.0, 1.0), 3: (-1.0, 0.0, 1.0)}  # keyed by number of exponents
 CHECKED = (
     0.31,
     -0.47,
@@ -86,7 +86,7 @@ def sum_products(factors: Iterable[float], matrices: Iterable[Any]) -> Any:
 
 
 def find_terms(full: Full, axes: Sequence[ParameterAxis], frame: LinearModel) -> MatrixTerms:
-    """Write the matrices E and K of the heat models ``full(values)`` as sums of terms.
+    """Express the matrices E and K of the heat models ``full(values)`` as sums of terms.
 
     ``frame`` is the model in the middle of the ranges.
 
@@ -163,7 +163,7 @@ def find_terms(full: Full, axes: Sequence[ParameterAxis], frame: LinearModel) ->
 
 
 def _drop_rounding(terms: Sequence[Any], largest: np.ndarray) -> list[Any]:
-    """Set entries of terms to zero that are rounding errors compared with the other terms."""
+    """Set entries of a term to zero if they are only rounding errors of larger terms."""
     size = sum_products(largest, map(abs, terms))
     result = []
     for matrix, factor in zip(terms, largest, strict=True):

@@ -5,10 +5,10 @@ The response of the resonators to recorded loads is computed exactly.
 
 Residual modes without inertia
     A reduced model contains some stiff modes far above the band, which make the compliance of the
-    ports exact. The body itself does not have these modes. In series with the stiffness of a
-    contact, the inertia of these modes causes oscillations that the body does not have. Component
-    mode synthesis with a massless boundary omits the inertia, but not compliance and damping
-    (Monjaraz Tec, Gross and Krack 2021, arXiv 2111.07693)::
+    ports exact. The body itself does not have these stiff modes. In series with the stiffness of a
+    contact, the inertia of the residual modes causes oscillations that the body does not have.
+    Component mode synthesis with a massless boundary omits the inertia, but not compliance and
+    damping (Monjaraz Tec, Gross and Krack 2021, arXiv 2111.07693)::
 
         damp z' + omega^2 z = g u        instead of        z'' + damp z' + omega^2 z = g u
 
@@ -19,10 +19,10 @@ A constant loss tangent of the dielectric
         eps(s) = eps (s / w0)^-m,    m = (2 / pi) arctan(tan delta),    w0 / (2 pi) = 1 kHz
 
     Data sheets give permittivities at the frequency w0 / (2 pi). A netlist contains Foster's sum
-    ``a_0 + sum_k a_k / (1 + s t_k)`` instead of this permittivity. The sum is a capacitor in
-    parallel with branches of R and C in series. All ``a_k`` are at least zero, so the sum is
-    passive. The ``a_k`` are fitted to the permittivity in the band by non-negative least squares.
-    The sum multiplies the clamped capacitances D.
+    ``a_0 + sum_k a_k / (1 + s t_k)`` instead of ``eps(s)``. The sum is a capacitor in parallel with
+    branches of R and C in series. All ``a_k`` are at least zero, so the sum is passive. The ``a_k``
+    are fitted to the permittivity in the band by non-negative least squares. The sum multiplies the
+    clamped capacitances D.
 
     Data sheets give the loss tangent of the mechanically free part at 1 kHz. The capacitance of the
     free part is ``D + C_m``. The motional capacitance ``C_m = sum_j gain_j^2 / omega_j^2`` has no
@@ -31,9 +31,9 @@ A constant loss tangent of the dielectric
 
         D sin theta = tan delta (D cos theta + C_m),   theta = delta + arcsin(C_m / D sin delta).
 
-    The loss also changes the stiffness, because deformation causes electric fields. This effect is
-    neglected. The neglected relative loss of a mode is tan delta times the share of electric energy
-    in the energy of this mode at constant charge.
+    The dielectric loss also changes the stiffness, because deformation causes electric fields. The
+    model neglects this change of the stiffness. The neglected relative loss of a mode is tan delta
+    times the share of electric energy in the energy of this mode at constant charge.
 """
 
 from __future__ import annotations
@@ -52,8 +52,8 @@ from kc2spice.rom.error_estimate import ErrorEstimator, estimate_errors_above_ba
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.response import Response
 
-# Largest relative coupling of modes that counts as a rounding error of proportional damping. A
-# larger coupling indicates damping that is not proportional.
+# Largest relative coupling of modes that counts as a rounding error of proportional damping.
+# A larger coupling of modes indicates damping that is not proportional.
 MAX_MODAL_COUPLING = 1e-8
 LISTED_MODES = 20  # largest number of modes in a table
 # largest frequency of a rigid-body mode due to rounding errors, relative to the end of the band
@@ -112,8 +112,8 @@ def resonators(rom: LinearModel) -> Resonators | None:
     """Compute the mass-normalised modes of a model with symmetric K and M.
 
     The result is None for a first-order model, if M or K is not positive definite, if C is not B',
-    or if damping couples modes. The computed eigenvalue problem is ``M phi = mu K phi`` instead of
-    its inverse, because K is better conditioned than M.
+    or if damping couples modes. The function solves the eigenvalue problem ``M phi = mu K phi``
+    instead of ``K phi = lambda M phi``, because K is better conditioned than M.
     """
     if rom.first_order or not rom.symmetric:
         return None
@@ -144,8 +144,7 @@ def resonators(rom: LinearModel) -> Resonators | None:
     if (np.abs(damping - np.diag(damp)) > MAX_MODAL_COUPLING * scale).any():
         return None
     gain = phi.T @ rom.B
-    # The sign of a mode shape is arbitrary. The sign chosen here makes netlists identical on all
-    # computers.
+    # mode shapes have arbitrary signs; this choice makes netlists identical on all computers
     gain *= np.sign(gain[np.arange(len(gain)), np.abs(gain).argmax(axis=1)])[:, None]
     return Resonators(1 / np.sqrt(mu), damp, gain, rom.D, rom.ports, rom.certificate)
 
@@ -221,8 +220,8 @@ def _compute_modal_data_from_poles(
     The four results are those of :func:`_compute_modal_data`.
 
     The static contribution of a pair of poles to a port is ``-2 Re(residue / pole)``, with the
-    residue of the port's driving-point response. For decoupled modes, it equals
-    ``gain^2 / omega^2``.
+    residue of the port's driving-point response. For decoupled modes, the static contribution
+    equals ``gain^2 / omega^2``.
     """
     if model.first_order or not all(port.conservative for port in model.ports):
         return None
@@ -245,22 +244,20 @@ def _compute_modal_data_from_poles(
     return size, -2 * values[rows].real * scale, share, np.diag(model.D)
 
 
-# largest change of a response at the end of the band when modes become massless, relative to the
-# static compliance
+# largest change of a response by omitted inertia at the end of the band, relative to the compliance
 MASSLESS_ERROR = 1e-3
-# The same limit if the lowest massless mode has a damping ratio below MAX_RINGING_RATIO. Such modes
-# depend on the mesh, ring for hundreds of periods, and determine the time steps after a kick. If
-# they are massless, the launch of a chip with 0.01 % damping needs a third of the time points. The
-# computed launch changes by 1.2e-3. This change is a quarter of the difference to the launch of a
-# finer model, and reduces this difference.
+# Value of MASSLESS_ERROR if the damping ratio of the lowest massless mode is < MAX_RINGING_RATIO.
+# Modes with little damping depend on the mesh, ring for hundreds of periods, and limit time steps.
+# If these modes are massless, the launch of a chip with 0.01 % damping needs a third of the points.
+# The computed launch then changes by 1.2e-3, towards the launch of a finer model.
+# The change of the launch is a quarter of the difference to the finer model.
 RINGING_ERROR = 1e-2
 MAX_RINGING_RATIO = 0.02
-# smallest frequency of a mode that may become massless, relative to the end of the band; modes
-# below this frequency do not respond instantaneously
+# Smallest frequency of a mode that may become massless, relative to the end of the band.
+# Modes with lower frequencies do not respond instantaneously.
 MIN_FREQUENCY_RATIO = 2.0
 EQUAL_TIMES_TOLERANCE = 1e-9  # largest relative difference of relaxation times that count as equal
-# largest relative singular value that counts as zero, so that no port drives this combination of
-# modes
+# no port drives a combination of modes whose relative singular value is below this limit
 ZERO_SINGULAR_VALUE = 1e-12
 
 
@@ -402,7 +399,7 @@ def integrate_modes(
     their rates z', two arrays of shape (n, modes).
     """
     a, b = _compute_oscillator_roots(omega, damp)
-    if (b == a.conj()).all():  # then x_b is the complex conjugate of x_a
+    if (b == a.conj()).all():  # for conjugate roots, x_b is the conjugate of x_a
         x_a = integrate_roots(a, t, drive)
         x_b = x_a.conj()
     else:
@@ -449,8 +446,8 @@ def _compute_oscillator_roots(omega: np.ndarray, damp: np.ndarray) -> tuple[np.n
     half = np.sqrt(damp.astype(complex) ** 2 / 4 - omega**2)
     half = np.where(np.abs(half) < 1e-4 * omega, 1e-4 * omega, half)
     fast = -damp / 2 - half
-    # The product of the roots gives the second root. Their sum would be inaccurate for the slow
-    # root of a strongly damped mode.
+    # The slow root is computed from the product of both roots.
+    # From the sum of both roots, the slow root of a strongly damped mode would be inaccurate.
     return np.where(fast.imag == 0, omega**2 / fast, fast.conj()), fast
 
 

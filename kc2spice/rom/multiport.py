@@ -37,36 +37,31 @@ from kc2spice.rom.state_space import ABCD
 # number of vector fitting iterations; further iterations would amplify rounding errors
 FITTING_ITERATIONS = 6
 MAX_EVALUATIONS = 60  # largest number of function evaluations in the refinement of poles
-# Smallest decay rate of a pole as a fraction of the distance between frequency samples, and largest
-# decay rate as a multiple of the band's end. The samples do not determine poles beyond these
-# limits.
+# smallest decay rate of a pole that the samples determine, relative to the distance of samples
 MIN_DECAY_RATIO = 0.25
+# largest decay rate of a pole that the samples determine, relative to the end of the band
 MAX_DECAY_RATIO = 10.0
-# Upper limits for the frequency of a pole, relative to the end of the band, in the sequence in
-# which they are tried. Transmission lines need poles above the band, but a model of measured data
-# with poles above the band is seldom passive.
+# Upper limits for the frequency of a pole, relative to the end of the band, in order of trial.
+# Transmission lines need poles above the band.
+# However, a model of measured data with poles above the band is seldom passive.
 MAX_FREQUENCY_RATIOS = (3.0, 1.25, 1.001)
-# largest ratio of the number of fitted parameters to the number of measured values; more parameters
-# would describe noise
+# largest number of parameters per measured value; more parameters would describe noise
 MAX_PARAMETER_SHARE = 0.25
-# four times the smallest distance of a start value from its bounds, as natural logarithm
+# four times the smallest distance between the logarithm of a start value and its bounds
 BOUND_DISTANCE = 1e-3
 MAX_POLES = 60  # largest number of poles; a complex pair counts once
-# Largest number of states. The computing time of passivity enforcement grows with its sixth power.
+# largest number of states; the time for passivity enforcement grows with its sixth power
 MAX_STATES = 48
-# largest deviation of a good fit, as a multiple of the noise of the data, and as a fraction of the
-# largest value
-NOISE_FACTOR = 1.2
-GOOD_DEVIATION = 1e-5
-# smallest useful reduction of the deviation by three additional poles, relative to the deviation;
-# the search ends after MAX_FAILURES successive smaller reductions
+NOISE_FACTOR = 1.2  # largest deviation of a good fit, as a multiple of the noise of the data
+GOOD_DEVIATION = 1e-5  # largest deviation of a good fit, as a fraction of the largest value
+# smallest useful reduction of the deviation by three additional poles, relative to the deviation
 MIN_IMPROVEMENT = 0.1
-MAX_FAILURES = 2
+MAX_FAILURES = 2  # number of successive reductions below MIN_IMPROVEMENT that end the search
 # accepted deviation of a passive fit, relative to the deviation of the fit without passivity
 PASSIVITY_RATIO = 1.2
 # largest deviation of an acceptable passive model, relative to the largest value of the data
 POOR_DEVIATION = 0.2
-# first excess in the scaling of a model that violates passivity by rounding errors
+# first trial of (scale factor - 1) for a model that violates passivity by rounding errors
 OPTIMUM_ROUNDING = 1e-6
 MAX_PASSIVITY_EXCESS = 0.1  # largest violation of passivity that scaling corrects
 # tolerance of the passivity check, relative to the limit 1 of the largest singular value
@@ -83,8 +78,8 @@ def fit_multiport(f: np.ndarray, Y: np.ndarray, noise: float, where: str) -> Lin
 
     Raises
     ------
-    MissingToolError : scikit-rf is not installed. UsageError : no passive state-space model fits
-    the data.
+    MissingToolError : scikit-rf is not installed.
+    UsageError : no passive state-space model fits the data.
     """
     ports = Y.shape[1]
     diagonal = np.abs(Y[:, range(ports), range(ports)])
@@ -158,8 +153,7 @@ def _fit_increasing_orders(
         fit = skrf.vectorFitting.VectorFitting(network)
         fit.max_iterations = FITTING_ITERATIONS
         with warnings.catch_warnings():
-            # The iterations may end before convergence. The deviation of the fit then shows whether
-            # its poles are usable.
+            # if the iterations end before convergence, the deviation shows if poles are usable
             warnings.simplefilter("ignore")
             try:
                 fit.vector_fit(n_poles_real=2, n_poles_cmplx=poles, enforce_dc=False)
@@ -339,6 +333,7 @@ def refine_poles(
     target = np.concatenate([target.real, target.imag])
 
     def unpack(x: np.ndarray) -> np.ndarray:
+        """Return the complex poles [rad/s] for the pole parameters ``x``."""
         p = -np.exp(x[: len(poles)]).astype(complex)
         p[~real] += 1j * np.exp(x[len(poles) :])
         return np.asarray(p)
@@ -389,8 +384,8 @@ def _scale_columns(s: np.ndarray, p: np.ndarray, real: np.ndarray) -> tuple[np.n
     """Return the columns of the linear least-squares problem and their norms before scaling.
 
     The columns are scaled to norm 1. They contain the real and imaginary parts of the terms ``1``,
-    ``1 / (s - p) + 1 / (s - p*)`` (half of it for a real pole), and ``j / (s - p) - j / (s - p*)``
-    for complex poles.
+    ``1 / (s - p) + 1 / (s - p*)`` (half of this term for a real pole), and
+    ``j / (s - p) - j / (s - p*)`` for complex poles.
     """
     one, other = 1 / (s[:, None] - p), 1 / (s[:, None] - p.conj())
     sums = np.where(real, one, one + other)
@@ -422,6 +417,7 @@ def _yield_pole_derivatives(
     one, other = 1 / (s[:, None] - p) ** 2, 1 / (s[:, None] - p.conj()) ** 2
 
     def change(k: int, rate: complex) -> np.ndarray:
+        """Return the derivative of the fit for a ``rate`` of change of the pole ``k``."""
         result = np.outer(rate * one[:, k], residues[k])
         if not real[k]:
             result = result + np.outer(np.conj(rate) * other[:, k], residues[k].conj())
@@ -437,7 +433,7 @@ def _realise_state_space(poles: np.ndarray, residues: np.ndarray, D: np.ndarray)
     """Compute real state-space matrices with the response ``D + sum_k R_k / (s - p_k)``.
 
     A real pole has as many states as the rank of its residue matrix. A complex pair of poles has
-    twice as many.
+    twice as many states as this rank.
     """
     ports = len(D)
     blocks, inputs, outputs = [], [], []
@@ -467,8 +463,9 @@ def is_passive(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> bo
     """Return whether a state-space model of scattering parameters is passive at all frequencies.
 
     The model is passive under three conditions: it is stable, the norm of D is at most one, and the
-    gain is at most one at every frequency where the gain may cross a bound just above one. These
-    frequencies are the imaginary eigenvalues of the Hamiltonian matrix for this bound.
+    gain is at most one at every frequency where the gain may cross a bound just above one. The
+    frequencies of possible crossings are the imaginary eigenvalues of the Hamiltonian matrix for
+    this bound.
     """
     if (np.linalg.eigvals(A).real >= 0).any() or np.linalg.norm(D, 2) >= 1 + PASSIVITY_MARGIN:
         return False

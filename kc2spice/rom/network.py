@@ -6,10 +6,10 @@ charge y of the port, the network is::
 
     L_k q_k'' + R_k q_k' + q_k / C_k = u        y = sum_k q_k + C0 u
 
-This is a linear model with diagonal matrices and a column B of ones. A model of this form is
-recognised as a network. The current of all branches may flow through leads with a resistance R and
-an inductance L. If there are leads, ``C0`` is also a branch. R is then added to all entries of the
-damping matrix, and L to all entries of the inertia matrix::
+The network is a linear model with diagonal matrices and a column B of ones. A linear model of this
+form is recognised as a network. The current of all branches may flow through leads with a
+resistance R and an inductance L. If there are leads, ``C0`` is also a branch. The lead resistance R
+is then added to all entries of the damping matrix, and L to all entries of the inertia matrix::
 
     L y'' + R y' + L_k q_k'' + R_k q_k' + q_k / C_k = u        y = sum_k q_k
 """
@@ -75,8 +75,7 @@ class ParallelBranches:
     def linear(self, certificate: Certificate | None = None) -> LinearModel:
         """Convert the network to a linear model.
 
-        The function :func:`parallel_branches` is the inverse. It is exact if the network has no
-        lead.
+        The inverse conversion by :func:`parallel_branches` is exact if the network has no lead.
         """
         branches, capacitance = self.branches, self.capacitance
         if self.lead != IDEAL_LEAD and capacitance > 0:

@@ -1,13 +1,13 @@
 """Reduced models that are valid over ranges of parameters, from full models at samples.
 
 One basis V spans the modes and the static responses of full models at samples of the parameters.
-``V'M V``, ``V'K V``, ``V'B`` and D are then smooth functions of the parameters. They are
-approximated by products of Chebyshev polynomials of the parameters' logarithms. The approximation
+``V'M V``, ``V'K V``, ``V'B`` and D are then smooth functions of the parameters. Products of
+Chebyshev polynomials of the parameters' logarithms approximate these functions. The approximation
 is exact at the samples. The projection on V preserves definiteness. Because the method does not
 track single modes, the natural frequencies of modes may cross or repel each other inside the
-parameter ranges. The mesh must move with the parameters without a change of its topology.
-Parameters that only scale the damping are exact and need no samples. Source: P. Benner, S.
-Gugercin, K. Willcox, SIAM Review 57 (2015) 483, section 4 (a global basis).
+parameter ranges. The mesh must move with the parameters without a change of its topology. The
+dependence on parameters that only scale the damping is exact and needs no samples. Source: P.
+Benner, S. Gugercin, K. Willcox, SIAM Review 57 (2015) 483, section 4 (a global basis).
 """
 
 from __future__ import annotations
@@ -33,16 +33,14 @@ MAX_PARAMETERS = 4  # largest number of parameters; more would need hundreds of 
 # degree of polynomials, keyed by number of parameters
 DEFAULT_DEGREES = {0: 0, 1: 6, 2: 5, 3: 4, 4: 3}
 DEGREE_STEP = 2  # increase of the degree if the polynomials are inaccurate over wide ranges
-# Largest degree of the polynomials, keyed by the number of parameters. These degrees need 11, 55
-# and 84 full models.
+# largest degree of the polynomials (with 11, 55 and 84 full models), keyed by number of parameters
 MAX_DEGREES = {1: 10, 2: 9, 3: 6}
-# Offset that is added to a value before the logarithm if a range begins at zero, relative to the
-# end of the range. For values far below the offset, the coordinate is a linear function of the
-# value.
+# In a range from zero to ``high``, this share of ``high`` is added to values before the logarithm.
+# For values far below this offset, the coordinate is a linear function of the value.
 LOG_OFFSET_RATIO = 1e-6
-# A direction of the column space is omitted if the eigenvalue of its Gram matrix is less than this
-# share of the largest eigenvalue. The stiff motions of a thin plate have 1e8 times the energy of
-# its soft motions. With a share of 1e-12, the error of a thin plate would be 1e-4.
+# Directions are omitted if their eigenvalue of the Gram matrix is below this share of the largest.
+# The stiff motions of a thin plate have 1e8 times the energy of its soft motions.
+# With a share of 1e-12, the reduced model of a thin plate would have an error of 1e-4.
 DEPENDENT_COLUMN = 1e-15
 
 Values = Mapping[str, float]
@@ -121,8 +119,8 @@ def require_within(axes: Iterable[ParameterAxis], values: Values) -> None:
 class DampingParameter:
     """Parameter that changes only the Rayleigh damping coefficients alpha and beta.
 
-    The coefficients are proportional to powers of the parameter. ``alpha`` and ``beta`` are the
-    exponents.
+    Both coefficients are proportional to powers of the parameter. The attributes ``alpha`` and
+    ``beta`` are the exponents of these powers.
     """
 
     axis: ParameterAxis
@@ -232,8 +230,7 @@ def reduce_over_parameters(
     stiffness_axes = tuple(axis for axis in axes if axis not in [loss.axis for loss in losses])
     degree = DEFAULT_DEGREES.get(len(stiffness_axes), 2) if degree is None else degree
     exponents = list_exponents(len(stiffness_axes), degree)
-    # The samples are approximate Fekete points, selected from a Chebyshev grid. There are as many
-    # samples as polynomials.
+    # the samples are approximate Fekete points of a Chebyshev grid, one sample per polynomial
     grid = np.sin(0.5 * np.pi * np.arange(-degree, degree + 1, 2) / max(degree, 1))
     points = np.array(list(product(grid, repeat=len(stiffness_axes))))
     *_, selected = scipy.linalg.qr(polynomials(points, exponents).T, mode="economic", pivoting=True)

@@ -1,8 +1,8 @@
 """Linear models ``P(s) x = B u``, ``y = C x + D u`` with a matrix polynomial ``P(s)``.
 
 The polynomial and the matrices B, C, D are called a pencil. A coefficient may be a Schur
-complement. Its dense matrix is not needed, because solvers only multiply it by vectors and solve
-linear systems.
+complement. The dense matrix of a Schur complement is not needed, because solvers only multiply it
+by vectors and solve linear systems.
 """
 
 from __future__ import annotations
@@ -109,9 +109,8 @@ class Schur:
     def is_proven_definite(self, factor: Factor | None) -> bool:
         """Return whether a ``factor`` of all blocks proves the complement positive definite.
 
-        The number of negative eigenvalues of the matrix of all blocks is the sum of two numbers:
-        those of ``pp`` and of the complement (Haynsworth 1968). A positive definite complement has
-        no negative eigenvalue.
+        The matrix of all blocks has as many negative eigenvalues as ``pp`` and the complement
+        together (Haynsworth 1968). A positive definite complement has no negative eigenvalue.
         """
         count = self.pp.shape[0]
         return factor is not None and factor.negative == count == self.inner.negative
@@ -225,8 +224,8 @@ def congruence(P: Matrix, V: np.ndarray, known: bool = False) -> np.ndarray:
 # Smallest magnitude of a pole that counts as infinite, relative to the reference frequency.
 # Massless unknowns and algebraic equations cause infinite poles.
 INFINITE_POLE_RATIO = 1e10
-# Largest condition number of a mass matrix that is inverted. With the inverse, the eigenvalues are
-# computed ten times as fast as those of the generalised problem.
+# Largest condition number of a mass matrix that is inverted.
+# With the inverse of M, eigenvalues are computed ten times as fast as in the generalised problem.
 MAX_INVERTED_CONDITION = 1e6
 BATCH_BYTES = 8e6  # memory [bytes] for the matrices whose linear systems are solved together
 
@@ -492,6 +491,7 @@ class Pencil:
         """Return the model with the unknowns ``x / t`` and the polynomial ``diag(t) P diag(t)``."""
 
         def both(P: Matrix) -> Matrix:
+            """Return ``diag(t) P diag(t)`` with scaled rows and columns."""
             if isinstance(P, Schur):
                 return P.scaled(t)
             return t[:, None] * P * t if isinstance(P, np.ndarray) else scale_matrix(P, t, t)
@@ -600,7 +600,7 @@ def make_explicit_pencil(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndar
 
 
 def first_order(pencil: Pencil, omega: float) -> Pencil:
-    """Convert a model to first-order form ``E x' = A x + B u`` without divisions.
+    """Convert a model to first-order form ``E x' = A x + B u`` without inverse matrices.
 
     Velocities are divided by ``omega`` [rad/s].
     """

@@ -2,7 +2,7 @@
 
 :mod:`kc2spice.rom.interface_modes` divides the unknowns into the prescribed temperatures ``T_i``
 and all other temperatures ``T_e``. Q are the heat flows into the ports with prescribed
-temperatures. T_q are the temperatures of the ports with prescribed heat flows q. They are
+temperatures. T_q are the temperatures of the ports with prescribed heat flows q. Q and T_q are
 
     Q = G T_i - S' q + s (M T_i + c' x),    T_q = S T_i + B_e' x,
     (K_ee + s E_ee) x = B_e q - s c T_i,
@@ -34,9 +34,9 @@ from kc2spice.rom.first_step import build_intermediate_model
 from kc2spice.rom.interface_split import DENSE, ROUNDING, PrescribedTemperatures
 from kc2spice.rom.linear_model import LinearModel, Norm, Port
 
-FREQUENCIES = 40  # number of frequencies for comparisons; heat flows are smooth
-DECADES = 4.0  # number of decades that these frequencies cover, up to the end of the band
-# desired and largest error of the reference response, relative to the tolerance
+FREQUENCIES = 40  # number of frequencies at which smooth responses of heat flows are compared
+DECADES = 4.0  # number of decades that the compared frequencies cover, up to the end of the band
+# desired error and largest permitted error of the reference response, relative to the tolerance
 REFERENCE_SHARE = 0.01, 0.3
 
 
@@ -68,8 +68,9 @@ class FlowReference:
     ----------
     frequency : (n,) frequencies [Hz] at which reduced models are compared with the full model.
     response : (n, ports, ports) response of the outputs Q and T_q (rows) to T_i and q (columns).
-    uncertainty : relative error of the response. rounding : (ports, ports) rounding errors of the
-    response. share : smallest divisor of a relative error, as a share of the peak of each entry.
+    uncertainty : relative error of the response.
+    rounding : (ports, ports) rounding errors of the response.
+    share : smallest divisor of a relative error, as a share of the peak of each entry.
     """
 
     frequency: np.ndarray

@@ -41,8 +41,8 @@ class RangeTask:
 class ModelOverRanges(ABC):
     """Reduced-order model that is valid over ranges of parameters.
 
-    ``defaults``, ``units`` and ``descriptions`` are keyed by parameter. They are empty for a body
-    of a scene, because the keys of the body contain this information.
+    ``defaults``, ``units`` and ``descriptions`` are keyed by parameter. These three mappings are
+    empty for a body of a scene, because the keys of the body contain the same information.
     """
 
     ports: tuple[Port, ...]

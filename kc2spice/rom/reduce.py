@@ -1,12 +1,12 @@
-"""Reduction of linear models, to a tolerance over a band or to an order.
+"""Reduction of linear models: to a required tolerance over a band, or to a prescribed order.
 
 The result is a reduced model with a certificate.
 
 The reduction has two steps. The first step (:mod:`kc2spice.rom.first_step`) replaces the full-order
 model by an intermediate model that is far more accurate than the tolerance. The second step
-computes bases of the intermediate model with the reductors that suit the model. It selects the
-smallest order whose error estimate is within the tolerance. It also proves the stability and
-passivity of the reduced model.
+computes bases of the intermediate model with the reductors that suit the model. The second step
+also selects the smallest order whose error estimate is within the tolerance, and proves the
+stability and passivity of the reduced model.
 
 Rigid-body modes are separated first and remain exact. The error estimate is the sum of two errors:
 the largest difference between the reduced and the intermediate model, and the error of the
@@ -44,19 +44,17 @@ from kc2spice.rom.structural import approximate_causally, reduce_to_first_order
 
 # largest frequency [Hz]; the square of its angular frequency is a finite float
 MAX_FREQUENCY = 1e30
-# Smallest tolerance, ten times MIN_ERROR_ESTIMATE. Solutions of the full-order model are hardly
-# more accurate.
+# Smallest tolerance: ten times MIN_ERROR_ESTIMATE.
+# Solutions of the full-order model are hardly more accurate than this tolerance.
 MIN_TOLERANCE = 1e-10
-# Requested error of the intermediate model, as a share of the tolerance. This share was found by
-# trials, and is small compared with the error of the reduced model.
+# requested error of the intermediate model, as a small share of the tolerance; found by trials
 INTERMEDIATE_SHARE = 0.02
-# Largest error of the intermediate model, as a share of the tolerance, if rounding errors prevent
-# the requested error.
+# Largest permitted error of the intermediate model, as a share of the tolerance.
+# The permitted error applies if rounding errors prevent the requested error.
 MAX_INTERMEDIATE_SHARE = 0.5
-# Smallest share of the tolerance that must remain for the reduced model after rounding errors are
-# subtracted. If only a quarter of the tolerance remains, the model needs one or two additional
-# states. If less remains, the error estimate exceeds the tolerance, and a warning states the
-# reason.
+# Smallest share of the tolerance that must remain after rounding errors are subtracted.
+# If only a quarter of the tolerance remains, the reduced model needs one or two additional states.
+# If less than a quarter remains, the error estimate exceeds the tolerance, with a warning.
 MIN_REMAINING_SHARE = 0.25
 # Requested error of the intermediate model if the order is prescribed, found by trials.
 FIXED_ORDER_TARGET = 1e-8
@@ -81,10 +79,10 @@ def reduce_model(
     * If ``order`` is given, a symmetric positive definite model is reduced by block Arnoldi at
       s0 = 0 (Schütz, Maeter and Bechtold, Actuators 10 (2021) 279, section 2.3).
     * Models whose ports are signals are also reduced to first-order models by balanced truncation.
-      The first-order model is used if it has fewer states and no passive form is lost.
+      The first-order model is used if it has fewer states and the full model is not proven passive.
     * Structural damping is replaced by viscous damping of each mode, or by relaxations if they are
       much more accurate. The error estimate includes the error of this replacement. The function
-      warns if this error exceeds the tolerance.
+      warns if the error of the replacement exceeds the tolerance.
     * The inertia of a symmetric model with only real poles is omitted if this reduces the number of
       states without a change of the response.
     * Rounding errors of the full model's matrix entries may change the response by more than
@@ -95,7 +93,7 @@ def reduce_model(
     fom : LinearModel
         Full-order model of n unknowns, in SI units.
     tolerance : float, optional
-        Largest relative error over the band, less than 1.
+        Largest permitted relative error over the band; less than 1.
     order : int, optional
         Number of unknowns of the reduced model. Exactly one of ``tolerance`` and ``order`` is
         required.
@@ -106,8 +104,8 @@ def reduce_model(
         Divisor of the relative error: the entry's size at the same frequency, or the entry's
         largest size in the band.
     contact : bool, default False
-        Whether the model gets a third more states, which represent a part of the response above the
-        band. A contact excites this part.
+        Whether the model gets a third more states, which represent the part of the response above
+        the band that a contact excites.
     method : str or Reductor, optional
         Method of reduction. By default, response POD and the variants of balanced truncation that
         suit the model are tried.
@@ -272,8 +270,8 @@ def find_basis_of_order(
 ) -> tuple[ReducedBasis, int]:
     """Return the basis with the smallest error at a prescribed order, and this order.
 
-    ``bases`` contains bases that are already computed, keyed by the name of the reductor. New bases
-    are added to it.
+    ``bases`` contains bases that are already computed, keyed by the name of the reductor. The
+    function adds new bases to ``bases``.
     """
     assert target.order is not None
     bases = {} if bases is None else bases
@@ -367,6 +365,7 @@ def _make_congruence(
     """Return a function that reduces a model by a congruence, within a tolerance over a band."""
 
     def congruence(fom: LinearModel, tolerance: float, band: tuple[float, float]) -> LinearModel:
+        """Reduce a model with viscous damping by a congruence."""
         return _reduce_viscous(
             fom, replace(target, tolerance=tolerance, order=None, band=band, keep_form=True)
         )

@@ -28,9 +28,9 @@ from kc2spice.rom.state_space import to_hertz, to_schur_form
 
 # Smallest error estimate, because responses from direct solutions are hardly more accurate.
 MIN_ERROR_ESTIMATE = 1e-11
-# Safety factor of an error that is computed at sample frequencies, because the error between
-# samples may be larger. With this factor, the error estimates of 500 random models are one to three
-# times the true errors (tests/physics/test_certificates.py).
+# Safety factor of errors at sample frequencies, because errors between samples may be larger.
+# With this factor, the error estimates of 500 random models are one to three times the true errors.
+# The test of the factor is in tests/physics/test_certificates.py.
 SAFETY_FACTOR = 1.15
 
 T = TypeVar("T")
@@ -250,8 +250,8 @@ class ReducedBasis:
     reduced model contains the first ``fixed`` unknowns: rigid-body modes, and static responses of
     conservative ports. If ``congruence`` is true, the projection preserves the form of the
     matrices. ``origin`` is the beginning of the method description in the certificate. ``vectors``
-    contains the basis vectors as columns, or is None if they are unknown. ``coordinates`` states in
-    the unknowns of which model these vectors are given.
+    contains the basis vectors as columns, or is None if they are unknown. ``coordinates`` names the
+    model in whose unknowns the basis vectors are expressed.
     """
 
     task: Task
@@ -275,7 +275,7 @@ class ReducedBasis:
     def has_only_real_poles(self) -> bool:
         """Whether the model is symmetric and of first order, like a network of R and C.
 
-        In this case, a congruence preserves real poles and passivity.
+        A congruence preserves the real poles and the passivity of such a model.
         """
         return self.pencil.degree == 1 and self.pencil.symmetric and self.pencil.collocated
 
@@ -293,7 +293,7 @@ class ReducedBasis:
     def unknowns(self, order: int) -> np.ndarray | None:
         """Return the first ``order`` basis vectors in unknowns of the full-order model.
 
-        The result has the shape (n, order). It is None if the vectors are unknown, or cannot be
+        The result has the shape (n, order), or is None if the vectors are unknown or cannot be
         expressed in unknowns of the full-order model.
         """
         task, V = self.task, self.vectors
@@ -335,8 +335,8 @@ class ReducedBasis:
     def is_acceptable(self, order: int, tolerance: float) -> bool:
         """Return whether the reduced model of this order is accurate enough and stable.
 
-        The model must meet the tolerance. It must be stable if the intermediate model is stable.
-        Only the result of a congruence may lack a proof of stability.
+        The reduced model must meet the tolerance, and it must be stable if the intermediate model
+        is stable. Only the result of a congruence may lack a proof of stability.
         """
         if not self.error(order, tolerance) <= tolerance:
             return False

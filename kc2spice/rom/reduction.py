@@ -43,8 +43,7 @@ if TYPE_CHECKING:
     from kc2spice.rom.affine import AffineModel
     from kc2spice.rom.ranges import ModelOverRanges
 
-# default of the smallest tolerance; a tenth of it requires one or two more solutions of the full
-# model
+# default of the smallest tolerance; a tenth of it costs one or two more full-order solutions
 DEFAULT_MIN_TOLERANCE = 1e-6
 
 
@@ -99,9 +98,10 @@ def reduce(
     model : LinearModel or AffineModel
         Full model of n unknowns, in SI units. An affine model is reduced over the ranges of its
         parameters within a ``tolerance``. The arguments ``order``, ``contact`` and ``method`` do
-        not apply to it.
+        not apply to an affine model.
     tolerance : float, optional
-        Largest relative error over the band. The smallest model within the tolerance is returned.
+        Largest permitted relative error over the band. The smallest model within the tolerance is
+        returned.
     order : int, optional
         Number of unknowns of the reduced model. Exactly one of ``tolerance`` and ``order`` is
         required.
@@ -136,9 +136,9 @@ def reduce(
     -------
     LinearModel or ModelOverRanges
         Reduced model with the ports of ``model`` and with a ``certificate``. For an affine model,
-        it is a :class:`kc2spice.rom.ranges.ModelOverRanges`. The method ``at(values)`` of this
-        model returns the reduced model for given values of the parameters. The function
-        :func:`kc2spice.parametric_subcircuit` writes its netlist.
+        the result is a :class:`kc2spice.rom.ranges.ModelOverRanges`. The method ``at(values)`` of a
+        ``ModelOverRanges`` returns the reduced model for given values of the parameters. The
+        function :func:`kc2spice.parametric_subcircuit` writes the netlist of a ``ModelOverRanges``.
 
     Raises
     ------
@@ -232,9 +232,9 @@ def _reject_unused_options(**options: object) -> None:
 class Reduction:
     """Several reductions of one full-order model over the same band.
 
-    The full-order model is factorised and solved once. Its solution is accurate enough for reduced
-    models with an error of at least ``tolerance``. If :meth:`reduce` is called with a smaller
-    tolerance, the full-order model is solved again.
+    The full-order model is factorised and solved once. The solution of the full-order model is
+    accurate enough for reduced models with an error of at least ``tolerance``. If :meth:`reduce` is
+    called with a smaller tolerance, the full-order model is solved again.
 
     Parameters
     ----------
@@ -373,12 +373,12 @@ class Reduction:
         order: int | None = None,
         method: str | Reductor | None = None,
     ) -> LinearModel:
-        """Return the smallest reduced model within a tolerance, or the best of an order.
+        """Return the smallest model within a tolerance, or the best of a prescribed order.
 
         Parameters
         ----------
         tolerance : float, optional
-            Largest relative error over the band.
+            Largest permitted relative error over the band.
         order : int, optional
             Number of unknowns of the reduced model. Exactly one of ``tolerance`` and ``order`` is
             required. Unlike :func:`kc2spice.reduce`, this method tries all congruences. A reduction

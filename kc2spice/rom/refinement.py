@@ -24,14 +24,14 @@ from kc2spice.rom.response import Response
 MAX_ORDER = 150  # largest order for which the output matrix is fitted
 MAX_FIT_PARAMETERS = 60  # largest number of rates and gains of a relaxing model that is fitted
 MAX_ROUNDS = 12  # largest number of updates of the weights
-# squared factor of a weight in one update where the error is zero
+# squared factor by which an update multiplies a weight at frequencies without error
 MIN_WEIGHT = 0.05
-# Number of successive orders whose fit may fail before the search ends. A lower order may succeed
-# after a failure, because the error may increase with the order.
+# Number of successive orders whose fit may fail before the search ends.
+# A fit of a lower order may succeed after a failure, because errors may increase with the order.
 MAX_FAILURES = 4
 HOPELESS_RATIO = 1.5  # error relative to the tolerance above which a fit ends without success
-# Error relative to the tolerance below which a fit ends successfully. The error estimate may be
-# slightly larger than this error.
+# Error relative to the tolerance below which a fit ends successfully.
+# The error estimate may be slightly larger than the error of the fit.
 SUFFICIENT_RATIO = 0.97
 
 

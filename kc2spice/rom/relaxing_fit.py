@@ -20,11 +20,10 @@ import scipy
 
 MAX_ROUNDS = 25  # largest number of updates of the weights
 ROUND_EVALUATIONS = 30  # largest number of evaluations of the residuals per update of the weights
-# number of updates after which the fit ends if the error still exceeds HOPELESS_RATIO times the
-# sufficient error
+# number of updates after which a fit ends if its error exceeds HOPELESS_RATIO times ``enough``
 CHECKED_ROUNDS = 4
 HOPELESS_RATIO = 1.5
-MIN_WEIGHT_FACTOR = 0.02  # squared factor of a weight in one update where the error is zero
+MIN_WEIGHT_FACTOR = 0.02  # squared factor of one update of a weight if the error is zero
 
 
 def fit_minimax(

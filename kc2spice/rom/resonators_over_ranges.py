@@ -3,8 +3,8 @@
 The coefficients are natural frequencies, gains and capacitances over ranges of the parameters. The
 input is a :class:`~kc2spice.rom.parametric.DenseParametricModel`, a model with small dense
 matrices. At many points of the ranges, this module computes the modes of the dense model in the
-band and a little above it. Ritz vectors represent the remaining response to the ports' loads. They
-are orthogonal to the modes.
+band and a little above it. Ritz vectors, which are orthogonal to the modes, represent the remaining
+response to the ports' loads.
 
 Modes whose frequencies are close to each other anywhere in the ranges form a block. The frame of a
 block is the basis of its modes that is nearest to the frame in the middle of the ranges, so that it
@@ -17,9 +17,9 @@ model is passive. Sources: P. H. Schoenemann, Psychometrika 31 (1966) 1 (nearest
 Perturbation Theory for Linear Operators, II.4 (invariant subspaces are analytic as long as a gap
 separates them).
 
-If a port moves a body without a support, the port excites rigid-body modes. The stiffness of these
-modes is zero and has no logarithm. Therefore, the rigid-body modes get a soft support with a
-resonance far below the band.
+If a port moves a body without a support, the port excites rigid-body modes. The stiffness of a
+rigid-body mode is zero and has no logarithm. Therefore, the rigid-body modes get a soft support
+with a resonance far below the band.
 """
 
 from __future__ import annotations
@@ -52,26 +52,25 @@ from kc2spice.rom.stability import prove_stability
 
 # frequency below which all modes are retained, relative to the end of the band
 MODE_BAND_RATIO = 1.2
-# Largest number of additional modes above this frequency. The retained modes end at the widest gap
-# between the frequencies of these modes.
+# Largest number of additional modes above MODE_BAND_RATIO times the end of the band.
+# The retained modes end at the widest gap between the frequencies of the additional modes.
 EXTRA_MODES = 8
 # largest gain of a mode at a port that counts as zero, relative to the largest gain at the port
 ZERO_GAIN = 1e-9
 GRID_POINTS = {0: 1, 1: 33, 2: 13, 3: 7, 4: 5}  # points per axis, keyed by number of axes
 # highest total degree of the polynomials, keyed by number of axes
 MAX_DEGREES = {0: 0, 1: 16, 2: 10, 3: 6, 4: 4}
-# Modes form one block if the logarithms of their squared frequencies differ by less than a gap.
-# These gaps are tried one after another.
+# Values of the gap that are tried one after another.
+# Modes form one block if the logarithms of their squared frequencies differ by less than the gap.
 MODE_GAPS = 0.03, 0.1, 0.3, 0.8, np.inf
-# largest number of blocks of Ritz vectors: static responses, and their derivatives with respect to
-# the squared frequency
+# Largest number of blocks of Ritz vectors.
+# The blocks are the static responses and their derivatives with respect to the squared frequency.
 KRYLOV_BLOCKS = 4
 # smallest overlap of the frame of a block with its frame in the middle of the ranges
 MIN_OVERLAP = 0.2
 CHECK_POINTS = 16  # number of random points in the ranges for error estimates of the fit
 SUBSPACE_SHARE = 0.3  # share of the tolerance that is available for the error of the subspace
-# largest gain of a port in a rigid-body mode that is a rounding error, relative to the largest gain
-# of the port
+# a rigid-body mode has no effect on a port below this gain, relative to the port's largest gain
 RIGID_ROUNDING = 1e-6
 LAST_GAP = 8.0  # assumed ratio of squared frequencies above the last mode if all modes are retained
 MIN_GAP_GAIN = 0.02  # smallest increase of the logarithm of a gap that justifies one more mode
@@ -79,13 +78,11 @@ MIN_GAP_GAIN = 0.02  # smallest increase of the logarithm of a gap that justifie
 DEPENDENT_VECTOR = 1e-9
 # number of full models that only check the result, in addition to one at a corner of the ranges
 FULL_CHECKS = 4
-# share of the tolerance for the difference of the resonators to the dense model, and safety factor
-# of errors that are computed at points of the ranges
-RESONATOR_SHARE = 0.4
-SAFETY_FACTOR = 1.5
+RESONATOR_SHARE = 0.4  # share of the tolerance for the difference of resonators and dense model
+SAFETY_FACTOR = 1.5  # safety factor of errors that are computed at points of the ranges
 COEFFICIENT_RESOLUTION = 1e-3  # resolution of rounded coefficients, relative to tolerance
-# additional factor of the resolution for models with several ports, because large terms of the
-# response between different ports cancel at notches
+# Additional factor of the resolution of coefficients for models with several ports.
+# At notches of the response between two ports, large terms cancel.
 NOTCH_RESOLUTION = 1e-2
 
 
@@ -362,7 +359,7 @@ class _DenseModes:
 class _ModesOverRanges:
     """Modes of a dense model over the ranges of its parameters.
 
-    ``count`` is the number of retained modes. They include all modes in the band.
+    ``count`` is the number of retained modes, which include all modes in the band.
     """
 
     def __init__(self, dense_model: DenseParametricModel, band: tuple[float, float]) -> None:

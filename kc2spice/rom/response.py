@@ -14,14 +14,13 @@ from kc2spice.rom.entries import Entries
 from kc2spice.rom.pencil import INFINITE_POLE_RATIO, Pencil, first_order, largest_entry
 from kc2spice.rom.rigid_body import select_rigid_body_part
 
-# Largest response that is only a rounding error of terms that cancel, relative to the sum of the
-# absolute values of these terms.
+# largest rounding error of a sum of terms that cancel, relative to the sum of their absolute values
 CANCELLATION_ROUNDING = 1e-13
 # Largest relative coupling of modes by damping that counts as a rounding error.
 COUPLING_ROUNDING = 1e-9
-# Smallest damping ratio of a resonance whose peak can be sampled. Below this ratio, no
-# floating-point frequency is close enough to the peak. Errors are then computed beside the peak, at
-# the relative distance FLANK_DISTANCE.
+# Smallest damping ratio of a resonance whose peak can be sampled.
+# Below this damping ratio, no floating-point frequency is close enough to the peak.
+# Errors are then computed beside the peak, at the relative distance FLANK_DISTANCE.
 MIN_DAMPING_RATIO = 1e-7
 FLANK_DISTANCE = 1e-4
 MIN_VISIBLE_TERM = 1e-10  # smallest term of a visible pole in an entry, relative to the entry
@@ -36,8 +35,8 @@ MAX_STATES = 2000  # largest number of first-order states
 DECOUPLING_TOLERANCE = 1e-10  # largest relative difference between decoupled and direct solutions
 # ratio of successive squared frequencies above which the lower mode is a rigid-body mode
 RIGID_MODE_RATIO = 1e8
-# Largest condition number of the eigenvectors with which a model is decoupled. The eigenvectors of
-# an unsupported body do not span its states, and have a larger condition number.
+# Largest condition number of the eigenvectors with which a model is decoupled.
+# The eigenvectors of an unsupported body do not span its states; their condition number is larger.
 MAX_CONDITION = 1e10
 Modes: TypeAlias = tuple[np.ndarray, np.ndarray, tuple[np.ndarray, ...]]
 
@@ -47,11 +46,11 @@ class Response:
 
     In decoupled coordinates, the matrices of the pencil are diagonal. The coordinates must be
     well-conditioned. ``modes`` is ``(T, L, diagonals)``, so that the unknowns are
-    ``x = T diag(1 / sum_k s^k diagonals_k) L B``. It is None if there are no such coordinates. If
-    ``decoupled`` is true, T is a real congruence (``L = T'``). If rigid-body modes are not coupled
-    to other unknowns, they are solved separately, and ``core`` is the pencil of the other unknowns.
-    Otherwise ``core`` is the whole pencil. ``zero`` (outputs, inputs) is a mask of the entries that
-    are known to be zero by symmetry.
+    ``x = T diag(1 / sum_k s^k diagonals_k) L B``. ``modes`` is None if there are no decoupled
+    coordinates. If ``decoupled`` is true, T is a real congruence (``L = T'``). If rigid-body modes
+    are not coupled to other unknowns, they are solved separately, and ``core`` is the pencil of the
+    other unknowns. Otherwise ``core`` is the whole pencil. ``zero`` (outputs, inputs) is a mask of
+    the entries that are known to be zero by symmetry.
     """
 
     def __init__(
@@ -101,7 +100,7 @@ class Response:
         else:
             T, L, _ = self.modes
             parts = self._gains(s).T[:, :, None] * (L @ self.core.B)[:, None, :]
-            # one product is faster than many small products
+            # one large matrix product is faster than many small products
             result = T @ parts.reshape(len(parts), -1)
             x = result.reshape(-1, *parts.shape[1:]).swapaxes(0, 1)
         return np.concatenate([self._free.states(s), x], axis=1) if self._free else x
@@ -304,7 +303,7 @@ def _decouple(pencil: Pencil) -> Modes | None:
     rest, inertia = pencil.coefficients[0], pencil.coefficients[-1]
     try:
         mu, T = scipy.linalg.eigh(inertia, rest)
-        # a rigid-body mode, whose stiffness is a rounding error
+        # the pencil has a rigid-body mode, whose stiffness is a rounding error
         if (mu[1:] > RIGID_MODE_RATIO * np.abs(mu[:-1])).any():
             raise scipy.linalg.LinAlgError
         ends = np.ones(pencil.size), mu
@@ -318,8 +317,8 @@ def _decouple(pencil: Pencil) -> Modes | None:
         return T, T.T, ends
     damping = T.T @ pencil.coefficients[1] @ T
     diagonal = np.diag(damping).copy()
-    # The limit is relative to the damping of both modes. Any coupling to an undamped mode exceeds
-    # the limit, so that the pencil is not decoupled.
+    # The limit of the coupling of two modes is relative to the damping of both modes.
+    # If damping couples an undamped mode to another mode, the pencil is not decoupled.
     limit = COUPLING_ROUNDING * np.sqrt(np.abs(np.outer(diagonal, diagonal)))
     if (np.abs(damping - np.diag(diagonal)) > limit).any():
         return None
@@ -329,8 +328,8 @@ def _decouple(pencil: Pencil) -> Modes | None:
 def grid(band: tuple[float, float], count: int, static: bool) -> np.ndarray:
     """Return a grid of frequencies [Hz] over the band: half linear, half logarithmic.
 
-    The grid covers at most four decades. It also contains zero if the band begins at zero and the
-    ``static`` response exists.
+    The grid covers at most four decades. If the band begins at zero and the ``static`` response
+    exists, the grid also contains zero.
     """
     low, high = band
     start = max(low, 1e-4 * high)

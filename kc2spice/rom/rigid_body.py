@@ -1,9 +1,9 @@
 """Rigid-body modes of a model, and their exact separation from all other unknowns.
 
-Here, rigid-body modes include integrators. Their response grows without bound as the frequency
-approaches zero. They are computed once, with their damping. Their stiffness is set to exactly zero,
-and they are separated from all other unknowns. Reduction bases and response peaks refer to the
-other unknowns only.
+Here, rigid-body modes include integrators. The response of rigid-body modes grows without bound as
+the frequency approaches zero. Rigid-body modes and their damping are computed once. The stiffness
+of rigid-body modes is set to exactly zero, and the modes are separated from all other unknowns.
+Reduction bases and response peaks refer to the other unknowns only.
 """
 
 from __future__ import annotations
@@ -26,20 +26,18 @@ from kc2spice.rom.pencil import (
     largest_entry,
 )
 
-# Multiple of ``n eps`` times the size of a matrix entry that bounds the rounding error of the
-# entry. Smaller stiffness, damping and coupling count as zero.
+# Bound of the rounding error of a matrix entry, divided by ``n eps`` times the size of the entry.
+# Stiffness, damping and coupling below this bound count as zero.
 ROUNDING_FACTOR = 8.0
-# Largest magnitude of a pole of a first-order model that counts as zero, and of a pole that counts
-# as the slow real pole of a damped rigid-body mode. Both are relative to the end of the band. The
-# rounding error of a double pole is the square root of eps.
+# Largest magnitude of a pole that counts as zero, relative to the end of the band.
+# The rounding error of a double pole is the square root of eps.
 ZERO_POLE_RATIO = 1e-6
+# largest slow real pole of a damped rigid-body mode, relative to the end of the band
 SLOW_POLE_RATIO = 1e-2
-# largest energy that counts as a rounding error, as a multiple of the change of the energy due to
-# random rounding of matrix entries
+# largest energy that counts as a rounding error, relative to its change by random rounding
 ENERGY_FACTOR = 30.0
 ENERGY_MARGIN = 4.0  # safety factor of the change of an energy due to random rounding
-# ratio of a frequency to the resonance frequency of a support; at this ratio, the support changes
-# the response by 1e-4
+# frequency, relative to the resonance of a support, at which a support changes the response by 1e-4
 SUPPORT_RATIO = 100.0
 # multiple of the limit for singular matrices above which a matrix counts as regular
 REGULAR_FACTOR = 10.0
@@ -54,8 +52,8 @@ class RigidBodySplit(NamedTuple):
 
     ``columns`` contains the basis vectors of the coordinates in the original unknowns. If
     ``static`` is true, the other coordinates have a static response. ``projected`` is the pencil
-    before rounding errors were set to zero. It is None if the form of the matrices is not
-    preserved.
+    before rounding errors were set to zero. If the form of the matrices is not preserved,
+    ``projected`` is None.
     """
 
     pencil: Pencil
@@ -74,9 +72,9 @@ def split_rigid_body(
     Symmetric and dissipative models have rigid-body modes X with ``K X = 0`` and ``X'K = 0``. The
     form of these models is preserved by a congruence ``V'PV``, in which the other coordinates are
     orthogonal to X in the inertia. Damping may couple both groups of coordinates. All other models
-    are converted to first-order models. Their rigid-body modes are separated by the invariant
-    subspaces of the poles near zero, relative to ``omega`` [rad/s]. ``rounding`` contains bounds of
-    the rounding errors, if they are known.
+    are converted to first-order models. The rigid-body modes of first-order models are separated by
+    the invariant subspaces of the poles near zero, relative to ``omega`` [rad/s]. ``rounding``
+    contains bounds of the rounding errors, if they are known.
     """
     rest, inertia = pencil.coefficients[0], pencil.coefficients[-1]
     X = _compute_null_space(rest, (rounding or _bound_rounding(pencil))[0])
@@ -241,8 +239,8 @@ def _select_driven(pencil: Pencil, X: np.ndarray, rounding: Rounding) -> np.ndar
     U, size, _ = np.linalg.svd(X.T @ pencil.B)
     K, momenta = pencil.coefficients[0], inertia @ X
     momenta *= np.sqrt(largest_entry(K)) / largest_entry(momenta)
-    # Rounding errors of K mix the driven modes with modes that no input drives. The limit for
-    # driven modes is therefore computed from the response to the inputs.
+    # Rounding errors of K mix the driven modes with modes that no input drives.
+    # Therefore, the limit for driven modes is computed from the response to the inputs.
     response = np.linalg.solve(K + momenta @ momenta.T, pencil.B)
     input_rounding = ROUNDING_FACTOR * np.finfo(float).eps * pencil.size * np.abs(pencil.B)
     noise = np.abs(X.T) @ (input_rounding + rounding[0] @ np.abs(response))
@@ -256,7 +254,7 @@ def project_with_rigid_body(
     """Project a dense pencil on V, whose first ``free`` columns are rigid-body modes.
 
     Both results contain ``V'PV``. In the first result, entries that are only rounding errors are
-    set to zero. In the second result, they are not.
+    set to zero. The second result contains these entries unchanged.
     """
     result, parts = pencil.project_exactly(V), []
     for P, noise in zip(result.coefficients, rounding or _bound_rounding(pencil), strict=True):
@@ -304,11 +302,12 @@ def _project_obliquely(pencil: Pencil, omega: float) -> tuple[Pencil, np.ndarray
 def _find_slow_subspace(rest: np.ndarray, inertia: np.ndarray, omega: float) -> np.ndarray:
     """Compute an orthonormal basis of the invariant subspace of poles near zero.
 
-    These are poles that are zero within rounding errors, and slow real poles.
+    The poles near zero are poles that are zero within rounding errors, and slow real poles.
     """
     shifted = np.linalg.solve(rest + omega * inertia, omega * inertia)
 
     def chosen(x: float, y: float) -> bool:
+        """Return whether the eigenvalue ``x + j y`` belongs to a pole near zero."""
         pole = 1 - 1 / (complex(x, y) or np.finfo(float).tiny)
         return abs(pole) < ZERO_POLE_RATIO or (
             abs(pole) < SLOW_POLE_RATIO and abs(pole.imag) < ZERO_POLE_RATIO

@@ -22,16 +22,15 @@ from kc2spice.rom.response import (
 
 # smallest relative change of a response due to rounding errors that the certificate mentions
 STATED_UNCERTAINTY = 1e-9
-ENERGY_ROUNDING = 100.0  # largest response of an entry that counts as zero, in rounding errors
+ENERGY_ROUNDING = 100.0  # largest response that counts as zero, relative to its rounding error
 # the following numbers were found by trials
 ZERO_FREQUENCIES = 50  # number of frequencies at which entries are tested for zero
 ZERO_SHARE = 0.5  # share of these frequencies at which a zero entry must be negligible
-# number of the lowest resonances, and of the sharpest resonances, at which effects of rounding are
-# evaluated
+# effects of rounding are evaluated at this number of lowest, and of sharpest resonances
 CHECKED_RESONANCES = 8
 RANDOM_TRIALS = 4  # largest number of trials with random units of the unknowns
-# Share of the target error below which the effect of rounding is negligible. The effects in
-# different trials differ by a factor of less than 10.
+# Share of the target error below which the effect of rounding is negligible.
+# The effects of rounding in different trials differ by a factor of less than 10.
 NEGLIGIBLE_SHARE = 0.01
 TRIAL_FACTOR = 3.0  # safety factor of the largest change in a few trials
 
@@ -46,9 +45,10 @@ def estimate_rounding_uncertainty(
     """Estimate the relative change of a response due to rounding of the matrix entries.
 
     The result (frequencies,) is the largest relative change of any entry of the response at each
-    ``frequency`` [Hz]. By default, this function solves the model and its dual. More accurate
-    solutions ``states`` (frequencies, n, inputs) and ``dual`` replace these solutions. If an entry
-    is ``zero`` by symmetry, its change is relative to the other entries in its row and column.
+    ``frequency`` [Hz]. By default, this function solves the model and its dual. If more accurate
+    solutions ``states`` (frequencies, n, inputs) and ``dual`` are given, the function uses them
+    instead. If an entry is ``zero`` by symmetry, its change is relative to the other entries in its
+    row and column.
     """
     x = pencil.states(2j * np.pi * frequency) if states is None else states
     H = pencil.C @ x + pencil.D
@@ -63,9 +63,9 @@ def estimate_rounding_change(
 ) -> np.ndarray:
     """Estimate the change of a response due to rounding of the matrix entries.
 
-    The result has the shape (frequencies, outputs, inputs). It is the root of the sum of the
-    squares of ``eps |y_i P_ij x_j|`` with the matrix entries ``P_ij``. ``x`` (frequencies, n,
-    inputs) contains the states, and ``y`` the states of the dual model.
+    The result has the shape (frequencies, outputs, inputs). Each estimated change is the root of
+    the sum of the squares of ``eps |y_i P_ij x_j|`` with the matrix entries ``P_ij``. ``x``
+    (frequencies, n, inputs) contains the states, and ``y`` the states of the dual model.
     """
     s = 2j * np.pi * frequency
     y = x if pencil.symmetric and pencil.collocated else dual
@@ -136,8 +136,9 @@ def describe_uncertainty(at: np.ndarray, size: np.ndarray, tolerance: float) -> 
 def estimate_removed_stiffness(projected: Pencil, free: Pencil, band: tuple[float, float]) -> float:
     """Return the relative change of the response due to removed stiffness of rigid-body modes.
 
-    The removed stiffness is a rounding error. ``projected`` contains it, and ``free`` does not. The
-    change is evaluated at the lowest relevant frequency, where it is largest.
+    The removed stiffness is a rounding error. The pencil ``projected`` contains this stiffness, and
+    ``free`` does not. The change is evaluated at the lowest relevant frequency, where the change is
+    largest.
     """
     s = 2j * np.pi * grid(band, 2, False)[:1]
     H = free.transfer(s)
@@ -153,12 +154,12 @@ def add_rounding_floor(
 ) -> IntermediateModel:
     """Add the effect of rounding errors on the resonances to an intermediate model.
 
-    Return the model with this effect in its attribute ``floor``. If the unknowns of the full model
-    have other units, its exact response is the same, but its matrix entries have other rounding
-    errors. The full model in random units is projected on the same basis, and the floor is computed
-    from the change of the response. Thin bodies are sensitive to rounding errors, because their
-    elastic forces are small differences of large forces. If the change in a trial is negligible
-    relative to ``target``, the error of the model, no further trials are made.
+    The attribute ``floor`` of the returned model is the effect of rounding errors. If the unknowns
+    of the full model have other units, its exact response is the same, but its matrix entries have
+    other rounding errors. The full model in random units is projected on the same basis, and the
+    floor is computed from the change of the response. Thin bodies are sensitive to rounding errors,
+    because their elastic forces are small differences of large forces. If the change in a trial is
+    negligible relative to ``target``, the error of the model, no further trials are made.
     """
     exact = model.response
     at, ratio = exact.select_visible(band)

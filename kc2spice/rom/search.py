@@ -14,20 +14,19 @@ from kc2spice.rom.reductors.base import Reductor
 from kc2spice.rom.stability import DEFINITE_EVIDENCE, StabilityProof
 
 # Largest number of states for which other projections are tried only to complete the certificate.
-# The certificate states how many more states a model with definite matrices needs. The limit was
-# found by trials and limits the computing time.
+# The certificate states how many more states a model with definite matrices needs.
+# The largest number, found by trials, limits the computing time.
 MAX_COMPARED_STATES = 200
-# Largest order of a general projection, relative to the order of a congruence, for which the
-# general projection is used. It must need about a tenth fewer states, such as 10 states instead of
-# 11. Only a congruence of definite matrices gives resonators, and the form of resonators proves
-# stability.
+# Largest order of a general projection that replaces a congruence, relative to the other order.
+# For example, a general projection with 10 states replaces a congruence with 11 states.
+# Only a congruence of definite matrices gives resonators, whose form proves stability.
 SAVING_RATIO = 0.91
 
 
 def find_least_order(basis: ReducedBasis, tolerance: float, states: float = np.inf) -> int | None:
     """Return the smallest acceptable order of a basis with fewer than ``states`` states.
 
-    The limit applies to first-order states. The result is None if no order is acceptable. All
+    ``states`` counts first-order states. The result is None if no order is acceptable. All
     orders are tried in ascending sequence, because the error may increase with the order, and
     models of low order need little computing time.
     """
@@ -62,10 +61,10 @@ def select_fewest_states(
 ) -> tuple[ReducedBasis, int]:
     """Return the basis that meets the tolerance with the fewest states, and its order.
 
-    Congruences are preferred. They preserve definite matrices, so that the model consists of
-    passive resonators. Other projections are used only if all ports are signals and the projection
-    needs about a tenth fewer states. If ``keep_form`` is true, other projections are never used. If
-    ``shorten`` is true, the reductor of a congruence tries to find a shorter basis.
+    Congruences are preferred: a model that is reduced by a congruence of definite matrices consists
+    of passive resonators. Other projections are used only if all ports are signals and the
+    projection needs about a tenth fewer states. If ``keep_form`` is true, other projections are
+    never used. If ``shorten`` is true, the reductor of a congruence tries to find a shorter basis.
 
     Raises
     ------

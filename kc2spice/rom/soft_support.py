@@ -14,17 +14,15 @@ import scipy
 
 from kc2spice.rom.linear_model import LinearModel
 
-# Resonance frequency on the soft support, relative to the lower end of the band. The relative error
-# in the band is at most the square of this ratio.
+# Resonance frequency on the soft support, relative to the lower end of the band.
+# The relative error in the band is at most the square of this ratio.
 SOFT_SUPPORT_RATIO = 1e-4
-# name of the fact of a model that contains this resonance frequency
+# name of the fact that contains a model's resonance frequency on its soft support
 SOFT_SUPPORT = "soft_support_hz"
-# largest squared frequency of a rigid-body mode due to rounding errors, relative to the squared
-# frequency of the next mode
+# largest squared frequency of a rigid-body mode (a rounding error), relative to the next mode's
 ZERO_FREQUENCY_RATIO = 1e-6
 MAX_COUPLING = 1e-8  # largest relative coupling of modes by damping that counts as a rounding error
-# largest gain of a port in a rigid-body mode that counts as a rounding error, relative to the
-# largest gain of the port
+# a rigid-body mode has no effect on a port below this gain, relative to the port's largest gain
 RIGID_ROUNDING = 1e-6
 
 
@@ -49,7 +47,7 @@ def support_softly(rom: LinearModel, band: tuple[float, float]) -> LinearModel:
 
     Examples
     --------
-    Two masses that are joined by a spring have no other support.
+    Two masses are joined by a spring, and have no support.
 
     >>> import kc2spice as kc
     >>> from kc2spice.rom.soft_support import support_softly
@@ -64,7 +62,7 @@ def support_softly(rom: LinearModel, band: tuple[float, float]) -> LinearModel:
     K, E, M = rom.pencil.dense().coefficients
     try:
         w2, V = scipy.linalg.eigh(K, M)
-    except np.linalg.LinAlgError:  # a mode without inertia
+    except np.linalg.LinAlgError:  # a mode has no inertia
         return rom
     free = 0
     while free + 1 < w2.size and w2[free] < ZERO_FREQUENCY_RATIO * w2[free + 1]:

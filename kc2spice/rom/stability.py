@@ -1,6 +1,6 @@
 """Proofs of stability and passivity, from the matrices of a model or from its poles.
 
-The proofs apply to full-order and reduced-order models. They do not depend on the method of
+The proofs apply to full-order and reduced-order models, and do not depend on the method of
 reduction.
 """
 
@@ -18,8 +18,7 @@ from kc2spice.linalg.factor import factorise
 from kc2spice.rom.pencil import Matrix, Pencil, Schur, is_symmetric, largest_entry
 from kc2spice.rom.rigid_body import split_rigid_body
 
-# Largest magnitude of a negative eigenvalue that counts as a rounding error of a congruence,
-# relative to the largest eigenvalue.
+# largest relative magnitude of a negative eigenvalue that counts as a rounding error
 NEGATIVE_ROUNDING = 1e-12
 # largest relative growth rate that counts as a rounding error of a pole on the imaginary axis
 GROWTH_ROUNDING = 1e-8
@@ -27,10 +26,8 @@ DEFINITE_EVIDENCE = "definite matrices"
 # number of unknowns up to which a factorisation takes less than 0.1 s
 MAX_FACTORED_UNKNOWNS = 5_000
 MISS_PROBABILITY = 1e-12  # accepted probability that Lanczos steps miss a negative eigenvalue
-# largest number of Lanczos steps, and number of steps between computations of the smallest Ritz
-# value
-MAX_LANCZOS_STEPS = 200
-LANCZOS_INTERVAL = 20
+MAX_LANCZOS_STEPS = 200  # largest number of Lanczos steps
+LANCZOS_INTERVAL = 20  # number of Lanczos steps between computations of the smallest Ritz value
 MAX_POLE_STATES = 1200  # largest number of first-order states of a model whose poles are computed
 
 
@@ -59,7 +56,7 @@ def prove_stability(
     in E, because they are skew-symmetric. If also ``C = B'`` and D >= 0, the model is passive, with
     the powers force times velocity and voltage times current. A first-order model cannot gain
     energy if E is symmetric positive semi-definite and ``A + A' <= 0``. If also ``C = B'`` and D >=
-    0, it is passive, with the power input times output.
+    0, the first-order model is passive, with the power input times output.
 
     If the matrices do not have such a form, the poles show whether the model is stable, and
     passivity is unknown. The poles of models with more than ``MAX_POLE_STATES`` states are not
@@ -161,11 +158,11 @@ def _lanczos_is_positive(matrix: Matrix, empty: np.ndarray, spread: float) -> bo
     Rows in the mask ``empty`` are ignored. Let x be the smallest Ritz value after k steps from a
     random vector of n numbers. ``spread`` is an upper bound of the eigenvalues. The probability
     that x exceeds the smallest eigenvalue by more than ``e spread`` is below
-    ``1.648 sqrt(n) exp(-sqrt(e) (2 k - 1))``. For ``e = x / spread``, this is a bound of the
-    probability that an eigenvalue is negative. For a mass matrix with a unit diagonal, x is about
-    0.1. The proof then needs about 80 matrix-vector products, which take a tenth of the time of a
-    factorisation. The result is False if x is so small that more than :data:`MAX_LANCZOS_STEPS`
-    steps would be necessary.
+    ``1.648 sqrt(n) exp(-sqrt(e) (2 k - 1))``. For ``e = x / spread``, this expression is a bound of
+    the probability that an eigenvalue is negative. For a mass matrix with a unit diagonal, x is
+    about 0.1. The proof then needs about 80 matrix-vector products, which take a tenth of the time
+    of a factorisation. The result is False if x is so small that more than
+    :data:`MAX_LANCZOS_STEPS` steps would be necessary.
 
     Source: J. Kuczynski, H. Wozniakowski, SIAM J. Matrix Anal. Appl. 13 (1992) 1094.
     """

@@ -67,7 +67,7 @@ def _normalise_mass(pencil: Pencil) -> Pencil:
 def _make_modal_state_space(pencil: Pencil, omega: float) -> ABCD:
     """Compute state-space matrices for the states ``w z`` and ``z'``.
 
-    The coordinates z are mass-normalised. They are modal coordinates if K is symmetric.
+    The coordinates z are mass-normalised, and they are modal coordinates if K is symmetric.
     """
     K, E, M = pencil.coefficients
     T, stiffness = _normalise_modes(M, K)

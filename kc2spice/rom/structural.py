@@ -5,13 +5,13 @@ body with structural damping loses the same share of energy at every frequency. 
 this property only if its stiffness changes with frequency. Therefore, a circuit can only
 approximate structural damping by a passive model. Each mode j gets the viscous damping
 ``h_j / w_j``, which is exact at its resonance frequency w_j. Relaxations are used instead if they
-are more accurate (:mod:`kc2spice.rom.lossy_modes`). The error estimate includes the error of this
-approximation. The losses of several materials couple modes. This coupling becomes viscous damping
-``h_ij / (w_i w_j)^(1/2)``.
+are more accurate (:mod:`kc2spice.rom.lossy_modes`). The error estimate includes the error of the
+passive approximation. The losses of several materials couple modes. The coupling of modes i and j
+becomes viscous damping ``h_ij / (w_i w_j)^(1/2)``.
 
 The poles of an RC ladder or of an overdamped chain are real. If the inertia of such a model has a
-negligible effect in the band, the model ``E x' + K x = B u`` replaces it. This model has half as
-many states per unknown, and is also passive.
+negligible effect in the band, the model ``E x' + K x = B u`` replaces the model with inertia. The
+model without inertia has half as many states per unknown, and is also passive.
 
 Sources: S. H. Crandall, J. Sound Vib. 11 (1970) 3; D. J. Ewins, Modal Testing (2000), 2.4.
 """
@@ -44,17 +44,16 @@ from kc2spice.rom.stability import is_semidefinite, prove_stability
 
 Reductor = Callable[[LinearModel, float, tuple[float, float]], LinearModel]
 
-# safety factor of differences at sample frequencies, because differences between the samples may be
-# larger
+# safety factor of differences at samples, because differences between samples may be larger
 SAFETY_FACTOR = 1.15
 VISCOUS_SHARE = 0.5  # share of the tolerance for the reduction with viscous damping
 MIN_TOLERANCE = 1e-10  # smallest tolerance of a reduction
 DIRECT_SOLUTIONS = 6  # number of direct solutions of the full model that check a causal model
-# Sets of relaxation rates that are tried, relative to the resonance frequency of the mode or to the
-# end of the band, whichever is lower.
+# Sets of relaxation rates that are tried, relative to a reference frequency.
+# The reference is the resonance frequency of the mode or the end of the band, whichever is lower.
 RELAXATION_RATES = ((1.0,), tuple(np.geomspace(0.03, 3.0, 7)))
-# lowest frequencies of comparison in a band from zero, relative to the end of the band; structural
-# damping has a loss even at frequencies close to zero
+# Lowest frequencies of comparison in a band from zero, relative to the end of the band.
+# Structural damping causes a loss even at frequencies close to zero.
 LOWEST_FREQUENCIES = 10.0 ** -np.arange(9.0, 4.0, -1.0)
 # largest error with relaxations that justifies their use, relative to the error without relaxations
 MAX_ERROR_RATIO = 0.5
@@ -297,10 +296,10 @@ class _Search:
         return frequency, self.lossy.transfer(2j * np.pi * frequency)
 
     def _peak_amplification(self) -> float:
-        """Return the ratio of response peaks with viscous damping to those with structural damping.
+        """Return the ratio of (peak with viscous damping) to (peak with structural damping).
 
-        The error of the reduction is relative to the peaks with viscous damping, so it must be
-        multiplied by this ratio.
+        The error of the reduction is relative to the peaks with viscous damping, so this error must
+        be multiplied by the ratio of the peaks.
         """
         if self.norm == "pointwise":
             return 1.0
@@ -317,8 +316,8 @@ NO_RELAXATIONS = np.empty(0), np.empty(0)  # amplitudes and rates of relaxations
 def make_loss_viscous(model: LinearModel, beta: float) -> tuple[LinearModel, tuple[float, float]]:
     """Replace the structural damping H of a model by viscous damping ``beta H``.
 
-    Return the model with viscous damping, and the factors of M and K in its other, proportional
-    damping.
+    Return the model with viscous damping, and the factors of M and K in the proportional part of
+    its damping.
     """
     if model.first_order:
         raise UsageError("structural damping applies only to second-order models", where=model.name)

@@ -1,8 +1,8 @@
 """Passive models of a constant loss factor, with a relaxing stiffness.
 
 Structural damping ``K (1 + j eta)`` loses the same share of energy at every frequency. No causal
-model has exactly this property. By the Kramers-Kronig relation, the stiffness increases with
-frequency if the loss factor is constant (A. K. Jonscher, Nature 267 (1977) 673):
+model has exactly the stiffness ``K (1 + j eta)``. By the Kramers-Kronig relation, the stiffness
+increases with frequency if the loss factor is constant (A. K. Jonscher, Nature 267 (1977) 673):
 
     chi(s) = (s / w0)^m / cos phi,    phi = arctan eta,    m = 2 phi / pi
 
@@ -12,10 +12,10 @@ model),
 
     chi(s) = c_0 + sum_k c_k s / (s + r_k),    all c_k >= 0.
 
-This model is passive. The amplitudes ``c_k`` are fitted over the band by non-negative least
-squares. For each term and each unknown, the model has one inner displacement: the displacement of
-the damper times ``sqrt(c_k)``. With these inner displacements ``q_k``, the stiffness ``K chi`` is
-represented by a symmetric model with constant matrices:
+The generalised Maxwell model is passive. The amplitudes ``c_k`` are fitted over the band by
+non-negative least squares. For each term and each unknown, the model has one inner displacement:
+the displacement of the damper times ``sqrt(c_k)``. With these inner displacements ``q_k``, the
+stiffness ``K chi`` is represented by a symmetric model with constant matrices:
 
     M x'' + E x' + (c_0 + sum c_k) K x - sum sqrt(c_k) K q_k = B u
     (1 / r_k) K q_k' + K (q_k - sqrt(c_k) x) = 0
@@ -122,8 +122,8 @@ def fit_relaxing_stiffness(
         Largest allowed product of the relative difference and ``sensitivity`` in the band.
     sensitivity : callable, optional
         Function that returns the relative change of the response per relative change of the
-        stiffness (n,) at frequencies (n,) [Hz]. For example, it is the Q factor at a resonance. The
-        default is 1.
+        stiffness (n,) at frequencies (n,) [Hz]. For example, the sensitivity at a resonance is the
+        Q factor. The default is 1.
     noncausal : bool
         Whether the target of the fit is ``1 + j eta`` at all frequencies, instead of
         :func:`causal_loss_factor`. The error of a passive model in the band from f1 to f2 is then
@@ -132,8 +132,8 @@ def fit_relaxing_stiffness(
     Returns
     -------
     RelaxingStiffness
-        Fitted factor of stiffness. If no fit is within ``error``, it is the fit with the smallest
-        error.
+        Fitted factor of stiffness. If no fit is within ``error``, the result is the fit with the
+        smallest error.
 
     Raises
     ------

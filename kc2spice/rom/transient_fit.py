@@ -13,10 +13,10 @@ The fit has four steps:
    These differences contain no slow deviation.
 3. Neighbouring time constants on the grid are merged into one. The logarithms of all R_k and t_k
    are refined by bounded least squares.
-4. Two neighbouring time constants are merged and all R_k and t_k are refined again, until one time
-   constant remains. Each time, the pair is chosen whose merger describes the samples best. The
-   result is the sum with the smallest Bayesian information criterion, ``sum (residual / noise)^2 +
-   parameters log(samples)`` (G. Schwarz, Ann. Statist. 6 (1978) 461).
+4. Two neighbouring time constants are merged, and all R_k and t_k are refined again. Of all pairs,
+   the pair is merged whose merger describes the samples best. The merging is repeated until one
+   time constant remains. The result is the sum with the smallest Bayesian information criterion,
+   ``sum (residual / noise)^2 + parameters log(samples)`` (G. Schwarz, Ann. Statist. 6 (1978) 461).
 """
 
 from __future__ import annotations
@@ -37,12 +37,11 @@ LONGEST = 10.0  # largest time constant, relative to the last time of the sample
 MOST_CONSTANTS = 12  # largest number of time constants of a network: two for each of six decades
 POLISH = 200  # largest number of function evaluations in a refinement
 # Tolerances at which a refinement ends, for the sum of squares, the parameters and the gradient.
-# They are far below the noise, so that rounding errors of the samples do not change printed digits
-# of the elements.
+# The tolerances are so small that rounding errors of the samples do not change printed digits.
 EXACT = {"ftol": 1e-14, "xtol": 1e-11, "gtol": 1e-14}
-# Number of groups of samples per decade of time. The least-squares fit compares the mean of the
-# samples in a group with the mean of the network's response. The response hardly changes within a
-# group, because the time changes by only 5 %.
+# Number of groups of samples per decade of time.
+# The fit compares the mean of the samples in a group with the mean of the network's response.
+# The response hardly changes within a group, because the time changes by only 5 %.
 GROUPS_PER_DECADE = 50
 # smallest noise relative to the largest temperature rise, for samples with nine digits
 ROUNDING = 1e-9
@@ -51,7 +50,7 @@ EMPTY = 1e-9  # largest resistance that counts as zero, relative to the largest 
 SPREAD = 50.0
 INSIDE = 1e-9  # smallest distance of start values from the limits of the logarithms
 NNLS_STEPS = 30  # largest number of iterations of the non-negative least squares per time constant
-# share of the last time above which the response of a time constant has not settled
+# responses with time constants above this share of the last time have not settled
 UNSETTLED = 1 / 3
 
 
@@ -183,8 +182,7 @@ def _compute_residual(
 def _merge_neighbours(grid: np.ndarray, resistance: np.ndarray) -> np.ndarray:
     """Merge neighbouring time constants on the grid that have nonzero resistances.
 
-    They represent one time constant between two points of the grid, which appears as a resistance
-    at both points.
+    One time constant between two points of the grid appears as nonzero resistances at both points.
     """
     nonzero = np.flatnonzero(resistance > EMPTY * resistance.max(initial=0.0))
     if not nonzero.size:
@@ -224,6 +222,7 @@ def _refine_network(
     time = np.maximum(samples.time, 0.0)
 
     def split(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+        """Return resistances, time constants and the start value for the parameters ``x``."""
         R, t = np.exp(x[:count]), np.exp(x[count : 2 * count])
         return R, t, float(x[-1]) if samples.offset else 0.0
 

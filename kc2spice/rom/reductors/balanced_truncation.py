@@ -14,13 +14,12 @@ from kc2spice.rom.pencil import Pencil, make_explicit_pencil
 from kc2spice.rom.reduced_basis import ReducedBasis, Task
 from kc2spice.rom.reductors.base import Reductor
 
-# Limits of the computing time, which grows with the cube of the number of states. The limits were
-# found by trials.
+# limits by computing time, which grows with the cube of the number of states; found by trials
 MAX_STATES = 2000  # largest number of first-order states for dense Gramians
 # largest number of first-order states for which unscaled inputs and outputs are tried too
 MAX_UNSCALED_STATES = 500
-# Smallest decay rate of a pole, relative to the angular frequency at the end of the band. Gramians
-# of models with slower poles contain only rounding errors.
+# Smallest decay rate of a pole, relative to the angular frequency at the end of the band.
+# Gramians of models with slower poles contain only rounding errors.
 MIN_DECAY = 1e-9
 SYLVESTER_BLOCK = 64  # largest block of a Lyapunov equation that LAPACK solves at once
 # Hankel singular values below this fraction of the largest one are rounding errors
@@ -193,8 +192,8 @@ def _gramian_root(T: np.ndarray, Q: np.ndarray, transposed: bool = False) -> np.
 def _solve_sylvester(A: np.ndarray, B: np.ndarray, C: np.ndarray) -> np.ndarray:
     """Solve ``A X + X B' = C`` for A and B in real Schur form by recursive division.
 
-    LAPACK solves for one column after another. Here, products of large blocks replace most of this
-    work.
+    LAPACK solves for one column after another. Here, products of large blocks replace most of the
+    work for single columns.
     Source: I. Jonsson, B. Kagstrom, ACM Trans. Math. Softw. 28 (2002) 392.
     """
     rows, columns = C.shape

@@ -17,14 +17,13 @@ from kc2spice.rom.reduced_basis import ReducedBasis, Task
 from kc2spice.rom.reductors.base import Reductor
 from kc2spice.rom.response import Response
 
-# Number of blocks beyond the requested order with which the error is estimated: the change by the
-# second block shows whether the first block was sufficient. Found by trials.
+# Number of blocks beyond the requested order, for the error estimate; found by trials.
+# The change of the response by the second block shows whether the first block was sufficient.
 EXTRA_BLOCKS = 2
-# Number of vectors for a requested tolerance, relative to the number of states of the intermediate
-# model. The intermediate model may have several expansion points. Found by trials.
+# Number of Krylov vectors for a requested tolerance, per state of the intermediate model.
+# The number was found by trials; the intermediate model may have several expansion points.
 VECTORS_PER_STATE = 2
-# If the component of a candidate vector outside of the basis is at most this fraction of its
-# length, the component is a rounding error.
+# a candidate vector is dependent if its part outside of the basis is below this share of its length
 DEFLATION_LIMIT = 1e-10
 Operator = Callable[[np.ndarray], np.ndarray]
 
@@ -139,7 +138,7 @@ class BlockArnoldi:
 
 
 class OrthonormalBasis:
-    """Basis V (n, k) with ``V'KV = 1`` to which blocks are added, and the products ``K V``.
+    """Growing basis V (n, k) with ``V'KV = 1``, and the products ``K V``.
 
     Inner products ``V'K x`` use the stored products ``K V`` instead of new products with K.
 

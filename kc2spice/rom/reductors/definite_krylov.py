@@ -26,16 +26,16 @@ from kc2spice.rom.response import GRID_FREQUENCIES, Response, sample_band
 from kc2spice.rom.rigid_body import find_hidden_support
 from kc2spice.rom.rounding import add_rounding_floor, estimate_removed_stiffness, find_zero_entries
 
-# Largest number of blocks at an expansion point. The Cholesky factor at zero takes a fraction of
-# the time and memory of the indefinite factor at a shift. Blocks at zero are therefore cheaper as
-# long as they converge. Found by trials.
+# Largest number of blocks at the expansion point zero and at a shift, found by trials.
+# Blocks at the expansion point zero are cheaper as long as they converge.
+# A Cholesky factor at zero takes a fraction of the time and memory of the factor at a shift.
 BLOCKS_AT_ZERO = 60
 BLOCKS_AT_SHIFT = 3
-# Usual number of blocks for solids with several modes in the band. The first estimate of the
-# remaining time uses this number.
+# Usual number of blocks for solids with several modes in the band.
+# The first estimate of the remaining time assumes this number of blocks.
 USUAL_BLOCKS = 14
-# Smallest ratio of the response changes by the previous block and by the last block. Below this
-# ratio, the next block is computed at a new expansion point.
+# Smallest ratio (change of the response by the previous block) / (change by the last block).
+# Below this ratio, the next block is computed at a new expansion point.
 MIN_REDUCTION = 3.0
 # smallest distance of two expansion points, relative to the upper band limit
 MIN_POINT_DISTANCE = 1e-3

@@ -28,8 +28,8 @@ from kc2spice.rom.rounding import describe_uncertainty, estimate_rounding_uncert
 FIRST_SAMPLES = 12  # number of samples before the error is first estimated
 MAX_SAMPLES = 90  # largest number of samples
 CANDIDATE_FREQUENCIES = 151  # number of candidate frequencies for the next sample
-# Candidates for the relative singular value below which directions are noise. The candidate with
-# the smallest error at the samples is used.
+# Candidates for the relative singular value below which directions are noise.
+# The candidate with the smallest error at the samples is used.
 NOISE_LIMITS = 10.0 ** -np.arange(13, 6, -1)
 
 

@@ -24,8 +24,8 @@ from kc2spice.rom.response import Response, sample_band
 from kc2spice.rom.rigid_body import ENERGY_FACTOR, estimate_energy_rounding, split_rigid_body
 from kc2spice.rom.rounding import ENERGY_ROUNDING, find_zero_entries
 
-# Largest residual of K x = B, relative to B, for which a model counts as supported. The matrix K of
-# an unsupported model is singular.
+# Largest residual of K x = B, relative to B, for which a model counts as supported.
+# The matrix K of an unsupported model is singular.
 SINGULAR_RESIDUAL = 1e-6
 # numbers found by trials
 SKETCH_SIZE = 32  # number of random combinations of equations that represent all residuals
@@ -102,6 +102,7 @@ class GreedyBasis:
         return complex(s[np.argmax(np.where(fresh, measure, -1.0))])
 
     def _candidates(self) -> np.ndarray:
+        """Return frequencies [Hz] from which the next expansion point is chosen."""
         return sample_band(self.response, self.band, CANDIDATE_FREQUENCIES, self.static)
 
     def _add_static(self) -> bool:
@@ -198,6 +199,7 @@ class _Sketch:
         self._b = sketch @ b
 
     def extend(self, columns: np.ndarray) -> None:
+        """Add the basis vectors ``columns`` (n, k) to the sketched products."""
         self._images = [
             np.hstack([image, rows @ columns])
             for image, rows in zip(self._images, self._rows, strict=True)

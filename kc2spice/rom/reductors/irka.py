@@ -20,8 +20,7 @@ from kc2spice.rom.response import Response
 
 POLE_TOLERANCE = 1e-9  # relative change of the poles at which the iteration ends
 MAX_ITERATIONS = 100  # largest number of iterations, found by trials
-# Largest error of the balanced model of an order, relative to the tolerance, for which the
-# iteration is started. Found by trials.
+# largest error of a balanced model, relative to the tolerance, from which the iteration starts
 MAX_START_ERROR = 10.0
 
 
@@ -83,7 +82,8 @@ class Irka(Reductor):
 class OptimalModels(ReducedBasis):
     """Models that are locally optimal in the H2 norm.
 
-    ``pencil`` is the balanced model. Its truncation to an order is the start of the iteration.
+    ``pencil`` is the balanced model. The iteration for an order starts from the balanced model that
+    is truncated to this order.
     """
 
     def leading_model(self, order: int) -> Response:

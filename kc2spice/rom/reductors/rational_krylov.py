@@ -21,8 +21,7 @@ from kc2spice.rom.rounding import add_rounding_floor, estimate_removed_stiffness
 # limits of the computing time, found by trials; the method fails beyond these limits
 MAX_VECTORS = 600  # largest number of vectors of a basis
 MAX_POINTS = 180  # largest number of factorisations
-# number of successive points whose error must meet the target; the error of a single point may meet
-# it by chance
+# number of successive points whose errors must meet the target; one point may do so by chance
 CONFIRMATIONS = 2
 MANY_POINTS = 20  # number of factorisations of a large model that causes a warning
 LARGE_UNKNOWNS = 10_000  # smallest number of unknowns of a large model, found by trials
@@ -119,9 +118,9 @@ def reduce_by_rational_krylov(
 ) -> IntermediateModel:
     """Return a reduced model with an error within ``target`` over ``band`` [Hz].
 
-    If rounding errors prevent this, the error is within ``limit``. The error is computed at the
-    last points, before their solutions are added to the basis. ``most`` is the largest number of
-    factorisations.
+    If rounding errors prevent this accuracy, the error is within ``limit``. The error is computed
+    at the last points, before their solutions are added to the basis. ``most`` is the largest
+    number of factorisations.
 
     Raises
     ------
@@ -145,8 +144,8 @@ def reduce_by_rational_krylov(
                 f"contains at least {modes} resonances; {text}",
                 stacklevel=2,
             )
-        # If the basis was extended, errors before the last one no longer apply. A point next to an
-        # earlier point neither extends the basis nor tests other parts of the band.
+        # If the basis was extended, only the last error still applies.
+        # A point next to an earlier point neither extends the basis nor tests other frequencies.
         recent = [*recent[-1:], error] if grown or idle else [error]
         idle = 0 if grown else idle + 1
         if CONFIRMATIONS in (confirmations, idle):

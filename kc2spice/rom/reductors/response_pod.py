@@ -22,10 +22,10 @@ MAX_SHORTENED_ORDER = 150  # largest order for which weights are fitted
 MAX_TRIALS = 12  # largest number of updates of the weights
 # smallest number of additional vectors from which a better basis is computed
 MIN_EXTRA_VECTORS = 20
-EXTRA_ERROR_SHARE = 0.5  # largest error with these additional vectors, relative to the tolerance
-# squared factor of a weight in one update where the error is zero
+EXTRA_ERROR_SHARE = 0.5  # largest error with the additional vectors, relative to the tolerance
+# squared factor by which an update multiplies a weight at frequencies without error
 MIN_WEIGHT = 0.05
-# factor of the weights above the band in each trial; the certificate does not include this range
+# factor of the weights above the band in each trial; the certificate does not cover this range
 TAIL_FADING = 0.5
 
 
@@ -35,7 +35,7 @@ class ResponsePod(Reductor):
     The first basis vectors are the static responses to the ports, so static gains are exact. The
     other vectors are left singular vectors of snapshots of the response. The snapshots are weighted
     for a relative error, in coordinates in which the elastic energy is a sum of squares. If
-    ``two_sided`` is true, snapshots of the dual model are added. Unsymmetric models need these.
+    ``two_sided`` is true, snapshots of the dual model are added, as unsymmetric models require.
 
     Examples
     --------

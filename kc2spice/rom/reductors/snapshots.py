@@ -15,21 +15,20 @@ from kc2spice.rom.error_estimate import ErrorEstimator
 from kc2spice.rom.linear_model import LinearModel, Norm
 from kc2spice.rom.response import Response, grid, sample_resonances
 
-# Number of points in the linear grid and in the logarithmic grid over the band. Every resonance has
-# additional snapshots, so the grids represent the response between resonances.
+# Number of points in the linear grid and in the logarithmic grid over the band.
+# The grids represent the response between resonances; every resonance has additional snapshots.
 GRID_POINTS = 101
 # settings of the snapshots above the band, found by trials
 TAIL_REACH = 8.0  # highest frequency of the snapshots, relative to the end of the band
 TAIL_POINTS = 150
-# Exponent with which the weights decrease above the band. The spectrum of contact forces also
-# decreases, because contact forces are smooth functions of time.
+# Exponent with which the weights decrease above the band.
+# The spectrum of contact forces also decreases, because contact forces are smooth in time.
 TAIL_DECAY = 4
-# Smallest and largest weight of the tail at the end of the band. With these weights, the simulated
-# launches of the paper's chip had errors of at most 3e-4 for reduced models of 20 to 31 states.
-# With weights of only up to 1e-2, the errors were larger.
+# Smallest and largest weight of the tail at the end of the band.
+# With these weights, launches of the paper's chip with 20 to 31 states had errors of at most 3e-4.
+# With weights of at most 1e-2, the errors of the launches were larger.
 TAIL_WEIGHTS = 4e-3, 5e-2
-# weight of the tail relative to the square root of the tolerance, because squared errors are
-# minimised
+# weight of the tail, relative to the square root of the tolerance (squared errors are minimised)
 TAIL_PER_ROOT = 120.0
 # smallest divisor of the error of an entry, relative to the entry's peak, keyed by norm
 MIN_REFERENCE_SHARE = {"pointwise": 1e-6, "peak": 1.0}
@@ -75,8 +74,8 @@ def snapshots(
 ) -> Snapshots:
     """Choose snapshots over the band, at its resonances, and above the band.
 
-    ``tail`` is the weight of snapshots above the band, at the end of the band. If it is None, there
-    are no snapshots above the band.
+    ``tail`` is the weight of the snapshots just above the end of the band. If ``tail`` is None,
+    there are no snapshots above the band.
     """
     low, high = estimator.band
     at, ratio = response.within(estimator.band)
@@ -96,9 +95,10 @@ def weight_states(
 
     If the model is symmetric and collocated, the square of a state is an energy. The state vector
     for the input at a port is then divided by the square root of the response of this port.
-    Otherwise, each state vector is divided by its length. In the norm *peak*, the divisor is the
-    largest in the band. ``complete`` is the response of the model including rigid-body modes. Real
-    parts come before imaginary parts in the result (n, 2 frequencies inputs).
+    Otherwise, each state vector is divided by its length. In the norm *peak*, each divisor is
+    replaced by its largest value in the band. ``complete`` is the response of the model including
+    rigid-body modes. The result has the shape (n, 2 frequencies inputs), with the real parts before
+    the imaginary parts.
     """
     x = response.states(s)
     pencil = response.pencil

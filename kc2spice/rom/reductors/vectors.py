@@ -8,12 +8,12 @@ import numpy as np
 
 from kc2spice.core.errors import UsageError
 
-# A unit vector counts as dependent if its distance to the span of earlier vectors is less than 450
-# eps. The rounding errors in a QR factorisation of a few hundred vectors are about 1e-14.
+# A unit vector counts as dependent if its distance to the span of earlier vectors is below 450 eps.
+# The rounding errors in a QR factorisation of a few hundred vectors are about 1e-14.
 DEPENDENT_BY_ROUNDING = 1e-13
-# Largest condition number of a basis V that is not orthonormalised. Rounding errors change the
-# smallest eigenvalue of V'KV by about eps times the square of this number: a relative change below
-# 3e-10.
+# Largest condition number of a basis V that is not orthonormalised.
+# Rounding errors change the smallest eigenvalue of V'KV by eps times the square of this number.
+# The relative change of the eigenvalue is therefore below 3e-10.
 MAX_CONDITION = 1e3
 
 
@@ -27,7 +27,8 @@ def require_vectors(value: Any, where: str, shape: tuple[int, int | None]) -> np
     where : str
         Name of the argument, for error messages.
     shape : tuple
-        Required numbers of rows and columns. If the number of columns is None, any is accepted.
+        Required numbers of rows and columns. If the second item is None, any number of columns is
+        accepted.
 
     Raises
     ------
@@ -109,7 +110,7 @@ def _require_real_matrix(value: Any, where: str, rows: int) -> np.ndarray:
     expected = f"a real array of {rows} rows, one for each coordinate of task.model"
     try:
         V = np.asarray(value)
-    except ValueError:  # rows of different lengths
+    except ValueError:  # the rows have different lengths
         V = np.empty(0, dtype=object)
     if V.dtype.kind == "c":
         advice = "use real and imaginary parts: np.linalg.qr(np.hstack([V.real, V.imag]))[0]"
