@@ -1,7 +1,7 @@
 """Products of dense matrices in extended precision, and solutions refined with such products.
 
 In an ill-conditioned matrix, low-frequency modes depend on small differences of large numbers.
-Residuals in extended precision preserve these differences. All products are computed by BLAS.
+Residuals in extended precision preserve the small differences. All products are computed by BLAS.
 
 Sources: matrix products without error, Ozaki, Ogita, Oishi and Rump, Numer. Algorithms 59 (2012)
 95; iterative refinement, Skeel, Math. Comput. 35 (1980) 817.

@@ -288,8 +288,9 @@ def factorise_quasi_definite(matrix: scipy.sparse.csc_array) -> Factor:
     """Factorise a large real symmetric matrix that may be quasi-definite.
 
     A matrix is quasi-definite if the rows with a positive diagonal form a positive definite block,
-    and the other rows a negative definite block. Such a matrix gets a multifrontal factor without
-    pivoting. All other matrices, and small matrices, get the factor of :func:`factorise_two_sided`.
+    and the other rows a negative definite block. A quasi-definite matrix gets a multifrontal factor
+    without pivoting. All other matrices, and small matrices, get the factor of
+    :func:`factorise_two_sided`.
 
     Raises
     ------

@@ -19,7 +19,7 @@ and g_i are omitted.
 
 The fit minimises the sum of squares of log(Y / Y_measured) over the logarithms of all parameters
 (Levenberg and Marquardt; J. J. More, Lecture Notes in Mathematics 630 (1978) 105). For small
-deviations, this logarithm equals the relative deviation. Unlike the relative deviation, the
+deviations, log(Y / Y_measured) is the relative deviation of Y. Unlike the relative deviation, the
 logarithm grows without limit as Y approaches zero. Elements are added one by one. A new resonance
 starts at the frequency of the largest conductance that no element describes yet. The start values
 of relaxations and inductances are time constants on a grid. The start values of leads are fractions
@@ -366,7 +366,8 @@ def _propose_leads(samples: Samples, form: str) -> list[FitElement]:
 def _find_worst_frequencies(samples: Samples, elements: Elements) -> list[float]:
     """Return up to three angular frequencies [rad/s] at which ``elements`` fit worst.
 
-    At these frequencies, the missing conductance, its ratio to abs(Y), or the deviation is largest.
+    At the worst frequencies, the missing conductance, its ratio to abs(Y), or the deviation is
+    largest.
     """
     left = samples.deviation(elements)
     missing = samples.unexplained_admittance(elements).real

@@ -3,11 +3,11 @@
 Source: IEEE Std 176-1987.
 
 The losses of a ceramic are given as complex compliances ``s^E (1 - j / Q)``, real piezoelectric
-constants d and complex permittivities ``eps^T (1 - j tan delta)``. These constants do not depend on
-frequency, so all modes have the same Q factor. The body has modes ``omega_j`` with gains g_j of
-voltages and forces, and the clamped capacitance D. Only elastic strain has mechanical losses. For a
-mode, elastic strain w_j is the displacement z_j minus the displacement of the free body at the
-voltage V:
+constants d and complex permittivities ``eps^T (1 - j tan delta)``. The material constants do not
+depend on frequency, so all modes have the same Q factor. The body has modes ``omega_j`` with gains
+g_j of voltages and forces, and the clamped capacitance D. Only elastic strain has mechanical
+losses. For a mode, elastic strain w_j is the displacement z_j minus the displacement of the free
+body at the voltage V:
 
     w_j = z_j - g_j V / omega_j^2,
     z_j'' + chi(s) omega_j^2 w_j = f_j,        q = psi(s) C_T V + sum_j chi(s) g_j w_j,
@@ -125,9 +125,9 @@ def make_complex_constants_model(model: Resonators, losses: ComplexConstants) ->
     Returns
     -------
     LinearModel
-        Symmetric model. Its additional unknowns are internal displacements of the relaxations. The
-        error estimate in the certificate includes the error of the relaxations at resonances and
-        between resonances.
+        Symmetric model. The additional unknowns of this model are internal displacements of the
+        relaxations. The error estimate in the certificate includes the error of the relaxations at
+        resonances and between resonances.
 
     Raises
     ------

@@ -262,8 +262,8 @@ class Samples:
     def _stack_rows(self, x: np.ndarray, dc: float) -> np.ndarray:
         """Convert complex numbers (n,) to real rows, and append the residual ``dc``.
 
-        ``dc`` is the residual of the conductance at zero frequency. This residual is omitted if the
-        user states no conductance, or a conductance of zero.
+        ``dc`` is the residual of the conductance at zero frequency. The residual ``dc`` is omitted
+        if the user states no conductance, or a conductance of zero.
         """
         if not self._dc_weight or self.conductance is None:
             return np.concatenate([x.real, x.imag])
@@ -273,7 +273,8 @@ class Samples:
         """Fit the amplitudes of the parallel elements for given leads.
 
         The amplitudes are not negative, and elements with an amplitude of zero are omitted. The
-        second result is the norm of the residual of this linear least-squares problem.
+        second result is the norm of the residual of the linear least-squares problem for the
+        amplitudes.
         """
         leads = tuple(e for e in elements if not e.in_parallel)
         elements = tuple(e for e in elements if e.in_parallel)
@@ -348,7 +349,7 @@ def estimate_frequency_rounding(f: np.ndarray) -> float:
     """Estimate the rounding error (rms) [Hz] of frequencies ``f`` (n,).
 
     The estimate is the rms difference between ``f`` and frequencies with equal linear or
-    logarithmic steps. If rounding of the last decimal digit cannot cause this difference, the
+    logarithmic steps. If rounding of the last decimal digit cannot cause the rms difference, the
     estimate is 0.
 
     Examples

@@ -1,11 +1,11 @@
 """Errors of reduced models in the time domain, estimated with models that have more states.
 
 The error in a certificate is the largest error at any frequency. If a sharp resonance is shifted by
-a thousandth of its frequency, this error is 100 %, even if the loads of a run do not excite the
-resonance. Therefore, this module compares the reduced model with a model of more states by their
-responses over time to the recorded loads. The responses are exact for loads that are linear between
-the recorded points. The model with more states also contains modes above the band, which contacts
-excite.
+a thousandth of its frequency, the error in the certificate is 100 %, even if the loads of a run do
+not excite the resonance. Therefore, this module compares the reduced model with a model of more
+states by their responses over time to the recorded loads. The responses are exact for loads that
+are linear between the recorded points. The model with more states also contains modes above the
+band, which contacts excite.
 """
 
 from __future__ import annotations

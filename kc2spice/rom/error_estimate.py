@@ -1,7 +1,7 @@
 """Error estimates of reduced-order models, for any method of reduction.
 
 The estimate is the largest relative difference between the responses of the reduced model and of a
-more accurate model. Frequencies are added where this difference is largest.
+more accurate model. Frequencies are added where the relative difference is largest.
 """
 
 from __future__ import annotations
@@ -87,9 +87,9 @@ def choose_adaptive_frequencies(
 def _find_minima_near_zeros(H: np.ndarray) -> np.ndarray:
     """Return the magnitudes of the minima of ``H`` that may be near a deeper minimum.
 
-    H is scaled to a peak of 1. At samples that are not such minima, the returned array is infinite.
-    If a zero is near a minimum, a neighbouring sample is much larger than the minimum, or the
-    straight line to this sample in the complex plane passes much nearer to zero. Minima below
+    H is scaled to a peak of 1. At samples that are not minima near a zero, the returned array is
+    infinite. If a zero is near a minimum, a neighbouring sample is much larger than the minimum, or
+    the straight line to this sample in the complex plane passes much nearer to zero. Minima below
     :data:`PEAK_SHARE` are ignored.
     """
     size = np.abs(H)

@@ -1,9 +1,9 @@
 """Rigid-body modes of a large unsupported body, and the elastic part of its model.
 
 A free body has a singular stiffness K. The shifted stiffness ``K + sigma M`` is positive definite,
-and it is factorised once. Inverse iteration with this real factor gives the rigid-body modes.
-After the rigid-body modes are deflated, solutions with ``K + sigma M`` replace solutions with K in
-Krylov subspaces near zero frequency.
+and it is factorised once. Inverse iteration with the real factor of ``K + sigma M`` gives the
+rigid-body modes. After the rigid-body modes are deflated, solutions with ``K + sigma M`` replace
+solutions with K in Krylov subspaces near zero frequency.
 """
 
 from __future__ import annotations

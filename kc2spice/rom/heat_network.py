@@ -14,8 +14,8 @@ C_k``::
 
     sum_j S_min(j,k) x_j' + x_k / R_k = q        T = sum_k x_k + D q
 
-A linear model with matrices of this form is recognised as a ladder. Sources: E. A. Guillemin,
-Synthesis of Passive Networks, 1957, chapter 4; JESD51-14.
+A linear model whose matrices have this form is recognised as a heat ladder. Sources: E. A.
+Guillemin, Synthesis of Passive Networks, 1957, chapter 4; JESD51-14.
 """
 
 from __future__ import annotations

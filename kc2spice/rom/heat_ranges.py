@@ -8,7 +8,7 @@ The matrices of the full models are sums of terms with powers of the parameters 
 The dependence on the parameters therefore remains exact, however wide the range is. If no term has
 a negative eigenvalue, the model is passive for all values of the parameters. The basis V contains
 the bases of reduced models at a few parameter values. Parameter values are added where the error is
-largest, until the error is within the tolerance at all samples of the ranges. Then the basis
+largest, until the error is within the tolerance at all samples of the ranges. Finally, the basis
 vectors that contribute least to the responses are removed. Source: P. Benner, S. Gugercin, K.
 Willcox, SIAM Review 57 (2015) 483, sections 3.4 and 4.1 (greedy sampling and a global basis).
 """
@@ -92,11 +92,12 @@ class HeatReduction:
     def reduce(self, task: RangeTask) -> HeatOverRanges:
         """Reduce the heat models over the parameter ranges of the task.
 
-        The certificate is valid for all values in the ranges. Its error estimate is the largest
-        relative difference to reference models, in the norm of the task, times :data:`SAFETY`. The
-        reference models are accurate reduced models at the samples of the ranges. In addition, the
-        reduced model is compared with full models at :data:`CHECKS` parameter values and at a
-        corner of the ranges. The reduction does not use the values of these full models.
+        The certificate is valid for all values in the ranges. The error estimate in the certificate
+        is the largest relative difference to reference models, in the norm of the task, times
+        :data:`SAFETY`. The reference models are accurate reduced models at the samples of the
+        ranges. In addition, the reduced model is compared with full models at :data:`CHECKS`
+        parameter values and at a corner of the ranges. The reduction does not use the values of
+        these full models.
 
         Raises
         ------
@@ -331,7 +332,7 @@ class _Basis:
     def orthonormal(self) -> np.ndarray:
         """Return basis vectors W (others, directions) with ``W'K W = 1``, most important first.
 
-        First, linearly dependent columns are removed. For this purpose, the columns are
+        First, linearly dependent columns are removed. To find dependent columns, all columns are
         orthogonalised in the inner product of the diagonal of ``G = E + K / s``, where s is the
         largest ratio ``K_ii / E_ii``. The inner product of K would be inaccurate for slow modes,
         because ``x'K x`` is a difference of far larger numbers.

@@ -4,11 +4,11 @@ The computation of all poles of a large model would take too long, but one growi
 the model is unstable.
 
 * A symmetric model with positive definite mass is unstable if a motion x has negative energy
-  ``x'Kx``. Then ``s^2 M + s E + K`` is indefinite at s = 0, and positive definite for large real s.
-  The matrix is therefore singular at some s > 0, which is a growing pole.
+  ``x'Kx``. The matrix ``s^2 M + s E + K`` is then indefinite at s = 0, and positive definite for
+  large real s. The matrix is therefore singular at some s > 0, which is a growing pole.
 * For other models, the Cayley transform ``(A + c E) (A - c E)^-1`` of the linear pencil maps
-  growing poles to the outside of the unit circle. The computation of the largest eigenvalues of
-  this operator needs one real factorisation (Y. Saad, Numerical Methods for Large Eigenvalue
+  growing poles to the outside of the unit circle. The computation of the largest eigenvalues of the
+  Cayley transform needs one real factorisation (Y. Saad, Numerical Methods for Large Eigenvalue
   Problems, 2011, 8.1). Two values of c are tried: the angular frequency at the end of the band, and
   a median rate, which is computed from the diagonals of the matrices.
 

@@ -29,7 +29,7 @@ class IntermediateModel:
         Evidence for ``error`` that the certificate states.
     floor : float
         Relative change of the response that rounding errors of the entries of the full-order model
-        cause. No reduced model is more accurate.
+        cause. No reduced model is more accurate than this change.
     complete : bool
         Whether this model is the full-order model in other coordinates.
     hidden : float

@@ -1,7 +1,8 @@
 """Linear models: matrices with named ports. Full and reduced models have the same class.
 
 A reductor converts a :class:`LinearModel` to a smaller model with a :class:`Certificate`. Circuits
-are built from the state-space matrices of a model. Other libraries can also read these matrices.
+are built from the state-space matrices of a model. Other libraries can also read the state-space
+matrices.
 """
 
 from __future__ import annotations

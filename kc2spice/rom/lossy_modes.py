@@ -10,8 +10,8 @@ mass. A dashpot ``v = h / w_j`` alone is exact at the resonance ``w_j``. The los
 increases with frequency. Beside the resonance, the response therefore has an error of a quarter of
 the loss factor ``eta = h / k``, relative to the peak. With one relaxation of rate ``w_j``, the loss
 is constant near the resonance. By causality, the stiffness then increases with frequency. A
-slightly larger mass compensates this increase. At the resonance, the value and the slope of the
-dynamic stiffness are exact with
+slightly larger mass compensates the increase of the stiffness. At the resonance, the value and the
+slope of the dynamic stiffness are exact with
 
     c_1 = 2 eta k,    c_0 = (1 - eta / 2) k,    m = 1 + eta / 2,
 

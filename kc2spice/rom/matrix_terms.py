@@ -1,9 +1,9 @@
 """Matrices of heat models as sums of terms with powers of the parameters as factors.
 
-The conductances of a body are proportional to conductivities and film coefficients. They are
-inversely proportional to thicknesses and to the thermal resistances of joints. The heat capacities
-of a body are proportional to densities. As functions of such parameters, the heat capacity matrix E
-and the conductance matrix K are therefore sums
+The conductances of a body are proportional to conductivities and film coefficients. The
+conductances are inversely proportional to thicknesses and to the thermal resistances of joints. The
+heat capacities of a body are proportional to densities. As functions of such parameters, the heat
+capacity matrix E and the conductance matrix K are therefore sums
 
     K(p) = sum_t f_t(p) K_t,    f_t(p) = prod_k (p_k / s_k)^a_tk,    a_tk in {-1, 0, 1}
 
@@ -92,8 +92,8 @@ def find_terms(full: Full, axes: Sequence[ParameterAxis], frame: LinearModel) ->
 
     Raises
     ------
-    UsageError : E or K is not a sum of such terms, or a parameter changes the input matrix B or the
-    number of unknowns.
+    UsageError : E or K is not a sum of terms with powers of the parameters, or a parameter changes
+    the input matrix B or the number of unknowns.
     """
     scales = np.array([axis.middle if axis.low else axis.high for axis in axes])
 

@@ -1,4 +1,4 @@
-"""Symmetric models as decoupled resonators, and tables of the modes of these models.
+"""Symmetric models as decoupled resonators, and tables of modes.
 
 A table of modes contains the frequency, the Q factor and the coupling to the ports of each mode.
 The response of the resonators to recorded loads is computed exactly.
@@ -217,7 +217,7 @@ def _compute_modal_data_from_poles(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
     """Compute modal data from the poles of ``M x'' + E x' + K x``; None for a first-order model.
 
-    The four results are those of :func:`_compute_modal_data`.
+    The function returns the same four results as :func:`_compute_modal_data`.
 
     The static contribution of a pair of poles to a port is ``-2 Re(residue / pole)``, with the
     residue of the port's driving-point response. For decoupled modes, the static contribution
@@ -265,7 +265,7 @@ def make_highest_modes_massless(model: Resonators, tolerance: float | None = Non
     """Replace the highest modes of a model by states without inertia.
 
     The certificate of the result includes the additional error. As many of the highest modes are
-    replaced as these two conditions permit:
+    replaced as the following two conditions permit:
 
     * At the end f of the band, the omitted inertia of the modes with frequencies f_j changes the
       response of every mechanical port by less than ``MASSLESS_ERROR`` of the static compliance.

@@ -108,9 +108,9 @@ def fit_multiport(f: np.ndarray, Y: np.ndarray, noise: float, where: str) -> Lin
 def _select_fit(f: np.ndarray, S: np.ndarray, noise: float, where: str) -> ABCD:
     """Return the best passive model among fits with different numbers of poles.
 
-    The search begins with the most accurate fits. It ends at the first passive model that is about
-    as accurate as the best fit without enforced passivity. If there is no such model, the most
-    accurate passive model is returned.
+    The search begins with the most accurate fits. The search ends at the first passive model that
+    is about as accurate as the best fit without enforced passivity. If no passive model is that
+    accurate, the most accurate passive model is returned.
     """
     fits = _fit_increasing_orders(f, S, noise, where)
     result, least = None, np.inf
@@ -383,8 +383,8 @@ def refine_poles(
 def _scale_columns(s: np.ndarray, p: np.ndarray, real: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the columns of the linear least-squares problem and their norms before scaling.
 
-    The columns are scaled to norm 1. They contain the real and imaginary parts of the terms ``1``,
-    ``1 / (s - p) + 1 / (s - p*)`` (half of this term for a real pole), and
+    The columns are scaled to norm 1. The columns contain the real and imaginary parts of the terms
+    ``1``, ``1 / (s - p) + 1 / (s - p*)`` (half of this term for a real pole), and
     ``j / (s - p) - j / (s - p*)`` for complex poles.
     """
     one, other = 1 / (s[:, None] - p), 1 / (s[:, None] - p.conj())
@@ -396,7 +396,7 @@ def _scale_columns(s: np.ndarray, p: np.ndarray, real: np.ndarray) -> tuple[np.n
 
 
 def _recover_residues(coefficients: np.ndarray, real: np.ndarray) -> np.ndarray:
-    """Return complex residues, an array (poles, entries), from real and imaginary parts.
+    """Return complex residues of shape (poles, entries) from real and imaginary parts.
 
     ``coefficients`` contains the real parts first, then the imaginary parts of complex residues.
     """

@@ -51,7 +51,8 @@ IDEAL_LEAD = CircuitBranch(0.0)
 class ParallelBranches:
     """One-port network: ``branches`` and a ``capacitance`` C0 [F] in parallel.
 
-    The ``lead`` consists of R and L in series with this circuit, so it carries the total current.
+    The ``lead`` consists of R and L in series with the parallel branches, so it carries the total
+    current.
     """
 
     capacitance: float
@@ -127,8 +128,8 @@ def parallel_branches(model: LinearModel) -> ParallelBranches | None:
 def _find_common_value(matrix: np.ndarray) -> float | None:
     """Return the value that all off-diagonal entries of a matrix have in common.
 
-    The result is None if these entries differ, are negative, or exceed a diagonal entry. Without
-    off-diagonal entries, the result is 0.
+    The result is None if the off-diagonal entries differ, are negative, or exceed a diagonal entry.
+    Without off-diagonal entries, the result is 0.
     """
     off_diagonal = matrix[~np.eye(len(matrix), dtype=bool)]
     shared = float(off_diagonal[0]) if off_diagonal.size else 0.0

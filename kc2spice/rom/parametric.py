@@ -2,7 +2,7 @@
 
 One basis V spans the modes and the static responses of full models at samples of the parameters.
 ``V'M V``, ``V'K V``, ``V'B`` and D are then smooth functions of the parameters. Products of
-Chebyshev polynomials of the parameters' logarithms approximate these functions. The approximation
+Chebyshev polynomials of the parameters' logarithms approximate the matrices. The approximation
 is exact at the samples. The projection on V preserves definiteness. Because the method does not
 track single modes, the natural frequencies of modes may cross or repel each other inside the
 parameter ranges. The mesh must move with the parameters without a change of its topology. The

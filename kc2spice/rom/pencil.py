@@ -395,7 +395,7 @@ class Pencil:
     def elimination_order(self) -> np.ndarray | None:
         """Elimination order in the factorisation of K, or None if K is not factorised.
 
-        This order is also suitable for other matrices of the same unknowns.
+        The elimination order of K is also suitable for other matrices of the same unknowns.
         """
         factor = self.factors.known
         order = None if factor is None else factor.order
@@ -574,7 +574,7 @@ class GrowingProjection:
     def extend(self, V: np.ndarray, stiff: np.ndarray, heavy: np.ndarray) -> None:
         """Extend the projection by the last m columns of the basis V (n, k).
 
-        ``stiff`` and ``heavy`` (n, m) are the products of K and M with these columns.
+        ``stiff`` and ``heavy`` (n, m) are the products of K and M with the new columns.
         """
         self._K, self._M = _bordered(self._K, V.T @ stiff), _bordered(self._M, V.T @ heavy)
         self._B = np.vstack([self._B, V[:, len(self._B) :].T @ self._full.B])
@@ -640,9 +640,9 @@ def detect_rayleigh(pencil: Pencil) -> Pencil:
 def eliminate_massless(pencil: Pencil) -> Pencil:
     """Eliminate unknowns without inertia and damping exactly by a Schur complement.
 
-    Such unknowns are the electric potentials of a piezoelectric model and the algebraic unknowns of
-    a first-order model. The pencil is returned unchanged if the block of these unknowns is singular
-    (index two), or if K or -A is already a Schur complement.
+    Massless unknowns are the electric potentials of a piezoelectric model and the algebraic
+    unknowns of a first-order model. The pencil is returned unchanged if the block of the massless
+    unknowns is singular (index two), or if K or -A is already a Schur complement.
     """
     rest, *others = pencil.coefficients
     if isinstance(rest, Schur) or pencil.rayleigh is not None or pencil.size < 2:

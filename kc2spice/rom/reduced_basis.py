@@ -206,8 +206,8 @@ class Task:
     def displacements(self) -> np.ndarray | None:
         """Matrix that converts first-order states to unknowns of the intermediate model.
 
-        The states are those of :meth:`from_first_order`. The matrix is None if the unknowns also
-        depend directly on the input.
+        The first-order states are the same as in :meth:`from_first_order`. The matrix is None if
+        the unknowns also depend directly on the input.
         """
         pencil, free = self.response.pencil, self.response.pencil.size - self.core.size
         parts = [pencil.leading_model(free), self.core] if free else [self.core]

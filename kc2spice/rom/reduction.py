@@ -88,10 +88,10 @@ def reduce(
 ) -> LinearModel | ModelOverRanges:
     """Reduce a linear model to a tolerance or to a number of states.
 
-    The reduced model has the same ports in the same sequence. Its ``certificate`` contains the
-    largest error of any transfer function over ``band`` with respect to ``model``. If ``order`` is
-    given, a symmetric definite model is reduced by block Arnoldi at s0 = 0 (Schütz, Maeter and
-    Bechtold, Actuators 10 (2021) 279, section 2.3).
+    The reduced model has the same ports in the same sequence. The ``certificate`` of the reduced
+    model contains the largest error of any transfer function over ``band`` with respect to
+    ``model``. If ``order`` is given, a symmetric definite model is reduced by block Arnoldi at
+    s0 = 0 (Schütz, Maeter and Bechtold, Actuators 10 (2021) 279, section 2.3).
 
     Parameters
     ----------
@@ -342,7 +342,7 @@ class Reduction:
 
     @property
     def stable(self) -> bool | None:
-        """Whether the full-order model is stable, or None if this is not proven."""
+        """Whether the full-order model is stable, or None if stability is not proven."""
         return self._proof.stable
 
     @property
@@ -390,8 +390,8 @@ class Reduction:
         Returns
         -------
         LinearModel
-            Reduced-order model with a certificate. Its method ``reconstruct`` returns the
-            displacements of the full model.
+            Reduced-order model with a certificate. The method ``reconstruct`` of the reduced model
+            returns the displacements of the full model.
 
         Raises
         ------

@@ -7,8 +7,8 @@ rank one (first Foster form),
 
 and is stable and passive for all rates ``r_k`` and gains ``g_k``. For the same tolerance, a model
 with optimal rates and gains needs one state fewer than a projection. The fit starts from the rates
-and gains of a projection. It optimises ``log r_k`` and ``g_k`` by nonlinear least squares with the
-weights of Lawson's minimax fit.
+and gains of a projection. The fit optimises ``log r_k`` and ``g_k`` by nonlinear least squares with
+the weights of Lawson's minimax fit.
 
 Source: C. L. Lawson, Contributions to the Theory of Linear Least Maximum Approximations (1961).
 """
@@ -49,7 +49,7 @@ def fit_minimax(
     base : (ports, ports) array
         Divisors of relative errors, one for each entry of the response.
     enough : float
-        Error at which the fit ends. The fit also ends if errors remain far above this value.
+        Error at which the fit ends. The fit also ends if errors remain far above ``enough``.
 
     Returns
     -------

@@ -153,8 +153,9 @@ def reduce_over_ranges(task: RangeTask) -> ResonatorsOverRanges:
     The certificate is valid for all values in the ranges. The error in the certificate is the
     largest relative difference, in the norm of the task, times :data:`SAFETY_FACTOR`. The
     resonators are compared with full models at :data:`FULL_CHECKS` points and at a corner of the
-    ranges. The reduction does not use these full models. At other points, the resonators are
-    compared with the dense model. The result contains the ``facts`` of the full models.
+    ranges. The reduction does not use the full models of this comparison. At other points, the
+    resonators are compared with the dense model. The result contains the ``facts`` of the full
+    models.
 
     Raises
     ------

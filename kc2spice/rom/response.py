@@ -1,4 +1,4 @@
-"""Frequency responses of dense pencils, and the frequencies at which to sample them."""
+"""Frequency responses of dense pencils, and frequencies at which responses are sampled."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ class Response:
     def cancelled_entries(self, s: np.ndarray) -> np.ndarray:
         """Return a mask (outputs, inputs) of the entries that are only rounding errors.
 
-        The terms of such an entry cancel at all ``s``.
+        The terms of a cancelled entry add up to zero at all ``s``.
         """
         s = s[:: max(1, len(s) // 100)]
         x = self.states(s)
@@ -243,9 +243,9 @@ class DirectResponse(Response):
 def _compute_eigenvectors(pencil: Pencil) -> Modes | None:
     """Compute decoupled coordinates of a pencil from eigenvectors of its first-order form.
 
-    The eigenvectors are those of ``P(shift)^-1`` times the inertia matrix. This eigenvalue problem
-    is also suitable for unknowns without inertia. The result is None if the responses in these
-    coordinates differ from direct solutions by more than rounding errors.
+    The eigenvectors are those of ``P(shift)^-1`` times the inertia matrix, because this eigenvalue
+    problem is also suitable for unknowns without inertia. The result is None if the responses in
+    decoupled coordinates differ from direct solutions by more than rounding errors.
     """
     sizes = largest_entry(pencil.coefficients[0]), largest_entry(pencil.coefficients[-1])
     if not all(sizes):
@@ -295,8 +295,8 @@ def _mask_inside_band(frequency: np.ndarray, band: tuple[float, float]) -> np.nd
 def _decouple(pencil: Pencil) -> Modes | None:
     """Decouple a symmetric pencil by a real congruence, or return None if it is coupled.
 
-    The congruence consists of the eigenvectors of ``M phi = mu K phi`` with a definite K. This
-    eigenvalue problem is better conditioned than the problem with the inverse of M.
+    The congruence consists of the eigenvectors of ``M phi = mu K phi`` with a definite K. The
+    problem ``M phi = mu K phi`` is better conditioned than the problem with the inverse of M.
     """
     if not pencil.symmetric or not pencil.size:
         return None

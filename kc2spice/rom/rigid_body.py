@@ -69,12 +69,13 @@ def split_rigid_body(
 
     If there are no rigid-body modes, the result contains the unchanged pencil.
 
-    Symmetric and dissipative models have rigid-body modes X with ``K X = 0`` and ``X'K = 0``. The
-    form of these models is preserved by a congruence ``V'PV``, in which the other coordinates are
-    orthogonal to X in the inertia. Damping may couple both groups of coordinates. All other models
-    are converted to first-order models. The rigid-body modes of first-order models are separated by
-    the invariant subspaces of the poles near zero, relative to ``omega`` [rad/s]. ``rounding``
-    contains bounds of the rounding errors, if they are known.
+    Symmetric and dissipative models have rigid-body modes X with ``K X = 0`` and ``X'K = 0``. A
+    congruence ``V'PV`` preserves the form of these symmetric and dissipative models. In the
+    congruence, the other coordinates are orthogonal to X in the inertia. Damping may couple both
+    groups of coordinates. All other models are converted to first-order models. The rigid-body
+    modes of first-order models are separated by the invariant subspaces of the poles near zero,
+    relative to ``omega`` [rad/s]. ``rounding`` contains bounds of the rounding errors, if they are
+    known.
     """
     rest, inertia = pencil.coefficients[0], pencil.coefficients[-1]
     X = _compute_null_space(rest, (rounding or _bound_rounding(pencil))[0])
@@ -190,9 +191,10 @@ def find_hidden_support(pencil: Pencil, X: np.ndarray, low: float) -> float:
     A support of the rigid-body modes X (n, modes) is hidden if its stiffness is not larger than the
     random rounding errors of K. Without rigid-body modes, the frequency is zero.
 
-    The reduced model omits the stiffness of the modes X. If this stiffness slightly exceeds the
-    rounding errors, the body has a support whose stiffness is inaccurate. The function then warns,
-    unless ``low`` [Hz], the lower end of the band, is far above the resonance of the support.
+    The reduced model omits the stiffness of the modes X. If the omitted stiffness slightly exceeds
+    the rounding errors, the body has a support whose stiffness is inaccurate. The function then
+    warns, unless ``low`` [Hz], the lower end of the band, is far above the resonance of the
+    support.
     """
     K, M = pencil.coefficients[0], pencil.coefficients[-1]
     if pencil.degree != 2 or isinstance(K, Schur) or not X.size or not pencil.symmetric:
@@ -269,7 +271,7 @@ def project_with_rigid_body(
 def _project_obliquely(pencil: Pencil, omega: float) -> tuple[Pencil, np.ndarray]:
     """Separate the poles near zero by right and left invariant subspaces.
 
-    Return a pencil whose first unknowns belong to the poles near zero, and its basis. In these
+    Return a pencil whose first unknowns belong to the poles near zero, and its basis. In the first
     unknowns, the rates of integrators are exactly zero. If the separation is not possible, the
     pencil is returned unchanged.
     """

@@ -83,9 +83,10 @@ def find_zero_entries(
 ) -> np.ndarray | bool:
     """Return a mask (outputs, inputs) of the response entries that are zero by symmetry.
 
-    ``response`` is the response of the projection on V. In this response, an entry that is zero by
-    symmetry is negligible at nearly all frequencies of the band. At sharp resonances of modes with
-    equal frequencies, the entry may be as large as the effect of rounding of the matrix entries.
+    ``response`` is the response of the projection on V. In the response of the projection, an entry
+    that is zero by symmetry is negligible at nearly all frequencies of the band. At sharp
+    resonances of modes with equal frequencies, the entry may be as large as the effect of rounding
+    of the matrix entries.
     """
     at, ratio = response.select_visible(band)
     chosen = np.union1d(np.argsort(at)[:CHECKED_RESONANCES], np.argsort(ratio)[:CHECKED_RESONANCES])

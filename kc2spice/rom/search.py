@@ -115,9 +115,9 @@ def _select_fewest(
 ) -> tuple[ReducedBasis, int] | None:
     """Return a basis and an order that meet the tolerance with fewer than ``states`` states.
 
-    The result is None if there is no such basis. In the norm *peak*, the basis with the fewest
-    states is used. In the norm *pointwise*, the first basis is used, because only balancing over
-    the band represents notches.
+    The result is None if no basis meets the tolerance. In the norm *peak*, the basis with the
+    fewest states is used. In the norm *pointwise*, the first basis is used, because only balancing
+    over the band represents notches.
     """
     best = None
     for reductor in reductors:

@@ -58,7 +58,7 @@ def prove_stability(
     energy if E is symmetric positive semi-definite and ``A + A' <= 0``. If also ``C = B'`` and D >=
     0, the first-order model is passive, with the power input times output.
 
-    If the matrices do not have such a form, the poles show whether the model is stable, and
+    If the form of the matrices proves nothing, the poles show whether the model is stable, and
     passivity is unknown. The poles of models with more than ``MAX_POLE_STATES`` states are not
     computed. If ``poles`` [1/s] are known, they are used.
     """

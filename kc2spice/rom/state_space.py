@@ -20,10 +20,10 @@ def state_space(pencil: Pencil, top_hz: float | None = None) -> ABCD:
     """Convert a model to state-space matrices: ``x' = A x + B u``, ``y = C x + D u``.
 
     Return A, B, C and D. If a stored energy is defined for the model, the states are scaled so that
-    their squares are energies. Then ``A + A' <= 0`` for a dissipative model, ``A = -A'`` for a
-    model without losses, and ``A = A'`` for a symmetric first-order model. For a decoupled
-    second-order model, A contains one 2 x 2 block for each mode. Displacements are scaled by
-    ``top_hz`` [Hz], the end of the band, or by the ratio of stiffness to mass.
+    their squares are energies. The matrix A then satisfies ``A + A' <= 0`` for a dissipative model,
+    ``A = -A'`` for a model without losses, and ``A = A'`` for a symmetric first-order model. For a
+    decoupled second-order model, A contains one 2 x 2 block for each mode. Displacements are scaled
+    by ``top_hz`` [Hz], the end of the band, or by the ratio of stiffness to mass.
 
     Raises
     ------

@@ -1,17 +1,17 @@
 """Reduction of models with structural damping, and removal of negligible inertia.
 
 Structural damping means a complex stiffness ``K + j H``, or ``K (1 + j eta)`` for one material. A
-body with structural damping loses the same share of energy at every frequency. A causal model has
-this property only if its stiffness changes with frequency. Therefore, a circuit can only
-approximate structural damping by a passive model. Each mode j gets the viscous damping
-``h_j / w_j``, which is exact at its resonance frequency w_j. Relaxations are used instead if they
-are more accurate (:mod:`kc2spice.rom.lossy_modes`). The error estimate includes the error of the
-passive approximation. The losses of several materials couple modes. The coupling of modes i and j
-becomes viscous damping ``h_ij / (w_i w_j)^(1/2)``.
+body with structural damping loses the same share of energy at every frequency. A causal model loses
+the same share of energy at every frequency only if its stiffness changes with frequency. Therefore,
+a circuit can only approximate structural damping by a passive model. Each mode j gets the viscous
+damping ``h_j / w_j``, which is exact at its resonance frequency w_j. Relaxations are used instead
+if they are more accurate (:mod:`kc2spice.rom.lossy_modes`). The error estimate includes the error
+of the passive approximation. The losses of several materials couple modes. The coupling of modes i
+and j becomes viscous damping ``h_ij / (w_i w_j)^(1/2)``.
 
-The poles of an RC ladder or of an overdamped chain are real. If the inertia of such a model has a
-negligible effect in the band, the model ``E x' + K x = B u`` replaces the model with inertia. The
-model without inertia has half as many states per unknown, and is also passive.
+The poles of an RC ladder or of an overdamped chain are real. If the inertia of a model with real
+poles has a negligible effect in the band, the model ``E x' + K x = B u`` replaces the model with
+inertia. The model without inertia has half as many states per unknown, and is also passive.
 
 Sources: S. H. Crandall, J. Sound Vib. 11 (1970) 3; D. J. Ewins, Modal Testing (2000), 2.4.
 """

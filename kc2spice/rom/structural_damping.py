@@ -20,8 +20,8 @@ stiffness ``K chi`` is represented by a symmetric model with constant matrices:
     M x'' + E x' + (c_0 + sum c_k) K x - sum sqrt(c_k) K q_k = B u
     (1 / r_k) K q_k' + K (q_k - sqrt(c_k) x) = 0
 
-:func:`add_structural_damping` adds this damping to a model. :mod:`kc2spice.rom.complex_constants`
-treats piezoelectric bodies with complex material constants.
+:func:`add_structural_damping` adds the inner displacements to a model.
+:mod:`kc2spice.rom.complex_constants` treats piezoelectric bodies with complex material constants.
 """
 
 from __future__ import annotations

@@ -8,9 +8,9 @@ The fit has four steps:
 
 1. The R_k for a logarithmic grid of time constants t_k are fitted by non-negative least squares
    (C. L. Lawson, R. J. Hanson, Solving Least Squares Problems, 1974, chapter 23). No network
-   describes the samples better than this sum. Most R_k are zero.
-2. The noise of the samples is estimated from the differences of successive residuals of this sum.
-   These differences contain no slow deviation.
+   describes the samples better than the fitted sum. Most R_k are zero.
+2. The noise of the samples is estimated from the differences of successive residuals of the fitted
+   sum. Differences of successive residuals contain no slow deviation.
 3. Neighbouring time constants on the grid are merged into one. The logarithms of all R_k and t_k
    are refined by bounded least squares.
 4. Two neighbouring time constants are merged, and all R_k and t_k are refined again. Of all pairs,

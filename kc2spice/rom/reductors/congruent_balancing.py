@@ -1,7 +1,8 @@
 """Balanced truncation of symmetric first-order models, such as networks of R and C.
 
-Both Gramians of such a model are equal. The balanced coordinates are therefore orthonormal in E,
-and truncation preserves symmetry, real poles and passivity.
+The controllability and the observability Gramian of a symmetric model are equal. The balanced
+coordinates are therefore orthonormal in E, and truncation preserves symmetry, real poles and
+passivity.
 """
 
 from __future__ import annotations

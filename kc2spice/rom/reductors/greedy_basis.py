@@ -2,9 +2,9 @@
 
 Points are chosen alternately by two criteria: the largest residual, and the largest change of the
 response by the last point. The residual is estimated with random combinations of the equations (a
-sketch). At each point, the solution of the full model first tests the projected model. Then this
-solution and its derivative with respect to s are added to the basis. Real and imaginary parts are
-separate vectors, so that all matrices remain real.
+sketch). At each point, the solution of the full model first tests the projected model. Then the
+solution of the full model and its derivative with respect to s are added to the basis. Real and
+imaginary parts are separate vectors, so that all matrices remain real.
 """
 
 from __future__ import annotations
@@ -185,7 +185,7 @@ class GreedyBasis:
         """Basis of the same subspace, in which each column is a mode of the projected model.
 
         Projected matrices of thin bodies are small differences of large numbers. A projection on
-        modes has fewer such differences, and therefore smaller rounding errors.
+        modes has fewer small differences of large numbers, and therefore smaller rounding errors.
         """
         return self.basis @ self.turn
 

@@ -62,7 +62,8 @@ class Snapshots(NamedTuple):
 def choose_tail_weight(model: LinearModel, tolerance: float | None) -> float | None:
     """Return the weight of the snapshots just above the band.
 
-    The result is None for a model without mechanical ports, which needs no such snapshots.
+    The result is None for a model without mechanical ports, which needs no snapshots above the
+    band.
     """
     if not any(port.moving for port in model.ports):
         return None
