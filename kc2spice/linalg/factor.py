@@ -28,7 +28,7 @@ from kc2spice.linalg.solver import (
 
 USABLE_MEMORY_SHARE = 0.9
 # Number of entries of the LU factors of n equations, divided by n sqrt(bandwidth).
-# This number is 4 for chains, 9 for plates, and 34 for solids.
+# The number of entries, divided by n sqrt(bandwidth), is 4 for chains, 9 for plates, 34 for solids.
 FILL_FACTOR = 34.0
 REAL_BYTES = 12.0  # memory [B] of a real entry of a factor: its value and half of its index
 ENTRY_BYTES = 24.0  # memory [B] of a complex entry of a factor: its value, index and work space

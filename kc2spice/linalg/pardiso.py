@@ -66,7 +66,7 @@ class Pardiso:
     """
 
     def __init__(self, matrix: Any) -> None:
-        _load_library()  # first, so that an error of this call leaves no memory to release
+        _load_library()  # before memory is allocated, which an error would not release
         difference = abs(matrix - matrix.T).max()
         symmetric = bool(difference <= SYMMETRY_TOLERANCE * abs(matrix).max())
         complex_numbers = bool(np.iscomplexobj(matrix))

@@ -33,7 +33,7 @@ from kc2spice.rom.reductors.block_krylov import BlockArnoldi, make_krylov_space
 STATE_RATIO = 2
 MIN_ADDED_STATES = 60  # smallest number of additional states of the comparison model
 # Upper band limit of the comparison model, relative to the requested upper band limit.
-# Only models that need expansion points at frequencies above zero have this wider band.
+# Only models that need expansion points at frequencies above zero get a wider band.
 BAND_RATIO = 2.0
 TARGET_ERROR = 1e-6  # requested error of the comparison model over the wider band
 MAX_ERROR = 1e-3  # largest accepted error of the comparison model over the wider band

@@ -83,7 +83,7 @@ def build_intermediate_model(
             inaccurate = error
         sound = complete is not None and complete.response.diagonal
         # A congruence transformation converges if the stored energy is proven to be positive.
-        # Without this proof, it converges only for a model with well-conditioned modes.
+        # Without a proof of positive energy, it converges only if the modes are well-conditioned.
         if pencil.degree == 1 and not sound and not is_dissipative(full):
             try:
                 return reduce_by_samples(full, band, target, limit)

@@ -248,8 +248,8 @@ def _compute_modal_data_from_poles(
 MASSLESS_ERROR = 1e-3
 # Value of MASSLESS_ERROR if the damping ratio of the lowest massless mode is < MAX_RINGING_RATIO.
 # Modes with little damping depend on the mesh, ring for hundreds of periods, and limit time steps.
-# If these modes are massless, the launch of a chip with 0.01 % damping needs a third of the points.
-# The computed launch then changes by 1.2e-3, towards the launch of a finer model.
+# If modes with little damping are massless, the launch of a chip needs a third of the time points.
+# The launch of a chip with 0.01 % damping then changes by 1.2e-3, towards that of a finer model.
 # The change of the launch is a quarter of the difference to the finer model.
 RINGING_ERROR = 1e-2
 MAX_RINGING_RATIO = 0.02

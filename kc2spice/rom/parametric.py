@@ -36,7 +36,7 @@ DEGREE_STEP = 2  # increase of the degree if the polynomials are inaccurate over
 # largest degree of the polynomials (with 11, 55 and 84 full models), keyed by number of parameters
 MAX_DEGREES = {1: 10, 2: 9, 3: 6}
 # In a range from zero to ``high``, this share of ``high`` is added to values before the logarithm.
-# For values far below this offset, the coordinate is a linear function of the value.
+# For values far below the added offset, the coordinate is a linear function of the value.
 LOG_OFFSET_RATIO = 1e-6
 # Directions are omitted if their eigenvalue of the Gram matrix is below this share of the largest.
 # The stiff motions of a thin plate have 1e8 times the energy of its soft motions.

@@ -35,7 +35,9 @@ def parse_ranges(record: Mapping[str, Any]) -> dict[str, Any]:
     ValueError : the record is damaged, or a string contains a line break, which would begin a new
     statement in a netlist.
     """
-    from pydantic import TypeAdapter  # imported late, because most commands read no such file
+    from pydantic import (
+        TypeAdapter,
+    )  # imported late, because most commands read no parametric model
 
     texts = TypeAdapter(dict[str, str])
     units, words = map(texts.validate_python, (record["units"], record["descriptions"]))

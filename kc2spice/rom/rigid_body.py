@@ -27,7 +27,7 @@ from kc2spice.rom.pencil import (
 )
 
 # Bound of the rounding error of a matrix entry, divided by ``n eps`` times the size of the entry.
-# Stiffness, damping and coupling below this bound count as zero.
+# Stiffness, damping and coupling below the bounds of their rounding errors count as zero.
 ROUNDING_FACTOR = 8.0
 # Largest magnitude of a pole that counts as zero, relative to the end of the band.
 # The rounding error of a double pole is the square root of eps.

@@ -25,7 +25,7 @@ STATED_UNCERTAINTY = 1e-9
 ENERGY_ROUNDING = 100.0  # largest response that counts as zero, relative to its rounding error
 # the following numbers were found by trials
 ZERO_FREQUENCIES = 50  # number of frequencies at which entries are tested for zero
-ZERO_SHARE = 0.5  # share of these frequencies at which a zero entry must be negligible
+ZERO_SHARE = 0.5  # share of the tested frequencies at which a zero entry must be negligible
 # effects of rounding are evaluated at this number of lowest, and of sharpest resonances
 CHECKED_RESONANCES = 8
 RANDOM_TRIALS = 4  # largest number of trials with random units of the unknowns

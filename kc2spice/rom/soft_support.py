@@ -15,7 +15,7 @@ import scipy
 from kc2spice.rom.linear_model import LinearModel
 
 # Resonance frequency on the soft support, relative to the lower end of the band.
-# The relative error in the band is at most the square of this ratio.
+# The soft support causes a relative error in the band of at most SOFT_SUPPORT_RATIO squared.
 SOFT_SUPPORT_RATIO = 1e-4
 # name of the fact that contains a model's resonance frequency on its soft support
 SOFT_SUPPORT = "soft_support_hz"

@@ -32,10 +32,10 @@ from kc2spice.rom.rounding import add_rounding_floor, estimate_removed_stiffness
 BLOCKS_AT_ZERO = 60
 BLOCKS_AT_SHIFT = 3
 # Usual number of blocks for solids with several modes in the band.
-# The first estimate of the remaining time assumes this number of blocks.
+# The first estimate of the remaining time assumes USUAL_BLOCKS blocks.
 USUAL_BLOCKS = 14
 # Smallest ratio (change of the response by the previous block) / (change by the last block).
-# Below this ratio, the next block is computed at a new expansion point.
+# Below the ratio MIN_REDUCTION, the next block is computed at a new expansion point.
 MIN_REDUCTION = 3.0
 # smallest distance of two expansion points, relative to the upper band limit
 MIN_POINT_DISTANCE = 1e-3

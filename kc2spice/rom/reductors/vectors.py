@@ -12,7 +12,7 @@ from kc2spice.core.errors import UsageError
 # The rounding errors in a QR factorisation of a few hundred vectors are about 1e-14.
 DEPENDENT_BY_ROUNDING = 1e-13
 # Largest condition number of a basis V that is not orthonormalised.
-# Rounding errors change the smallest eigenvalue of V'KV by eps times the square of this number.
+# Rounding errors change the smallest eigenvalue of V'KV by eps times (condition number)^2.
 # The relative change of the eigenvalue is therefore below 3e-10.
 MAX_CONDITION = 1e3
 
