@@ -83,9 +83,7 @@ def _build_resonators(
     arrays: dict[str, np.ndarray], record: dict[str, Any], name: str
 ) -> ResonatorsOverRanges:
     """Check the arrays and the JSON record of a file, and create the model from them."""
-    from pydantic import (
-        TypeAdapter,
-    )  # imported late, because most commands read no parametric model
+    from pydantic import TypeAdapter  # imported late: few commands read parametric models
 
     common = parse_ranges(record)
     ports, axes = common["ports"], common["axes"]

@@ -35,9 +35,7 @@ def parse_ranges(record: Mapping[str, Any]) -> dict[str, Any]:
     ValueError : the record is damaged, or a string contains a line break, which would begin a new
     statement in a netlist.
     """
-    from pydantic import (
-        TypeAdapter,
-    )  # imported late, because most commands read no parametric model
+    from pydantic import TypeAdapter  # imported late: few commands read parametric models
 
     texts = TypeAdapter(dict[str, str])
     units, words = map(texts.validate_python, (record["units"], record["descriptions"]))
