@@ -81,7 +81,7 @@ def describe_devices(scene: Scene) -> str:
 def _place_shapes(scene: Scene) -> list[Shape]:
     """Return the shapes of all parts in the side view, with bodies beside each other.
 
-    Parts that are not bodies keep their position, which is above the first body.
+    Only bodies are moved. All other parts already are above the first body.
     """
     result: list[Shape] = []
     end = None

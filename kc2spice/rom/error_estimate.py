@@ -162,8 +162,8 @@ class ErrorEstimator:
     def failed(self) -> dict[float, np.ndarray]:
         """Exact response, keyed by the frequencies [Hz] of the largest errors of earlier models.
 
-        The first keys are a coarse grid over the band. At the last keys, the next inaccurate model
-        probably also has large errors.
+        The first keys of the dictionary are the frequencies of a coarse grid over the band. At the
+        last keys, the next inaccurate model probably also has large errors.
         """
         sample = slice(None, None, max(1, len(self.frequency) // FIRST_FREQUENCIES))
         return dict(zip(self.frequency[sample].tolist(), self.reference[0][sample], strict=True))

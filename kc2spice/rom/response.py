@@ -293,7 +293,7 @@ def _mask_inside_band(frequency: np.ndarray, band: tuple[float, float]) -> np.nd
 
 
 def _decouple(pencil: Pencil) -> Modes | None:
-    """Decouple a symmetric pencil by a real congruence, or return None if it is coupled.
+    """Diagonalise a symmetric pencil by a real congruence; return None if this is impossible.
 
     The congruence consists of the eigenvectors of ``M phi = mu K phi`` with a definite K. The
     problem ``M phi = mu K phi`` is better conditioned than the problem with the inverse of M.

@@ -263,7 +263,7 @@ def require_circuit_tolerance(part: Subcircuit, model: LinearModel, tolerance: f
         where=part.name,
         got=got,
         expected=f"at most {tolerance:.2g}",
-        hint="raise the tolerance, or the lower frequency of the band",
+        hint="raise the tolerance, or begin the band at a higher frequency",
     )
 
 

@@ -15,10 +15,11 @@ Times are medians of the simulator's CPU time. Each round runs all settings, so 
 machine affects all settings equally.
 
 Errors of two keys may cancel by chance. A combination of settings is therefore within the limit
-only if the sum of the errors of its single values is also within the limit. For a metric m, the
-settings ``own`` of the scene, and the value v_k of the key k, this sum is::
+only if the sum of the errors of its single values is also within the limit. The metric m(own) is
+computed with the scene's settings ``own``, and m(own, k = v) with the value v of the key k. If v_k
+is the value of k in the combination, this sum is::
 
-    bound = sum_k max_{v at least as fine as v_k} |m(own, k = v) - m(own, k = finest)| / |m|
+    bound = sum_k max_{v at least as fine as v_k} |m(own, k = v) - m(own, k = finest)| / |m(own)|
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ MIN_LOG_WIDTH = 0.01
 POLYNOMIAL_DEGREE = 3  # degree of the polynomials over a narrow parameter range
 RANGE_COUNT = 8  # largest number of successive, narrower ranges
 MESH_CORRECTIONS = 4  # largest number of corrections by the full model in each range
-# change of the values by a correction, in standard errors, below which corrections end
+# Corrections end when a correction changes all values by less than this many standard errors.
 CONVERGED_CHANGE = 0.1
 
 

@@ -284,7 +284,7 @@ def read_harwell_boeing(
     pointer, row = parts[0], parse_indices(parts[1], rows)
     sound = pointer[0] == 1 and pointer[-1] == entries + 1 and (np.diff(pointer) >= 0).all()
     if not sound:
-        raise ValueError("the column pointers do not increase from 1 to the number of entries")
+        raise ValueError("the column pointers do not increase from 1 to one more than the entries")
     value = parts[2][0::2] + 1j * parts[2][1::2] if kind[0] == "C" else parts[2]
     inner = (value, row, pointer.astype(np.int64) - 1)
     matrix = sparse.csc_array(inner, shape=(rows, columns))
@@ -303,8 +303,8 @@ def _parse_fixed_width(lines: list[bytes], repeat: int, width: int, number: int)
     """
     if len(lines) * repeat < number:
         raise ValueError(
-            f"the file ends after {len(lines)} of {math.ceil(number / repeat)} lines with "
-            f"{number} numbers; it may be truncated"
+            f"the file ends after {len(lines)} lines, but {number} numbers need "
+            f"{math.ceil(number / repeat)} lines; the file may be truncated"
         )
     if not 0 < repeat * width <= _MAX_LINE_LENGTH:
         raise ValueError(f"the line format is not supported: {repeat} fields of {width} characters")

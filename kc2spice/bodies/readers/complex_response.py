@@ -1,6 +1,6 @@
 """Conversion of columns of numbers to complex responses and admittances.
 
-The input is the tables in a file, or vectors with titles. The output is a
+The input is either the tables of a file, or a list of columns with their titles. The output is a
 :class:`MeasuredResponse`. A file with two possible meanings is rejected, and the error describes
 both meanings.
 

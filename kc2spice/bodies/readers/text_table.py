@@ -333,7 +333,7 @@ def _split_titles(line: str, separator: str | None, columns: int, index: bool) -
 
 
 def _find_format(above: list[str]) -> str:
-    """Find the quantity of a trace in the last line such as ``FORMAT: |Z|`` above a table.
+    """Find the quantity of a trace in the last ``FORMAT`` line above a table (``FORMAT: |Z|``).
 
     Return an empty string if there is no such line.
     """

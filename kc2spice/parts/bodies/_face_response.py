@@ -1,13 +1,12 @@
 """Sound pressure level of a face behind acoustic parts, computed with the full model of the body.
 
-Symbols: drive voltage V, pressures p on the faces, displaced volumes y of the faces, acoustic
-impedances Z and sound pressures per volume velocity g of
-:class:`~kc2spice.parts.acoustics._acoustic_load.AcousticLoad`,
+The drive voltage V and the pressures p on the faces cause the displaced volumes y of the faces::
 
-    y = H_V V + H_p p,     p = -s Z y,     sound = -s g y,     s = j omega.
+    y = H_V V + H_p p,     p = -s Z y,     sound pressure = -s g y,     s = j omega
 
 H_V and H_p are responses of the full model, projected on a Krylov basis that contains its lowest
-modes.
+modes. Z are the acoustic impedances, and g the sound pressures per volume velocity, of
+:class:`~kc2spice.parts.acoustics._acoustic_load.AcousticLoad`.
 """
 
 from __future__ import annotations

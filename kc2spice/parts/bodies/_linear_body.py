@@ -215,7 +215,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
     def finer_mesh(
         self, part: Part[LinearKeysT], build: Build, clock: Clock, most: float
     ) -> Iterator[Check | str]:
-        """Yield the relative changes of the model on a mesh of half the element size."""
+        """Yield the relative changes of characteristic values if the element size is halved."""
         if not self.discretisations:
             return
         (key,), facts = self.discretisations, build.facts(part)

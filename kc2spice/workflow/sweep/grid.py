@@ -110,10 +110,10 @@ def split_range(text: str) -> tuple[str, list[str]]:
         return kind, words
     if ends := _DOTTED_RANGE.fullmatch(text):
         raise UsageError(
-            "this text is not a value",
+            "this string is neither a value, nor a list of values, nor a range",
             where="--set",
             got=repr(text),
-            expected="VALUE, VALUE,VALUE or FIRST:LAST:POINTS",
+            expected="a value, a list VALUE,VALUE or a range FIRST:LAST:POINTS",
             hint=f"write {ends[1]}:{ends[2]}:5",
         )
     words = _split_words(text, ",")
