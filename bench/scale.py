@@ -188,7 +188,7 @@ def lower_bound(kind, path):
     shift = (2 * np.pi * BANDS[kind][1]) ** 2 if shift else 0.0
     K, M, B = model.K, model.M, np.asarray(model.B)
     begin = time.process_time()
-    solve = pencil.pencil_solver(-shift).apply_inverse
+    solve = pencil.factorise_shifted_stiffness(-shift).apply_inverse
     massless = K.pp.shape[0] if kind != "elastic" else 0
     padding = np.zeros((massless, B.shape[1]))
 

@@ -126,7 +126,7 @@ NAMES_BY_MODULE = {
     "kc2spice.netlist.printers.dialect_registry": "deck_dialects dialect_names find_dialect",
     "kc2spice.netlist.printers.lines": "wrap_card wrap_comments",
     "kc2spice.netlist.printers.ngspice": "Printer",
-    "kc2spice.netlist.printers.plot_script": "write_plot_script",
+    "kc2spice.netlist.printers.plot_script": "format_plot_script",
     "kc2spice.netlist.printers.verilog_a": "print_module",
     "kc2spice.netlist.read": "read_cards",
     "kc2spice.netlist.transforms": "make_array_deck with_parameters",
@@ -203,11 +203,11 @@ NAMES_BY_MODULE = {
         "assemble_oscillators fit_relaxing_oscillator make_viscous_oscillator"
     ),
     "kc2spice.rom.modal": (
-        "Resonators simulate_chip fit_foster_network make_highest_modes_massless tabulate_modes "
-        "resonators"
+        "Resonators simulate_resonators fit_foster_network make_highest_modes_massless "
+        "tabulate_modes resonators"
     ),
     "kc2spice.rom.multiport": "fit_multiport",
-    "kc2spice.rom.network": "CircuitBranch ParallelBranches parallel_branches",
+    "kc2spice.rom.network": "CircuitBranch ParallelBranches recognise_parallel_branches",
     "kc2spice.rom.parametric": (
         "ParameterAxis compute_modal_transfer polynomials reduce_over_parameters"
     ),

@@ -145,7 +145,7 @@ def _make_krylov_basis(device: FiniteElementModel) -> np.ndarray:
     Return q basis vectors as the columns of an array of shape (n, q).
     """
     model, shift = device.model, device.shift
-    solve = model.pencil.pencil_solver(-shift).solve
+    solve = model.pencil.factorise_shifted_stiffness(-shift).solve
     return compute_block_krylov_basis(
         lambda v: model.K @ v + shift * (model.M @ v),
         solve,

@@ -221,7 +221,7 @@ def _compute_port_compliance(model: LinearModel) -> np.ndarray:
     Return a symmetric matrix of shape (n, n) [m/N].
     """
     loads = model.B[:, [port.domain is TRANSLATION for port in model.ports]]
-    S = loads.T @ model.pencil.pencil_solver(0.0).solve(loads)
+    S = loads.T @ model.pencil.factorise_shifted_stiffness(0.0).solve(loads)
     return np.asarray((S + S.T) / 2)
 
 
@@ -241,7 +241,7 @@ def compute_stresses_under_force(
     """
     stack = _model_stack(chip, shape, CELLS_PER_NODE)
     probe, model = FieldProbe(stack, gauss=True), stack.model
-    z = model.pencil.pencil_solver(0.0).solve(-model.B[:, : len(force)] @ force)
+    z = model.pencil.factorise_shifted_stiffness(0.0).solve(-model.B[:, : len(force)] @ force)
     T, _ = probe.stress(*probe.compute_nodal_values(z[:, None], np.zeros((1, 1))))
     shear = (
         compute_largest_principal_stress(T[..., 0]) + compute_largest_principal_stress(-T[..., 0])

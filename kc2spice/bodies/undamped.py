@@ -107,7 +107,7 @@ def compute_undamped_responses(model: LinearModel, shift: float = 0.0) -> Undamp
     """
     e = [k for k, port in enumerate(model.ports) if port.electrical]
     force = [k for k, port in enumerate(model.ports) if port.domain is TRANSLATION][:1]
-    solve = model.pencil.pencil_solver(-shift).solve
+    solve = model.pencil.factorise_shifted_stiffness(-shift).solve
     if not e:
         ports = [k for k, port in enumerate(model.ports) if port.domain is not ACOUSTIC]
         ports = ports or [*range(len(model.ports))]

@@ -415,7 +415,11 @@ class Declaration:
     def _list_all_trees(self) -> Iterable[tuple[str, Tree]]:
         """Yield the name and the tree of each expression in the declaration."""
         yield from zip(_ENERGIES, map(self._parse_field, _ENERGIES), strict=True)
-        yield from (*self._force_trees.items(), *self.limit_trees.items(), *self.stop_trees.items())
+        yield from (
+            *self._force_trees.items(),
+            *self.limit_trees.items(),
+            *self.trees_by_stop.items(),
+        )
         yield from self.constant_trees.items()
         yield from (
             *self.output_trees.items(),
@@ -650,7 +654,7 @@ class Declaration:
         return self._parse_texts("limit", self.limits)
 
     @cached_property
-    def stop_trees(self) -> dict[str, Tree]:
+    def trees_by_stop(self) -> dict[str, Tree]:
         """Expression trees of the stops, keyed by description."""
         return self._parse_texts("stop", self.stops)
 
@@ -662,7 +666,7 @@ class Declaration:
     @cached_property
     def stop_variables(self) -> dict[str, frozenset[str]]:
         """Names of the variables on which a stop depends, keyed by description of the stop."""
-        return {name: self._list_variables(tree) for name, tree in self.stop_trees.items()}
+        return {name: self._list_variables(tree) for name, tree in self.trees_by_stop.items()}
 
     def _list_variables(self, tree: Tree) -> frozenset[str]:
         """Return the names in an expression that are not parameters."""

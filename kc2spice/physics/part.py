@@ -251,7 +251,7 @@ class DeclaredPart(PartType[KeysT]):
         small = build.scene.analysis.is_small_signal
         if small:
             yield from _check_limits(d, part, known, " at its operating point")
-        for what, tree in d.stop_trees.items():
+        for what, tree in d.trees_by_stop.items():
             if d.stop_variables[what] <= known.keys():
                 depth = float(np.max(evaluate_tree(tree, d.values(part.keys) | known)))
                 name = f"{part.name} beyond {what} at its operating point"

@@ -46,7 +46,7 @@ class Interval:
 
         Return the vector ``X``, an array of shape (N,) for one time or (N, nt) for ``nt`` times.
         """
-        return np.concatenate((z, self.system.source_values(t, self.within)))
+        return np.concatenate((z, self.system.evaluate_source_derivatives(t, self.within)))
 
     def waves(self, t: np.ndarray, z: np.ndarray, r: np.ndarray) -> dict[str, np.ndarray]:
         """Compute all waves at the times ``t``, keyed by name.
@@ -55,7 +55,7 @@ class Interval:
         shape (nt,).
         """
         system, X = self.system, self.append_sources(t, z)
-        dX = np.concatenate((r, system.source_values(t, self.within, 1)))
+        dX = np.concatenate((r, system.evaluate_source_derivatives(t, self.within, 1)))
         outputs = [np.zeros((0, t.size))]
         for device, mode in zip(system.devices, self.modes, strict=True):
             evaluate = partial(device.evaluate, mode=mode)
@@ -303,15 +303,15 @@ class _StaticEquations:
 
     def __init__(self, system: System) -> None:
         self.system = _fix_sources(system, {})
-        self.source_values = self.system.source_values(0.0, 0.0)
+        self.evaluate_source_derivatives = self.system.evaluate_source_derivatives(0.0, 0.0)
         n, values = system.size, system.initial_values
         self.H = np.array([h.row[:n] for h in values]).reshape(-1, n)
-        self.h = np.array([h.value - h.row[n:] @ self.source_values for h in values])
+        self.h = np.array([h.value - h.row[n:] @ self.evaluate_source_derivatives for h in values])
         self.into = np.array([*map(attrgetter("into"), values)]).reshape(-1, n).T
 
     def make_interval(self, z: np.ndarray) -> Interval:
         """Return the equations for the modes that the devices have at ``z``."""
-        X = np.concatenate((z, self.source_values))
+        X = np.concatenate((z, self.evaluate_source_derivatives))
         modes = [device.law.mode(device.inputs @ X) for device in self.system.devices]
         return Interval(self.system, modes, 0.0)
 

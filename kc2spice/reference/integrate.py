@@ -218,7 +218,7 @@ class Radau:
         ``Z``, an array of shape (n, 3), is the initial guess for the changes of the unknowns.
         """
         p, t = self.interval, self.t + h * RADAU_NODES
-        sources = p.system.source_values(t, p.within)
+        sources = p.system.evaluate_source_derivatives(t, p.within)
         scale = self.rtol * (1.0 + np.abs(self.z))
         # errors of unknowns that are not active do not propagate
         scale = np.where(self.active, scale, 1e3 * scale)
@@ -284,7 +284,7 @@ class Radau:
     def _estimate_error(self, step: Step) -> float:
         """Estimate the error of a step in units of the tolerance."""
         p, t, h = self.interval, step.stage_times, step.length
-        sources = p.system.source_values(t, p.within)
+        sources = p.system.evaluate_source_derivatives(t, p.within)
         # The error is computed from the stored quantities ``g``.
         # The derivative ``M`` of ``g`` is not used, because it was computed at an earlier state.
         stage_stores = p.compute_stored_quantities(

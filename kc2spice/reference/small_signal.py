@@ -210,7 +210,7 @@ class LinearisedSystem:
         forms = [inverse @ (B[rows] - cut @ B[~rows]) for B in (Bs, Bd - Gs, -Gd)]
         drives = [reading @ form for form in forms]
         drive = sum(d * rates[:, None] ** j for j, d in enumerate(drives))
-        s0 = self.system.source_values(0.0, 0.0)[:k]
+        s0 = self.system.evaluate_source_derivatives(0.0, 0.0)[:k]
         static_solution = np.linalg.lstsq(J, -Bs @ s0 - self.system.const, rcond=1e-14)[0]
         deviation = (self.z0 - static_solution)[cols]
         if drifting.size:

@@ -97,7 +97,9 @@ class System:
         """Number of unknowns z."""
         return self.const.size
 
-    def source_values(self, t: np.ndarray | float, within: float, order: int = 0) -> np.ndarray:
+    def evaluate_source_derivatives(
+        self, t: np.ndarray | float, within: float, order: int = 0
+    ) -> np.ndarray:
         """Evaluate two successive time derivatives of all sources at the times ``t``.
 
         Return an array of shape (2 sources,) for one time, or (2 sources, nt) for ``nt`` times. Its

@@ -109,12 +109,12 @@ def plot_bench(record: Mapping[str, Any]) -> Figure:
     points, best = record["points"], record["recommended"]
     front = sorted(filter(itemgetter("front"), points), key=itemgetter("error"))
     curves = [
-        _plot_settings("settings", points),
-        _plot_settings("front", front, "step"),
-        _plot_settings("the scene as it is", list(filter(itemgetter("own"), points))),
+        _plot_time_versus_error("settings", points),
+        _plot_time_versus_error("front", front, "step"),
+        _plot_time_versus_error("the scene as it is", list(filter(itemgetter("own"), points))),
     ]
     if best is not None:
-        curves.append(_plot_settings("recommended", [best]))
+        curves.append(_plot_time_versus_error("recommended", [best]))
     limit, uncertainty = max(record["limit"], SMALLEST_ERROR), record["reference"]["error"]
     marks = [(limit, f"error {limit:.2g}")]
     if uncertainty > 0.0:
@@ -126,7 +126,9 @@ def plot_bench(record: Mapping[str, Any]) -> Figure:
     return Figure("bench", "Error against time", "Lower left is better.", (panel,))
 
 
-def _plot_settings(label: str, points: Sequence[Mapping[str, Any]], style: str = "o") -> Curve:
+def _plot_time_versus_error(
+    label: str, points: Sequence[Mapping[str, Any]], style: str = "o"
+) -> Curve:
     """Return a curve of the CPU time versus the error for the settings in ``points``."""
     columns = map(itemgetter("error", "time_s", "label"), points)
     error, time, names = zip(*columns, strict=True) if points else ((), (), ())

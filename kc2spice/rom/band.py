@@ -12,7 +12,7 @@ from kc2spice.linalg.factor import require_memory_for_factors
 from kc2spice.rom.constraints import eliminate_algebraic_unknowns
 from kc2spice.rom.pencil import Matrix, Pencil, Schur, absolute_entries, largest_entry, to_dense
 from kc2spice.rom.rigid_body import ENERGY_FACTOR, estimate_energy_rounding
-from kc2spice.rom.rounding import ENERGY_ROUNDING
+from kc2spice.rom.rounding import ZERO_ENTRY_FACTOR
 
 BAND_MODES = 5
 MAX_DENSE_EQUATIONS = 200  # all poles are computed if a model has at most this size
@@ -92,7 +92,7 @@ def compute_elastic_eigenvalues(pencil: Pencil, count: int) -> np.ndarray:
     stiffness, inertia = (absolute_entries(P).diagonal() for P in (K, M))
     top = float((stiffness[inertia > 0] / inertia[inertia > 0]).max(initial=0.0))
     shift = RIGID_SHIFT * top
-    solve = pencil.pencil_solver(-shift).solve
+    solve = pencil.factorise_shifted_stiffness(-shift).solve
     start = solve(np.random.default_rng(0).standard_normal(pencil.size))
     mode_count = count + RIGID_MODES_PLUS_ONE
     while True:
@@ -113,7 +113,7 @@ def _compute_rayleigh_quotients(K: Matrix, M: Matrix, X: np.ndarray) -> np.ndarr
     energy = np.einsum("ij,ij->j", X, K @ X)
     mass = np.einsum("ij,ij->j", X, M @ X)
     noise = (
-        ENERGY_ROUNDING
+        ZERO_ENTRY_FACTOR
         * np.finfo(float).eps
         * np.einsum("ij,ij->j", abs(X), absolute_entries(K) @ abs(X))
     )

@@ -7,7 +7,7 @@ import numpy as np
 from kc2spice.core.errors import SimulationError
 from kc2spice.rom.pencil import Matrix, Pencil, Schur, absolute_entries
 from kc2spice.rom.rigid_body import ENERGY_FACTOR, estimate_energy_rounding
-from kc2spice.rom.rounding import ENERGY_ROUNDING
+from kc2spice.rom.rounding import ZERO_ENTRY_FACTOR
 
 
 def has_definite_form(pencil: Pencil, *, undamped_too: bool = False) -> bool:
@@ -32,7 +32,7 @@ def is_definite(pencil: Pencil, *, undamped_too: bool = False) -> bool:
         return False
     load = np.random.default_rng(0).standard_normal((pencil.size, 1))
     try:
-        x, y = pencil.static_response, pencil.pencil_solver(0.0).solve(load)
+        x, y = pencil.static_response, pencil.factorise_shifted_stiffness(0.0).solve(load)
     except SimulationError:
         return False
     positive = bool((np.einsum("ki,ki->i", x, pencil.B) >= 0).all())
@@ -46,7 +46,7 @@ def _is_unsupported(K: Matrix, y: np.ndarray, load: np.ndarray) -> bool:
     rounding errors can make the stiffness of a free body positive definite.
     """
     size = absolute_entries(K)
-    rounding = ENERGY_ROUNDING * np.finfo(float).eps * np.sum(abs(y) * (size @ abs(y)))
+    rounding = ZERO_ENTRY_FACTOR * np.finfo(float).eps * np.sum(abs(y) * (size @ abs(y)))
     soft = bool(np.sum(y * load) < rounding)
     if not soft or isinstance(K, Schur):
         return soft

@@ -22,7 +22,7 @@ from kc2spice.rom.constraints import eliminate_algebraic_unknowns
 from kc2spice.rom.definite import is_definite
 from kc2spice.rom.first_step import build_intermediate_model
 from kc2spice.rom.linear_model import LinearModel, Norm, make_linear_model
-from kc2spice.rom.modal import Resonators, integrate_roots, resonators, simulate_chip
+from kc2spice.rom.modal import Resonators, integrate_roots, resonators, simulate_resonators
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.reduce import Target, reduce_to
 from kc2spice.rom.reductors.block_krylov import BlockArnoldi, make_krylov_space
@@ -98,7 +98,7 @@ def response(model: LinearModel, t: np.ndarray, load: np.ndarray) -> np.ndarray 
     modal, result = resonators(model), load @ model.D.T
     if modal is not None:
         parts = (_select_modes(modal, rows) for rows in _split_modes(modal.order, t.size))
-        return np.asarray(result + sum(simulate_chip(part, t, load)[0] for part in parts))
+        return np.asarray(result + sum(simulate_resonators(part, t, load)[0] for part in parts))
     try:
         A, B, C, direct = model.state_space()
         poles, T = eig(A)

@@ -35,7 +35,11 @@ from kc2spice.rom.response import (
     drop_points_near_poles,
     grid,
 )
-from kc2spice.rom.rigid_body import find_hidden_support, project_with_rigid_body, split_rigid_body
+from kc2spice.rom.rigid_body import (
+    estimate_hidden_frequency,
+    project_with_rigid_body,
+    split_rigid_body,
+)
 from kc2spice.rom.rounding import (
     CHECKED_RESONANCES,
     TRIAL_FACTOR,
@@ -158,8 +162,8 @@ def _use_full_order(
     """
     original = full
     full, V, static, projected = split_rigid_body(original, 2 * np.pi * band[1])
-    hidden = find_hidden_support(original, V[:, : full.free], band[0]) if static else 0.0
-    T = _compute_undamped_modes(full.without_free_motion) if static else None
+    hidden = estimate_hidden_frequency(original, V[:, : full.free], band[0]) if static else 0.0
+    T = _compute_undamped_modes(full.without_rigid_body_modes) if static else None
     if T is not None:
         V = V @ scipy.linalg.block_diag(np.eye(full.free), T)
         full, projected = project_with_rigid_body(original, V, full.free)

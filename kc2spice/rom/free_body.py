@@ -19,7 +19,7 @@ from kc2spice.linalg.factor import Factor, factorise
 from kc2spice.rom.definite import has_definite_form
 from kc2spice.rom.pencil import Pencil, Schur, absolute_entries
 from kc2spice.rom.rigid_body import estimate_energy_rounding, split_driven_modes
-from kc2spice.rom.rounding import ENERGY_ROUNDING
+from kc2spice.rom.rounding import ZERO_ENTRY_FACTOR
 
 # Shift, relative to the square of the upper band limit [rad/s].
 # With a small shift, the Krylov subspace is accurate, and inverse iteration needs few steps.
@@ -97,7 +97,7 @@ class FreeBody:
         """
         bounds = np.zeros((V.shape[1],) * 2)
         side, count = (
-            ENERGY_ROUNDING * np.finfo(float).eps * (np.abs(V).T @ forces),
+            ZERO_ENTRY_FACTOR * np.finfo(float).eps * (np.abs(V).T @ forces),
             forces.shape[1],
         )
         bounds[:, :count], bounds[:count] = side, side.T
@@ -123,7 +123,7 @@ def find_free_body(pencil: Pencil, omega: float) -> FreeBody | None:
         if not modes.shape[1]:
             return None
         if isinstance(K, Schur):
-            factor = pencil.pencil_solver(-shift)
+            factor = pencil.factorise_shifted_stiffness(-shift)
     except (SimulationError, np.linalg.LinAlgError):
         return None
     return FreeBody(pencil, shift, factor, modes, M @ modes)
@@ -168,7 +168,7 @@ def _bound_elastic_energy(pencil: Pencil, V: np.ndarray) -> np.ndarray:
     """Return bounds (k, k) of the error in ``V'K V`` that rounding errors of K cause."""
     K = pencil.coefficients[0]
     bound = (
-        ENERGY_ROUNDING * np.finfo(float).eps * (np.abs(V).T @ (absolute_entries(K) @ np.abs(V)))
+        ZERO_ENTRY_FACTOR * np.finfo(float).eps * (np.abs(V).T @ (absolute_entries(K) @ np.abs(V)))
     )
     if not isinstance(K, Schur):
         bound = np.minimum(bound, MAX_RIGID_ENERGY * estimate_energy_rounding(K, V))

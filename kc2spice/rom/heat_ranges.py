@@ -48,7 +48,7 @@ from kc2spice.rom.parametric import (
     Values,
     list_exponents,
 )
-from kc2spice.rom.prescribed_flows import FlowReference, drive_unknowns
+from kc2spice.rom.prescribed_flows import FlowReference, make_driven_model
 from kc2spice.rom.ranges import RangeTask, certify_over_ranges, record_facts
 from kc2spice.rom.resonators_over_ranges import interpolate_facts, make_range_error
 from kc2spice.rom.response import Response
@@ -311,7 +311,7 @@ class _Basis:
             raise make_no_congruence_error(model)
         W = small.basis[parts.others][:, n:]
         K, E = (W.T @ (matrix @ W) for matrix in parts.inner.pencil.coefficients)
-        driven = drive_unknowns(model, parts) if ranges.flows else parts.inner
+        driven = make_driven_model(model, parts) if ranges.flows else parts.inner
         _, shapes = transform_to_modal_coordinates(
             LinearModel(E=E, K=K, B=W.T @ driven.B, ports=driven.ports)
         )

@@ -35,7 +35,7 @@ from kc2spice.rom.interface_split import (
     transform_to_modal_coordinates,
 )
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.prescribed_flows import FlowReference, drive_unknowns
+from kc2spice.rom.prescribed_flows import FlowReference, make_driven_model
 from kc2spice.rom.reduce import reduce_model
 
 # largest number of temperature tolerances that are tried to meet the tolerance of heat flows
@@ -112,9 +112,9 @@ def _reduce_driven(
 ) -> LinearModel:
     """Reduce the model of ``T_e``; omit the input ``E_ei T_i'`` if the reduction fails with it."""
     try:
-        return _reduce_definite(drive_unknowns(model, parts), aims)
+        return _reduce_definite(make_driven_model(model, parts), aims)
     except SimulationError:
-        return _reduce_definite(drive_unknowns(model, parts, stored=False), aims)
+        return _reduce_definite(make_driven_model(model, parts, stored=False), aims)
 
 
 def _reduce_parts(

@@ -355,7 +355,7 @@ def _remove_inertia(model: Resonators, count: int) -> Resonators:
 _BLOCK_STEPS = 4096  # number of time steps whose propagators are in memory at the same time
 
 
-def simulate_chip(
+def simulate_resonators(
     model: Resonators, t: np.ndarray, load: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute the outputs and the stored energy of a chip for a given load history.

@@ -76,7 +76,8 @@ class ParallelBranches:
     def linear(self, certificate: Certificate | None = None) -> LinearModel:
         """Convert the network to a linear model.
 
-        The inverse conversion by :func:`parallel_branches` is exact if the network has no lead.
+        The inverse conversion by :func:`recognise_parallel_branches` is exact if the network has no
+        lead.
         """
         branches, capacitance = self.branches, self.capacitance
         if self.lead != IDEAL_LEAD and capacitance > 0:
@@ -94,7 +95,7 @@ class ParallelBranches:
         )
 
 
-def parallel_branches(model: LinearModel) -> ParallelBranches | None:
+def recognise_parallel_branches(model: LinearModel) -> ParallelBranches | None:
     """Return the network that a linear ``model`` describes.
 
     The result is None if the matrices of the model do not have the form of a network.

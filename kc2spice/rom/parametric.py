@@ -347,7 +347,7 @@ def _compute_modes_and_static_responses(pencil: Pencil, band: tuple[float, float
     top, M = 2 * np.pi * band[1], pencil.coefficients[2]
     # K is regular if the body is supported
     square = 0.0 if pencil.factorised else -((top / 3) ** 2)
-    inverse = pencil.pencil_solver(square)
+    inverse = pencil.factorise_shifted_stiffness(square)
     _, V = compute_natural_modes(pencil, MODE_BAND_RATIO * top, square, inverse)
     static_responses = inverse.solve(pencil.B)
     # the basis also contains the derivative of the response with respect to s^2

@@ -360,7 +360,7 @@ class Pencil:
         K = self.coefficients[0]
         return K.is_large if isinstance(K, Schur) else self.size >= QUASI_DEFINITE_UNKNOWNS
 
-    def pencil_solver(self, square: float) -> Factor:
+    def factorise_shifted_stiffness(self, square: float) -> Factor:
         """Return a real factorisation of the matrix ``K - square M``.
 
         Raises
@@ -383,7 +383,7 @@ class Pencil:
         ------
         SimulationError : K is singular, or not positive definite.
         """
-        return np.asarray(self.pencil_solver(0.0).solve(self.B))
+        return np.asarray(self.factorise_shifted_stiffness(0.0).solve(self.B))
 
     def _factorise_stiffness(self) -> Factor:
         matrix, K = scipy.sparse.csc_array(self.bordered(1.0, 0.0, 0.0)), self.coefficients[0]
@@ -447,7 +447,7 @@ class Pencil:
         return self._part(slice(order), min(self.free, order))
 
     @property
-    def without_free_motion(self) -> Pencil:
+    def without_rigid_body_modes(self) -> Pencil:
         """Pencil of this model without rigid-body modes."""
         return self._part(slice(self.free, None), 0)
 

@@ -40,7 +40,7 @@ DECADES = 4.0  # number of decades that the compared frequencies cover, up to th
 REFERENCE_SHARE = 0.01, 0.3
 
 
-def drive_unknowns(
+def make_driven_model(
     model: LinearModel, parts: PrescribedTemperatures, *, stored: bool = True
 ) -> LinearModel:
     """Return the model of the temperatures ``T_e`` with the inputs ``B_e`` and ``-K_ei``.
@@ -122,7 +122,7 @@ def _project_on_responses(
     Return the smaller model, its division, and its error, which is far below the ``tolerance``.
     """
     limits = (share * tolerance for share in REFERENCE_SHARE)
-    space = build_intermediate_model(drive_unknowns(model, parts).pencil, band, *limits)
+    space = build_intermediate_model(make_driven_model(model, parts).pencil, band, *limits)
     assert space.basis is not None  # the basis is None only for small models
     n, at, others = len(parts.at), parts.at, parts.others
     W, _ = np.linalg.qr(np.hstack([space.basis, parts.psi]))

@@ -57,7 +57,7 @@ class Response:
         self, pencil: Pencil, modes: Modes | None = None, zero: np.ndarray | bool = False
     ) -> None:
         self.pencil, self.zero = pencil, zero
-        self.core = pencil.without_free_motion if pencil.has_uncoupled_motion else pencil
+        self.core = pencil.without_rigid_body_modes if pencil.has_uncoupled_motion else pencil
         self._free = pencil.leading_model(pencil.free) if pencil.has_uncoupled_motion else None
         self._prescribed_modes = modes
 

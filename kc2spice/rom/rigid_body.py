@@ -185,7 +185,7 @@ def estimate_energy_rounding(P: Matrix, V: np.ndarray) -> np.ndarray:
     )
 
 
-def find_hidden_support(pencil: Pencil, X: np.ndarray, low: float) -> float:
+def estimate_hidden_frequency(pencil: Pencil, X: np.ndarray, low: float) -> float:
     """Return the frequency [Hz] below which rounding errors hide the resonance of a support.
 
     A support of the rigid-body modes X (n, modes) is hidden if its stiffness is not larger than the

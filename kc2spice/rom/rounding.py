@@ -22,7 +22,7 @@ from kc2spice.rom.response import (
 
 # smallest relative change of a response due to rounding errors that the certificate mentions
 STATED_UNCERTAINTY = 1e-9
-ENERGY_ROUNDING = 100.0  # largest response that counts as zero, relative to its rounding error
+ZERO_ENTRY_FACTOR = 100.0  # largest response that counts as zero, relative to its rounding error
 # the following numbers were found by trials
 ZERO_FREQUENCIES = 50  # number of frequencies at which entries are tested for zero
 ZERO_SHARE = 0.5  # share of the tested frequencies at which a zero entry must be negligible
@@ -111,7 +111,7 @@ def find_zero_entries(
             else pencil.transposed().states(2j * np.pi * f[rows])
         )
         if self_dual or dual is not None:
-            limit = ENERGY_ROUNDING * estimate_rounding_change(pencil, f[rows], V @ x[rows], dual)
+            limit = ZERO_ENTRY_FACTOR * estimate_rounding_change(pencil, f[rows], V @ x[rows], dual)
             negligible[rows] |= (np.abs(H[rows]) <= limit) & suspect
     return np.asarray(negligible.all(axis=0))
 

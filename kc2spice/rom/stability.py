@@ -106,7 +106,8 @@ def _compute_poles(pencil: Pencil, omega: float) -> np.ndarray:
         return pencil.poles(omega)
     return np.asarray(
         np.r_[
-            result.leading_model(result.free).poles(omega), result.without_free_motion.poles(omega)
+            result.leading_model(result.free).poles(omega),
+            result.without_rigid_body_modes.poles(omega),
         ]
     )
 

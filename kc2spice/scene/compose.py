@@ -57,7 +57,7 @@ def with_joins(scene: Scene) -> Scene:
     return replace(scene, joins=joins)
 
 
-def with_rests(scene: Scene) -> Scene:
+def with_equilibrium_conditions(scene: Scene) -> Scene:
     """Return the scene with the equilibrium conditions of all parts."""
     records = {}
     for name, record in scene.records.items():
@@ -85,7 +85,7 @@ def _with_nets(scene: Scene) -> Scene:
     groups = union.list_groups()
     for net in groups:
         _require_one_kind(net, scene)
-    scene = with_rests(replace(scene, nets=_name_nets(groups, scene)))
+    scene = with_equilibrium_conditions(replace(scene, nets=_name_nets(groups, scene)))
     scene = _with_inner_names(scene)
     _require_joined_pins(scene, {net[0] for net in groups if len(net) == 1})
     _require_one_output_per_net(scene)

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from kc2spice.scene.compose import join_parts, with_rests
+from kc2spice.scene.compose import join_parts, with_equilibrium_conditions
 from kc2spice.scene.model import Build, BuildRecord, NameAllocator, Part, PartRecord, Scene
 from kc2spice.scene.part_records import Governed, Numerics, State
 from kc2spice.scene.results import collect_results, find_noise_output, resolve_dc_sweep
@@ -170,7 +170,7 @@ def with_numerics(scene: Scene) -> Scene:
 
 def resolve_again(scene: Scene) -> Scene:
     """Return the scene with new records after a change of keys; nets are unchanged."""
-    return with_numerics(with_rests(with_governed(scene)))
+    return with_numerics(with_equilibrium_conditions(with_governed(scene)))
 
 
 def name_subcircuits(scene: Scene) -> dict[str, str]:

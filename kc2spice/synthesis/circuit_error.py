@@ -78,7 +78,7 @@ def estimate_circuit_error(
     circuit_response = CircuitResponse(NodalCircuit(circuit), tuple(pins), model, values or {})
     exact = (DirectResponse if is_heat_model(model) else Response)(model.pencil.dense())
     frequency = _select_frequencies(exact, band, circuit_response.unknowns)
-    relative = _RelativeError(circuit_response, exact, norm)
+    relative = _RelativeErrorFunction(circuit_response, exact, norm)
     error = relative(frequency)
     if circuit_response.unknowns**2 * len(frequency) < MAX_WORK:
         top = np.argsort(error)[-REFINED_PEAKS:]
@@ -187,7 +187,7 @@ def reaction_mass(model: LinearModel, port: Port) -> float:
 
 
 @dataclass
-class _RelativeError:
+class _RelativeErrorFunction:
     """Function that returns the relative error of a circuit at each of several frequencies [Hz].
 
     The first call determines the peaks of the response, to which the errors of all calls are

@@ -23,7 +23,7 @@ from kc2spice.netlist.library import Header, ReductionSummary, Subcircuit
 from kc2spice.netlist.spelling import format_comment
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.modal import Resonators, resonators
-from kc2spice.rom.network import ParallelBranches, parallel_branches
+from kc2spice.rom.network import ParallelBranches, recognise_parallel_branches
 from kc2spice.synthesis.branches import NETWORK_COMMENT, branch_cards
 from kc2spice.synthesis.circuit_error import accelerates_frame, estimate_circuit_error
 from kc2spice.synthesis.header import (
@@ -160,7 +160,7 @@ def subcircuit(
         header = Header(rom.name, digest.hexdigest()[:16])
     if ports is not None:
         rom = rom.select(list(ports))
-    network = None if dense else parallel_branches(rom)
+    network = None if dense else recognise_parallel_branches(rom)
     if heat and (network is not None or is_heat_model(rom)):
         raise _make_unknown_losses_error(
             name, "a heat model, or the network of a measured response"

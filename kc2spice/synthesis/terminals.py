@@ -386,7 +386,7 @@ class OutputLaws:
         if t.row is None:
             return t
         if t.is_frame:
-            return self._connect_frame(t)
+            return self._make_acceleration_terminal(t)
         row, direct = self.states.C[t.row], self.D[t.row] / t.unit
         if t.port.charged:  # a capacitor, not a source, represents the clamped capacitance
             direct = np.where(np.abs(direct) > CROSS_ROUNDING * np.abs(direct).max(), direct, 0.0)
@@ -395,7 +395,7 @@ class OutputLaws:
                 return self._connect_unclamped(t, direct)
         return replace(t, sums=self._weigh_states(row), through=self._weigh_inputs_only(direct))
 
-    def _connect_frame(self, t: PortTerminal) -> PortTerminal:
+    def _make_acceleration_terminal(self, t: PortTerminal) -> PortTerminal:
         """Return the terminal of an acceleration port with the sources of the port's force."""
         row, states = self.states.C[t.row], self.states
         jump = np.abs(row @ states.B) > NEGLIGIBLE_JUMP * (np.abs(row) @ np.abs(states.B))

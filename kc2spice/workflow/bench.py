@@ -154,7 +154,7 @@ class _SettingSearch:
         else:
             self.points[label] = _TimedRun(combination, settings, run, errors, [run.cpu_s])
 
-    def setting_errors(self, setting: NumericalSetting, steps: float) -> Errors:
+    def metric_errors_of_setting(self, setting: NumericalSetting, steps: float) -> Errors:
         """Return the error of each metric that one value of a setting causes.
 
         All other settings are those of the unchanged scene. The errors of a value are at least the
@@ -163,7 +163,9 @@ class _SettingSearch:
         if (setting.name, steps) not in self.errors_by_setting:
             finer = REFINEMENT_STEPS[bisect_right(REFINEMENT_STEPS, steps) :]
             result = (
-                self.setting_errors(setting, finer[0]) if finer else dict.fromkeys(self.names, 0.0)
+                self.metric_errors_of_setting(setting, finer[0])
+                if finer
+                else dict.fromkeys(self.names, 0.0)
             )
             change = dict.fromkeys(self.names, np.inf)
             if (
@@ -182,7 +184,7 @@ class _SettingSearch:
         The sum is computed for each metric; the result is the largest of these sums.
         """
         errors = [
-            *map(self.setting_errors, self.varied_settings, point.combination),
+            *map(self.metric_errors_of_setting, self.varied_settings, point.combination),
             self.unrefined_errors,
         ]
         return max(sum(map(itemgetter(name), errors)) for name in self.names)

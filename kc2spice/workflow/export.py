@@ -15,7 +15,7 @@ from kc2spice.netlist.printers.dialect_registry import (
     dialect_names,
     unknown_dialect_error,
 )
-from kc2spice.netlist.printers.plot_script import write_plot_script
+from kc2spice.netlist.printers.plot_script import format_plot_script
 from kc2spice.netlist.transforms import make_array_deck
 from kc2spice.netlist.translate import write_dialect_files, write_symbol_files
 from kc2spice.parts.bodies._body_model import reduction_target
@@ -66,7 +66,7 @@ def export_scene(
             if count is not None:
                 deck = make_array_deck(deck, count)
             files = write_dialect_files(deck, dialect)
-            files |= write_plot_script(deck) if dialect == "ngspice" else {}
+            files |= format_plot_script(deck) if dialect == "ngspice" else {}
             files |= write_symbol_files(deck, dialect) if count is None else {}
             protect_other_decks(Path(out), files)
             write_files(files, work)

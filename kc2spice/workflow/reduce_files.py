@@ -35,7 +35,7 @@ from kc2spice.netlist.deck import Deck, ac_command
 from kc2spice.netlist.elements import add_title
 from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.printers.dialect_registry import dialect_names, unknown_dialect_error
-from kc2spice.netlist.printers.plot_script import write_plot_script
+from kc2spice.netlist.printers.plot_script import format_plot_script
 from kc2spice.netlist.translate import write_dialect_files, write_symbol_files
 from kc2spice.parts.bodies._body_model import full_model_without_scene, scene_band
 from kc2spice.parts.bodies._linear_body import LinearBody
@@ -656,7 +656,7 @@ def export_rom(
     deck = make_example_deck(reduced, part)
     directory = Path(part.name) if out is None else Path(out)
     files = write_dialect_files(deck, dialect) | write_symbol_files(deck, dialect)
-    files |= write_plot_script(deck) if dialect == "ngspice" else {}
+    files |= format_plot_script(deck) if dialect == "ngspice" else {}
     with stage_directory(directory) as work:
         protect_other_decks(directory, files)
         write_files(files, work)

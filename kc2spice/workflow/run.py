@@ -14,7 +14,7 @@ from kc2spice.core.figure import Figure, FileWriter
 from kc2spice.core.files import stage_directory
 from kc2spice.core.progress import Clock, Progress, ignore_progress
 from kc2spice.core.waveforms import write_record, write_waveforms
-from kc2spice.netlist.printers.plot_script import write_plot_script
+from kc2spice.netlist.printers.plot_script import format_plot_script
 from kc2spice.report.figures import write_pngs
 from kc2spice.report.probe_figure import plot_probes
 from kc2spice.report.run_page import write_run
@@ -223,7 +223,7 @@ def write_run_files(
     with clock.time_stage("report", "metrics and page"):
         record = dict(done.record)
         record["wall_s"] = clock.wall_s
-        texts = deck.files | write_plot_script(deck)
+        texts = deck.files | format_plot_script(deck)
         write_files(texts, work)
         files, figures = [*sorted(texts), *write_waveforms(waves, deck.units, work)], done.figures
         for item in done.page_items:

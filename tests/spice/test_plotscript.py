@@ -5,13 +5,13 @@ import subprocess
 
 import pytest
 from device import deck_of
-from support import load_scene, write_files, write_plot_script
+from support import format_plot_script, load_scene, write_files
 
 
 @pytest.mark.parametrize("name", ["impact", "harmonic"])
 def test_every_curve_of_the_command_file_is_drawn(name, model, table, tmp_path):
     deck = deck_of(load_scene(name), model, table)
-    ((file, text),) = write_plot_script(deck).items()
+    ((file, text),) = format_plot_script(deck).items()
     assert f"ngspice {file}" in deck.files[deck.main]
     plots = re.findall(r"(?m)^plot (.*)$", text)
     assert plots

@@ -14,9 +14,9 @@ from support import (
     fit_multiport,
     is_measured,
     make_example_deck,
-    parallel_branches,
     read_measured,
     read_rom,
+    recognise_parallel_branches,
     reduce_file,
 )
 
@@ -155,7 +155,7 @@ def test_a_measurement_becomes_a_circuit_within_its_stated_deviation(tmp_path):
     assert np.abs(rom.transfer(F)[:, 0, 0] * 1j * W / Y - 1).max() == pytest.approx(
         found["error_estimate"], rel=1e-6
     )
-    branches = [b for b in parallel_branches(rom).branches if b.inductance > 0]
+    branches = [b for b in recognise_parallel_branches(rom).branches if b.inductance > 0]
     peaks = [np.sqrt(b.elastance / b.inductance) / (2 * np.pi) for b in branches]
     assert peaks == pytest.approx([52e3, 66e3], rel=2e-4)
     deck = make_example_deck(rom, kc.subcircuit(rom, "part"))

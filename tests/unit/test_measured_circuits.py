@@ -14,10 +14,10 @@ from support import (
     ac_command,
     fit_one_port,
     make_example_deck,
-    parallel_branches,
     parse_expression,
     read_measured,
     read_rom,
+    recognise_parallel_branches,
     reduce_file,
 )
 
@@ -58,7 +58,7 @@ def resonance(span, coupling, quality):
 def require_one_resonance(span, coupling, quality):
     f, Y, (R, L, C) = resonance(span, coupling, quality)
     model, _ = fit_one_port(f, Y, NOISE)
-    network = parallel_branches(model)
+    network = recognise_parallel_branches(model)
     assert len(network.branches) == 1
     branch = network.branches[0]
     assert np.abs(network.admittance(f) / Y - 1).max() < 3 * RMS + 1e-3
@@ -118,7 +118,7 @@ def test_a_coil_conducts_below_its_band(tmp_path):
     model = read_rom(found["rom"])
     f = np.array([0.1, 2.0, 20.0, 200.0, 2000.0])
     assert np.abs(simulated(model, f) / coil(f) - 1).max() < 2e-3
-    assert 1 / parallel_branches(model).conductance == pytest.approx(0.08, rel=1e-3)
+    assert 1 / recognise_parallel_branches(model).conductance == pytest.approx(0.08, rel=1e-3)
     library = kc.subcircuit(model, "coil").text
     cards = re.findall(r"^[RLCGEV].*", library, re.M)
     assert len(cards) == 6  # a resistor and an inductor of each branch, all positive
@@ -129,7 +129,7 @@ def test_resistance_at_zero_frequency_is_that_of_the_user(tmp_path):
     path = coil_file(tmp_path / "coil.csv")
     for text, resistance in (("80 mOhm", 0.08), (0.0799, 0.0799)):
         found = reduce_file(path, tmp_path / "out", dc=text)
-        network = parallel_branches(read_rom(found["rom"]))
+        network = recognise_parallel_branches(read_rom(found["rom"]))
         assert 1 / network.conductance == pytest.approx(resistance, rel=1e-6)
     for text in ("-3 Ohm", "0 Ohm", "80 mH", "nothing"):
         with pytest.raises(kc.errors.UsageError, match="--dc"):
@@ -141,12 +141,12 @@ def test_a_resistor_beside_a_capacitor_conducts(tmp_path):
     f = np.geomspace(1, 1e6, 100)
     Y = 1 / 110 + 2j * np.pi * f * 10e-9
     model, left = fit_one_port(f, Y, 1e-6)
-    network = parallel_branches(model)
+    network = recognise_parallel_branches(model)
     assert left < 1e-9
     assert network.capacitance == pytest.approx(10e-9, rel=1e-6)
     assert 1 / network.conductance == pytest.approx(110, rel=1e-6)
     blocked, _ = fit_one_port(f, Y, 1e-6, 0.0)
-    assert parallel_branches(blocked).conductance == 0
+    assert recognise_parallel_branches(blocked).conductance == 0
 
 
 @pytest.mark.filterwarnings("error")
@@ -156,7 +156,7 @@ def test_an_electrochemical_cell_conducts_without_a_warning():
     Z = 10 + 100 / (1 + 2j * np.pi * f * 1e-3)
     noise = np.random.default_rng(0).standard_normal((2, f.size))
     model, _ = fit_one_port(f, 1 / (Z * (1 + NOISE * (noise[0] + 1j * noise[1]))), NOISE)
-    assert 1 / parallel_branches(model).conductance == pytest.approx(110, rel=1e-3)
+    assert 1 / recognise_parallel_branches(model).conductance == pytest.approx(110, rel=1e-3)
     assert np.abs(2j * np.pi * f * model.transfer(f)[:, 0, 0] * Z - 1).max() < 2 * NOISE
 
 
@@ -167,7 +167,7 @@ def test_a_capacitor_blocks_and_its_leak_is_below_its_error(tmp_path):
     Y = s * 20e-12 + 1 / (1e9 + 1 / (s * 1e-9))
     model, left = fit_one_port(f, Y, 1e-6)
     assert left < 1e-6
-    assert parallel_branches(model).conductance == 0
+    assert recognise_parallel_branches(model).conductance == 0
     assert np.abs(simulated(model, f[::20]) * Y[::20] - 1).max() < 2e-6
     text = kc.subcircuit(model, "sensor").text
     leak = float(parse_expression(re.search(r"^Rleak \S+ \S+ (\S+)", text, re.M)[1]).text)
@@ -228,7 +228,7 @@ def test_leads_are_elements_of_the_circuit(circuit):
     """Leads took 16 to 38 branches; ngspice answers as the closed form does."""
     f, order, R, L = LEADS[circuit]
     model, left = fit_one_port(f, circuit(f), 1e-9)
-    network = parallel_branches(model)
+    network = recognise_parallel_branches(model)
     assert model.order == order
     assert left < 1e-9
     assert network.lead.resistance == pytest.approx(R, rel=1e-6)
@@ -309,7 +309,7 @@ def test_a_lead_is_a_part_of_the_stated_direct_current():
     f = np.geomspace(1e3, 1e6, 100)
     Y = behind_lead(f, 0.1 + 2j * np.pi * f * 1e-6, 3.0)
     model, _ = fit_one_port(f, Y, 1e-6, 1 / 13.1)
-    assert 1 / parallel_branches(model).conductance == pytest.approx(13.1, rel=1e-6)
+    assert 1 / recognise_parallel_branches(model).conductance == pytest.approx(13.1, rel=1e-6)
 
 
 @pytest.mark.campaign
@@ -336,7 +336,7 @@ def test_every_circuit_behind_leads_has_its_number_of_resonances(seed, noise):
     model, _ = fit_one_port(
         f, behind_lead(f, Y, R, L) * (1 + noise * (draw[0] + 1j * draw[1])), noise
     )
-    network = parallel_branches(model)
+    network = recognise_parallel_branches(model)
     assert len(network.branches) == count
     assert network.lead.resistance == pytest.approx(R, rel=0.05)
 
@@ -345,8 +345,8 @@ def test_branches_survive_their_file(tmp_path):
     """Matrices of the model are R, L and 1/C to the bit."""
     f, Y, _ = resonance("wide", 0.2, 100)
     model, _ = fit_one_port(f, Y, NOISE)
-    network = parallel_branches(model)
-    again = parallel_branches(network.linear(model.certificate))
+    network = recognise_parallel_branches(model)
+    again = recognise_parallel_branches(network.linear(model.certificate))
     assert again == network
     assert 2j * np.pi * f * model.transfer(f)[:, 0, 0] == pytest.approx(network.admittance(f))
     for capacitance in (0.0, 2e-9):
@@ -357,7 +357,7 @@ def test_branches_survive_their_file(tmp_path):
         )
         network = ParallelBranches(capacitance, branches, CircuitBranch(5.0, 1e-6))
         model = network.linear()
-        again = parallel_branches(model)
+        again = recognise_parallel_branches(model)
         for branch, other in zip(branches, again.branches, strict=True):
             assert astuple(other) == pytest.approx(astuple(branch), rel=1e-12)
         assert (again.capacitance, again.lead) == (pytest.approx(capacitance), network.lead)

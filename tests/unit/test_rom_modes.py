@@ -11,7 +11,7 @@ from support import (
     Port,
     Resonators,
     make_highest_modes_massless,
-    simulate_chip,
+    simulate_resonators,
     tabulate_modes,
 )
 
@@ -43,7 +43,7 @@ def test_modes_respond_to_piecewise_linear_loads(name):
         damp = 2 * RATIOS[name] * omega
         model = Resonators(np.array([omega]), np.array([damp]), np.array([[3.0]]),
                            np.array([[2.0]]), (TIP,), None)  # fmt: skip
-        output, energy = simulate_chip(model, t, load[:, None])
+        output, energy = simulate_resonators(model, t, load[:, None])
         system = StateSpace([[0, 1], [-(omega**2), -damp]], [[0], [3]], [[1, 0]], [[0]])
         _, _, states = lsim(system, load, t, X0=[3 * load[0] / omega**2, 0])
         size = abs(states[:, 0]).max()

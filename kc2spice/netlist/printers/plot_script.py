@@ -10,7 +10,7 @@ _PLOT_PREFIXES = {1e-6: "u", 1e-3: "m", 1.0: ""}
 _PLOT_AXES = {"tran": "", "ac": " xlog", "dc": "", "noise": " loglog"}
 
 
-def write_plot_script(deck: Deck) -> dict[str, str]:
+def format_plot_script(deck: Deck) -> dict[str, str]:
     """Return the plot script of a deck as ``{"NAME_plot.sp": text}``.
 
     The script opens one window for each unit of the results. The result is empty if the deck has no

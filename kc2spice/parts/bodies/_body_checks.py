@@ -26,7 +26,7 @@ from kc2spice.parts.bodies._body_ports import (
 )
 from kc2spice.parts.bodies._linear_keys import LinearKeysT
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
-from kc2spice.rom.modal import resonators, simulate_chip
+from kc2spice.rom.modal import resonators, simulate_resonators
 from kc2spice.rom.stability import prove_stability
 from kc2spice.scene.checks import Balance, Check
 from kc2spice.scene.model import Build, Part
@@ -302,7 +302,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         if len(loads) < len(model.ports):
             return None
         inputs = np.column_stack([*map(loads.__getitem__, list_names(model.ports))])
-        outputs, stored = simulate_chip(model, t, inputs)
+        outputs, stored = simulate_resonators(model, t, inputs)
         entries: dict[str, float] = {}
         answers: dict[str, tuple[np.ndarray, np.ndarray]] = {}
         gap, damped = np.zeros(t.size), stored[0] - stored

@@ -319,7 +319,9 @@ class PiezoStack(MeshedBody[Stack]):
         """
         return THROWING_WEIGHTS if _moves_down_first(part) else super().weights(part, scene)
 
-    def penetrations(self, part: Part[Stack], scene: GovernedScene) -> Iterator[LargestIndentation]:
+    def largest_indentations(
+        self, part: Part[Stack], scene: GovernedScene
+    ) -> Iterator[LargestIndentation]:
         """Yield the largest dynamic stroke of the chip, an upper bound of an indentation."""
         voltage = highest_voltage(part, scene)
         if voltage:

@@ -96,7 +96,7 @@ class Push(TouchablePart[PushKeys]):
             "depth": SweptSource(f"V{part.name}", -DISPLACEMENT.per_unit, (0.0, part.keys.depth))
         }
 
-    def penetrations(
+    def largest_indentations(
         self, part: Part[PushKeys], scene: GovernedScene
     ) -> Iterator[LargestIndentation]:
         """Yield the prescribed depth, which is the largest indentation of the contact."""

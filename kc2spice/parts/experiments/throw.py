@@ -78,7 +78,7 @@ class Throw(_touching.TouchablePart[ThrowKeys]):
         speed = max(1e-3, _compute_impact_speed(part, scene))
         yield Numerics(f"impact at {speed:.3g} m/s", chgtol=min(1.0, speed))
 
-    def penetrations(
+    def largest_indentations(
         self, part: Part[ThrowKeys], scene: GovernedScene
     ) -> Iterator[_touching.LargestIndentation]:
         """Yield the largest indentation of the contact at the impact speed."""

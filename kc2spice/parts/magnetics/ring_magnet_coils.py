@@ -302,7 +302,9 @@ class RingMagnetCoils(TouchablePart[Coils]):
         long = "field and force fall off with the fourth power of the distance"
         yield from check_range(f"{name}.air_radius", keys.air_radius, "m", 1e-4, 1.0, long)
 
-    def penetrations(self, part: Part[Coils], scene: GovernedScene) -> Iterator[LargestIndentation]:
+    def largest_indentations(
+        self, part: Part[Coils], scene: GovernedScene
+    ) -> Iterator[LargestIndentation]:
         """Yield the indentation that the sphere causes after a fall from the table's upper end."""
         sphere = find_sphere(part, scene)
         drop = 2 * scene.gravity * (part.keys.y_max - sphere.keys.radius)

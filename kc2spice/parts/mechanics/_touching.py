@@ -112,7 +112,9 @@ class TouchablePart(PartType[KeysT]):
         """Return the contact surface of the part; None if it has none."""
         return None
 
-    def penetrations(self, part: Part[KeysT], scene: GovernedScene) -> Iterable[LargestIndentation]:
+    def largest_indentations(
+        self, part: Part[KeysT], scene: GovernedScene
+    ) -> Iterable[LargestIndentation]:
         """Return the largest indentations that the part can cause in the scene's contacts."""
         return ()
 
@@ -233,7 +235,7 @@ class ContactPair:
         result = [LargestIndentation(0.0, "its weight")]
         for part in able:
             if isinstance(part.type, TouchablePart):
-                result += part.type.penetrations(part, self.scene)
+                result += part.type.largest_indentations(part, self.scene)
         return max(result, key=lambda item: item.depth)
 
     @property

@@ -78,7 +78,7 @@ class BlockKrylov(Reductor):
 def make_krylov_space(pencil: Pencil) -> BlockArnoldi:
     """Return the block Krylov subspace of a definite model at zero frequency."""
     K, _, M = pencil.coefficients
-    solve = pencil.pencil_solver(0.0).solve
+    solve = pencil.factorise_shifted_stiffness(0.0).solve
     return BlockArnoldi(lambda v: K @ v, solve, lambda v: M @ v, pencil.B)
 
 

@@ -23,7 +23,7 @@ from kc2spice.rom.pencil import GrowingProjection, Pencil
 from kc2spice.rom.reductors.block_krylov import Operator, OrthonormalBasis
 from kc2spice.rom.reductors.rational_krylov import CONFIRMATIONS, MAX_VECTORS
 from kc2spice.rom.response import GRID_FREQUENCIES, Response, sample_band
-from kc2spice.rom.rigid_body import find_hidden_support
+from kc2spice.rom.rigid_body import estimate_hidden_frequency
 from kc2spice.rom.rounding import add_rounding_floor, estimate_removed_stiffness, find_zero_entries
 
 # Largest number of blocks at the expansion point zero and at a shift, found by trials.
@@ -63,7 +63,7 @@ def reduce_definite_model(
     K, _, M = pencil.coefficients
     projection = GrowingProjection(pencil)
     if body is None:
-        solve: Operator = pencil.pencil_solver(0.0).solve
+        solve: Operator = pencil.factorise_shifted_stiffness(0.0).solve
         space = OrthonormalBasis(partial(operator.matmul, K), pencil.size)
         candidates = pencil.static_response
     else:
@@ -103,7 +103,7 @@ def reduce_definite_model(
                 response, change, True, proof, basis=basis, points=tuple(used)
             )
             if small.free:
-                hidden = find_hidden_support(pencil, basis[:, : small.free], band[0])
+                hidden = estimate_hidden_frequency(pencil, basis[:, : small.free], band[0])
                 floor = estimate_removed_stiffness(projection.pencil, small, band)
                 result = replace(result, floor=floor, hidden=hidden)
             return add_rounding_floor(pencil, basis, band, result, target)
@@ -121,6 +121,6 @@ def reduce_definite_model(
         used.append(worst)
         blocks = BLOCKS_AT_SHIFT - 1
         require_memory_for_factors(pencil.bordered(1.0, 1.0, 1.0))
-        solve = pencil.pencil_solver((2 * np.pi * worst) ** 2).solve
+        solve = pencil.factorise_shifted_stiffness((2 * np.pi * worst) ** 2).solve
         candidates = solve(pencil.B)
     raise make_no_convergence_error(response, band, change, limit)

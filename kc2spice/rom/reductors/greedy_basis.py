@@ -22,7 +22,7 @@ from kc2spice.rom.reductors.block_krylov import DEFLATION_LIMIT
 from kc2spice.rom.reductors.exact_samples import split_real_parts
 from kc2spice.rom.response import Response, sample_band
 from kc2spice.rom.rigid_body import ENERGY_FACTOR, estimate_energy_rounding, split_rigid_body
-from kc2spice.rom.rounding import ENERGY_ROUNDING, find_zero_entries
+from kc2spice.rom.rounding import ZERO_ENTRY_FACTOR, find_zero_entries
 
 # Largest residual of K x = B, relative to B, for which a model counts as supported.
 # The matrix K of an unsupported model is singular.
@@ -163,13 +163,13 @@ class GreedyBasis:
         """
         V, coefficients = self.modal_basis, self.pencil.coefficients
         sizes, eps = list(map(absolute_entries, coefficients)), np.finfo(float).eps
-        bound = ENERGY_ROUNDING * eps * (np.abs(V).T @ (sizes[0] @ np.abs(V)))
+        bound = ZERO_ENTRY_FACTOR * eps * (np.abs(V).T @ (sizes[0] @ np.abs(V)))
         energies = np.abs(np.diag(small.coefficients[0]))
         if (energies > np.diag(bound)).all():
             return small, np.eye(small.size)
         if not isinstance(coefficients[0], Schur):
             bound = np.minimum(bound, ENERGY_FACTOR * estimate_energy_rounding(coefficients[0], V))
-        others = [ENERGY_ROUNDING * eps * (np.abs(V).T @ (P @ np.abs(V))) for P in sizes[1:]]
+        others = [ZERO_ENTRY_FACTOR * eps * (np.abs(V).T @ (P @ np.abs(V))) for P in sizes[1:]]
         result = split_rigid_body(small, 2 * np.pi * self.band[1], (bound, *others))
         if result.pencil.degree != small.degree or (self.static and result.pencil.free):
             return small, np.eye(small.size)

@@ -117,7 +117,7 @@ class OptimalModels(ReducedBasis):
         if count <= 0:
             return self.pencil.leading_model(order)
         full, omega = self.task.first_order, 2 * np.pi * self.task.band[1]
-        balanced = self.pencil.without_free_motion.leading_model(count)
+        balanced = self.pencil.without_rigid_body_modes.leading_model(count)
         rest, inertia = balanced.coefficients
         reduced = Pencil((rest / omega, inertia), balanced.B / omega, balanced.C, balanced.D)
         former, change = np.full(count, np.inf, dtype=complex), np.inf

@@ -15,7 +15,7 @@ from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.reduced_basis import ReducedBasis, Task
 from kc2spice.rom.reductors.base import Reductor
 from kc2spice.rom.reductors.greedy_basis import GreedyBasis
-from kc2spice.rom.rigid_body import find_hidden_support
+from kc2spice.rom.rigid_body import estimate_hidden_frequency
 from kc2spice.rom.rounding import add_rounding_floor, estimate_removed_stiffness
 
 # limits of the computing time, found by trials; the method fails beyond these limits
@@ -154,7 +154,7 @@ def reduce_by_rational_krylov(
     proof = f"compared with the full model at {search.points} frequencies"
     small = search.response.pencil
     floor = estimate_removed_stiffness(search.projected, small, band) if small.free else 0.0
-    hidden = find_hidden_support(pencil, search.modal_basis[:, : small.free], band[0])
+    hidden = estimate_hidden_frequency(pencil, search.modal_basis[:, : small.free], band[0])
     static = search.static or small.free > 0
     result = IntermediateModel(
         search.response, worst, static, proof, floor, hidden=hidden,

@@ -61,7 +61,7 @@ class ResponsePod(Reductor):
         """Return the basis of static responses and of principal directions of all snapshots."""
         core, free = task.core, task.core.free
         energy = _compute_energy_basis(
-            core.without_free_motion, 2 * np.pi * task.band[1], task.intermediate.static
+            core.without_rigid_body_modes, 2 * np.pi * task.band[1], task.intermediate.static
         )
         response = Response(core.project(scipy.linalg.block_diag(np.eye(free), energy)))
         static = _compute_static_responses(task, response)

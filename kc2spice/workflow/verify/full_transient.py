@@ -228,7 +228,7 @@ def _reconstruct_state(
     algebraic = ~(system.rated.any(axis=1) | system.direct.any(axis=1))
     recorded = np.array([not name.endswith(".through") for name in system.names]) & algebraic
     now, names = system.now[recorded], np.array(system.names)[recorded].tolist()
-    A, drives = now[:, : z.size], system.source_values(t, t)
+    A, drives = now[:, : z.size], system.evaluate_source_derivatives(t, t)
     b = np.array(list(map(wave, names))) - now[:, z.size :] @ drives
     level = np.abs(A).max(axis=1)
     A, b = A[level > 0] / level[level > 0, None], b[level > 0] / level[level > 0]
