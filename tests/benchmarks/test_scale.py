@@ -36,6 +36,7 @@ def test_reference_solutions_agree_with_direct_ones(shift, massless):
 
 
 @pytest.mark.slow
+@pytest.mark.campaign
 def test_bodies_of_all_kinds_are_measured_with_their_true_errors(tmp_path):
     """The true errors are below the error estimates, which are below the tolerance."""
     text = python(tmp_path, "-m", "bench.scale", "--quick")

@@ -113,7 +113,8 @@ def test_imprint_is_verified_three_ways_and_a_missed_gate_is_exit_code_4(tmp_pat
 
 
 QUICK = {"comb_resonator"}  # a scene that the quick run verifies
-LONG = {"pwm_coil"}  # thousands of switched cycles, about ten minutes
+# pwm_coil has thousands of switched cycles; three_cycles repeats the verified kick_and_catch
+LONG = {"pwm_coil", "three_cycles"}
 
 
 def choose_marks(name):
