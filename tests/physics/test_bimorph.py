@@ -64,7 +64,7 @@ def test_positive_voltage_lifts_the_tip_of_a_unimorph_either_way_up():
 
 
 def test_bad_keys():
-    with pytest.raises(UsageError, match="wiring needs a piezoelectric layer"):
+    with pytest.raises(UsageError, match="`wiring` needs a piezoelectric layer"):
         make_bimorph_blocks(bimorph(("steel", 1e-3), length=1e-2, width=1e-3, wiring="series"))
     with pytest.raises(UsageError, match="this material does not exist"):
         make_bimorph_blocks(bimorph(("unobtainium", 1e-3), length=1e-2, width=1e-3))
