@@ -87,24 +87,25 @@ def build_scope(tree: Circuit, files: Mapping[str, Circuit] | None = None, file:
     the message contains file and line.
     """
     top, files = Scope(""), files or {}
-    for include in _fill_scope(top, tree, (file,), files):
-        written = include.argument
-        got = written or "no file name"
-        hint = did_you_mean(written, files) or f"copy {got} beside the netlist"
-        expected = "one of " + ", ".join(sorted(set(files) - {file}))
+    for include, chain in _fill_scope(top, tree, (file,), files):
+        others = sorted(set(files) - set(chain))  # an including file would be circular
+        got = include.argument or "no file name"
+        hint = did_you_mean(include.argument, others) or f"copy {got} beside the netlist"
+        expected = f"one of {', '.join(others)}" if others else None
         raise include.error("included file is not there", got, expected, hint)
     return top
 
 
 def _fill_scope(
     scope: Scope, tree: Circuit, chain: tuple[str, ...], files: Mapping[str, Circuit]
-) -> list[Directive]:
+) -> list[tuple[Directive, tuple[str, ...]]]:
     """Add the cards of a circuit, and of its included files, to ``scope``.
 
     ``chain`` contains the files from the main file to the file of the circuit. Each file in it
-    includes the next file. The result contains the includes whose file is not in ``files``.
+    includes the next file. The result contains each include whose file is not in ``files``,
+    with its chain.
     """
-    missing: list[Directive] = []
+    missing: list[tuple[Directive, tuple[str, ...]]] = []
     for item in tree.items:
         match item:
             case Element(kind, name):
@@ -129,7 +130,7 @@ def _fill_scope(
                 if target in files:
                     missing += _fill_scope(scope, files[target], (*chain, target), files)
                 else:
-                    missing.append(item)
+                    missing.append((item, chain))
             case Directive(".control" | ".end"):
                 pass
             case Parameters(values):

@@ -100,6 +100,15 @@ def test_wrong_wiring_is_named(cards, message, where):
     assert "test.cir:" in str(caught.value)
 
 
+def test_a_missing_include_suggests_no_file_that_includes_it():
+    text = "* title\n.include divider.lib\n.end\n"
+    more = {"divider.lib": ".include divider2.lib\n", "op.inc": "* nothing\n"}
+    with pytest.raises(UsageError, match="included file is not there") as caught:
+        require_valid_wiring(Deck(name="test", text=text, more=more))
+    assert caught.value.expected == "one of op.inc"
+    assert caught.value.hint == "copy divider2.lib beside the netlist"
+
+
 @pytest.mark.parametrize(
     ("cards", "message"),
     [
