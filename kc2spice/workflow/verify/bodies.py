@@ -76,7 +76,7 @@ def verify_body(
         at = _select_frequencies(rom, at, min(count, FULL_FREQUENCIES))
         with clock.time_stage("full model", f"{part.name} at {at.size} frequencies"):
             exact = _solve_full_response(part, build, full, at)
-        error = _check_against_full_model(part.name, rom, full, at, exact, given, findings)
+            error = _check_against_full_model(part.name, rom, full, at, exact, given, findings)
         errors["rom_vs_fom"] = error
         curves[f"{part.name}: full model"] = _label_waves(at, exact, rom)
     else:
