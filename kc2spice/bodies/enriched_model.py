@@ -147,7 +147,7 @@ class EnrichedModel:
     solve_shifted: Callable[[np.ndarray], np.ndarray]
 
     def extend_responses(self, z: np.ndarray, voltages: np.ndarray) -> tuple[Pair, Pair]:
-        """Extend responses of the mesh to all unknowns, and compute their static residuals.
+        """Add zeros for the additional functions to responses of the mesh; compute the residuals.
 
         ``z`` of shape (n, k) contains the responses of the mesh under the ``voltages`` of shape (e,
         k). Return two pairs of arrays with k columns. The first pair of arrays contains the

@@ -317,8 +317,8 @@ def _match_positions(places: np.ndarray, others: np.ndarray) -> np.ndarray:
 def _compute_interpolation_weights(block: CellBlock) -> np.ndarray:
     """Return interpolation weights for the positions of a quadratic element's nodes.
 
-    The positions of m nodes are interpolated from the l nodes of the block's element in the file.
-    The weights have the shape (m, l).
+    The weights are an array of shape (m, l). They interpolate the positions of m nodes from the
+    positions of the l nodes that the element has in the file.
     """
     element = PRODUCT_ELEMENTS[block.dimension, len(block.local)]()
     curved = PRODUCT_MESHES[block.dimension][1].elem.doflocs

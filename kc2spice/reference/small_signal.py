@@ -106,8 +106,8 @@ class LinearisedSystem:
         """Return the amplitudes ``X``, an array (N,), for sources ``amplitudes e^(w t)``."""
         n, sources = self.system.size, np.concatenate((amplitudes, w * amplitudes))
         P = w * self.G - self.F
-        # The rows are scaled again here, because devices may depend on the frequency.
-        # The scales in the system do not include such devices.
+        # Devices may depend on the frequency, so the scales in the system do not include them.
+        # Therefore, the rows of P are scaled again here.
         size = np.abs(P[:, :n]).max(axis=1)
         z = np.linalg.solve(P[:, :n] / size[:, None], -P[:, n:] @ sources / size)
         return np.concatenate((z, sources))

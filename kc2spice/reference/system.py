@@ -195,7 +195,7 @@ class _Assembly:
         used.pop(L.GROUND, None)
 
         def select_nets(kinds: Iterable[str]) -> list[str]:
-            """Return the nets of these kinds."""
+            """Return the nets whose kind is one of ``kinds``."""
             return [net for net in used if self.kinds[net] in kinds]
 
         bodies = [b for b in self.laws if isinstance(b, L.SecondOrderBody)]

@@ -116,7 +116,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
         )
 
     def lightly_loaded_pins(self, part: Part[LinearKeysT], scene: Scene) -> set[str]:
-        """Return the pins whose loads are too light to change which resonance is the largest."""
+        """Return the pins whose loads are so small that the same resonance remains the largest."""
         return set()
 
     def _is_driven_alone(self, part: Part[LinearKeysT], build: Build) -> bool:
