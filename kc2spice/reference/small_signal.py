@@ -239,7 +239,7 @@ class LinearisedSystem:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the static gains and the slope responses of the outputs, two arrays (sources, ny).
 
-        If a source u follows a straight line, an output is ``gain u + response du/dt``.
+        If a source u is a linear ramp, an output is ``gain u + response du/dt``.
 
         The modes obey ``a' = rates a + d0 u + d1 du/dt``, so that their amplitudes are
         ``-d0 u / rates - (d0 / rates^2 + d1 / rates) du/dt``. The outputs are computed as sums over

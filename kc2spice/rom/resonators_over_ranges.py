@@ -403,7 +403,7 @@ class _ModesOverRanges:
 
     @property
     def soft_support(self) -> float:
-        """Resonance frequency [Hz] of an unsupported body on its soft support."""
+        """Resonance frequency [Hz] of an unsupported body on the artificial soft support."""
         return SOFT_SUPPORT_RATIO * self.band[0]
 
     def _excites_rigid_body(self, p: _DenseModes) -> bool:

@@ -150,7 +150,7 @@ def _require_one_frame(part: Part, scene: Scene, known: Mapping[str, Accelerated
 
 
 def _describe_frame(frame: AcceleratedFrame | None) -> str:
-    """Describe a frame in words; None is the frame of the ground."""
+    """Describe a frame in words; the frame of the ground is None."""
     return (
         "the frame of the ground" if frame is None else f"the frame that {frame.description} shakes"
     )

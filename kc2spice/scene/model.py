@@ -886,7 +886,7 @@ class PartType(Generic[KeysT]):
         return False
 
     def numerics(self, part: Part[KeysT], scene: WiredScene) -> Iterable[Numerics]:
-        """Return numerical requirements of the part.
+        """Return what the part requires of the simulation, such as time steps and tolerances.
 
         Examples of requirements are time steps for the frequency and edges of a source, for a
         carrier or for a contact, and options of the simulator.

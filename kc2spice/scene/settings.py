@@ -60,8 +60,8 @@ class Rom(Section):
         lt=1,
         validate_default=True,
         description=(
-            "Largest relative error of the reduced model in the frequency band; 1e-4 by default, "
-            "if order has no value"
+            "Largest permitted relative error of the reduced model in the frequency band; "
+            "1e-4 by default, if order has no value"
         ),
     )
     band: tuple[Frequency, Frequency] = Field(
@@ -226,118 +226,134 @@ class ErrorLimits(Section):
         None,
         gt=0,
         description=(
-            "Largest relative difference of the launch velocity between ngspice and the "
-            "reference solution; by default computed from reltol and chgtol"
+            "Largest permitted relative difference of the launch velocity between ngspice and "
+            "the reference solution; by default computed from reltol and chgtol"
         ),
     )
     trajectory: GateLength | None = Field(
         None,
         gt=0,
         description=(
-            "Largest difference of the trajectory between ngspice and the reference solution; "
-            "by default the product of the keys launch_velocity and distance"
+            "Largest permitted difference of the trajectory between ngspice and the reference "
+            "solution; by default the product of the keys launch_velocity and distance"
         ),
     )
     launch_full_model: Ratio | None = Field(
         None,
         gt=0,
         description=(
-            "Largest relative difference of the launch velocity between reduced and full model; "
-            "by default computed from the error of the reduction"
+            "Largest permitted relative difference of the launch velocity between reduced and "
+            "full model; by default computed from the error of the reduction"
         ),
     )
     position: Ratio = Field(
         1e-4,
         gt=0,
         description=(
-            "Largest difference of the position between any two solutions of an impact, "
-            "relative to the travel"
+            "Largest permitted difference of the position between any two solutions of an "
+            "impact, relative to the travel"
         ),
     )
     rebound_velocity: Ratio = Field(
         5e-5,
         gt=0,
-        description="Largest relative difference of the rebound velocity between any two solutions",
+        description=(
+            "Largest permitted relative difference of the rebound velocity between any two "
+            "solutions"
+        ),
     )
     separation_time: GateTime = Field(  # type: ignore[assignment]
         default="1.5 ns",
         gt=0,
-        description="Largest difference of the end time of an impact between any two solutions",
+        description=(
+            "Largest permitted difference of the end time of an impact between any two solutions"
+        ),
     )
     energy: Ratio = Field(
         1e-7,
         gt=0,
         description=(
-            "Largest energy error of the reference solution, relative to the exchanged energy"
+            "Largest permitted energy error of the reference solution, relative to the "
+            "exchanged energy"
         ),
     )
     imprint_rom: Ratio = Field(
         1e-12,
         gt=0,
-        description="Largest relative difference of the static force between "
-        "reduced and full model",
+        description=(
+            "Largest permitted relative difference of the static force between reduced and "
+            "full model"
+        ),
     )
     imprint_ngspice: Ratio = Field(
         1e-11,
         gt=0,
-        description="Largest relative difference of the static force between ngspice and the "
-        "full model",
+        description=(
+            "Largest permitted relative difference of the static force between ngspice and "
+            "the full model"
+        ),
     )
     harmonic_rom: Ratio = Field(
         1e-4,
         gt=0,
         description=(
-            "Largest relative difference of the frequency response between reduced and "
-            "full model in the band of the reduction"
+            "Largest permitted relative difference of the frequency response between reduced "
+            "and full model in the band of the reduction"
         ),
     )
     harmonic_low: Ratio = Field(
         5e-9,
         gt=0,
         description=(
-            "Largest relative difference of the frequency response between reduced and full "
-            "model below a fifth of the highest frequency"
+            "Largest permitted relative difference of the frequency response between reduced "
+            "and full model below a fifth of the highest frequency"
         ),
     )
     harmonic_ngspice: Ratio = Field(
         5e-9,
         gt=0,
-        description="Largest relative difference of the frequency response between "
-        "ngspice and the reduced model",
+        description=(
+            "Largest permitted relative difference of the frequency response between ngspice "
+            "and the reduced model"
+        ),
     )
     metrics: Ratio | None = Field(
         None,
         gt=0,
         description=(
-            "Largest relative difference of a metric between ngspice and the reference "
-            "solution; by default 10 * solver.reltol"
+            "Largest permitted relative difference of a metric between ngspice and the "
+            "reference solution; by default 10 * solver.reltol"
         ),
     )
     waves: Ratio | None = Field(
         None,
         gt=0,
         description=(
-            "Largest relative rms difference of a waveform between ngspice and the reference "
-            "solution; by default 200 * solver.reltol"
+            "Largest permitted relative rms difference of a waveform between ngspice and the "
+            "reference solution; by default 200 * solver.reltol"
         ),
     )
     lookup_slope: Ratio = Field(
         0.05,
         gt=0,
-        description=("Largest jump of the slope of the force table, relative to the largest slope"),
+        description=(
+            "Largest permitted jump of the slope of the force table, relative to the largest slope"
+        ),
     )
     lookup: Ratio = Field(
         3e-5,
         gt=0,
-        description="Largest relative difference of the magnetic force between the table in the "
-        "netlist and a spline",
+        description=(
+            "Largest permitted relative difference of the magnetic force between the table in "
+            "the netlist and a spline"
+        ),
     )
     field: Ratio = Field(
         3e-4,
         gt=0,
         description=(
-            "Largest difference of the magnetic force between the table and a denser table, "
-            "relative to the largest force"
+            "Largest permitted difference of the magnetic force between the table and a "
+            "denser table, relative to the largest force"
         ),
     )
 
@@ -551,8 +567,8 @@ class SceneKeys(Section):
         gt=0,
         lt=1,
         description=(
-            "Largest relative error of every metric; the run refines all numerical settings "
-            "that the scene does not set, until all errors are below this value"
+            "Largest permitted relative error of every metric; the run refines all numerical "
+            "settings that the scene does not set, until all errors are below this value"
         ),
     )
     analysis: Analysis = Analysis()

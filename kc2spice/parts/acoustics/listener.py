@@ -209,8 +209,9 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         if scene.analysis.is_small_signal and top > limit:
             warnings.warn(
                 f"{part.name}: the far field at {format_quantity(keys.distance, 'm')} ends at "
-                f"{format_quantity(limit, 'Hz')}, the analysis at {format_quantity(top, 'Hz')}: "
-                "the pressure near the surface differs",
+                f"{format_quantity(limit, 'Hz')}, but the analysis ends at "
+                f"{format_quantity(top, 'Hz')}: above the first frequency, the pressure is "
+                "inaccurate",
                 stacklevel=2,
             )
         surfaces = [source.keys for source in sources]

@@ -257,7 +257,8 @@ def _stack_layers(keys: HeatBodyKeys) -> tuple[HeatGeometry, list[tuple[np.ndarr
         result = groups[name]
         if codimensions and result.codimension not in codimensions:
             hint = "write top or bottom in place of " + name
-            raise wrong(where, "this group is not a face", name, "top or bottom", hint)
+            problem = "this group is not a face on the top or the bottom"
+            raise wrong(where, problem, name, "top or bottom", hint)
         return result
 
     heat_solid = HeatSolid(solid, tuple(materials[::-1]), areas=areas[owner])

@@ -46,8 +46,8 @@ class LoudspeakerKeys(ConductorKeys, NumberedKeys):
         None,
         gt=0,
         description=(
-            "Inductance of the voice coil; with ke or rss, the inductance in parallel with "
-            "them. By default re times 1 us, and with ke or rss no inductance"
+            "Inductance of the voice coil. If `ke` or `rss` is stated, this inductance is in "
+            "parallel with them. By default `re` times 1 us, or none with `ke` or `rss`"
         ),
     )
     leb: Inductance | None = Field(
