@@ -1,7 +1,7 @@
 """Run the hard cases of tests/spice/hard_cases; print their errors, limits and refusals.
 
-Needs tests/spice and the root of the repository on PYTHONPATH. Each error is relative to a
-reference of the case: scipy, a closed form or an energy.
+PYTHONPATH must contain the root of the repository, ``tests`` and ``tests/spice``. Each error is
+the difference to a reference solution: scipy, a closed form, or the conservation of energy.
 """
 
 import tempfile
@@ -17,7 +17,7 @@ from kc2spice.core.errors import Kc2spiceError
 
 
 def row(entry: str, name: str, what: str, limit: float, measure: Callable) -> list[str]:
-    """One case: what is hard, its error and limit, or the error message that it ends with."""
+    """Return the row of a case: its error and limit, or the error message of the run."""
     begin = time.process_time()
     with tempfile.TemporaryDirectory() as folder:
         try:

@@ -18,5 +18,7 @@ def percent(value: float, reference: float) -> str:
 
 
 def power(error: float) -> str:
-    """An error with one significant digit; below 1e-15 it is a rounding error and prints 0."""
-    return "0" if abs(error) < 1e-15 else f"{error:.0e}"
+    """Return an error with one significant digit; smaller values than 1e-12 are rounding errors."""
+    if 0 < abs(error) < 1e-12:
+        return "< 1e-12"
+    return f"{error:.0e}" if error else "0"

@@ -9,8 +9,8 @@ from support import load_scene
 FEW = 12
 
 
-@case("sphere leaves the field table", "above", refused="table left")
-def out_at_the_top(bench):
+@case("sphere leaves the field table", "position above the force table", refused="table left")
+def sphere_leaves_at_the_top(bench):
     tables = {
         "name": "kick_and_catch", "kick": {"drive": {"voltage": 150.0}},
         "contact": {"rings": "all"}, "sphere": {}, "catch": {}, "solver": {"stop": 5e-3},
@@ -19,8 +19,8 @@ def out_at_the_top(bench):
     return 0.0
 
 
-@case("sphere leaves the field table", "below", refused="table left")
-def out_at_the_bottom(bench):
+@case("sphere leaves the field table", "position below the force table", refused="table left")
+def sphere_leaves_at_the_bottom(bench):
     """Rings and springs so soft that the resting sphere sinks below a table cut off just there."""
     study = scene("kick_and_catch", "contact.penalty=1e6 N/m", "catch.y_min=0.99999 mm",
                   "kick.drive.voltage=150 V", "solver.stop=1 ms")  # fmt: skip

@@ -17,8 +17,8 @@ STEP = 0.5e-9  # s, of the oracle
 RINGS = tuple(f"ring{k}" for k in range(6))
 
 
-@case("all six rings at once", "rebound velocity, relative", 1e-4)
-def flat_contact(bench):
+@case("all six contact rings close at the same time", "rebound velocity, relative", 1e-4)
+def flat_chip_below_the_sphere(bench):
     """A chip flat under the sphere, all gaps zero: six springs close in one instant.
 
     The range check would rightly refuse this contact patch, so the deck is run without it.
@@ -50,31 +50,31 @@ Xsphere v bottom y 0 sphere
     return relative(waves["sphere.v"][-1], done.y[-1, -1])
 
 
-@case("grazing contact", "trajectory over travel", 1e-4)
-def grazing_at_1_mm_s(bench):
+@case("grazing contact", "trajectory, relative to the travel", 1e-4)
+def impact_at_1_mm_per_s(bench):
     study = scene("impact", "impact.velocity=-1 mm/s", "impact.gap=1 nm", "solver.stop=15 us",
                   "kick.electrical=short")  # fmt: skip
     waves = bench.scene(study)
     return compare(waves, exact(study, waves))["of_travel"]
 
 
-@case("resting contact", "force over weight, relative", 1e-4)
-def rest_on_a_chip(bench):
+@case("resting contact", "contact force, relative to the weight", 1e-4)
+def sphere_rests_on_the_chip(bench):
     """Nothing moves: the energy balances must not take rounding for work."""
     waves = bench.scene(kick("kick.drive.voltage=0", "solver.stop=50 ms"))
     return np.abs(waves["contact.force"] / (MASS * 9.81) - 1.0).max()
 
 
-@case("resting contact", "height over its travel", 1e-3, slow=True)
-def chatter_after_a_kick_of_one_volt(bench):
+@case("resting contact", "height, relative to the travel", 1e-3, slow=True)
+def small_bounces_after_a_kick_of_1_V(bench):
     """The sphere hops by nanometres: steps must resolve them, or the run must notice."""
     study = kick("kick.drive.voltage=1 V", "solver.stop=0.2 ms")
     waves = bench.scene(study)
     return compare(waves, exact(study, waves))["of_travel"]
 
 
-@case("100 elastic bounces", "energy gained or lost, relative", 1e-3)
-def hundred_bounces_on_a_rigid_plane(bench):
+@case("100 elastic bounces", "energy, relative", 1e-3)
+def sphere_on_a_rigid_plane(bench):
     """A sphere falls 5 um a hundred times."""
     speed, height, landings = 0.01, 1e-7, 100
     ground = declared(HEADER, "contact", declare_contact(("ring0",), (0.0,), ContactForce(4e8)), {})
@@ -94,8 +94,8 @@ Xcontact ring0 v bottom 0 contact
     return abs(energy[-1] / (speed**2 / 2 + 9.81 * height) - 1) + abs(missed)
 
 
-@case("two kicks 50 us apart", "launch, relative", 2e-4, slow=True)
-def two_kicks(bench):
+@case("two kicks 50 us apart", "launch velocity, relative", 2e-4, slow=True)
+def second_kick_during_the_flight(bench):
     """The sphere is gone when the second pulse comes; oracle: modes in closed form."""
     voltage = 20.0
     few, study = chip(6), kick(f"kick.drive.voltage={voltage}", "solver.stop=0.11 ms")

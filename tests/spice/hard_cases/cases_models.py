@@ -6,7 +6,7 @@ from device import chip, deck_of
 from hard_cases.kit import HEADER, LATCH, bench_deck, case
 from support import LinearModel, load_scene, opamp_subcircuit, reduce_model, subcircuit
 
-RESPONSE = "worst response over peak"
+RESPONSE = "largest error of the response, relative to its peak"
 SIZE = 40
 
 
@@ -22,21 +22,21 @@ def response_error(bench, matrices, top=0.1):
 
 
 @case("nearly parallel Krylov vectors", RESPONSE, 1e-5)
-def inputs_that_differ_by_1e_12(bench):
+def input_vectors_that_differ_by_1e_12(bench):
     ports = families.chain()["B"][:, [0, 0, 1]]
     ports[3, 1] = 1e-12
     return response_error(bench, families.chain() | {"B": ports})
 
 
-@case("an unconstrained model", RESPONSE, 1e-5)
-def rigid_body(bench):
+@case("model without supports", RESPONSE, 1e-5)
+def chain_with_a_rigid_body_mode(bench):
     free = families.chain()["K"]
     free[0, 0] = free[-1, -1] = 1.0
     return response_error(bench, families.chain() | {"K": free, "E": 0.02 * free})
 
 
-@case("singular K", RESPONSE, 1e-5)
-def masses_that_nothing_holds(bench):
+@case("singular stiffness matrix", RESPONSE, 1e-5)
+def masses_on_dashpots_only(bench):
     """Ten of forty masses hang in the air by dashpots: K has rank 30."""
     loose = families.chain()["K"]
     loose[30:, :] = loose[:, 30:] = 0.0
@@ -45,32 +45,35 @@ def masses_that_nothing_holds(bench):
     return response_error(bench, families.chain() | {"K": loose, "E": drag})
 
 
-@case("indefinite K", RESPONSE, 1e-5)
-def indefinite_stiffness(bench):
+@case("indefinite stiffness matrix", RESPONSE, 1e-5)
+def chain_with_a_negative_stiffness(bench):
     """Unstable, and the certificate says so; its response is right all the same."""
     bent = families.chain()["K"] - np.diag(np.r_[0.0, 5.0, np.zeros(SIZE - 2)])
     return response_error(bench, families.chain() | {"K": bent})
 
 
-@case("non-symmetric K", RESPONSE, 1e-5)
-def unsymmetric_stiffness(bench):
+@case("unsymmetric stiffness matrix", RESPONSE, 1e-5)
+def chain_with_unsymmetric_stiffness(bench):
     return response_error(
         bench, families.chain() | {"K": families.chain()["K"] + 0.01 * np.eye(SIZE, k=1)}
     )
 
 
-SIZES = {"a chain of attograms": (1e-21, 1e3), "a chain of buildings": (1e9, 1e-3)}  # kg, N/m
+SIZES = {
+    "chain of masses of 1e-21 kg": (1e-21, 1e3),
+    "chain of masses of 1e9 kg": (1e9, 1e-3),
+}  # kg, N/m
 for name, size in SIZES.items():
 
-    @case("unit scale extremes", RESPONSE, 1e-5, name=name)
+    @case("very small and very large values", RESPONSE, 1e-5, name=name)
     def scaled(bench, size=size):
         rate, given = np.sqrt(size[1] / size[0]), families.chain()
         scale = {"M": size[0], "E": size[1] / rate, "K": size[1], "B": 1.0}
         return response_error(bench, {k: v * given[k] for k, v in scale.items()}, 0.1 * rate)
 
 
-@case("op-amp at its rails", "output to rail, relative", 1e-3)
-def opamp_at_its_rails(bench):
+@case("op-amp output at the supply voltage", "output voltage, relative", 1e-3)
+def amplifier_of_gain_11_in_saturation(bench):
     """Gain 11 on 5 V between rails of 15 V, then back: the output leaves the rail without delay."""
     cards = """Vin in 0 PWL(0 5 1e-5 5 1.1e-5 1)
 Vcc vcc 0 15
@@ -88,8 +91,12 @@ R2 out n 10000
     return max(abs(rail / 15 - 1), abs(back / 11 - 1))
 
 
-@case("a user circuit that fails", "the log's own reason", refused="(?i)failed|iteration|timestep")
-def users_circuit_without_an_operating_point(bench):
+@case(
+    "circuit without a solution",
+    "reason in the error message",
+    refused="(?i)failed|iteration|timestep",
+)
+def latch_without_an_operating_point(bench):
     """A latch of exponentials that contradicts itself: no solution exists."""
     (bench.directory / "mine.lib").write_text(LATCH)
     path = bench.directory / "mine.toml"
