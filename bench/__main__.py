@@ -26,11 +26,11 @@ from bench.points import pareto
 from bench.setup import Setup
 from kc2spice.core.errors import Kc2spiceError, UsageError
 from kc2spice.core.files import stage_directory
-from kc2spice.core.progress import Clock
+from kc2spice.core.progress import StageTimer
 from kc2spice.core.waveforms import write_record
 from kc2spice.report.figures import write_pngs
 from kc2spice.sim.ngspice import find_ngspice
-from kc2spice.workflow.sweep.workers import available_cores
+from kc2spice.workflow.sweep.workers import count_available_cores
 
 # Each part is the function of its own name in the module of that name. What a user waits for comes
 # first: many a machine slows down under the minutes of load that the others are.
@@ -55,7 +55,7 @@ def bench(out, parts, *, quick, repeats):
         stage_directory(out) as directory,
         tempfile.TemporaryDirectory(prefix="kc2spice-bench-") as work,
     ):
-        setup = Setup(quick, repeats, Path(work), Clock())
+        setup = Setup(quick, repeats, Path(work), StageTimer())
         for part in PARTS:
             if parts and part not in parts:
                 continue
@@ -105,7 +105,7 @@ def machine():
     models = [line.partition(":")[2].strip() for line in names if line.startswith("model name")]
     return {
         "cpu": next(iter(models), platform.processor() or platform.machine()),
-        "cores": available_cores(),
+        "cores": count_available_cores(),
         "os": f"{platform.system()} {platform.release()}",
         "python": platform.python_version(),
         "numpy": numpy.__version__,

@@ -7,7 +7,7 @@ import numpy as np
 from bench.points import Outcome, Plane, Point, fastest, speed_up, timed
 from kc2spice.netlist.deck import Deck
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
-from kc2spice.rom.modal import Resonators
+from kc2spice.rom.modal_models import Resonators
 from kc2spice.sim.ngspice import run_deck
 from kc2spice.synthesis.realize import subcircuit
 
@@ -47,15 +47,18 @@ def dense(setup):
         slow = fastest((found[form] for form in FORMS[1:]), {"response": EQUAL})
         ours = found[FORMS[0]]
         what = (
-            f"faster dense form over resonators, {modes} modes ({2 * modes} states), {PORTS} "
-            f"ports, .ac at {frequencies} frequencies, whole process"
+            f"time of the faster dense form divided by time of resonators, {modes} modes "
+            f"({2 * modes} states), {PORTS} ports, .ac at {frequencies} frequencies, whole process"
         )
         error = max(each.error for each in (ours, slow) if each is not None)
         name = f"dense_vs_resonator_{size}"
         ratios.append(speed_up(name, slow and slow.time, ours, target, what, error=error))
-    notes = ("The devices are synthetic, with resonances from 270 kHz to 30 MHz like the chip",)
+    notes = (
+        "The devices are synthetic, with resonances from 270 kHz to 30 MHz, as in the chip of "
+        "`kick_and_catch`",
+    )
     plane = Plane(
-        "dense", "Forms of one device in .ac", "largest relative error of any response",
+        "dense", "Three netlist forms of a device in .ac", "largest relative error of any response",
         "CPU time [s]", tuple(points), notes,
     )  # fmt: skip
     return Outcome((plane,), tuple(ratios))

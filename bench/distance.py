@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from kc2spice.parts.mechanics._touching import find_separation
+from kc2spice.parts.mechanics._contact_surfaces import find_separation
 
 
 def compare(waves, reference):

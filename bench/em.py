@@ -8,7 +8,7 @@ from bench.points import Outcome, Plane, Point, speed_up, timed
 from bench.setup import keys_of
 from kc2spice.core.magnets import compute_test_forces
 from kc2spice.fem.magnet_field import (
-    assemble_heights,
+    assemble_field_equations,
     compute_catch_table,
     get_ring_direction,
     list_sphere_heights,
@@ -49,12 +49,15 @@ def em(setup):
     label = f"brute force, {count} solves"
     points.append(Point("brute force", label, superposed.error, brute_time, errors))
     plane = Plane(
-        "em", f"Table of the magnets' force, {cases.shape[0]} current pairs",
+        "em", f"Table of the magnetic force, {cases.shape[0]} pairs of coil currents",
         "force error divided by the largest force", "CPU time [s]", tuple(points),
-        (f"The error is the difference between the spline and finite elements at {dense.y.size} "
-         "heights",),
+        ("The force error is the difference between the spline through the table and "
+         f"finite-element solutions at {dense.y.size} heights",),
     )  # fmt: skip
-    what = f"brute force over superposition, {count} cases; error: between the two"
+    what = (
+        f"time of {count} single solutions divided by time of superposition; error: difference "
+        "between both"
+    )
     ratio = speed_up("em_superposition", brute_time, superposed, 8.0, what, error=equal)
     return Outcome((plane,), (ratio,))
 
@@ -68,7 +71,7 @@ def brute_force(catch, radius, currents):
     y = list_sphere_heights(catch)
     amplitudes = [np.array([get_ring_direction(catch), 1.0, i1, i2]) for i1, i2 in currents]
     result = np.empty((len(amplitudes), y.size))
-    for index, system in assemble_heights(catch, radius):
+    for index, system in assemble_field_equations(catch, radius):
         for case, amplitude in enumerate(amplitudes):
             field = system.solve(system.loads @ amplitude[:, None])
             result[case, index] = system.compute_force_matrix(field)[0, 0]

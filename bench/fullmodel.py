@@ -6,15 +6,15 @@ from bench.law import waveforms
 from bench.setup import keys_of
 from bench.usual.contact import contact_surface
 from bench.usual.system import quarter
-from kc2spice.bodies.stack_keys import Chip
+from kc2spice.bodies.stack_keys import StackKeys
 from kc2spice.core.waveforms import Waveforms
 
 
 def chip(scene):
     """Keys on which the full model of the scene's chip depends."""
     keys = keys_of(scene, "piezo_stack")
-    given = Chip.model_fields.keys() & keys.model_fields_set
-    return Chip(**{name: getattr(keys, name) for name in given})
+    given = StackKeys.model_fields.keys() & keys.model_fields_set
+    return StackKeys(**{name: getattr(keys, name) for name in given})
 
 
 _assembled = lru_cache(maxsize=1)(quarter)

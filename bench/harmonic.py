@@ -8,7 +8,7 @@ from bench.fullmodel import chip
 from bench.points import Outcome, Plane, Point, fastest, quick_timed, scaled, speed_up, timed
 from bench.setup import keys_of
 from kc2spice.bodies.stack import make_stack
-from kc2spice.rom.error_estimate import relative_error
+from kc2spice.rom.error_estimate import compute_relative_error
 from kc2spice.rom.reduce import reduce_model
 from kc2spice.rom.response import Response
 from kc2spice.rom.surrogate import make_surrogate
@@ -38,28 +38,30 @@ def harmonic(setup):
     for family, label, small in _models(model, band, setup):
         form = Response(small.pencil)  # a sum over modes
         response, time = quick_timed(partial(form.transfer, 2j * np.pi * frequency), setup.repeats)
-        error = relative_error(response, exact)
+        error = compute_relative_error(response, exact)
         facts = {"states": float(small.order)}
         points.append(Point(family, label, error, time, {"response": error}, facts))
     best = fastest(points, {"response": LIMIT})
     try:
         orders = setup.some(BALANCED)
         for label, response, time in balanced(large, orders, frequency, setup.repeats):
-            error = relative_error(response, exact)
+            error = compute_relative_error(response, exact)
             points.append(Point("pyMOR", label, error, time, {"response": error}))
     except ImportError:
-        notes.append("pyMOR is not installed, so its reductors are left out")
+        notes.append("pyMOR is not installed, so the table does not contain its methods")
     points.append(Point("full model", "full model, direct", certified, full))
     ratio = speed_up(
-        "harmonic", full, best, TARGET, f"full model over {best and best.label}, "
+        "harmonic", full, best, TARGET,
+        f"time of the full model divided by time of the reduced model with {best and best.label}, "
         f"{frequency.size} frequencies and all {exact.shape[1] ** 2} responses",
     )  # fmt: skip
     plane = Plane(
         "harmonic", f"{scene.title}: {frequency.size} frequencies",
         "largest relative error of any response", "CPU time of the sweep [s]", tuple(points),
-        (f"The time of the full model is extrapolated from {taken.size} of {frequency.size} solves",
-         f"The reference has {large.order} states and differs by {certified:.1e} from direct "
-         "solves",
+        (f"The time of the full model is extrapolated from {taken.size} of {frequency.size} "
+         "frequencies",
+         f"The reference solution is a model with {large.order} states, which differs by "
+         f"{certified:.1e} from direct solutions of the full model",
          *notes),
     )  # fmt: skip
     return Outcome((plane,), (ratio,))

@@ -28,20 +28,20 @@ def impact(setup):
     ratios = tuple(
         speed_up(
             f"impact_{name}", time, own, target,
-            f"full model, {what}, over ngspice, both without the making of "
-            f"their matrices, at {own and own.label}, the "
-            f"fastest within {LIMIT:g} of the exact reduced model; errors against the full model "
-            "at converged time step", error=errors.get("launch"), errors=errors,
+            f"time of the {what} divided by time of ngspice, both without the "
+            f"assembly of matrices; ngspice with {own and own.label}, the "
+            f"fastest setting within {LIMIT:g} of the exact reduced model; errors relative to the "
+            "full model with converged time step", error=errors.get("launch"), errors=errors,
         )
         for name, time, target, what in (
             ("low_rank", full.low_rank, LOW_RANK,
-             "with the same trick: one factorisation, contact as low-rank update"),
+             "full model with one factorisation and low-rank updates for the contact"),
             ("refactor", full.refactorising, REFACTOR,
-             "the usual code, factorised in every iteration"),
+             "full model with a factorisation in every iteration"),
         )
     )  # fmt: skip
     points = (*plane.points, *full.points())
-    notes = (*plane.notes, f"The time of the refactorising full model is extrapolated {full.how}")
+    notes = (*plane.notes, f"The time of `full model, refactorising` is extrapolated {full.how}")
     return Outcome((replace(plane, points=points, notes=notes),), ratios)
 
 
@@ -49,7 +49,11 @@ class _FullModel:
     """Both codes of the full model at the paper's step, and its limit of small steps."""
 
     def __init__(self, scene, setup):
-        self.stop, self.system, self.surface = scene.stop, full_system(scene), full_surface(scene)
+        self.stop, self.system, self.surface = (
+            scene.stop_time,
+            full_system(scene),
+            full_surface(scene),
+        )
         throw, sphere = keys_of(scene, "throw"), keys_of(scene, "sphere")
         mass = sphere.mass / self.system.sectors
         self.ball = Ball(mass, throw.gap, throw.velocity, scene.gravity)
@@ -73,7 +77,7 @@ class _FullModel:
             )
         whole = factorisations(result.ring_force[1:])
         self.refactorising = scaled(sample, whole / taken.factorisations)
-        self.how = f"from {taken.factorisations} of the {whole} factorisations of its {steps} steps"
+        self.how = f"from {taken.factorisations} of the {whole} factorisations in {steps} steps"
 
     def _run(self, step, ball=None, stop=None, method="low_rank"):
         return transient(
@@ -85,8 +89,9 @@ class _FullModel:
         """Errors here are against the full model, which is this method's own limit."""
         errors = self.errors(self.waves)
         error = errors["launch"] or 0.0
+        note = "error relative to the full model with converged time step"
         return tuple(
-            Point("full model", label, error, time, errors, {}, "against its own limit", False)
+            Point("full model", label, error, time, errors, {}, note, False)
             for label, time in (
                 ("full model, low rank", self.low_rank),
                 ("full model, refactorising", self.refactorising),

@@ -55,21 +55,21 @@ def imprint(setup):
             Point("ngspice", "netlist, ngspice", deck_error, deck_time, {"force": deck_error}),
         ),
         (
-            "The time of the refactorising full model is extrapolated from "
+            "The time of `full model, refactorising` is extrapolated from "
             f"{count} of {whole} factorisations",
         ),
     )  # fmt: skip
     ratios = tuple(
         speed_up(
             f"imprint_{name}", time, reduced, target,
-            f"full model, {what}, over the reduced model in numpy, both without the making of "
-            f"their matrices; the netlist in ngspice takes {deck_time.median:.3g} s at "
+            f"time of the {what} divided by time of the reduced model in numpy, both without the "
+            f"assembly of matrices; ngspice takes {deck_time.median:.3g} s with an error of "
             f"{deck_error:.1e}",
         )
         for name, time, target, what in (
             ("low_rank", low_rank, LOW_RANK,
-             "with the same trick: one factorisation, contact as low-rank update"),
-            ("refactor", refactor, REFACTOR, "the usual code, factorised at every depth"),
+             "full model with one factorisation and low-rank updates for the contact"),
+            ("refactor", refactor, REFACTOR, "full model with a factorisation at every depth"),
         )
     )  # fmt: skip
     return Outcome((plane,), ratios)

@@ -15,12 +15,12 @@ from scipy.interpolate import CubicSpline
 from bench.setup import keys_of
 from kc2spice.bodies.stack_keys import SECTORS
 from kc2spice.core.errors import SimulationError
-from kc2spice.core.magnets import EMTable
+from kc2spice.core.magnets import MagnetostaticTable
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.bodies.piezo_stack import KickPulse
-from kc2spice.parts.control.pid import Control
+from kc2spice.parts.control.pid import PidKeys
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.modal import resonators
+from kc2spice.rom.modal_models import compute_resonators
 
 # States after the 2 q modal ones, and their number.
 HEIGHT, SPEED, RATE, INTEGRAL = range(4)
@@ -107,7 +107,7 @@ class Law:
     mass: float
     gravity: float
     force_map: ForceMap | None
-    control: Control | None
+    control: PidKeys | None
     drive: KickPulse | None
 
     @property
@@ -250,7 +250,7 @@ def law(build):
     """
     scene = build.scene
     kick, sphere = keys_of(scene, "piezo_stack"), keys_of(scene, "sphere")
-    model = resonators(build.model(scene.list_parts("piezo_stack")[0], LinearModel))
+    model = compute_resonators(build.model(scene.list_parts("piezo_stack")[0], LinearModel))
     rings = [k for k, port in enumerate(model.ports) if port.kind == "mechanical"]
     (anode,) = (k for k, port in enumerate(model.ports) if port.kind == "electrical")
     static = model.D.copy()
@@ -266,7 +266,9 @@ def law(build):
     scale = np.maximum(np.abs(gain).max(axis=1), np.abs(drive) * floor)
     scale = np.maximum(scale, 1e-12 * scale.max())
     coils, control = scene.find_only_part("ring_magnet_coils"), scene.find_only_part("pid")
-    table: EMTable | None = None if coils is None else build.model(coils, EMTable)
+    table: MagnetostaticTable | None = (
+        None if coils is None else build.model(coils, MagnetostaticTable)
+    )
     return Law(
         omega=model.omega,
         damp=model.damp,

@@ -44,7 +44,7 @@ def integrate(law, scene, method, rtol):
     """The scene's transient by ``solve_ivp`` with ``method``, restarted at the pulse's edges."""
     x = initial(law, scene)
     times, states = [np.zeros(1)], [x[:, None]]
-    for mode in segments(law, scene.stop):
+    for mode in segments(law, scene.stop_time):
         solution = _solved(law, mode, x, rtol, method)
         times.append(solution.t[1:])
         states.append(solution.y[:, 1:])
@@ -188,7 +188,7 @@ def located(law, scene, rtol=1e-9):
     ------
     SimulationError : contact chatters, the integrator gives up, the sphere leaves the force table.
     """
-    pieces, events = _integrate(law, initial(law, scene), scene.stop, rtol)
+    pieces, events = _integrate(law, initial(law, scene), scene.stop_time, rtol)
     return _waveforms(law, pieces, np.union1d(_grid(law, scene), events))
 
 
@@ -238,8 +238,8 @@ def _toggled(saturated, fired):
 
 def _grid(law, scene):
     if scene.find_only_part("throw") is not None:
-        return np.linspace(0.0, scene.stop, 3001)
-    coarse = np.linspace(0.0, scene.stop, max(2, round(scene.stop / 1e-6) + 1))
+        return np.linspace(0.0, scene.stop_time, 3001)
+    coarse = np.linspace(0.0, scene.stop_time, max(2, round(scene.stop_time / 1e-6) + 1))
     if law.drive is None:
         return coarse
     d = law.drive
@@ -247,7 +247,7 @@ def _grid(law, scene):
     fine = [np.arange(edge - 1e-6, edge + 75e-6, 10e-9) for edge in edges]
     corners = [(edge, edge + d.edge) for edge in edges]
     both = np.unique(np.concatenate((coarse, *fine, *corners)))
-    return both[(both >= 0.0) & (both <= scene.stop)]
+    return both[(both >= 0.0) & (both <= scene.stop_time)]
 
 
 def _waveforms(law, pieces, times):

@@ -23,7 +23,8 @@ def loop(setup):
         """With the error of the less exact of the two."""
         both = [each for each in (other, same) if each is not None]
         worse = max(both, key=lambda point: point.error, default=None)
-        what = f"{what} over ngspice {at}: {' / '.join(each.label for each in both)}"
+        labels = " / ".join(each.label for each in both)
+        what = f"time of {what} divided by time of ngspice {at}: {labels}"
         taken = {} if worse is None else {"error": worse.error, "errors": worse.errors}
         return speed_up(name, other and other.time, same, target, what, **taken)
 
@@ -34,9 +35,10 @@ def loop(setup):
             f"ngspice, 5 ms, {at}: {ours and ours.label}",
             at_least=False, unit="s", errors=ours.errors if ours else {},
         ),
-        over("loop_vs_scipy", best("scipy", SPECIALISED), 2.0, "fastest general scipy integrator"),
+        over("loop_vs_scipy", best("scipy", SPECIALISED), 2.0,
+             "the fastest general scipy integrator"),
         over("loop_vs_scipy_specialised", best(SPECIALISED), 2.0,
              "scipy with exact modes in flight and located events"),
-        over("loop_vs_floor", best("lower bound"), None, "lower bound"),
+        over("loop_vs_floor", best("lower bound"), None, "the compiled lower bound"),
     )  # fmt: skip
     return Outcome((plane,), ratios)

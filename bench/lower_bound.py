@@ -163,7 +163,7 @@ class LowerBound:
         """
         log, x = [], initial(self.law, scene)  # pieces of: time, p, v, u (rings), closed (rings)
         closed = self.law.penetration(x) > 0.0
-        for segment in segments(self.law, scene.stop):
+        for segment in segments(self.law, scene.stop_time):
             t, saturated = segment.start, saturation(self.law, x, segment.enabled)
             for _ in range(PIECES):
                 if t >= segment.end:

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core.figure import Curve, Figure, Panel
-from kc2spice.core.prefix import format_quantity
+from kc2spice.core.si_prefix_format import format_quantity
 
 Record = Mapping[str, Any]
-RATIOS = ("figure", "value", "target", "", "taken at error", "what it is")
+RATIOS = ("figure", "value", "target", "", "at error", "description")
 POINTS = ("method", "setting", "error", "time", "spread", "more")
 LEAST = 1e-16  # an error of zero is drawn here
 
@@ -21,7 +21,9 @@ def bench_tables(record):
         text += _section("Targets", RATIOS, map(_ratio, record["ratios"].items()), "")
     for name, points in record["planes"].items():
         words = record["titles"][name]
-        note = " ".join(f"{note}." for note in (f"Error: {words['error']}", *words["notes"]))
+        note = " ".join(
+            f"{note}." for note in (f"The column *error* is the {words['error']}", *words["notes"])
+        )
         text += _section(words["title"], POINTS, map(_point, points), note)
     return text
 
@@ -47,8 +49,9 @@ def _machine_line(record):
         f"Machine: {m['cpu']}, {m['cores']} cores, {m['os']}.\n\n"
         f"Versions: Python {m['python']}, numpy {m['numpy']}, scipy {m['scipy']}, "
         f"ngspice {m['ngspice']}, C compiler {m['compiler']}, kc2spice {m['kc2spice']}.\n\n"
-        f"Times are CPU times: medians of {record['repeats']} runs, or of fewer if a run takes "
-        "long."
+        f"Each time is a CPU time: the median of {record['repeats']} runs, or of fewer runs if a "
+        "run takes long. An asterisk marks a setting if no other setting in the table, except for "
+        "the lower bound, is both faster and more accurate."
     )
     if took:
         line += f" The whole benchmark took {took / 60:.1f} min."
@@ -95,8 +98,8 @@ def bench_figures(record):
         words = record["titles"][name]
         families = dict.fromkeys(point["family"] for point in points)
         front = sorted((p for p in points if p["pareto"]), key=lambda p: p["error"])
-        curves = [_curve("Pareto front", front, "step")]
-        curves += [_curve(f, [p for p in points if p["family"] == f], "o") for f in families]
+        curves = [_spline("Pareto front", front, "step")]
+        curves += [_spline(f, [p for p in points if p["family"] == f], "o") for f in families]
         ends = [max(p["error"], LEAST) for p in points]
         span = 0.5 * min(ends), 2.0 * max(ends)
         panel = Panel(
@@ -105,6 +108,6 @@ def bench_figures(record):
         yield Figure(f"bench_{name}", words["title"], "", (panel,))
 
 
-def _curve(label, points, style):
+def _spline(label, points, style):
     error = np.maximum([p["error"] for p in points], LEAST)
     return Curve(label, error, np.array([p["time_s"] for p in points]), style)

@@ -24,7 +24,7 @@ from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.report.figures import write_pngs
 from kc2spice.rom.linear_model import LinearModel, Norm
 from kc2spice.rom.reduce import reduce_model
-from kc2spice.rom.state_space import state_space
+from kc2spice.rom.state_space import convert_to_state_space
 from kc2spice.rom.surrogate import make_surrogate
 from kc2spice.scene.load import load_scene
 
@@ -67,14 +67,14 @@ def cases(folder):
     M, K, B = steel_cantilever(100)
     full = LinearModel(M=M, K=K, B=B, rayleigh=(0.0, 1e-5))
     given = (K, 1e-5 * K, M), B, B.T
-    plain = state_space(full.pencil, 800.0)
+    plain = convert_to_state_space(full.pencil, 800.0)
     ends = 2 * np.pi, 1600 * np.pi
     yield Case("Euler beam", full, ends, lambda w: direct(given, w), plain, (1e-3, 1e-5))
     model = make_stack(chip(load_scene("harmonic"))).model
     small, _ = make_surrogate(model, (0.0, 5e5))  # equal to 1e-10, by direct solutions
     answers = small.transfer
     yield Case("chip", model, (0.0, np.pi * 1e6), lambda w: answers(w / (2 * np.pi)),
-               state_space(small.pencil, 5e5), (1e-5, 2e-7), NORMS[:1])  # fmt: skip
+               convert_to_state_space(small.pencil, 5e5), (1e-5, 2e-7), NORMS[:1])  # fmt: skip
 
 
 def schur(model):

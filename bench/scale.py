@@ -124,14 +124,14 @@ def make_model(kind, size, path):
         parts = {"M": M, "K": K}
         arrays = {"B": B, "D": np.zeros((4, 4)), "shift": np.array(0.0)}
     else:
-        from kc2spice.parts.bodies.body import device
+        from kc2spice.parts.bodies.body import build_fe_model
         from kc2spice.scene.load import load_scene
 
         with tempfile.TemporaryDirectory() as name:
             write_scene(Path(name), size, kind == "clamped")
             scene = load_scene(Path(name) / "block.toml")
             begin = time.process_time()
-            body = device(scene.parts["block"].keys, Path(name))
+            body = build_fe_model(scene.parts["block"].keys, Path(name))
         model, K = body.model, body.model.K
         parts = {"M": model.M, "uu": K.uu, "up": K.up, "pp": K.pp}
         arrays = {"B": model.B, "D": model.D, "shift": np.array(body.shift)}
@@ -161,9 +161,9 @@ def read_model(path):
         B, D, shift = file["B"], file["D"], float(file["shift"])
     K = parts.get("K")
     if K is None:
-        from kc2spice.rom.pencil import Schur
+        from kc2spice.rom.pencil import SchurComplement
 
-        K = Schur(parts["uu"], parts["up"], sparse.csc_array(parts["up"].T), parts["pp"])
+        K = SchurComplement(parts["uu"], parts["up"], sparse.csc_array(parts["up"].T), parts["pp"])
     return kc.LinearModel(M=parts["M"], K=K, B=B, D=D, rayleigh=DAMPING, name="body"), shift
 
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.progress import Clock
+from kc2spice.core.progress import StageTimer
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.models import build_models
 
@@ -24,7 +24,7 @@ class Setup:
     quick: bool
     repeats: int
     work: Path
-    clock: Clock
+    clock: StageTimer
 
     def scene(self, name, *, lumped=True):
         """A gallery scene, coarse in a quick run.

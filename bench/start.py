@@ -24,17 +24,17 @@ def start(setup):
         coarse = (*COARSE, *COARSE_CATCH) if setup.quick else ()
         small = [word for key in coarse for word in ("--set", key)]
         help_, first, again = [], [], []
-        _command([*SCENE, str(work / "a"), *small], work / "cache")  # writes the bytecode
+        _send_command([*SCENE, str(work / "a"), *small], work / "cache")  # writes the bytecode
         for k in range(runs):  # in turn, so that a slow minute meets them alike
             cache = work / f"cache{k}"
-            help_.append(_command(["--help"], cache))
-            first.append(_command([*SCENE, str(work / "a"), *small], cache))
-            again.append(_command([*SCENE, str(work / "b"), "--set", GAIN, *small], cache))
+            help_.append(_send_command(["--help"], cache))
+            first.append(_send_command([*SCENE, str(work / "a"), *small], cache))
+            again.append(_send_command([*SCENE, str(work / "b"), "--set", GAIN, *small], cache))
     return Outcome(
         ratios=(
             _limit("start_help_s", help_, 0.1, "kc2spice --help"),
-            _limit("start_rerun_s", again, 0.8, "kick_and_catch again with a new gain"),
-            _limit("start_first_s", first, 3.0, "kick_and_catch with an empty cache"),
+            _limit("start_rerun_s", again, 0.8, "second run of kick_and_catch, with a new gain"),
+            _limit("start_first_s", first, 3.0, "first run of kick_and_catch, with an empty cache"),
         )
     )
 
@@ -44,7 +44,7 @@ def _limit(name, taken, limit, what):
     return Ratio(name, timing(taken).median, None, limit, spread, at_least=False, unit="s")
 
 
-def _command(arguments, cache):
+def _send_command(arguments, cache):
     """Seconds of one command of kc2spice with a cache of its own."""
     command = [sys.executable, "-m", "kc2spice", *arguments]
     environment = {**os.environ, "KC2SPICE_CACHE": str(cache)}

@@ -38,22 +38,22 @@ class Transient:
         """All methods on the scene's reduced model."""
         points, notes = self._rounds([*self._ngspice(), *self._scipy(), *self._lower_bound()])
         what = "rebound" if self.thrown else "launch"
-        reference = "The reference is the same reduced model, integrated with a relative tolerance"
-        notes.append(f"{reference} of 1e-9")
+        reference = "The reference solution is an integration of the reduced model"
+        notes.append(f"{reference} with a relative tolerance of 1e-9")
         notes.append(
-            "Methods with a massless contact node are compared with the reference solution of "
-            "kc2spice"
+            "Methods without inertia at the contact are compared with a solution of the massless "
+            "model by the reference integrator of kc2spice"
         )
         notes.append(
             "The time of ngspice is the CPU time of the whole process, including start-up and files"
         )
         notes.append(
-            "The time steppers of pyMOR accept linear models only, so they cannot simulate the "
-            "contact"
+            "The table does not contain pyMOR, because the time steppers of pyMOR cannot simulate "
+            "the nonlinear contact"
         )
         return Plane(
             "impact" if self.thrown else "loop",
-            f"{self.scene.title}: {self.scene.stop * 1e3:g} ms",
+            f"{self.scene.title}: {self.scene.stop_time * 1e3:g} ms",
             f"relative error of the {what} velocity", "CPU time [s]", tuple(points), tuple(notes),
         )  # fmt: skip
 
@@ -119,7 +119,7 @@ class Transient:
     def _scipy(self):
         work = []
         for method in self.setup.some(METHODS, 1):
-            if method in ("BDF", "DOP853") and self.scene.stop > SHORT:
+            if method in ("BDF", "DOP853") and self.scene.stop_time > SHORT:
                 continue
             for rtol in self.setup.some(RTOL):
                 label = f"{method}, rtol {rtol:g}"
@@ -131,11 +131,13 @@ class Transient:
 
     def _solve_ivp(self, method, rtol, label):
         waves, time = timed(lambda: integrate(self.law, self.scene, method, rtol), 1)
-        return self.point(f"scipy, {method}", label, waves, time, "restarted at the pulse's edges")
+        return self.point(
+            f"scipy, {method}", label, waves, time, "restarted at the edges of the drive pulse"
+        )
 
     def _located(self, rtol, label):
         waves, time = timed(lambda: located(law(self.build), self.scene, rtol), 1)
-        note = "not a general integrator: knows that nothing but contact couples the modes"
+        note = "not a general integrator: the code assumes that only the contact couples the modes"
         return self.point(SPECIALISED, label, waves, time, note)
 
     def _lower_bound(self):
@@ -144,7 +146,10 @@ class Transient:
         def kept():
             bound.run(self.scene)
             run = timed(lambda: bound.run(self.scene), 1)
-            note = "exact steps, eigenvectors of every contact set kept; flight compiled"
+            note = (
+                "exact steps with stored eigenvectors for each set of closed contacts; "
+                "compiled flight"
+            )
             return self.point("lower bound", "lower bound", *run, note)
 
         return [("lower bound", kept)]

@@ -42,7 +42,7 @@ def variants(build, setup):
             deck = _deck(build, {"solver.reltol": reltol, "solver.method": method})
             yield Variant(f"ngspice, {method}", f"{method}, reltol {reltol:g}", deck)
     for reltol, chgtol, ceiling, points in setup.some(FOR_1E_4, 1):
-        ceiling = min(ceiling, scene.stop)
+        ceiling = min(ceiling, scene.stop_time)
         keys = {"solver.reltol": reltol, "solver.max_step": ceiling}
         if catch is not None:
             keys[f"{catch.name}.points"] = points
@@ -85,7 +85,7 @@ def fixed_steps(build):
     deck = replace(deck, parts=tuple(parts))
     return Variant(
         "fixed 10 us steps", "fixed 10 us steps, as in the paper", deck,
-        "no error control; the pulse's corners are still met",
+        "no error control, except at the corners of the drive pulse",
     )  # fmt: skip
 
 

@@ -47,13 +47,15 @@ def writers(setup):
             label = f"{2 * pairs + 5} poles, {ports} ports, {analysis}, {form}"
             points.append(_point(form, label, part, wave, known.setdefault(analysis, wave), time))
         peer, own = points[-3:-1]
-        what = f"scikit-rf's netlist over ours, {analysis}, the same poles"
+        what = (
+            f"time of the netlist of scikit-rf divided by time of kc2spice, {analysis}, equal poles"
+        )
         ratios.append(speed_up(f"scikit_rf_vs_ours_{analysis[1:]}", peer.time, own, 1.0, what))
     points += _first_order(setup, ratios)
     plane = Plane(
-        "writers", "Netlists of the same poles", "largest error divided by the largest response",
-        "CPU time [s]", tuple(points),
-        ("In .tran the error is relative to the netlist of scikit-rf",),
+        "writers", "Netlists of several programs with equal poles",
+        "largest error divided by the largest response", "CPU time [s]", tuple(points),
+        ("In .tran, the error is the difference from the netlist of scikit-rf",),
     )  # fmt: skip
     return Outcome((plane,), tuple(ratios))
 
@@ -160,7 +162,9 @@ def _first_order(setup, ratios):
             label = f"{size} {name}, {ports} ports, {analysis}"
             rows.append(_point(name, label, part, wave, known, time, same_model=False))
     for k, analysis in enumerate(("ac", "tran")):
-        what = f"{size} resonators over {size} first-order states, .{analysis}"
+        what = (
+            f"time of {size} resonators divided by time of {size} first-order states, .{analysis}"
+        )
         name, error = f"resonators_vs_states_{analysis}", rows[2].error
         ratios.append(speed_up(name, rows[k].time, rows[2 + k], 1.0, what, error=error))
     return rows

@@ -116,8 +116,8 @@ def __getattr__(name: str) -> Any:
     if name not in __all__:
         from kc2spice.core.errors import did_you_mean
 
-        near = did_you_mean(name, __all__) or "dir(kc2spice) lists all names"
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}: {near}")
+        suggestion = did_you_mean(name, __all__) or "dir(kc2spice) lists all names"
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}: {suggestion}")
     return getattr(import_module(f"kc2spice.{_HOME_MODULES.get(name, 'api')}"), name)
 
 

@@ -24,15 +24,15 @@ from kc2spice.core.errors import NamedValues, UsageError, unknown
 from kc2spice.core.extras import import_optional
 from kc2spice.core.figure import Figure
 from kc2spice.core.files import stage_directory
-from kc2spice.core.progress import Clock
+from kc2spice.core.progress import StageTimer
 from kc2spice.core.waveforms import SCALES, Waveforms, write_record, write_waveforms
 from kc2spice.netlist.deck import Deck
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.scene.checks import Check
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
-from kc2spice.scene.parttype import register as register_part
-from kc2spice.scene.settings import Probe
+from kc2spice.scene.parttype import register_part_type as register_part
+from kc2spice.scene.settings import ProbeKeys
 from kc2spice.sim.ngspice import find_ngspice, run_deck, write_files
 from kc2spice.workflow.decks import prepare_deck, protect_other_decks
 from kc2spice.workflow.run import CompletedRun, complete_run, write_run_files
@@ -94,7 +94,7 @@ def build(scene: AnyScene) -> dict[str, LinearModel]:
     models = {}
     for name, part in loaded.parts.items():
         if isinstance(part.type, LinearBody):
-            models[name] = replace(full_model_without_scene(part, loaded, Clock()), name=name)
+            models[name] = replace(full_model_without_scene(part, loaded, StageTimer()), name=name)
     return models
 
 
@@ -135,7 +135,7 @@ def deck(scene: AnyScene, *, trust: bool = False) -> Deck:
     >>> "Rlamp drive_out 0 6" in deck.files["lamp.cir"]
     True
     """
-    return prepare_deck(load_scene(scene), Clock(), trust=trust)[1]
+    return prepare_deck(load_scene(scene), StageTimer(), trust=trust)[1]
 
 
 def run(
@@ -210,7 +210,7 @@ def run(
         if directory is None
         else stage_directory(directory)
     )
-    clock = Clock()
+    clock = StageTimer()
     with output as name:
         work = Path(name)
         completed_run = complete_run(
@@ -275,7 +275,7 @@ def simulate(deck: Deck, *, timeout: float | None = None) -> Result:
         )
     with tempfile.TemporaryDirectory(prefix="kc2spice-") as work:
         waves = run_deck(deck, Path(work), timeout=timeout)
-    record = {"scene": deck.name, "version": __version__, "netlist": deck.main}
+    record = {"scene": deck.name, "version": __version__, "netlist": deck.main_file_name}
     return _make_result(deck, waves, record)
 
 
@@ -437,7 +437,11 @@ class Result:
         """Return the values of the variable ``scale``; reject a result over another variable."""
         if self.scale != scale:
             raise UsageError(
-                f"this result is not a function of {scale}", where=self.scene, got=self.scale
+                f"this result is not a function of {scale}",
+                where=self.scene,
+                got=f"a result over {self.scale}",
+                expected=f"a result over {scale}",
+                hint="print list(result.waves), which lists all waveforms",
             )
         return self.waves[scale]
 
@@ -468,7 +472,7 @@ class Result:
                     [*self.figures, *wave_names],
                     self.scene,
                 )
-        probes = {name: Probe(of=name) for name in names or wave_names}
+        probes = {name: ProbeKeys(of=name) for name in names or wave_names}
         for figure in plot_probes(probes, Waveforms(dict(self.waves), {}), self.units):
             return make_notebook_figure(figure)
         raise UsageError(
@@ -522,7 +526,9 @@ class Result:
         with stage_directory(out) as work:
             protect_other_decks(Path(out), self.deck.files)
             if self._done is not None:
-                write_run_files(self._done, work, Clock(wall_s=dict(self._done.wall_s)), png=png)
+                write_run_files(
+                    self._done, work, StageTimer(wall_s=dict(self._done.wall_s)), png=png
+                )
             else:
                 write_files(self.deck.files, work)
                 waves = Waveforms(dict(self.waves), {})
@@ -627,19 +633,19 @@ class Table(tuple[dict[str, Any], ...]):
         pandas = import_optional("pandas", "to_dataframe")
         return pandas.DataFrame({name: self[name] for name in self.columns})
 
-    def _cells(self) -> list[list[str]]:
+    def _format_cells(self) -> list[list[str]]:
         """Return the texts of all cells of the table, row by row."""
         return [list(map(_summarize, row.values())) for row in self]
 
     def __repr__(self) -> str:
-        cells = [list(self.columns), *self._cells()]
+        cells = [list(self.columns), *self._format_cells()]
         widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
         lines = (map(str.rjust, row, widths) for row in cells)
         return "\n".join(map("  ".join, lines))
 
     def _repr_html_(self) -> str:
         """Return the rows as an HTML table for notebooks."""
-        return _format_html_table(self.columns, self._cells())
+        return _format_html_table(self.columns, self._format_cells())
 
 
 def _require_path(out: object) -> Path:
@@ -743,9 +749,9 @@ def sweep(
     """
     from kc2spice.workflow.sweep.engine import make_sweep_of_plan, run_points
     from kc2spice.workflow.sweep.grid import make_plan
-    from kc2spice.workflow.sweep.point import Job, read_scene_text
+    from kc2spice.workflow.sweep.point import SweepSettings, read_scene_text
     from kc2spice.workflow.sweep.row_store import columns
-    from kc2spice.workflow.sweep.workers import available_cores
+    from kc2spice.workflow.sweep.workers import count_available_cores
 
     _require_lists(values)
     if executor is None:
@@ -754,11 +760,11 @@ def sweep(
     source = read_scene_text(str(scene)) if by_name else load_scene(scene)
     plan = make_plan({key: tuple(item) for key, item in values.items()})
     with naming_arguments("values"):
-        definition = make_sweep_of_plan(Job(source), plan, dict.fromkeys(plan.keys, ""))
+        definition = make_sweep_of_plan(SweepSettings(source), plan, dict.fromkeys(plan.keys, ""))
     result: dict[int, Any] = {}
     with ExitStack() as stack, warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        count = workers or available_cores()
+        count = workers or count_available_cores()
         pool = executor or stack.enter_context(ThreadPoolExecutor(count))
         for index, outcome in run_points(
             definition, range(plan.size), lambda: nullcontext((pool, count))

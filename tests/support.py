@@ -9,36 +9,36 @@ from importlib import import_module
 NAMES_BY_MODULE = {
     "kc2spice": "api pyspice",
     "kc2spice.bodies.device": (
-        "Block BondedBlocks PortLoad BoundaryConditions make_device list_outer_faces spread_force"
+        "Block BondedBlocks BoundaryConditions PortLoad list_outer_faces make_device spread_force"
     ),
     "kc2spice.bodies.enriched_model": "correct_responses enrich_model",
     "kc2spice.bodies.face_motion": "FaceMotion sample_face_motion",
     "kc2spice.bodies.fields": (
-        "FieldProbe compute_lowest_modes evaluate_at_nodes find_extremes "
-        "compute_largest_principal_stress recover_motion write_vtu"
+        "FieldProbe compute_largest_principal_stress compute_lowest_modes evaluate_at_nodes "
+        "find_extremes recover_motion write_vtu"
     ),
     "kc2spice.bodies.heat_field": "recover_temperatures write_temperatures",
     "kc2spice.bodies.heat_model": "HeatBoundaryConditions make_heat_model",
     "kc2spice.bodies.impedance": "analyse_impedance",
     "kc2spice.bodies.pressure": (
         "PressureBasis TransverselyIsotropicSphere choose_pressure_basis "
-        "compute_local_compliance compute_surface_compliance fit_indentation_law model_sphere "
-        "solve_contact_forces compute_sphere_compliance compute_stresses_under_force"
+        "compute_local_compliance compute_sphere_compliance compute_stresses_under_force "
+        "compute_surface_compliance fit_indentation_law make_sphere_model solve_contact_forces"
     ),
     "kc2spice.bodies.readers": "measure_mesh_extent read_model sidecar",
+    "kc2spice.bodies.readers.column_titles": "read_title",
     "kc2spice.bodies.readers.measured": (
         "MeasuredAdmittance is_measured parse_shunt_resistance read_measured"
     ),
     "kc2spice.bodies.readers.sidecar": "read_sidecar",
     "kc2spice.bodies.readers.thermal_transient": "is_transient read_transient",
-    "kc2spice.bodies.readers.titles": "read_title",
     "kc2spice.bodies.stack": "choose_level_spans make_stack make_stack_setup",
-    "kc2spice.bodies.stack_keys": "Cap Chip ChipMesh",
-    "kc2spice.bodies.undamped": "compute_undamped_responses",
+    "kc2spice.bodies.stack_keys": "Cap ChipMesh StackKeys",
+    "kc2spice.bodies.undamped_models": "compute_undamped_responses",
     "kc2spice.cli": "doctor",
     "kc2spice.cli.doctor": "_PYTHON_PACKAGES",
     "kc2spice.cli.main": "EXAMPLES app",
-    "kc2spice.cli.tables": "Caller print_result",
+    "kc2spice.cli.terminal_output": "OutputRecipient print_result",
     "kc2spice.core": "cache laws packages progress quantities",
     "kc2spice.core.argument_names": "name_arguments name_options",
     "kc2spice.core.cache": "load_or_build",
@@ -50,52 +50,54 @@ NAMES_BY_MODULE = {
         "GateMissedError Kc2spiceError MissingToolError SimulationError UsageError did_you_mean"
     ),
     "kc2spice.core.extras": "OPTIONAL_LIBRARIES import_optional",
-    "kc2spice.core.figure": "Curve Figure Map Panel",
+    "kc2spice.core.figure": "ColourMap Curve Figure Panel",
     "kc2spice.core.files": "stage_directory",
-    "kc2spice.core.magnets": "EMTable TEST_CURRENTS compute_test_forces current_products",
-    "kc2spice.core.memory": "available_bytes",
+    "kc2spice.core.key_errors": "validate_table",
+    "kc2spice.core.magnets": (
+        "MagnetostaticTable TEST_CURRENTS compute_current_products compute_test_forces"
+    ),
+    "kc2spice.core.memory": "find_available_bytes",
+    "kc2spice.core.memory_store": "Workspace",
     "kc2spice.core.mesh_error": "MESH_ERROR_PREFIX MESH_QUANTITIES list_mesh_errors",
-    "kc2spice.core.plugins": "load_plugin list_entry_points",
-    "kc2spice.core.prefix": "format_quantity format_value_and_limit",
+    "kc2spice.core.plugins": "list_entry_points load_plugin",
     "kc2spice.core.probe_values": "compute_mean_frequency",
     "kc2spice.core.progress": (
-        "Clock ConvergenceTimer ERROR_BUDGET StepTimer follow_stage ignore_progress"
+        "ConvergenceTimer ERROR_BUDGET StageTimer StepTimer follow_stage ignore_progress"
     ),
     "kc2spice.core.quantities": (
-        "BOLTZMANN DEFAULT_TEMPERATURE RefinementRule Ratio Section quantity"
+        "BOLTZMANN DEFAULT_TEMPERATURE Ratio RefinementRule Section convert_quantity"
     ),
-    "kc2spice.core.key_errors": "validate",
-    "kc2spice.core.schemas": "find_section plausible_range_of",
-    "kc2spice.core.units": "parse_unit",
+    "kc2spice.core.schemas": "find_section get_plausible_range",
+    "kc2spice.core.si_prefix_format": "format_quantity format_value_and_limit",
     "kc2spice.core.sound_level": "SoundLevel",
     "kc2spice.core.spectrum": "find_energy_frequency find_waveform_frequency",
+    "kc2spice.core.units": "parse_unit",
     "kc2spice.core.untrusted_files": (
         "MAX_TEXT_BYTES call_in_child explain_unsafe_name make_plain_name parse_toml read_bounded"
     ),
     "kc2spice.core.waveforms": (
-        "PulseKeys RecordedWave Waveforms constant_waveform differentiate linear_waveform "
-        "pulse_waveform sine_waveform"
+        "PulseKeys RecordedWave Waveforms differentiate make_constant_waveform "
+        "make_linear_waveform make_pulse_waveform make_sine_waveform"
     ),
-    "kc2spice.core.workspace": "Workspace",
     "kc2spice.equations.replay": "find_replayed_nets",
     "kc2spice.equations.scene_laws": "SceneLaws get_scene_laws store_laws",
     "kc2spice.fem": "magnet_field materials",
-    "kc2spice.fem.body_keys": "Damping",
-    "kc2spice.fem.element_poling": "find_parents",
+    "kc2spice.fem.body_keys": "DampingKeys",
+    "kc2spice.fem.element_poling": "find_coarse_elements",
     "kc2spice.fem.enrichment": "assemble_enrichment evaluate_shape_functions make_enrichment",
     "kc2spice.fem.heat_conduction": (
-        "HeatSolid assemble_faces assemble_heat find_common_faces find_face_nodes "
-        "find_point_shares duplicate_face_nodes"
+        "HeatSolid assemble_faces assemble_heat duplicate_face_nodes "
+        "evaluate_functions_at_point find_common_faces find_face_nodes"
     ),
     "kc2spice.fem.magnet_field": (
-        "LOWER SPHERE assemble_field compute_catch_table count_compared_positions"
+        "LOWER SPHERE choose_compared_count compute_catch_table make_field_assembler"
     ),
-    "kc2spice.fem.magnet_keys": "Catch Ring",
+    "kc2spice.fem.magnet_keys": "CatchKeys RingKeys",
     "kc2spice.fem.magnet_rings": (
-        "LoopModel Winding _fit_power_series compare_rings make_current_loop divide_section "
+        "LoopModel Winding _fit_power_series compare_rings divide_section make_current_loop "
         "reduce_to_loops"
     ),
-    "kc2spice.fem.materials": "Material material",
+    "kc2spice.fem.materials": "Material find_material",
     "kc2spice.fem.mesh_cells": "CellBlock make_quadratic_mesh reject_folded_elements",
     "kc2spice.fem.mesh_file": "measure_extent read_mesh",
     "kc2spice.fem.recovery": "compute_energy_products",
@@ -105,14 +107,14 @@ NAMES_BY_MODULE = {
     ),
     "kc2spice.linalg": "factor pardiso processor",
     "kc2spice.linalg.factor": "factorise_quasi_definite",
-    "kc2spice.linalg.quasidefinite": "QuasiDefinite find_supernodes",
+    "kc2spice.linalg.quasidefinite": "QuasiDefiniteFactor find_supernodes",
     "kc2spice.netlist": "deck",
-    "kc2spice.netlist.circuit": "Circuit Element Param Pin positive_parameter",
-    "kc2spice.netlist.deck": "Command Deck ac_command",
+    "kc2spice.netlist.circuit": "Circuit Element Param Pin make_positive_parameter",
+    "kc2spice.netlist.deck": "AnalysisCommand Deck make_ac_command",
     "kc2spice.netlist.edited_deck": "normalise_element read_edited_deck",
     "kc2spice.netlist.expression": (
-        "Binary Choice ExpressionWriter Number Unary evaluate_parameter literal_value "
-        "parse_expression"
+        "BinaryOperation ConditionalExpression ExpressionWriter Number UnaryOperation "
+        "evaluate_parameter literal_value parse_expression"
     ),
     "kc2spice.netlist.importer": "translate_circuit",
     "kc2spice.netlist.include_scan": "read_checked_circuit read_included_netlist",
@@ -121,10 +123,12 @@ NAMES_BY_MODULE = {
     ),
     "kc2spice.netlist.lint": "find_wiring_mistakes require_valid_wiring",
     "kc2spice.netlist.nodal": "NodalCircuit",
-    "kc2spice.netlist.prefixes": "read_parameter read_value with_prefix with_prefixes",
+    "kc2spice.netlist.prefixes": "format_with_prefix read_parameter read_value with_prefixes",
     "kc2spice.netlist.printers": "dialect_registry",
-    "kc2spice.netlist.printers.dialect_registry": "deck_dialects dialect_names find_dialect",
-    "kc2spice.netlist.printers.lines": "wrap_card wrap_comments",
+    "kc2spice.netlist.printers.dialect_registry": (
+        "find_dialect list_deck_dialects list_dialect_names"
+    ),
+    "kc2spice.netlist.printers.line_breaks": "wrap_card wrap_comments",
     "kc2spice.netlist.printers.ngspice": "Printer",
     "kc2spice.netlist.printers.plot_script": "format_plot_script",
     "kc2spice.netlist.printers.verilog_a": "print_module",
@@ -133,41 +137,41 @@ NAMES_BY_MODULE = {
     "kc2spice.netlist.translate": "translate_deck write_dialect_files write_symbol_files",
     "kc2spice.parts.acoustics._acoustic_load": "collect_load",
     "kc2spice.parts.acoustics._radiation_impedance": "RADIATORS",
-    "kc2spice.parts.bodies": "_body_model _neglected bimorph disc langevin",
-    "kc2spice.parts.bodies._body_model": "describe_target scene_band",
-    "kc2spice.parts.bodies._body_ports": "inert_ports",
-    "kc2spice.parts.bodies._box": "read_number_key list_varied_keys with_values",
+    "kc2spice.parts.bodies": "_body_model _neglected_effects bimorph disc langevin",
+    "kc2spice.parts.bodies._body_figures": "OBLIQUE_SHIFT draw_deformed_body draw_modes",
+    "kc2spice.parts.bodies._body_model": "describe_target find_scene_band",
+    "kc2spice.parts.bodies._body_ports": "list_inertial_pins",
     "kc2spice.parts.bodies._face_levels": "find_node_diameter",
     "kc2spice.parts.bodies._heat_keys": "HeatBodyKeys",
     "kc2spice.parts.bodies._linear_body": "LinearBody",
-    "kc2spice.parts.bodies._pictures": "OBLIQUE_SHIFT draw_deformed draw_modes",
+    "kc2spice.parts.bodies._varied_keys": "list_varied_keys read_number_key with_values",
     "kc2spice.parts.bodies.bimorph": "BimorphKeys make_bimorph_blocks",
-    "kc2spice.parts.bodies.body": "BodyKeys device",
+    "kc2spice.parts.bodies.body": "BodyKeys build_fe_model",
     "kc2spice.parts.bodies.heat_body": "make_heat_device",
-    "kc2spice.parts.control.pid": "Control pid_subcircuit settling_time",
-    "kc2spice.parts.electronics._template": "CoilLoad opamp_subcircuit parameters",
+    "kc2spice.parts.control.pid": "PidKeys compute_settling_time make_pid_subcircuit",
+    "kc2spice.parts.electronics._template_parts": "CoilLoad make_opamp_subcircuit parameters",
     "kc2spice.parts.electronics.driver_types": (
-        "Amplifier AmplifierKeys ChargeDrive ChargeKeys HalfBridge HalfBridgeKeys LinearDrive "
-        "LinearDriverKeys PwmDrive PwmKeys"
+        "Amplifier AmplifierKeys ChargeDrive ChargeDriveKeys HalfBridge HalfBridgeKeys "
+        "LinearDrive LinearDriverKeys PwmDrive PwmKeys"
     ),
-    "kc2spice.parts.electronics.two_terminal_types": "TABLE=TWO_TERMINAL_TABLE element",
+    "kc2spice.parts.electronics.two_terminal_types": "TABLE=TWO_TERMINAL_TABLE make_element_law",
     "kc2spice.parts.electrostatics.gap": "count_film_branches",
     "kc2spice.parts.magnetics": "moving_conductor ring_magnet_coils",
     "kc2spice.parts.magnetics.moving_conductor": "MAX_RING_ERROR declare_moving_body",
-    "kc2spice.parts.magnetics.moving_magnet": "demagnetising_factor",
-    "kc2spice.parts.magnetics.ring_magnet_coils": "coils_subcircuit",
+    "kc2spice.parts.magnetics.moving_magnet": "compute_demagnetising_factor",
+    "kc2spice.parts.magnetics.ring_magnet_coils": "make_coils_subcircuit",
     "kc2spice.parts.mechanics": "mass",
-    "kc2spice.parts.mechanics._touching": "ContactPair find_separation ring_gaps",
+    "kc2spice.parts.mechanics._contact_surfaces": "ContactPair compute_ring_gaps find_separation",
     "kc2spice.parts.mechanics.mass": "declare_point_mass",
     "kc2spice.parts.mechanics.sphere": "SphereKeys declare_sphere",
     "kc2spice.physics": "DeclaredPart branch coils contact law",
-    "kc2spice.physics.cards": "subcircuit_items",
+    "kc2spice.physics.cards": "write_subcircuit_items",
     "kc2spice.physics.contact": "ContactForce SPACING_NOTE declare_contact",
     "kc2spice.physics.declaration": "COORDINATES Declaration current displacement measured voltage",
     "kc2spice.physics.junction": "Junction",
     "kc2spice.physics.law": "DeclaredLaw",
     "kc2spice.physics.lookups": "TableFunction",
-    "kc2spice.physics.part": "declared_subcircuit",
+    "kc2spice.physics.part": "make_declared_subcircuit",
     "kc2spice.physics.symbolic": "evaluate_tree multiply_trees",
     "kc2spice.pyspice": "pyspice_subcircuit",
     "kc2spice.reference.equilibrium": "solve_operating_point",
@@ -176,95 +180,98 @@ NAMES_BY_MODULE = {
     "kc2spice.reference.small_signal": "LinearisedSystem solve_ac",
     "kc2spice.reference.system": "assemble_system",
     "kc2spice.report.charts": "render_figure",
-    "kc2spice.report.drawings": "describe_devices",
+    "kc2spice.report.drawings": "write_side_view_caption",
     "kc2spice.report.figures": "write_pngs",
     "kc2spice.report.html": "PageSection write_page",
     "kc2spice.report.probe_figure": "plot_probes",
     "kc2spice.report.run_page": "format_operating_point format_results format_summary write_run",
     "kc2spice.report.sweep_page": "_plot_histogram compute_yields",
     "kc2spice.rom": "pencil stability",
-    "kc2spice.rom.band": "compute_elastic_eigenvalues find_band_end choose_natural_band",
-    "kc2spice.rom.blocks": "make_block_model decouple_states",
+    "kc2spice.rom.band": "choose_natural_band compute_elastic_eigenvalues find_band_end",
     "kc2spice.rom.branch_fit": "fit_one_port",
     "kc2spice.rom.certification": "certify",
     "kc2spice.rom.complex_constants": "ComplexConstants make_complex_constants_model",
     "kc2spice.rom.constraints": (
-        "deflate_infinite_poles compute_null_basis eliminate_algebraic_unknowns"
+        "compute_null_basis deflate_infinite_poles eliminate_algebraic_unknowns"
     ),
-    "kc2spice.rom.enriched": "ReductionsByOrder find_last_change response compute_time_errors",
-    "kc2spice.rom.error_estimate": "relative_error",
-    "kc2spice.rom.first_step": "build_intermediate_model",
+    "kc2spice.rom.decoupled_blocks": "decouple_states make_block_model",
+    "kc2spice.rom.error_estimate": "compute_relative_error",
     "kc2spice.rom.free_body": "find_free_body",
     "kc2spice.rom.heat_network": "FosterNetwork HeatLadder find_heat_ladder",
     "kc2spice.rom.instability": "explain_instability",
+    "kc2spice.rom.intermediate_reduction": "build_intermediate_model",
     "kc2spice.rom.io": "read_rom write_rom",
     "kc2spice.rom.linear_model": "Certificate LinearModel Port make_piezoelectric_model",
     "kc2spice.rom.lossy_modes": (
         "assemble_oscillators fit_relaxing_oscillator make_viscous_oscillator"
     ),
-    "kc2spice.rom.modal": (
-        "Resonators simulate_resonators fit_foster_network make_highest_modes_massless "
-        "tabulate_modes resonators"
+    "kc2spice.rom.modal_models": (
+        "Resonators compute_resonators fit_foster_network make_highest_modes_massless "
+        "simulate_resonators tabulate_modes"
     ),
     "kc2spice.rom.multiport": "fit_multiport",
     "kc2spice.rom.network": "CircuitBranch ParallelBranches recognise_parallel_branches",
-    "kc2spice.rom.parametric": (
-        "ParameterAxis compute_modal_transfer polynomials reduce_over_parameters"
+    "kc2spice.rom.parametric_model_files": "read_parametric_model",
+    "kc2spice.rom.parametric_models": (
+        "ParameterAxis compute_modal_transfer evaluate_polynomials reduce_over_parameters"
     ),
     "kc2spice.rom.pencil": "Pencil eliminate_massless",
-    "kc2spice.rom.ranges": "RangeTask",
+    "kc2spice.rom.range_reduction": "RangeTask",
     "kc2spice.rom.reduce": "reduce_model",
-    "kc2spice.rom.reduced_basis": "Task",
+    "kc2spice.rom.reduced_basis": "ReductionTask",
     "kc2spice.rom.reductors": "registry",
-    "kc2spice.rom.reductors.balanced_truncation": "BalancedTruncation _gramian_root",
+    "kc2spice.rom.reductors.balanced_truncation": "BalancedTruncation _compute_gramian_root",
     "kc2spice.rom.reductors.block_krylov": "BlockKrylov",
     "kc2spice.rom.reductors.rational_krylov": "RationalKrylov",
     "kc2spice.rom.reductors.response_pod": "ResponsePod",
+    "kc2spice.rom.resonators_over_ranges": "ResonatorsOverRanges reduce_over_ranges",
     "kc2spice.rom.response": "Response",
     "kc2spice.rom.soft_support": "support_softly",
     "kc2spice.rom.stability": "prove_stability",
     "kc2spice.rom.structural_damping": (
-        "add_structural_damping causal_loss_factor fit_relaxing_stiffness"
+        "add_structural_damping compute_causal_loss_factor fit_relaxing_stiffness"
     ),
     "kc2spice.rom.surrogate": "make_surrogate",
+    "kc2spice.rom.time_domain_errors": (
+        "ReductionsByOrder compute_time_errors find_last_change response"
+    ),
     "kc2spice.rom.transient_fit": "StepSamples fit_transient",
-    "kc2spice.rom.resonators_over_ranges": "ResonatorsOverRanges reduce_over_ranges",
-    "kc2spice.rom.parametric_model_files": "read_parametric_model",
     "kc2spice.scene": "noise_analysis parttype resolve",
-    "kc2spice.scene.numerical_settings": "describe_plan find_numerical_settings",
     "kc2spice.scene.catalogue": "find_part read_catalogue search_parts",
-    "kc2spice.scene.checks": "Balance Check Gate Verdict require_passed",
-    "kc2spice.scene.compose": "describe_nets",
+    "kc2spice.scene.checks": "Check Gate RunEnergyBalance Verdict require_passed",
     "kc2spice.scene.highest_frequency": "highest_frequency",
     "kc2spice.scene.keys": "list_all_keys list_schema_keys",
     "kc2spice.scene.load": "_make_scene load_scene",
     "kc2spice.scene.metrics": "compute_metrics",
     "kc2spice.scene.model": (
-        "Build DeclaredScene GovernedScene JoinedScene PartType WiredScene find_flows scene_hash"
+        "BuiltScene DeclaredScene GovernedScene JoinedScene PartType WiredScene "
+        "compute_scene_hash find_flows"
     ),
+    "kc2spice.scene.net_formation": "describe_nets",
+    "kc2spice.scene.numerical_settings": "describe_plan find_numerical_settings",
+    "kc2spice.scene.part_records": "NeglectedEffect SampledSource",
     "kc2spice.scene.part_reference": "describe_part_types",
-    "kc2spice.scene.parttype": "compute_pin_forces find_part_type load_part_types type_names",
-    "kc2spice.scene.resolve": "name_subcircuits resolve_build",
+    "kc2spice.scene.parttype": "compute_pin_forces find_part_type list_type_names load_part_types",
+    "kc2spice.scene.resolve": "add_results_and_sources name_subcircuits",
     "kc2spice.scene.results": "NOISE_WAVE",
-    "kc2spice.scene.part_records": "Neglected SampledSource",
     "kc2spice.scene.scene_file": "SceneFile list_gallery",
-    "kc2spice.scene.settings": "Probe Rom",
+    "kc2spice.scene.settings": "ProbeKeys RomKeys",
     "kc2spice.sim": "ngspice",
     "kc2spice.sim.ngspice": "RetriesFailedError find_ngspice run_deck run_with_retries write_files",
-    "kc2spice.sim.output": "find_failure list_alterations read_raw",
-    "kc2spice.sim.shared": "run_shared",
-    "kc2spice.synthesis": "parameter_ranges ringing terminals",
+    "kc2spice.sim.output": "find_failure list_changed_cards read_raw",
+    "kc2spice.sim.shared": "run_in_libngspice",
+    "kc2spice.synthesis": "parameter_ranges ringing_time terminals",
     "kc2spice.synthesis.circuit_error": "estimate_circuit_error require_circuit_tolerance",
-    "kc2spice.synthesis.header": "part_header rom_comments",
+    "kc2spice.synthesis.header": "write_part_header write_rom_comments",
     "kc2spice.synthesis.parametric_resonators": "parametric_subcircuit",
     "kc2spice.synthesis.realize": "subcircuit",
     "kc2spice.workflow": "bench decks reduce_files refine",
     "kc2spice.workflow.decks": "make_deck prepare_deck",
     "kc2spice.workflow.export": "export_scene",
-    "kc2spice.workflow.methods": "compare_methods",
-    "kc2spice.workflow.misfit": "estimate_covariance find_likely_cause rms_misfit",
-    "kc2spice.workflow.models": "build_models model_values value_units",
-    "kc2spice.workflow.orders": "suggested_keys",
+    "kc2spice.workflow.larger_orders": "suggest_keys",
+    "kc2spice.workflow.method_comparison": "compare_methods",
+    "kc2spice.workflow.misfit": "compute_rms_misfit estimate_covariance find_likely_cause",
+    "kc2spice.workflow.models": "build_models find_value_units list_model_values",
     "kc2spice.workflow.reduce_files": "_load_scene_body export_rom make_example_deck reduce_file",
     "kc2spice.workflow.refine": "repeat_timing",
     "kc2spice.workflow.run": "complete_run run_scene",
@@ -274,16 +281,16 @@ NAMES_BY_MODULE = {
     "kc2spice.workflow.sweep.grid": "make_plan",
     "kc2spice.workflow.sweep.point": "PointResult SceneInput read_scene_text",
     "kc2spice.workflow.sweep.row_store": "RowStore columns write_csv",
-    "kc2spice.workflow.sweep.workers": "dask_workers local_workers",
+    "kc2spice.workflow.sweep.workers": "make_dask_connector make_local_worker_pool",
     "kc2spice.workflow.time_step": "choose_largest_step",
-    "kc2spice.workflow.verdict": "list_checks add_undecided_warnings",
+    "kc2spice.workflow.verdict": "add_undecided_warnings form_verdict",
     "kc2spice.workflow.verify": "bodies",
     "kc2spice.workflow.verify.bodies": "compare_responses",
     "kc2spice.workflow.verify.differences": (
-        "Solution gate_difference list_gate_checks metric_errors output_errors"
+        "Solution compute_gate_difference compute_output_errors list_gate_checks list_metric_errors"
     ),
     "kc2spice.workflow.verify.full_models": "solve_full_models",
-    "kc2spice.workflow.verify.full_transient": "Difference find_last_rest",
+    "kc2spice.workflow.verify.full_transient": "FullModelDifference find_last_rest",
     "kc2spice.workflow.verify.law_solution": "solve_laws",
     "kc2spice.workflow.verify.verify": "verify_scenes",
 }

@@ -56,11 +56,11 @@ def parts_page() -> str:
         "netlist; a signal carries no current. `pins = { PIN = \"part.pin\" }` joins pins. A pin "
         "with a default may be left out. `kc2spice scenes --part TYPE` prints the same.",
         "",
-        *(line for doc in describe_part_types() for line in _part(doc)),
+        *(line for doc in describe_part_types() for line in _select_unknowns(doc)),
     ])  # fmt: skip
 
 
-def _part(doc: Any) -> Iterator[str]:
+def _select_unknowns(doc: Any) -> Iterator[str]:
     yield f"## {doc.name}\n\n{doc.title[:1].upper()}{doc.title[1:]}. {doc.doc}\n"
     if doc.short_for:
         tables = " or ".join(f"`[{name}]`" for name in doc.short_for)

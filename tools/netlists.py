@@ -28,11 +28,11 @@ from typing import Any
 
 import kc2spice
 from kc2spice.netlist import read_lib
-from kc2spice.netlist.printers.dialect_registry import NGSPICE, dialect_names
+from kc2spice.netlist.printers.dialect_registry import NGSPICE, list_dialect_names
 from kc2spice.netlist.printers.kicad import (
     Symbol,
     draw_part_symbol,
-    element_symbols,
+    make_element_symbols,
     print_symbol_library,
 )
 from kc2spice.netlist.read import split_statements
@@ -85,7 +85,7 @@ def shipped(scene: str) -> Scene:
             material = layer.material  # a material by its name has no keys that could vary
             named = {"like": material} if isinstance(material, str) else material
             changes[f"{name}.layers[{number}].material"] = named
-        target = part.type.reduction(part, plain)
+        target = part.type.choose_reduction(part, plain)
         assert target is not None, f"{name} has no reduced model"
         band = list(target.band)
         rom = {"tolerance": table["tolerance"], "band": band, "parameters": ranges}
@@ -125,7 +125,7 @@ def scene_files(scene: str, out: Path) -> list[Path]:
 def example_files(scene: str, out: Path) -> None:
     """A scene in every other dialect: KiCad's project and LTspice's libraries stand alone, too."""
     plain = without_sound(load_scene(scene))
-    for dialect in filter(NGSPICE.__ne__, dialect_names()):
+    for dialect in filter(NGSPICE.__ne__, list_dialect_names()):
         export_scene(plain, out / dialect, dialect)
     with TemporaryDirectory() as place:
         (out / "kicad").mkdir()
@@ -172,7 +172,7 @@ def symbols() -> Iterator[Symbol]:
 
 def all_symbols() -> str:
     """All designs and what stands on a sheet besides."""
-    plain = {symbol.name: symbol for symbol in element_symbols().values()}
+    plain = {symbol.name: symbol for symbol in make_element_symbols().values()}
     return print_symbol_library([*symbols(), *plain.values()])
 
 

@@ -24,7 +24,7 @@ from docs_numbers import date_and_commit
 
 from kc2spice.bodies.impedance import analyse_impedance
 from kc2spice.core.figure import Curve, Figure, Panel, get_axis_label_and_factor
-from kc2spice.core.progress import Clock
+from kc2spice.core.progress import StageTimer
 from kc2spice.report.figures import write_pngs
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.scene.load import load_scene
@@ -76,26 +76,30 @@ PICTURES = {
 EDGES = (0.1, 1.0, 5.0, 10.0, 20.0)  # us, of the kick's drive
 HEAD = """# Devices with published numbers
 
-The models have textbook materials and the dimensions of the data sheet or paper. No property is
-fitted, unless a row states another measurement of the same device to which it was fitted.
-`kc2spice run NAME` runs a built-in scene. The other scenes are files in `docs/published`.
-`kc2spice explain NAME` prints the error estimate of the mesh.
+The tables compare results of kc2spice with published values of devices. The models have textbook
+materials and the dimensions of the data sheet or paper. No property is fitted to the published
+values. If a property is fitted to another measurement of the same device, the row states this
+measurement. `kc2spice run NAME` runs a built-in scene. Scenes that are not built in are files in
+`docs/published`. `kc2spice explain NAME` prints the error estimate of the mesh.
+
+The words in italics are columns of the tables, or marks in the tables:
 
 - *full*: value of the finite-element model.
 - *reduced*: value of the reduced model, which becomes the subcircuit.
-- *ngspice*: value of the emitted netlist in ngspice.
+- *ngspice*: value of the netlist in ngspice.
 - *difference*: relative difference between the ngspice value and the published value. If there is
-  no ngspice value, the value of the full model is compared.
-- *within*: yes if the difference is within the tolerance of the source.
-- A dash marks values that do not apply.
-- *measured*: the published value was measured on one device. All other published values come from
-  data sheets, closed-form solutions, or finite-element results of other programs.
-- *assumed*: the row depends on a value that the source does not state.
+  no ngspice value, the difference between the value of the full model and the published value.
+- *within*: "yes" if the difference is at most the tolerance of the published value.
+- A dash marks a value that does not apply.
+- *measured*: the published value was measured on one device. Published values without this mark
+  come from data sheets, closed-form solutions, or finite-element results of other programs.
+- *assumed*: the computed value depends on an assumption about a value that the source does not
+  state.
 
 The models of the discs have no supports. The discs of the data sheets are supported at a nodal
-circle, which changes the resonance by 0.1 %. If the source states all inputs, independent time
-integrations compute *full* and *reduced*. `python tools/published_table.py` writes this
-page from `docs/published.toml`.
+circle, and the support changes the resonance by 0.1 %. If the source states all inputs, the
+values *full* and *reduced* come from independent time integrations.
+`python tools/published_table.py` writes this page from `docs/published.toml`.
 
 {origin}
 
@@ -118,19 +122,22 @@ TABLES = {
     "Sound pressure levels": ("_db",),
 }
 ASSUMPTIONS = (
-    "The sources do not state the values below. Rows that depend on these values do not test the "
-    "model."
+    "For the scenes in the next list, the sources do not state every input of the model. The list "
+    "states the assumed values. Rows that depend on an assumed value do not test the model."
 )
 KICKS = """\
-If the drive voltage rises in about 20 µs, the model reaches the measured speed. In the scene
-`kick_and_catch`, the diameter of the sphere is 2 mm, and the drive voltage rises in 0.1 µs. There,
-a launch velocity of 1.02 m/s requires a driver current of 35 A. A driver that charges the
-capacitance of the chip more slowly does not reach this velocity."""
+The next table shows the scene `kick_slew` with different rise times (edges) of the drive voltage.
+With an edge of about 20 µs, the computed speed of the sphere is close to the measured speed of
+0.243 m/s. The scene `kick_and_catch` has a sphere of 2 mm diameter and an edge of 0.1 µs. In the
+scene `kick_and_catch`, a launch velocity of 1.02 m/s requires a driver current of 35 A. A driver
+with a smaller current charges the capacitance of the chip more slowly, and the launch velocity is
+lower."""
 SOURCES = """\
-The last column names the text with which the published numbers were compared. Files `vmNNN.dat` are
-in `src/ansys/mapdl/core/examples/verif` of <https://github.com/ansys/pymapdl>. The catalogue of
-May 2014 was at `www1.futureelectronics.com/doc/Murata/7BB-20-6-MUR.pdf`."""
-SOURCES_HEAD = "| scene | device | source | compared with |\n|---|---|---|---|"
+The column *numbers from* states the file or text from which the published numbers were copied. The
+files `vmNNN.dat` (verification manual of Ansys) are in `src/ansys/mapdl/core/examples/verif` of
+<https://github.com/ansys/pymapdl>. The Murata catalogue of May 2014 was published at
+`www1.futureelectronics.com/doc/Murata/7BB-20-6-MUR.pdf`."""
+SOURCES_HEAD = "| scene | device | source | numbers from |\n|---|---|---|---|"
 
 
 @dataclass(frozen=True)
@@ -159,9 +166,10 @@ def simulate(name: str, *overrides: str) -> tuple[dict[str, Any], dict[str, np.n
 
 def models(scene: Scene, part: str) -> tuple[LinearModel, LinearModel]:
     """Full and reduced model of a body."""
-    clock = Clock()
+    clock = StageTimer()
     body: Any = scene.parts[part]
-    return body.type.full(body, scene, clock), build_models(scene, clock).model(body, LinearModel)
+    full = body.type.make_full_model(body, scene, clock)
+    return full, build_models(scene, clock).model(body, LinearModel)
 
 
 Solver: TypeAlias = Callable[[str, Mapping[str, Any]], tuple[dict[str, Answer], Path]]

@@ -9,7 +9,7 @@ from kc2spice.bodies.stack import make_stack
 from kc2spice.bodies.stack_keys import SECTORS
 from kc2spice.linalg.factor import factorise
 from kc2spice.rom.linear_model import Port
-from kc2spice.rom.pencil import Schur
+from kc2spice.rom.pencil import SchurComplement
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ def quarter(kick):
     n, model = SECTORS, device.model
     b, C0, K = model.B[:, -1] / n, model.D[-1, -1] / n, model.K
     k_pV, lift = -device.lift[:, 0] / n, np.zeros(device.lift.shape[0])
-    if isinstance(K, Schur):  # undo kc2spice.rom.linear_model.make_piezoelectric_model
+    if isinstance(K, SchurComplement):  # undo kc2spice.rom.linear_model.make_piezoelectric_model
         K_uu, K_up, K_pp = K.uu / n, K.up / n, -K.pp / n
         lift = factorise(sparse.csc_array(K_pp), definite=True).solve(k_pV)
     else:

@@ -10,7 +10,7 @@ folder.mkdir()
 for name, text in deck.files.items():
     (folder / name).write_text(text)
 
-netlist = folder / deck.main
+netlist = folder / deck.main_file_name
 lines = netlist.read_text().splitlines()
 # A resistor across the anode, which the scene leaves open, takes energy out of the chip.
 place = next(k for k, line in enumerate(lines) if line.startswith("Xkick"))

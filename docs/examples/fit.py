@@ -24,4 +24,4 @@ print(found["page"])
 fitted = kc.load_scene(scene, [found["overrides"]])  # run, sweep and export take it by --set too
 
 assert found["identifiable"]
-assert abs(fitted.part("disc").keys.layers[0].thickness / 0.105e-3 - 1) < 0.01
+assert abs(fitted.get_part("disc").keys.layers[0].thickness / 0.105e-3 - 1) < 0.01

@@ -27,7 +27,7 @@ def on_ring(scene, diameter, resonance):
 def in_housing(scene, resonance):
     """A cavity in front of the disc and a hole, tuned to the resonance of the disc on its rim."""
     tables = copy.deepcopy(dict(scene.tables))
-    radius = 0.15 * scene.part("front").keys.surface_radius
+    radius = 0.15 * scene.get_part("front").keys.surface_radius
     area, length = math.pi * radius**2, HOLE_LENGTH + 1.7 * radius
     volume = area / length * (SOUND_SPEED / (2 * math.pi * resonance)) ** 2
     tables["chamber"] = {"part": "cavity", "volume": volume}
@@ -69,7 +69,7 @@ for name in DISCS:
     errors.append([run.metrics["level_error_db"] for run in runs])
     print(f"{name:20} {row[0]}   {without_baffle(free)}      {'  '.join(row[1:])}")
     smaller, larger = (other.metrics[LEVEL] - ring.metrics[LEVEL] for other in others)
-    share = node / (2 * scene.part("front").keys.surface_radius)
+    share = node / (2 * scene.get_part("front").keys.surface_radius)
     rings.append(
         f"{name:20} {1e3 * node:5.2f}   {share:.3f}      {smaller:+5.1f}     {larger:+5.1f}"
     )

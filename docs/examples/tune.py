@@ -15,7 +15,7 @@ def settling(gains: np.ndarray) -> np.ndarray:
     """Settling time [s] of each launch; one that is not caught counts as three times the run."""
     changed = kc.load_scene(scene, dict(zip(keys, gains, strict=True)))
     table = kc.sweep(changed, {"kick.drive.voltage": LAUNCHES})
-    return np.array([t or 3 * scene.stop for t in table["settling_time_s"]])
+    return np.array([t or 3 * scene.stop_time for t in table["settling_time_s"]])
 
 
 before = settling(start)

@@ -36,11 +36,11 @@ from scipy.sparse.csgraph import connected_components
 from skfem.mesh import MeshHex, MeshQuad
 
 from kc2spice.bodies.mesh_estimate import estimate_mesh_errors
-from kc2spice.bodies.undamped import FiniteElementModel, compute_undamped_responses
+from kc2spice.bodies.undamped_models import FiniteElementModel, compute_undamped_responses
 from kc2spice.core.domains import ACCELERATION, ACOUSTIC, BASE, ELECTRICAL, TRANSLATION
 from kc2spice.core.errors import UsageError, name_part_in_errors, wrong
 from kc2spice.core.progress import StepTimer
-from kc2spice.fem.body_keys import Damping
+from kc2spice.fem.body_keys import DampingKeys
 from kc2spice.fem.materials import Material
 from kc2spice.fem.solid import (
     Solid,
@@ -51,7 +51,7 @@ from kc2spice.fem.solid import (
 )
 from kc2spice.linalg.factor import require_memory_for_factors
 from kc2spice.rom.linear_model import LinearModel, Port, make_piezoelectric_model
-from kc2spice.rom.pencil import Schur
+from kc2spice.rom.pencil import SchurComplement
 
 # sqrt(shift) of an unsupported body, relative to its slowest wave speed divided by its size
 FREE_SHIFT_RATIO = 1e-3
@@ -136,7 +136,7 @@ class BoundaryConditions:
     lumped: np.ndarray | None = None
     springs: sparse.csc_array | None = None
     sectors: int = 1
-    damping: Damping = field(default_factory=Damping)
+    damping: DampingKeys = field(default_factory=DampingKeys)
 
     @property
     def driven_electrodes(self) -> dict[str, np.ndarray]:
@@ -163,8 +163,10 @@ def make_device(solid: Solid, setup: BoundaryConditions) -> FiniteElementModel:
         get_area_name(port): compute_area(solid, facets) for port, facets in bare.faces.items()
     }
     pencil = bare.model.pencil
-    definite = pencil.is_large or not (bare.shift or isinstance(bare.model.K, Schur))
-    require_memory_for_factors(pencil.bordered(1.0, 0.0, 0.0), definite=definite, where="mesh")
+    definite = pencil.is_large or not (bare.shift or isinstance(bare.model.K, SchurComplement))
+    require_memory_for_factors(
+        pencil.assemble_bordered_matrix(1.0, 0.0, 0.0), definite=definite, where="mesh"
+    )
     answers = compute_undamped_responses(bare.model, bare.shift)
     timer.begin_step(2, steps)
     facts |= answers.facts | estimate_mesh_errors(bare, answers, setup.sectors)
@@ -182,7 +184,9 @@ def make_undamped_model(solid: Solid, setup: BoundaryConditions) -> FiniteElemen
     Q, R, pins = _constrain_potentials(full.K_pp, setup)
     mass, K_uu = full.M, full.K_uu
     if setup.lumped is not None:
-        mass = mass + sparse.diags_array(np.repeat(setup.lumped, solid.components), format="csc")
+        mass = mass + sparse.diags_array(
+            np.repeat(setup.lumped, solid.component_count), format="csc"
+        )
     if setup.springs is not None:
         K_uu = K_uu + setup.springs
     n = float(setup.sectors)
@@ -211,7 +215,7 @@ def make_undamped_model(solid: Solid, setup: BoundaryConditions) -> FiniteElemen
         sparse.csc_array(R),
         -(Q.T @ K_pp @ R).toarray(),
         _choose_shift(solid, setup),
-        float(mass.sum()) / solid.components,
+        float(mass.sum()) / solid.component_count,
         {s.port.name: s.facets for s in setup.shapes if s.facets is not None},
     )
 
@@ -224,10 +228,10 @@ def _estimate_depoling_voltage(solid: Solid, setup: BoundaryConditions) -> float
     electrode, a lower voltage may depolarise the ceramic. Return None if the depoling field of a
     material is unknown.
     """
-    limits = [m.depoling_field for m in solid.materials if m.piezoelectric]
+    limits = [m.depoling_field for m in solid.materials if m.is_piezoelectric]
     if not setup.driven_electrodes or not limits or None in limits:
         return None
-    places = solid.places.T
+    places = solid.node_positions.T
     from scipy.spatial import cKDTree  # scipy.spatial is imported here, because few bodies need it
 
     near = cKDTree(places[setup.electrodes[setup.reference]])
@@ -235,7 +239,7 @@ def _estimate_depoling_voltage(solid: Solid, setup: BoundaryConditions) -> float
     return float(np.array(limits, dtype=float).min() * distances.min())
 
 
-def add_rayleigh_damping(model: LinearModel, damping: Damping) -> LinearModel:
+def add_rayleigh_damping(model: LinearModel, damping: DampingKeys) -> LinearModel:
     """Add Rayleigh damping to a model, with the same factors for all materials.
 
     Raises
@@ -243,14 +247,14 @@ def add_rayleigh_damping(model: LinearModel, damping: Damping) -> LinearModel:
     UsageError : the damping ratio applies at the first resonance, but the model has no resonance.
     """
     first = _find_damping_frequency(model, damping)
-    rayleigh = damping.rayleigh(first) if first else (damping.alpha, 0.0)
+    rayleigh = damping.compute_rayleigh_factors(first) if first else (damping.alpha, 0.0)
     return model.copy_with(E=None, rayleigh=rayleigh)
 
 
-def _find_damping_frequency(model: LinearModel, damping: Damping) -> float | None:
+def _find_damping_frequency(model: LinearModel, damping: DampingKeys) -> float | None:
     """Return the frequency [Hz] at which the given damping ratio or Q factor applies."""
     facts = model.facts
-    first = damping.frequency(facts.get("resonance_short_hz", facts.get("resonance_hz")))
+    first = damping.find_ratio_frequency(facts.get("resonance_short_hz", facts.get("resonance_hz")))
     if first is None and (damping.zeta or damping.per_material):
         raise UsageError(
             "the body has no resonance at which its damping is stated",
@@ -278,7 +282,7 @@ def _add_damping(
             raise wrong("damping.per_material", problem, material.name, expected, hint)
         loss.append(1 / (material.quality * 2 * np.pi * first))
 
-    def damping_term(beta: float, material: int | None = None) -> sparse.csc_array:
+    def assemble_damping_term(beta: float, material: int | None = None) -> sparse.csc_array:
         """Return the damping matrix of one material, or of all materials if ``material`` is None.
 
         The matrix is ``beta`` [s] times the stiffness matrix.
@@ -290,10 +294,10 @@ def _add_damping(
     # Further terms add the remaining damping of each material.
     # With these terms, E and K have the same rounding errors in the first mode.
     least = min(loss)
-    E = damping.alpha * model.M + damping_term(least)
+    E = damping.alpha * model.M + assemble_damping_term(least)
     for number, beta in enumerate(loss):
         if beta > least:
-            E = E + damping_term(beta - least, number)
+            E = E + assemble_damping_term(beta - least, number)
     return model.copy_with(E=sparse.csc_array(E), rayleigh=None)
 
 
@@ -302,7 +306,7 @@ def spread_force(shares: np.ndarray, axis: np.ndarray, solid: Solid) -> np.ndarr
 
     ``shares`` is the share of the force at each node, an array of shape (nodes,).
     """
-    return np.outer(shares, axis[solid.axes]).ravel()
+    return np.outer(shares, axis[solid.axis_indices]).ravel()
 
 
 def compute_rigid_translation(solid: Solid, axis: np.ndarray) -> np.ndarray:
@@ -310,7 +314,7 @@ def compute_rigid_translation(solid: Solid, axis: np.ndarray) -> np.ndarray:
 
     The returned array has the shape (d nodes,).
     """
-    return spread_force(np.ones(solid.places.shape[1]), np.asarray(axis, float), solid)
+    return spread_force(np.ones(solid.node_positions.shape[1]), np.asarray(axis, float), solid)
 
 
 def compute_rigid_body_modes(solid: Solid, centre: np.ndarray) -> np.ndarray:
@@ -321,7 +325,7 @@ def compute_rigid_body_modes(solid: Solid, centre: np.ndarray) -> np.ndarray:
     """
     if solid.axisymmetric:
         return compute_rigid_translation(solid, UP)[:, None]
-    arm = solid.places.T - centre
+    arm = solid.node_positions.T - centre
     turns = np.cross(np.eye(3)[:, None], arm[None])  # array of shape (axes, nodes, components)
     moves = np.broadcast_to(np.eye(3)[:, None], turns.shape)
     return np.concatenate([moves, turns]).reshape(6, -1).T
@@ -335,14 +339,14 @@ def _constrain_displacements(
     Each load is a pair: a port of a rigid face, and the load vector of this port. A load vector has
     the shape (unknowns,).
     """
-    d, free = solid.components, ~setup.fixed
-    where = solid.places.T
+    d, free = solid.component_count, ~setup.fixed
+    where = solid.node_positions.T
     blocks = []
     for face in setup.faces:
         rows = (d * face.nodes[:, None] + np.arange(d)).ravel()
         if not free[rows].all():
             problem = "a rigid face touches a support or another rigid face"
-            hint = "give it free nodes"
+            hint = "choose a face whose nodes are neither clamped nor on another rigid face"
             raise wrong(", ".join(port.name for port, _ in face.ports), problem, hint=hint)
         free[rows] = False
         motion = np.zeros((len(free), 6))
@@ -384,7 +388,7 @@ def _constrain_potentials(
         hint = "add an electrode on a face of each piezoelectric solid"
         raise wrong("electrodes", problem, hint=hint)
 
-    def indicate_nodes(nodes: np.ndarray, values: float | np.ndarray = 1.0) -> sparse.csc_array:
+    def make_nodal_column(nodes: np.ndarray, values: float | np.ndarray = 1.0) -> sparse.csc_array:
         """Return a column vector with ``values`` at the ``nodes`` and zeros elsewhere."""
         column = np.zeros(len(live))
         column[nodes] = values
@@ -392,11 +396,11 @@ def _constrain_potentials(
 
     free = np.flatnonzero(live & (times_driven == 0))
     identity = sparse.eye_array(len(live), format="csc")
-    Q = sparse.hstack([identity[:, free], *map(indicate_nodes, setup.floating)], "csc")
+    Q = sparse.hstack([identity[:, free], *map(make_nodal_column, setup.floating)], "csc")
     none = sparse.csc_array((len(live), 0))
-    columns = [*map(indicate_nodes, setup.driven_electrodes.values())]
+    columns = [*map(make_nodal_column, setup.driven_electrodes.values())]
     if setup.graded is not None:
-        columns[0] = columns[0] + indicate_nodes(*setup.graded)
+        columns[0] = columns[0] + make_nodal_column(*setup.graded)
     R = sparse.hstack([none, *columns], "csc")
     ports = [Port(p, ELECTRICAL.port, pins=(p, setup.reference)) for p in setup.driven_electrodes]
     return Q, R, ports
@@ -442,8 +446,12 @@ def _is_supported(solid: Solid, fixed: np.ndarray, pieces: Sequence[np.ndarray])
     while waiting:
         free = []
         for nodes in waiting:
-            rows = (solid.components * nodes[:, None] + np.arange(solid.components)).ravel()
-            motions = compute_rigid_body_modes(solid, solid.places[:, nodes].mean(axis=1))[rows]
+            rows = (
+                solid.component_count * nodes[:, None] + np.arange(solid.component_count)
+            ).ravel()
+            motions = compute_rigid_body_modes(solid, solid.node_positions[:, nodes].mean(axis=1))[
+                rows
+            ]
             motions = motions / np.maximum(np.abs(motions).max(axis=0), 1e-300)
             if np.linalg.matrix_rank(motions[constrained[rows]], tol=1e-6) < motions.shape[1]:
                 free.append(nodes)
@@ -530,12 +538,12 @@ class BondedBlocks:
     size: float = np.inf
     refine: int = 1
     like: BondedBlocks | None = None
-    damping: Damping = field(default_factory=Damping)
+    damping: DampingKeys = field(default_factory=DampingKeys)
     where: str = "body"
 
     @property
-    def every_port(self) -> tuple[Port, ...]:
-        """All ports of the model, electrical ports first."""
+    def all_ports(self) -> tuple[Port, ...]:
+        """Ports of the model, electrical ports first."""
         ports = []
         for pin in self.electrodes:
             if pin != "cathode":
@@ -549,7 +557,7 @@ class BondedBlocks:
         return tuple(ports)
 
     @property
-    def rated(self) -> float | None:
+    def depoling_voltage(self) -> float | None:
         """Voltage [V] at which a ceramic of the body reaches its depoling field, None if unknown.
 
         If there are floating electrodes between the ceramics, all ceramics have the same electric
@@ -557,7 +565,7 @@ class BondedBlocks:
         """
         limits, thicknesses = [], []
         for block in self.blocks:
-            if block.material.piezoelectric:
+            if block.material.is_piezoelectric:
                 limits.append(block.material.depoling_field)
                 thicknesses.append(block.thickness)
         if not limits or None in limits:
@@ -565,7 +573,7 @@ class BondedBlocks:
         fields, thick = np.array(limits, dtype=float), np.array(thicknesses)
         return float(fields.min() * thick.sum() if self.floating else (fields * thick).min())
 
-    def device(self) -> FiniteElementModel:
+    def build_fe_model(self) -> FiniteElementModel:
         """Make the mesh and the full model of the device.
 
         Raises
@@ -578,7 +586,7 @@ class BondedBlocks:
         near = 1e-3 * float(np.concatenate([*map(np.diff, grid)]).min())
         with name_part_in_errors(self.where):
             solid = self._mesh_blocks(grid, near)
-            return make_device(solid, self._make_setup(solid, near))
+            return make_device(solid, self._make_boundary_conditions(solid, near))
 
     def _divide_axes(self) -> list[np.ndarray]:
         """Return the positions [m] of the grid lines along each axis.
@@ -592,11 +600,10 @@ class BondedBlocks:
             counted, alike = _merge_edges(model_edges)
             if not np.array_equal(place, alike):
                 problem = (
-                    "the order of the edges of the body changes within the ranges, which "
-                    "a moving mesh does not support"
+                    "the order of the edges of the body changes within the ranges of the parameters"
                 )
-                expected = "sizes that keep which edge lies beyond which: narrower ranges"
-                raise wrong(self.where, problem, expected=expected)
+                expected = "ranges within which the order of the edges is constant"
+                raise wrong(self.where, problem, expected=expected, hint="narrow the ranges")
             counts = np.ceil(np.diff(counted) / model.size - 1e-9).astype(int)
             cut = [
                 np.linspace(*pair, self.refine * max(1, count) + 1)[:-1]
@@ -629,11 +636,12 @@ class BondedBlocks:
         result = tuple(materials.values())
         return Solid(mesh.restrict(occupied), result, owner[occupied], axisymmetric=len(grid) == 2)
 
-    def _make_setup(self, solid: Solid, near: float) -> BoundaryConditions:
+    def _make_boundary_conditions(self, solid: Solid, near: float) -> BoundaryConditions:
         """Make the boundary conditions of the blocks on the mesh ``solid``."""
-        places, letters = solid.places, "xz" if solid.axisymmetric else "xyz"
+        places, letters = solid.node_positions, "xz" if solid.axisymmetric else "xyz"
 
         def mask_inside(box: Box) -> np.ndarray:
+            """Return a mask of the nodes that are inside ``box`` or on its boundary."""
             return _mask_inside_box(box, places, near)
 
         fixed = np.zeros((places.shape[1], len(letters)), bool)
@@ -644,9 +652,10 @@ class BondedBlocks:
                 fixed[mask_inside(box), letters.index(axis)] = True
 
         def find_nodes(faces: Sequence[Box]) -> np.ndarray:
+            """Return the numbers of the nodes inside any of the boxes."""
             return np.flatnonzero(np.any([*map(mask_inside, faces)], axis=0))
 
-        def shares(box: Box) -> np.ndarray:
+        def compute_load_shares(box: Box) -> np.ndarray:
             """Return the share of each node in a uniform load on ``box``."""
             if np.equal(*np.transpose(box)).all():  # the box is a single point
                 result = mask_inside(box)
@@ -654,9 +663,11 @@ class BondedBlocks:
             face = solid.mesh.facets_satisfying(lambda x: _mask_inside_box(box, x, near))
             return compute_node_shares(solid, facets=face)
 
-        lumped = [mass * shares(box) for mass, box in self.masses]
+        lumped = [mass * compute_load_shares(box) for mass, box in self.masses]
         shapes = [
-            PortLoad(Port(name, TRANSLATION.port), spread_force(shares(box), UP, solid))
+            PortLoad(
+                Port(name, TRANSLATION.port), spread_force(compute_load_shares(box), UP, solid)
+            )
             for name, box in self.ports.items()
         ]
         for name, face in self.faces.items():
@@ -690,7 +701,7 @@ def select_face(solid: Solid, face: RadiatingFace, near: float) -> np.ndarray:
     inside = solid.mesh.facets_satisfying(
         lambda x: _mask_inside_box(face.box, x, near), boundaries_only=True
     )
-    up = solid.facet_basis(inside, 1).normals[-1].mean(axis=-1)
+    up = solid.make_facet_basis(inside, 1).normals[-1].mean(axis=-1)
     return np.asarray(inside[up > 0.5 if face.upward else up < -0.5])
 
 

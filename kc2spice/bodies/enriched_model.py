@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import linalg, sparse
 
-from kc2spice.bodies.undamped import FiniteElementModel, UndampedResponses
+from kc2spice.bodies.undamped_models import FiniteElementModel, UndampedResponses
 from kc2spice.fem.enrichment import (
     EnrichedOperators,
     Enrichment,
@@ -34,7 +34,7 @@ from kc2spice.fem.enrichment import (
     make_enrichment,
 )
 from kc2spice.linalg.factor import Factor, factorise
-from kc2spice.rom.pencil import Schur
+from kc2spice.rom.pencil import SchurComplement
 
 # largest number of rounds; a round solves for the additional functions, then for the mesh
 MAX_ROUNDS = 4
@@ -157,9 +157,9 @@ class EnrichedModel:
         """
         K, lift = self.device.model.K, self.device.lift @ voltages
         p = np.zeros((self.P.mesh.shape[0], z.shape[1]))
-        if isinstance(K, Schur):  # the block K.pp is -K_pp
+        if isinstance(K, SchurComplement):  # the block K.pp is -K_pp
             load = K.pu @ z
-            p = -K.inner.solve(load + lift if len(lift) else load)
+            p = -K.inner_factor.solve(load + lift if len(lift) else load)
         (u, phi), more = self.device.compute_nodal_values(z, voltages), self.operators
         r_u = -(more.K_nodes @ u + more.C_nodes @ phi)
         r_p = -(more.D_nodes @ u - more.P_nodes @ phi)
@@ -182,10 +182,10 @@ class EnrichedModel:
     def solve_mesh(self, residual: Pair) -> Pair:
         """Solve for the unknowns of the mesh; all unknowns of the additional functions are zero."""
         ((z, more_u), (q, more_p)), K = self._split_blocks(residual), self.device.model.K
-        if isinstance(K, Schur):
-            q = K.inner.solve(q)
+        if isinstance(K, SchurComplement):
+            q = K.inner_factor.solve(q)
             z = self.solve_shifted(z - K.up @ q)
-            q = q - K.inner.solve(K.pu @ z)
+            q = q - K.inner_factor.solve(K.pu @ z)
         else:
             z = self.solve_shifted(z)
         return np.vstack([z, 0.0 * more_u]), np.vstack([q, 0.0 * more_p])
@@ -225,9 +225,9 @@ def enrich_model(
     )
 
 
-def _get_mesh_blocks(K: Schur | sparse.csc_array) -> tuple[sparse.csc_array, ...]:
+def _get_mesh_blocks(K: SchurComplement | sparse.csc_array) -> tuple[sparse.csc_array, ...]:
     """Return the blocks K, C and P of the stiffness matrix of a mesh."""
-    if isinstance(K, Schur):
+    if isinstance(K, SchurComplement):
         return K.uu, K.up, -K.pp
     return K, sparse.csc_array((K.shape[0], 0)), sparse.csc_array((0, 0))
 
@@ -245,11 +245,14 @@ def _find_free_functions(
     The first mask is for displacements and has the shape (functions, d). The second mask is for
     potentials and has the shape (functions,).
     """
-    solid, count = device.solid, enrichment.count
+    solid, count = device.solid, enrichment.function_count
     nodes = solid.basis(1).element_dofs
-    free_nodes = _mask_separate_unknowns(device.displacement).reshape(-1, solid.components)
+    free_nodes = _mask_separate_unknowns(device.displacement).reshape(-1, solid.component_count)
     electrode = _number_electrodes(device)
-    free, live = np.ones((count, solid.components), bool), enrichment.mask_dielectric_functions()
+    free, live = (
+        np.ones((count, solid.component_count), bool),
+        enrichment.mask_dielectric_functions(),
+    )
     for numbers, local in zip(enrichment.numbers, enrichment.nodes, strict=True):
         on = electrode[nodes[local]]
         free[numbers] &= free_nodes[nodes[local]].any(axis=0)

@@ -36,7 +36,7 @@ import numpy as np
 from scipy import sparse
 from scipy.special import j0, j1
 
-from kc2spice.bodies.undamped import FiniteElementModel
+from kc2spice.bodies.undamped_models import FiniteElementModel
 
 FACE_QUADRATURE = 5  # highest polynomial degree that is integrated exactly over a face
 # Product of a cylinder's radius and its lowest cross wave number; key True: axisymmetric motions.
@@ -73,7 +73,7 @@ class FaceMotion:
         return float(self.areas.sum())
 
     @cached_property
-    def volumes(self) -> np.ndarray:
+    def displaced_volumes(self) -> np.ndarray:
         """Volume that the face displaces in each motion, an array of shape (motions,)."""
         return np.asarray(self.areas @ self.normal)
 
@@ -84,7 +84,7 @@ class FaceMotion:
         The returned array has the shape (motions,). For a piston, the ratio is 1.
         """
         rms = np.sqrt(self.areas @ np.abs(self.normal) ** 2 / self.area)
-        return np.abs(self.volumes) / (self.area * np.where(rms > 0, rms, 1.0))
+        return np.abs(self.displaced_volumes) / (self.area * np.where(rms > 0, rms, 1.0))
 
     @property
     def peak_ratios(self) -> np.ndarray:
@@ -92,11 +92,11 @@ class FaceMotion:
 
         The returned array has the shape (motions,). For a piston, the ratio is 1.
         """
-        mean = np.abs(self.volumes) / self.area
+        mean = np.abs(self.displaced_volumes) / self.area
         return np.asarray(np.abs(self.normal).max(axis=0) / np.where(mean > 0, mean, np.inf))
 
     @cached_property
-    def _plane(self) -> np.ndarray:
+    def _in_plane_coordinates(self) -> np.ndarray:
         """Coordinates of the integration points in the plane of the face, relative to its centre.
 
         The returned array has the shape (2, points).
@@ -115,7 +115,7 @@ class FaceMotion:
             kernel = j0(wave_number * np.outer(sines, self.places[0]))[:, None]
         else:
             turn = 2 * np.pi * np.arange(AZIMUTHS) / AZIMUTHS
-            rows = np.stack([np.cos(turn), np.sin(turn)], axis=-1) @ self._plane
+            rows = np.stack([np.cos(turn), np.sin(turn)], axis=-1) @ self._in_plane_coordinates
             kernel = np.exp(1j * wave_number * sines[:, None, None] * rows)
         return np.asarray(kernel @ (self.areas[:, None] * self.normal))
 
@@ -132,7 +132,7 @@ class FaceMotion:
         power = weights @ field.mean(axis=1)
         x = wave_number * radius * sines
         piston = weights @ (2 * j1(x) / x) ** 2
-        return np.asarray(power / (piston * self.volumes**2))
+        return np.asarray(power / (piston * self.displaced_volumes**2))
 
     def bound_near_field_masses(self, depth: float, wave_number: float) -> np.ndarray:
         """Return an upper bound of the mass that the near field adds to each motion.
@@ -145,7 +145,7 @@ class FaceMotion:
         cross = (CROSS_MODES[self.axisymmetric] / radius) ** 2 - wave_number**2
         if cross <= 0:
             return np.full(self.normal.shape[1], np.inf)
-        uneven = self.normal - self.volumes / self.area
+        uneven = self.normal - self.displaced_volumes / self.area
         decay = np.sqrt(cross)
         return np.asarray(self.areas @ np.abs(uneven) ** 2 / (decay * np.tanh(decay * depth)))
 
@@ -158,7 +158,7 @@ class FaceMotion:
         square = self.area / np.pi - self.places[0] ** 2
         potential = 4 / np.pi * np.sqrt(np.maximum(square, 0.0))
         moment = (self.areas * potential) @ self.normal
-        return np.asarray(wave_number / 2 * np.abs(moment / self.volumes))
+        return np.asarray(wave_number / 2 * np.abs(moment / self.displaced_volumes))
 
 
 def sample_face_motion(device: FiniteElementModel, facets: np.ndarray, z: np.ndarray) -> FaceMotion:
@@ -168,13 +168,13 @@ def sample_face_motion(device: FiniteElementModel, facets: np.ndarray, z: np.nda
     unknowns of the model for each motion.
     """
     solid = device.solid
-    basis = solid.facet_basis(facets, FACE_QUADRATURE)
+    basis = solid.make_facet_basis(facets, FACE_QUADRATURE)
     places = np.asarray(basis.global_coordinates())
     around = 2 * np.pi * places[0] if solid.axisymmetric else 1.0
     normals = np.asarray(basis.normals)
     areas = basis.dx * around
     points = np.arange(areas.size).reshape(areas.shape)
-    operator = sparse.csc_array((areas.size, solid.places.shape[1]))
+    operator = sparse.csc_array((areas.size, solid.node_positions.shape[1]))
     for function, nodes in zip(basis.basis, basis.element_dofs, strict=True):
         values = np.broadcast_to(np.asarray(function[0]), areas.shape)
         columns = np.broadcast_to(nodes[:, None], areas.shape)
@@ -183,7 +183,7 @@ def sample_face_motion(device: FiniteElementModel, facets: np.ndarray, z: np.nda
     u = device.displacement @ z
     normal = np.zeros((areas.size, z.shape[1]))
     for axis, n in enumerate(normals):
-        normal += n.reshape(-1, 1) * (operator @ u[axis :: solid.components])
+        normal += n.reshape(-1, 1) * (operator @ u[axis :: solid.component_count])
     mean = normals.reshape(len(normals), -1) @ areas.ravel()
     size = np.linalg.norm(mean)
     return FaceMotion(

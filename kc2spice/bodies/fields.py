@@ -1,9 +1,9 @@
-"""Stress and electric field in a body during a run, computed from the waveforms at its ports.
+"""Stress and electric field in a body, from the waveforms at its ports.
 
-A run in any simulator yields the waveforms at the ports. For these waveforms, the motion of the
-body is computed with a projection of the full model on a Krylov basis V. The modes of the projected
-model are integrated exactly for inputs that are linear between samples. The unknowns z of the full
-model are ``z = V x`` for the unknowns x of the projected model.
+A run in any simulator yields the waveforms at the ports. For the waveforms at the ports, the motion
+of the body is computed with a projection of the full model on a Krylov basis V. The modes of the
+projected model are integrated exactly for inputs that are linear between samples. The unknowns z of
+the full model are ``z = V x`` for the unknowns x of the projected model.
 
 In each element, strain S, electric field E and stress T are computed from the displacement u and
 the potential phi. The stress may jump between materials, because the constants C and e differ:
@@ -21,26 +21,26 @@ from pathlib import Path
 import numpy as np
 from scipy.linalg import eigh
 
-from kc2spice.bodies.undamped import FiniteElementModel
+from kc2spice.bodies.undamped_models import FiniteElementModel
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import wrong
 from kc2spice.fem.materials import ElementAxes
 from kc2spice.fem.solid import Solid, list_strain_operators, list_tensors
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.modal import integrate_modes
-from kc2spice.rom.pencil import congruence
+from kc2spice.rom.modal_models import integrate_modes
+from kc2spice.rom.pencil import apply_congruence
 from kc2spice.rom.reductors.block_krylov import compute_block_krylov_basis
 
 BASIS_SIZE = 40  # number of vectors of the Krylov basis
 # Largest frequency of rigid-body modes, relative to the highest frequency of all modes.
-# Rounding errors cause this frequency; the exact frequency of a rigid-body mode is zero.
+# The exact frequency of a rigid-body mode is zero, but rounding errors change the frequency.
 ZERO_FREQUENCY_RATIO = 1e-6
 # Smallest phase [rad] of an elastic mode over the whole run.
 # A mode with a smaller phase counts as a rigid-body mode.
 MIN_PHASE = 1e-4
 # Smallest number of instants at which extremes are searched.
 # More instants are searched while the product of points and instants is at most MAX_WORK.
-# Half of the instants are equally spaced in time; the others are the samples of largest energy.
+# Half of the instants are equally spaced in time; the other half are the samples of largest energy.
 MIN_INSTANTS = 200
 MAX_WORK = 2_000_000
 CHUNK_SIZE = 20  # number of instants at which fields are evaluated at once
@@ -70,8 +70,8 @@ class NodalMotion:
         ports = self.device.model.ports
         return self.inputs[:, [port.electrical for port in ports]]
 
-    def at(self, instant: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return unknowns and voltages of the body at the sample nearest to ``instant`` [s].
+    def find_nearest_sample(self, instant: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return the unknowns and voltages at the sample nearest to ``instant`` [s].
 
         The unknowns z of the full model have the shape (n,), and the voltages the shape (e,).
         """
@@ -156,14 +156,15 @@ def _make_krylov_basis(device: FiniteElementModel) -> np.ndarray:
 
 
 def project_lowest_modes(device: FiniteElementModel) -> LinearModel:
-    """Project the model on a Krylov basis that contains the lowest modes that the ports excite.
+    """Project the model on a Krylov basis with the lowest modes.
 
-    The projected model has all ports and all losses of the full model.
+    The basis contains the lowest modes that the ports excite. The projected model has all ports and
+    all losses of the full model.
     """
     model, V = device.model, _make_krylov_basis(device)
     pencil = model.pencil.project(V)
     K, E, M = pencil.coefficients
-    loss = None if model.loss is None else congruence(model.loss, V, known=True)
+    loss = None if model.loss is None else apply_congruence(model.loss, V, known=True)
     return LinearModel(
         M=M,
         E=E,
@@ -178,9 +179,10 @@ def project_lowest_modes(device: FiniteElementModel) -> LinearModel:
 
 
 class FieldProbe:
-    """Evaluation of stress and electric field at the same local points of every element.
+    """Evaluation of stress and electric field at local points of every element.
 
-    The points are the nodes of the element, or its Gauss points if ``gauss`` is true.
+    The local points are the same in every element. The local points are the nodes of the element,
+    or the Gauss points if ``gauss`` is true.
     """
 
     def __init__(self, device: FiniteElementModel, *, gauss: bool) -> None:
@@ -206,7 +208,9 @@ class FieldProbe:
         """
         return self.device.compute_nodal_values(z, voltages)
 
-    def stress(self, u: np.ndarray, phi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def compute_stress_and_field(
+        self, u: np.ndarray, phi: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Compute stress and electric field from nodal displacements and potentials.
 
         Each of the k columns of ``u`` and ``phi`` is one state of the body. Return the stress in
@@ -214,10 +218,10 @@ class FieldProbe:
         k).
         """
         solid, nodes = self.device.solid, self.basis.element_dofs.T
-        d = solid.components
+        d = solid.component_count
         moves = (d * nodes[:, :, None] + np.arange(d)).reshape(len(nodes), -1)
         constants = [list_tensors(solid, self.basis, material) for material in solid.materials]
-        active = np.array([m.piezoelectric for m in solid.materials])[solid.owner, None, None]
+        active = np.array([m.is_piezoelectric for m in solid.materials])[solid.owner, None, None]
         stresses, fields = [], []
         for _, B, G in self._operators:
             C, e = np.empty((len(nodes), 6, 6)), np.empty((len(nodes), 3, 6))
@@ -236,7 +240,7 @@ class FieldProbe:
 def evaluate_at_nodes(
     device: FiniteElementModel, z: np.ndarray, voltages: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """Evaluate displacement, potential, electric field and stress at the nodes of each element.
+    """Evaluate displacement, potential, field and stress at the nodes of each element.
 
     The arguments are the unknowns z of shape (n,) and the voltages of shape (e,). Return arrays
     with one row for each node of each element, keyed by name: ``displacement`` (points, 3) [m],
@@ -245,10 +249,10 @@ def evaluate_at_nodes(
     """
     probe = FieldProbe(device, gauss=False)
     u, phi = probe.compute_nodal_values(z[:, None], voltages[:, None])
-    T, E = probe.stress(u, phi)
-    nodes, d = probe.basis.element_dofs.T.ravel(), device.solid.components
+    T, E = probe.compute_stress_and_field(u, phi)
+    nodes, d = probe.basis.element_dofs.T.ravel(), device.solid.component_count
     moves = np.zeros((nodes.size, 3))
-    moves[:, device.solid.axes] = u.reshape(-1, d)[nodes]
+    moves[:, device.solid.axis_indices] = u.reshape(-1, d)[nodes]
     result = {"displacement": moves, "potential": phi[nodes, 0], "field": E[..., 0]}
     return result | {"stress": T[..., 0], "material": probe.owner.astype(float)}
 
@@ -304,7 +308,7 @@ class Extreme(EqualByContent):
 def find_extremes(motion: NodalMotion) -> list[Extreme]:
     """Find the largest stress and electric field in each material during a run.
 
-    In every material, the largest principal stress is searched. In piezoelectric materials, the
+    The largest principal stress is searched in every material. In piezoelectric materials, the
     largest electric field and the largest field against the poling direction are also searched.
 
     The extremes are searched at the Gauss points. At re-entrant corners and at edges of clamps, the
@@ -317,8 +321,10 @@ def find_extremes(motion: NodalMotion) -> list[Extreme]:
     electrodes = motion.voltages.shape[1]
     still = np.zeros((motion.basis.shape[0], electrodes))
     shorted = np.zeros((electrodes, motion.basis.shape[1]))
-    T, E = probe.stress(*probe.compute_nodal_values(motion.basis, shorted))
-    T_V, E_V = probe.stress(*probe.compute_nodal_values(still, np.eye(electrodes)))
+    T, E = probe.compute_stress_and_field(*probe.compute_nodal_values(motion.basis, shorted))
+    T_V, E_V = probe.compute_stress_and_field(
+        *probe.compute_nodal_values(still, np.eye(electrodes))
+    )
     T, E = np.concatenate([T, T_V], -1), np.concatenate([E, E_V], -1)
     states = np.hstack([motion.states, motion.voltages])[selected]
     names = np.array([material.name for material in solid.materials])[probe.owner]
@@ -330,10 +336,10 @@ def find_extremes(motion: NodalMotion) -> list[Extreme]:
         axes = made_of[0].local_axes
         if isinstance(axes, ElementAxes) or (axes is not None and not solid.axisymmetric):
             elements = members // probe.basis.X.shape[-1]
-            frames = axes.frames(places[:, members].T, elements)
+            frames = axes.compute_rotations(places[:, members].T, elements)
             poling = np.einsum("pij,pj->pi", frames, poling)
         for quantity, (unit, limit) in FIELD_QUANTITIES.items():
-            if quantity != "principal_stress" and not made_of[0].piezoelectric:
+            if quantity != "principal_stress" and not made_of[0].is_piezoelectric:
                 continue
             values = partial(_evaluate_quantity, quantity, T[members], E[members], poling)
             parts = map(values, np.array_split(states, -(-len(states) // CHUNK_SIZE)))
@@ -379,7 +385,10 @@ def _choose_instants(motion: NodalMotion, count: int) -> np.ndarray:
 
 
 def write_vtu(path: Path, device: FiniteElementModel, z: np.ndarray, voltages: np.ndarray) -> None:
-    """Write displacement, potential, electric field and stresses to a VTU file, in SI units."""
+    """Write displacement, potential, electric field and stresses to a VTU file.
+
+    All values are in SI units.
+    """
     data = evaluate_at_nodes(device, z, voltages)
     data["principal_stress"] = compute_largest_principal_stress(data["stress"])
     write_nodal_values(path, device.solid, data)
@@ -397,7 +406,7 @@ def write_nodal_values(path: Path, solid: Solid, values: Mapping[str, np.ndarray
     mesh, element = solid.mesh, solid.element
     where = np.moveaxis(mesh.mapping().F(element.doflocs.T), 0, -1).reshape(-1, mesh.dim())
     points = np.zeros((len(where), 3))
-    points[:, solid.axes] = where
+    points[:, solid.axis_indices] = where
     cells = np.arange(len(points)).reshape(mesh.nelements, -1)
     kind = _VTK_CELLS[type(element).__name__]
     if kind.startswith("hexahedron"):

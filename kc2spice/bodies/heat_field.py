@@ -37,7 +37,7 @@ class TemperatureField:
     basis: np.ndarray
     states: np.ndarray
 
-    def at(self, instant: float) -> np.ndarray:
+    def find_nearest_rises(self, instant: float) -> np.ndarray:
         """Return the nodal temperature rises [K] at the sample nearest to ``instant`` [s].
 
         The returned array has the shape (nodes,).

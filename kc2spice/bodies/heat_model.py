@@ -181,7 +181,7 @@ def _constrain_temperatures(solid: HeatSolid, setup: HeatBoundaryConditions) -> 
     The matrix has one row for each node. The first columns of the matrix are for the free nodes,
     and the last columns for the isothermal faces.
     """
-    constraint_count = np.zeros(solid.count, int)
+    constraint_count = np.zeros(solid.node_count, int)
     constraint_count[setup.fixed] = 1
     for port, nodes in setup.isothermal:
         if constraint_count[nodes].any():
@@ -189,9 +189,11 @@ def _constrain_temperatures(solid: HeatSolid, setup: HeatBoundaryConditions) -> 
             hint = "choose groups of faces without common nodes"
             raise wrong(f"isothermal.{port.name}", problem, hint=hint)
         constraint_count[nodes] = 1
-    blocks = [sparse.eye_array(solid.count, format="csc")[:, np.flatnonzero(constraint_count == 0)]]
+    blocks = [
+        sparse.eye_array(solid.node_count, format="csc")[:, np.flatnonzero(constraint_count == 0)]
+    ]
     for _, nodes in setup.isothermal:
-        column = np.zeros((solid.count, 1))
+        column = np.zeros((solid.node_count, 1))
         column[nodes] = 1.0
         blocks.append(sparse.csc_array(column))
     return sparse.csc_array(sparse.hstack(blocks, format="csc"))
@@ -244,7 +246,7 @@ def estimate_energy_errors(solid: HeatSolid, temperatures: np.ndarray) -> np.nda
         nodes, weights = basis.element_dofs.T, solid.compute_weights(basis, cells)
         active, local = np.unique(nodes, return_inverse=True)
         local = local.reshape(nodes.shape)
-        axes = solid.geometry.axes
+        axes = solid.geometry.axis_indices
         k = material.conductivity[axes][None, :, None]
         points = list(list_local_functions(basis))
         mass = np.zeros(())

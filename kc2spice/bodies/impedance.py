@@ -157,7 +157,11 @@ def _select_window(f: np.ndarray, Y: np.ndarray) -> slice:
     if high - low < _MIN_SAMPLES:
         problem = "the data have too few samples around the resonance"
         raise wrong(
-            None, problem, f"{high - low} around {f[peak]:g} Hz", f"at least {_MIN_SAMPLES}"
+            None,
+            problem,
+            f"{high - low} samples around {f[peak]:g} Hz",
+            f"at least {_MIN_SAMPLES} samples",
+            "use a smaller frequency step",
         )
     return slice(low, high)
 

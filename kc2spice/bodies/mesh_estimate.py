@@ -27,7 +27,7 @@ import numpy as np
 from skfem.mesh import MeshHex
 
 from kc2spice.bodies.enriched_model import correct_responses
-from kc2spice.bodies.undamped import FiniteElementModel, UndampedResponses
+from kc2spice.bodies.undamped_models import FiniteElementModel, UndampedResponses
 from kc2spice.core.mesh_error import MESH_ERROR_PREFIX
 from kc2spice.fem.recovery import compute_energy_products
 
@@ -92,7 +92,7 @@ def _estimate_by_enrichment(
     corrections = correct_responses(device, answers, sectors)
     products = corrections.products
     size = np.sqrt(np.abs(np.diag(products)))
-    products = _signed_hypot(products, BOUND_SHARE * np.outer(size, size))
+    products = _add_in_quadrature(products, BOUND_SHARE * np.outer(size, size))
     return corrections.frequencies / CORRECTED_SHARE, products / CORRECTED_SHARE
 
 
@@ -111,11 +111,12 @@ def _estimate_by_recovery(
     energy, error = np.diag(products.solution), np.diag(products.error)
     static = products.error[n:, n:].copy()
     if volts:
-        static[0] = _signed_hypot(static[0], ABSOLUTE_SHARE * products.spread[n, n:])
+        static[0] = _add_in_quadrature(static[0], ABSOLUTE_SHARE * products.spread[n, n:])
     return -0.5 * error[:n] / energy[:n], sectors * static
 
 
-def _signed_hypot(values: np.ndarray, others: np.ndarray) -> np.ndarray:
+def _add_in_quadrature(values: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Return ``sqrt(values^2 + others^2)`` with the signs of ``values``."""
     return np.copysign(np.hypot(values, others), values)
 
 

@@ -20,10 +20,10 @@ dynamics. ``S - s 1 1'`` is positive semi-definite, because s is the smallest co
 possible shares. A coarse mesh is too stiff, so that s_patch is smaller than s. Therefore, ``S -
 s_patch 1 1'`` is also positive semi-definite.
 
-Like residual modes (:mod:`kc2spice.rom.modal`), the local compliance has no inertia. The inertia of
-the patch is negligible, because the modes of the patch are above ten megahertz (speed of sound
-divided by the size of the patch). Therefore, the forces depend only on x, the indentation of a
-sphere relative to the patch. The sum of the forces is a function of x
+Like residual modes (:mod:`kc2spice.rom.modal_models`), the local compliance has no inertia. The
+inertia of the patch is negligible, because the modes of the patch are above ten megahertz (speed of
+sound divided by the size of the patch). Therefore, the forces depend only on x, the indentation of
+a sphere relative to the patch. The sum of the forces is a function of x
 (:func:`fit_indentation_law`), which a circuit evaluates like the force of one spring.
 
 The other contact body may be a free elastic sphere (:class:`TransverselyIsotropicSphere`) with the
@@ -59,12 +59,12 @@ from kc2spice.bodies.device import BoundaryConditions, PortLoad, make_undamped_m
 from kc2spice.bodies.fields import FieldProbe, compute_largest_principal_stress
 from kc2spice.bodies.mesh_estimate import estimate_mesh_errors
 from kc2spice.bodies.stack import make_layer_materials, make_stack_setup
-from kc2spice.bodies.stack_keys import PATCH_PORT, Chip
-from kc2spice.bodies.undamped import FiniteElementModel, compute_undamped_responses
+from kc2spice.bodies.stack_keys import PATCH_PORT, StackKeys
+from kc2spice.bodies.undamped_models import FiniteElementModel, compute_undamped_responses
 from kc2spice.core.domains import TRANSLATION
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import SimulationError
-from kc2spice.fem.body_keys import Damping
+from kc2spice.fem.body_keys import DampingKeys
 from kc2spice.fem.materials import Material
 from kc2spice.fem.solid import Solid, assemble_solid
 from kc2spice.rom.linear_model import LinearModel, Port, make_piezoelectric_model
@@ -106,16 +106,16 @@ class PressureBasis(EqualByContent):
         return self._integrate_powers(0)
 
     @property
-    def distances(self) -> np.ndarray:
-        """Radius [m] of each function at which a paraboloid's gap equals its mean gap.
+    def mean_gap_radii(self) -> np.ndarray:
+        """Radius [m] at which a paraboloid's gap equals its mean over each function.
 
         The mean is weighted with the function. The square of the radius is therefore the weighted
         mean of ``r^2``.
         """
         return np.asarray(np.sqrt(self._integrate_powers(2) / self._integrate_powers(0)))
 
-    def pressure(self, shares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the pressure of a unit force that is divided among the functions by ``shares``.
+    def compute_pressure(self, shares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Compute the pressure of a unit force, divided among the functions by ``shares``.
 
         The first array contains the radii [m] of the nodes, and the second array the pressures
         [1/m^2] at these nodes.
@@ -161,7 +161,7 @@ class LocalCompliance(EqualByContent):
     patch: float
 
     @property
-    def shares(self) -> np.ndarray:
+    def rigid_force_shares(self) -> np.ndarray:
         """Shares of a force on the basis functions that give all functions equal displacements.
 
         The returned array has the shape (n,).
@@ -170,7 +170,7 @@ class LocalCompliance(EqualByContent):
         return np.asarray(result / result.sum())
 
 
-def compute_local_compliance(chip: Chip, shape: PressureBasis) -> LocalCompliance:
+def compute_local_compliance(chip: StackKeys, shape: PressureBasis) -> LocalCompliance:
     """Compute the additional compliance of the basis functions on the top of a stack.
 
     The compliance of the whole patch is computed on the coarse mesh.
@@ -183,28 +183,29 @@ def compute_local_compliance(chip: Chip, shape: PressureBasis) -> LocalComplianc
     S = compute_surface_compliance(chip, shape)
     # the coarse model is a round stack with the same layers and the same mesh under the patch
     alike = ("height", "layers", "bottom_cap", "top_cap", "material", "mesh", "damping")
-    chip_keys = {name: getattr(chip, name) for name in alike} | {"diameter": 2 * min(chip.half)}
-    pressure = shape.pressure(LocalCompliance(S, 0.0).shares)
+    chip_keys = {name: getattr(chip, name) for name in alike} | {
+        "diameter": 2 * min(chip.half_widths)
+    }
+    pressure = shape.compute_pressure(LocalCompliance(S, 0.0).rigid_force_shares)
     coarse = float(
         _compute_port_compliance(
-            make_undamped_model(*make_stack_setup(Chip(**chip_keys), pressure=pressure)).model
+            make_undamped_model(*make_stack_setup(StackKeys(**chip_keys), pressure=pressure)).model
         )[0, 0]
     )
     lowest = float(np.linalg.eigvalsh(S - coarse)[0])
     if lowest < 0:
         raise SimulationError(
-            "the mesh of the stack is too coarse under the contact pressure, as its refinement is "
-            "stiffer",
+            "the mesh of the stack is too coarse under the contact pressure",
             where="contact.shape",
             got=f"compliance added by the refinement: {lowest:.3g} m/N",
             expected="above 0",
-            hint="raise kick.mesh.sectors, or lower contact.spacing",
+            hint="raise mesh.sectors of the stack, or lower spacing of the contact",
         )
     return LocalCompliance(S - coarse, coarse)
 
 
 def compute_surface_compliance(
-    chip: Chip, shape: PressureBasis, cells: int = CELLS_PER_NODE
+    chip: StackKeys, shape: PressureBasis, cells: int = CELLS_PER_NODE
 ) -> np.ndarray:
     """Compute the compliance between all basis functions on the top of a round stack.
 
@@ -230,7 +231,7 @@ UNITS = {"pressure_pa": "Pa", "shear_pa": "Pa", "shear_depth_m": "m"}
 
 
 def compute_stresses_under_force(
-    chip: Chip, shape: PressureBasis, force: np.ndarray
+    chip: StackKeys, shape: PressureBasis, force: np.ndarray
 ) -> dict[str, float]:
     """Compute the largest stresses in a stack under contact forces.
 
@@ -242,7 +243,7 @@ def compute_stresses_under_force(
     stack = _model_stack(chip, shape, CELLS_PER_NODE)
     probe, model = FieldProbe(stack, gauss=True), stack.model
     z = model.pencil.factorise_shifted_stiffness(0.0).solve(-model.B[:, : len(force)] @ force)
-    T, _ = probe.stress(*probe.compute_nodal_values(z[:, None], np.zeros((1, 1))))
+    T, _ = probe.compute_stress_and_field(*probe.compute_nodal_values(z[:, None], np.zeros((1, 1))))
     shear = (
         compute_largest_principal_stress(T[..., 0]) + compute_largest_principal_stress(-T[..., 0])
     ) / 2
@@ -254,7 +255,7 @@ def compute_stresses_under_force(
     }
 
 
-def _model_stack(chip: Chip, shape: PressureBasis, cells: int) -> FiniteElementModel:
+def _model_stack(chip: StackKeys, shape: PressureBasis, cells: int) -> FiniteElementModel:
     """Model the round stack on a frictionless support, with a port for every basis function.
 
     The size of the quadrilaterals increases with their distance from the basis functions. Every
@@ -266,19 +267,19 @@ def _model_stack(chip: Chip, shape: PressureBasis, cells: int) -> FiniteElementM
     heights = np.r_[0.0, np.cumsum([*ends[:1] * caps[0], *layers, *ends[1:] * caps[1]])]
     planes, near = heights[caps[0] :][: chip.layers + 1], 1e-9 * heights[-1]
     inner = _subdivide_intervals(shape.nodes, cells)
-    outer = _grow_points(inner[-1], min(chip.half), inner[-1] - inner[-2])
+    outer = _make_growing_grid(inner[-1], min(chip.half_widths), inner[-1] - inner[-2])
     lines, step = [heights[-1:]], shape.nodes[1] / cells
     for low, high in zip(heights[-2::-1], heights[:0:-1], strict=True):
-        down = _grow_points(0.0, high - low, step)
+        down = _make_growing_grid(0.0, high - low, step)
         lines.append(np.r_[high - down[1:-1], low])
         step = down[-1] - down[-2]
     mesh = MeshQuad.init_tensor(np.r_[inner, outer[1:]], np.concatenate(lines)[::-1])
     materials, owner = make_layer_materials(chip, np.pad(np.ones(chip.layers, int), caps))
     layer = np.searchsorted(heights, mesh.p[1][mesh.t].mean(axis=0)) - 1
     solid = Solid(mesh, materials, owner[layer], axisymmetric=True)
-    r, z = solid.places
+    r, z = solid.node_positions
 
-    def grade_level(at: np.ndarray) -> np.ndarray:
+    def find_nodes_at_heights(at: np.ndarray) -> np.ndarray:
         """Return the nodes at any of the heights ``at`` [m]."""
         return np.flatnonzero((np.abs(z[:, None] - at) < near).any(axis=1))
 
@@ -286,7 +287,10 @@ def _model_stack(chip: Chip, shape: PressureBasis, cells: int) -> FiniteElementM
     ports = _make_basis_ports(shape)
     setup = BoundaryConditions(
         np.column_stack([r < near, z < near]).ravel(),
-        {"anode": grade_level(planes[1::2]), "cathode": grade_level(planes[::2])},
+        {
+            "anode": find_nodes_at_heights(planes[1::2]),
+            "cathode": find_nodes_at_heights(planes[::2]),
+        },
         "cathode",
         shapes=[*map(PortLoad, ports, _compute_basis_loads(solid, shape, top).T)],
     )
@@ -294,6 +298,7 @@ def _model_stack(chip: Chip, shape: PressureBasis, cells: int) -> FiniteElementM
 
 
 def _make_basis_ports(shape: PressureBasis) -> list[Port]:
+    """Return a force port for each basis function of the pressure."""
     return [Port(f"basis{k}", TRANSLATION.port) for k in range(len(shape.nodes) - 1)]
 
 
@@ -303,9 +308,9 @@ def _compute_basis_loads(solid: Solid, shape: PressureBasis, facets: np.ndarray)
     The force per projected horizontal area of the facets is proportional to the basis function.
     The loads are an array of shape (2 nodes, n).
     """
-    basis = solid.facet_basis(facets, 5)
+    basis = solid.make_facet_basis(facets, 5)
 
-    def facet_load(heights: np.ndarray) -> np.ndarray:
+    def compute_facet_load(heights: np.ndarray) -> np.ndarray:
         """Return the nodal loads of a pressure on the facets with the values ``heights``.
 
         ``heights`` are the values at the nodes of the basis functions.
@@ -314,7 +319,7 @@ def _compute_basis_loads(solid: Solid, shape: PressureBasis, facets: np.ndarray)
         form = LinearForm(lambda v, w: profile(w.x[0]) * w.x[0] * np.abs(w.n[1]) * v)
         return np.asarray(form.assemble(basis))
 
-    axial = np.column_stack(list(map(facet_load, np.eye(len(shape.nodes))[:-1])))
+    axial = np.column_stack(list(map(compute_facet_load, np.eye(len(shape.nodes))[:-1])))
     return np.kron(axial / axial.sum(axis=0), [[0.0], [1.0]])
 
 
@@ -324,7 +329,7 @@ def _subdivide_intervals(points: np.ndarray, count: int) -> np.ndarray:
     return np.interp(parts, np.arange(len(points)), points)
 
 
-def _grow_points(start: float, end: float, step: float) -> np.ndarray:
+def _make_growing_grid(start: float, end: float, step: float) -> np.ndarray:
     """Return points from ``start`` to ``end`` at increasing distances.
 
     The first distance is :data:`CELL_GROWTH` times ``step``.
@@ -370,7 +375,7 @@ def fit_indentation_law(
     """
     spacing, widest = shape.nodes[1], MAX_CONTACT_RATIO * shape.nodes[-1]
     # in Hertz's solution, the pressure at this radius is half of the largest pressure
-    depth = 2 * float(np.interp(widest, shape.distances, gap))
+    depth = 2 * float(np.interp(widest, shape.mean_gap_radii, gap))
     s = np.linspace(min(0.5, MIN_FUNCTIONS * spacing / widest), 1.0, FIT_DEPTHS)
     x = depth * s**2
     force = solve_contact_forces(compliance, gap, x)
@@ -404,7 +409,7 @@ class TransverselyIsotropicSphere:
 
     radius: float
     material: Material
-    damping: Damping
+    damping: DampingKeys
 
     @property
     def oblate_frequency(self) -> float:
@@ -416,15 +421,15 @@ class TransverselyIsotropicSphere:
         return float(OBLATE_FREQUENCY * sound / (2 * np.pi * self.radius))
 
     @property
-    def rayleigh(self) -> tuple[float, float]:
+    def rayleigh_factors(self) -> tuple[float, float]:
         """Rayleigh damping factors ``alpha`` [1/s] and ``beta`` [s] of the sphere.
 
         A damping ratio of the sphere applies at the frequency of its lowest mode.
         """
-        return self.damping.rayleigh(self.oblate_frequency)
+        return self.damping.compute_rayleigh_factors(self.oblate_frequency)
 
 
-def model_sphere(
+def make_sphere_model(
     body: TransverselyIsotropicSphere, shares: np.ndarray, shape: PressureBasis, refine: int = 1
 ) -> LinearModel:
     """Make the model of a free sphere with the port ``patch``.
@@ -433,7 +438,7 @@ def model_sphere(
     basis functions. ``refine`` is the number of parts into which every cell is divided along each
     axis. The module docstring describes the model.
     """
-    device, port = _model_free_sphere(body, shape, refine), Port(PATCH_PORT, TRANSLATION.port)
+    device, port = _make_free_sphere_model(body, shape, refine), Port(PATCH_PORT, TRANSLATION.port)
     facet_load = device.model.B @ shares[:, None]
     model = replace(device.model, B=facet_load, C=facet_load.T, D=np.zeros((1, 1)), ports=(port,))
     answers = compute_undamped_responses(model)
@@ -442,19 +447,19 @@ def model_sphere(
         **answers.facts,
         **estimate_mesh_errors(replace(device, model=model), answers),
     }
-    return replace(model, E=None, rayleigh=body.rayleigh, facts=facts)
+    return replace(model, E=None, rayleigh=body.rayleigh_factors, facts=facts)
 
 
 def compute_sphere_compliance(
     body: TransverselyIsotropicSphere, shape: PressureBasis, refine: int = 1
 ) -> LocalCompliance:
     """Compute the compliance of the basis functions on a sphere, and of the whole patch."""
-    S = _compute_port_compliance(_model_free_sphere(body, shape, refine).model)
+    S = _compute_port_compliance(_make_free_sphere_model(body, shape, refine).model)
     patch = float(1 / np.linalg.solve(S, np.ones(len(S))).sum())
     return LocalCompliance(S - patch, patch)
 
 
-def _model_free_sphere(
+def _make_free_sphere_model(
     body: TransverselyIsotropicSphere, shape: PressureBasis, refine: int
 ) -> FiniteElementModel:
     """Make the undamped model of a free sphere with a port for every basis function.
@@ -474,8 +479,8 @@ def _model_free_sphere(
     r, h = mesh.p[:, mesh.facets]  # facets on the sphere within the patch around the lower pole
     under = np.abs(np.hypot(r, h - radius) - radius).max(axis=0) < 1e-9 * radius
     under &= (r.max(axis=0) < (1 + 1e-9) * shape.nodes[-1]) & (h.max(axis=0) < radius)
-    free = np.ones((solid.places.shape[1], 2), dtype=bool)
-    free[solid.places[0] < 1e-6 * shape.nodes[1], 0] = False
+    free = np.ones((solid.node_positions.shape[1], 2), dtype=bool)
+    free[solid.node_positions[0] < 1e-6 * shape.nodes[1], 0] = False
     unknowns = np.flatnonzero(free.ravel())
     full = assemble_solid(solid)
     M, K = (sparse.csc_array(P[unknowns][:, unknowns]) for P in (full.M, full.K_uu))

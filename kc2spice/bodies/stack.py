@@ -22,11 +22,11 @@ from scipy import sparse
 from skfem import BilinearForm, LinearForm, MeshHex1, MeshHex2
 
 from kc2spice.bodies.device import UP, BoundaryConditions, PortLoad, make_device, spread_force
-from kc2spice.bodies.stack_keys import PATCH_PORT, SECTORS, Cap, Chip
-from kc2spice.bodies.undamped import FiniteElementModel
+from kc2spice.bodies.stack_keys import PATCH_PORT, SECTORS, Cap, StackKeys
+from kc2spice.bodies.undamped_models import FiniteElementModel
 from kc2spice.core.domains import TRANSLATION
 from kc2spice.core.errors import name_part_in_errors
-from kc2spice.fem.materials import Material, material
+from kc2spice.fem.materials import Material, find_material
 from kc2spice.fem.solid import Solid
 from kc2spice.linalg.factor import require_memory
 from kc2spice.rom.linear_model import Port
@@ -45,7 +45,7 @@ Profile = tuple[np.ndarray, np.ndarray]
 
 
 def make_stack(
-    kick: Chip, breakdown: float | None = None, pressure: Profile | None = None
+    kick: StackKeys, breakdown: float | None = None, pressure: Profile | None = None
 ) -> FiniteElementModel:
     """Make the model of the stack with the ports ``ring0``, ``ring1``, … and ``anode``.
 
@@ -82,7 +82,7 @@ def make_stack(
 
 
 def make_stack_setup(
-    kick: Chip, breakdown: float | None = None, pressure: Profile | None = None
+    kick: StackKeys, breakdown: float | None = None, pressure: Profile | None = None
 ) -> tuple[Solid, BoundaryConditions]:
     """Make mesh, materials and boundary conditions of one quarter of the stack.
 
@@ -122,7 +122,7 @@ def make_stack_setup(
     )
 
 
-def _divide_height(kick: Chip, steps: int) -> tuple[np.ndarray, np.ndarray]:
+def _divide_height(kick: StackKeys, steps: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the number of active layers in each level, and the heights [m] of all node planes."""
     spans, caps = choose_level_spans(kick), (kick.bottom_cap, kick.top_cap)
     counts = [choose_cap_layers(kick, cap) for cap in caps]
@@ -156,7 +156,7 @@ def _make_hexahedra(
     return type(box)(places, box.t), number[box.dofs.element_dofs]
 
 
-def choose_level_spans(kick: Chip) -> np.ndarray:
+def choose_level_spans(kick: StackKeys) -> np.ndarray:
     """Choose the number of ceramic layers in each level of elements, from the bottom to the top.
 
     The number of ceramic layers in a level is at most ``layers_per_element``. Levels of several
@@ -169,7 +169,7 @@ def choose_level_spans(kick: Chip) -> np.ndarray:
     return np.array(spans[::-1])
 
 
-def choose_cap_layers(kick: Chip, cap: Cap | None) -> int:
+def choose_cap_layers(kick: StackKeys, cap: Cap | None) -> int:
     """Choose the number of element levels in a cap.
 
     A level in the cap is about as thick as an active layer. A cap has two to sixteen levels. The
@@ -180,14 +180,14 @@ def choose_cap_layers(kick: Chip, cap: Cap | None) -> int:
     return int(np.clip(np.ceil(cap.thickness * kick.layers / kick.height - 1e-9), 2, 16))
 
 
-def _place_nodes(kick: Chip, steps: int) -> np.ndarray:
+def _place_nodes(kick: StackKeys, steps: int) -> np.ndarray:
     """Return the x and y positions of the nodes of one plane.
 
     The returned array has the shape (rings + 1, spokes + 1, 2). All nodes in its row 0 are at the
     centre. Nodes divide arcs and straight edges into equal parts. Beyond the last contact ring, the
     nodes of each spoke are on a straight line.
     """
-    mesh, half = kick.mesh, kick.half
+    mesh, half = kick.mesh, kick.half_widths
     along = np.linspace(0.0, 1.0, mesh.sectors * steps + 1)
     circle = np.column_stack([np.cos(np.pi / 2 * along), np.sin(np.pi / 2 * along)])
     inner = mesh.ring_spacing * np.arange(mesh.rings * steps + 1)[:, None, None] / steps * circle
@@ -211,7 +211,7 @@ def _place_nodes(kick: Chip, steps: int) -> np.ndarray:
 
 
 def make_layer_materials(
-    kick: Chip, spans: np.ndarray, breakdown: float | None = None
+    kick: StackKeys, spans: np.ndarray, breakdown: float | None = None
 ) -> tuple[tuple[Material, ...], np.ndarray]:
     """Return the different materials of the stack, and for each level the index of its material.
 
@@ -220,7 +220,7 @@ def make_layer_materials(
     """
     plain = replace(kick.ceramic, breakdown_field=breakdown)
     poled, active = (
-        plain.poled((0, 0, 1) if kick.poling == "z" else (1, 0, 0)),
+        plain.rotate_z_axis((0, 0, 1) if kick.poling == "z" else (1, 0, 0)),
         np.flatnonzero(spans),
     )
     owner = np.zeros(len(spans), int)
@@ -243,22 +243,22 @@ def make_layer_materials(
     ):
         if cap is not None:
             where = f"kick.{name}.material"
-            made_of = plain if cap.material is None else material(cap.material, where)
+            made_of = plain if cap.material is None else find_material(cap.material, where)
             owner[levels] = len(materials)
             materials.append(replace(made_of, name=name, e=np.zeros((3, 6))))
     return tuple(materials), owner
 
 
-def _mask_fixed_displacements(kick: Chip, solid: Solid) -> np.ndarray:
+def _mask_fixed_displacements(kick: StackKeys, solid: Solid) -> np.ndarray:
     """Return a mask of the nodal displacements that are fixed by symmetry or by the mounting.
 
     Entry ``3 node + axis`` of the mask is for the displacement of a node along an axis.
     """
-    fixed = np.zeros(solid.places.T.shape, dtype=bool)
-    near = _POSITION_TOLERANCE * solid.places.max()
+    fixed = np.zeros(solid.node_positions.T.shape, dtype=bool)
+    near = _POSITION_TOLERANCE * solid.node_positions.max()
     mounting = {"roller": "z", "glued": "xyz"}.get(str(kick.mounting), "")
     sides = ("x" if kick.poling == "z" else "yz", "y", mounting)
-    for axes, height in zip(sides, solid.places, strict=True):
+    for axes, height in zip(sides, solid.node_positions, strict=True):
         for axis in axes:
             fixed[height < near, "xyz".index(axis)] = True
     return fixed.ravel()
@@ -275,7 +275,7 @@ def _find_electrodes(
     ``cathode``. Also return the nodes inside levels of several layers, with their potentials as
     fractions of the anode's voltage, or None if there are no such nodes.
     """
-    active, z = np.flatnonzero(spans), solid.places[2]
+    active, z = np.flatnonzero(spans), solid.node_positions[2]
     planes = faces[np.r_[active, active[-1] + 1]]
     on = np.abs(z[:, None] - planes) < _POSITION_TOLERANCE * planes[-1]
     pins = {"anode": on[:, 1::2], "cathode": on[:, ::2]}
@@ -288,15 +288,15 @@ def _find_electrodes(
     )
 
 
-def _make_ring_forces(kick: Chip, solid: Solid) -> list[PortLoad]:
+def _make_ring_forces(kick: StackKeys, solid: Solid) -> list[PortLoad]:
     """Make a unit force on each ring along z, or along x for a stack poled along x.
 
     At nodes on a symmetry plane, half of the force acts on the mirror image of the quarter. The
     weights of the nodes of a ring add up to one. Therefore, the output of the ring's port is its
     mean displacement (paper 2.2.2, eq. 8).
     """
-    shapes, (x, y, z), axis = [], solid.places, np.eye(3)["xyz".index(kick.poling)]
-    near = _POSITION_TOLERANCE * solid.places.max()
+    shapes, (x, y, z), axis = [], solid.node_positions, np.eye(3)["xyz".index(kick.poling)]
+    near = _POSITION_TOLERANCE * solid.node_positions.max()
     for number in range(kick.mesh.rings + 1):
         away = np.abs(np.hypot(x, y) - number * kick.mesh.ring_spacing)
         ring = (away < near) & (z > z.max() - near)
@@ -310,33 +310,36 @@ def _make_patch_force(solid: Solid, pressure: Profile) -> PortLoad:
     """Return the nodal forces of a unit axial force on the top with the given pressure profile."""
 
     def pressure_load(v, w):  # type: ignore[no-untyped-def]
+        """Return the integrand ``p v`` of the work of the pressure p."""
         return np.interp(np.hypot(w.x[0], w.x[1]), *pressure, right=0.0) * v
 
     share = LinearForm(pressure_load).assemble(
-        solid.facet_basis(_find_facets(solid, solid.places[2].max()), _PRESSURE_QUADRATURE)
+        solid.make_facet_basis(
+            _find_facets(solid, solid.node_positions[2].max()), _PRESSURE_QUADRATURE
+        )
     )
     return PortLoad(
         Port(PATCH_PORT, TRANSLATION.port), spread_force(share / share.sum(), UP, solid)
     )
 
 
-def make_springs(solid: Solid, kick: Chip) -> sparse.csc_array | None:
+def make_springs(solid: Solid, kick: StackKeys) -> sparse.csc_array | None:
     """Make the stiffness matrix of the springs under the bottom face and on the top face.
 
     The matrix [N/m] is for one quarter of the stack. Return None if the stack has no springs.
     """
 
-    def face_stiffness(height: float) -> sparse.csc_array:
+    def integrate_face_products(height: float) -> sparse.csc_array:
         """Return the matrix ``int N_i N_j dA`` over the horizontal face at the ``height`` [m]."""
-        basis = solid.facet_basis(_find_facets(solid, height), solid.quadrature + 1)
+        basis = solid.make_facet_basis(_find_facets(solid, height), solid.quadrature_degree + 1)
         local = sparse.csc_array(BilinearForm(lambda u, v, _: u * v).assemble(basis))
         return (local + local.T) / 2
 
     result = []
     if isinstance(kick.mounting, float):
-        result.append(sparse.kron(face_stiffness(0.0), kick.mounting * np.eye(3)))
+        result.append(sparse.kron(integrate_face_products(0.0), kick.mounting * np.eye(3)))
     if kick.preload_spring is not None:
-        top = face_stiffness(solid.places[2].max())
+        top = integrate_face_products(solid.node_positions[2].max())
         share = kick.preload_spring / SECTORS / top.sum() * top
         result.append(sparse.kron(share, np.diag(UP)))
     return sparse.csc_array(sum(result)) if result else None
@@ -344,5 +347,5 @@ def make_springs(solid: Solid, kick: Chip) -> sparse.csc_array | None:
 
 def _find_facets(solid: Solid, height: float) -> np.ndarray:
     """Return the facets of the horizontal face at the ``height`` [m]."""
-    near = _POSITION_TOLERANCE * solid.places.max()
+    near = _POSITION_TOLERANCE * solid.node_positions.max()
     return np.asarray(solid.mesh.facets_satisfying(lambda x: np.abs(x[2] - height) < near))

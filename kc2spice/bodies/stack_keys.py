@@ -20,10 +20,10 @@ from kc2spice.core.quantities import (
     Stiffness,
     Thickness,
     Width,
-    invalid_value_error,
+    make_invalid_value_error,
 )
-from kc2spice.fem.body_keys import Damping
-from kc2spice.fem.materials import Material, material
+from kc2spice.fem.body_keys import DampingKeys
+from kc2spice.fem.materials import Material, find_material
 
 SECTORS = 4  # number of equal quarters of the chip; the mesh contains only one quarter
 PATCH_PORT = "patch"  # name of the port that replaces the ring ports if a pressure is given
@@ -38,27 +38,50 @@ class ChipMesh(Section):
     """
 
     refine: Count = Field(
-        1, ge=1, le=6, description="Factor that multiplies the number of cells along each edge"
+        1,
+        ge=1,
+        le=6,
+        description=(
+            "Refinement factor of the stack's mesh: number of equal parts into which each "
+            "cell edge is divided"
+        ),
     )
-    order: Literal[1, 2] = Field(1, description="Polynomial order of the finite elements")
-    sectors: Count = Field(10, ge=2, le=180, description="Number of sectors of the quarter circle")
+    order: Literal[1, 2] = Field(
+        1, description="Polynomial order of the finite elements of the stack"
+    )
+    sectors: Count = Field(
+        10,
+        ge=2,
+        le=180,
+        description="Number of mesh sectors around the axis in the modelled quarter of the stack",
+    )
     rings: Count = Field(
-        5, ge=1, le=100, description="Number of contact rings around the centre node"
+        5,
+        ge=1,
+        le=100,
+        description=(
+            "Number of contact rings of mesh nodes around the centre node of the top face"
+        ),
     )
-    ring_spacing: Length = Field(50e-6, gt=0, description="Radial spacing of the contact rings")
+    ring_spacing: Length = Field(
+        50e-6, gt=0, description="Radial spacing of the contact rings of mesh nodes on the top face"
+    )
     outer_rings: Count = Field(
         11,
         ge=1,
         le=200,
-        description="Number of graded rings between the contact rings and the edge",
+        description=(
+            "Number of mesh rings from the contact rings to the edge of the stack; their "
+            "spacing increases outwards"
+        ),
     )
     layers_per_element: Count = Field(
         1,
         ge=1,
         le=100,
         description=(
-            "Largest number of layers in one element; deeper elements contain more layers than "
-            "elements near the top"
+            "Largest number of ceramic layers in one finite element; elements near the top "
+            "face may contain fewer layers"
         ),
     )
 
@@ -66,7 +89,7 @@ class ChipMesh(Section):
     def _require_even_sectors(self) -> ChipMesh:
         """Reject an odd number of sectors."""
         if self.sectors % 2:
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 "sectors must be an even number, so that a mesh line meets the corner of the chip",
                 None,
                 hint=f"write sectors = {self.sectors + 1}",
@@ -74,8 +97,8 @@ class ChipMesh(Section):
         return self
 
 
-class ChipDamping(Damping):
-    """Damping of the chip.
+class ChipDamping(DampingKeys):
+    """Keys of the losses of a chip.
 
     The damping ratio applies at the frequency ``at``. The default of ``at`` is the frequency for
     the chip in the paper.
@@ -83,7 +106,10 @@ class ChipDamping(Damping):
 
     at: Frequency | tuple[Frequency, Frequency] | None = Field(
         250e3,
-        description=("Frequency at which the damping ratio holds; two frequencies for two ratios"),
+        description=(
+            "Frequency at which the damping ratio of the chip applies, or two frequencies "
+            "for two damping ratios"
+        ),
     )
 
     @property
@@ -92,7 +118,7 @@ class ChipDamping(Damping):
 
         The damping ratio is ``zeta = beta omega / 2`` at ``omega = 2 pi at``.
         """
-        return self.rayleigh(0.0)[1]
+        return self.compute_rayleigh_factors(0.0)[1]
 
 
 class Cap(Section):
@@ -101,11 +127,18 @@ class Cap(Section):
     By default, the layer consists of the unpoled ceramic of the stack.
     """
 
-    thickness: Thickness = Field(gt=0, description="Thickness of the inactive layer")
+    thickness: Thickness = Field(
+        gt=0,
+        description=(
+            "Thickness of an inactive layer, without electric field, at the bottom or top of "
+            "the stack"
+        ),
+    )
     material: str | dict[str, Any] | None = Field(
         None,
         description=(
-            "Material of the inactive layer, a name or a table; by default the material of the chip"
+            "Material of the inactive layer at an end of the stack, a name or a table; by "
+            "default the unpoled ceramic of the stack"
         ),
     )
 
@@ -122,7 +155,7 @@ def _compute_default_height(keys: dict[str, Any]) -> float:
     return DEFAULT_HEIGHT if layers is None or thickness is None else float(layers * thickness)
 
 
-class Chip(Section):
+class StackKeys(Section):
     """Keys of the layered piezoelectric stack, of which one quarter is modelled.
 
     The cross-section of the stack is a square with the side ``side``, a rectangle ``side`` (x)
@@ -132,48 +165,73 @@ class Chip(Section):
     poled along x, it shears, and the rings move along x.
     """
 
-    side: Width = Field(3e-3, gt=0, description="Width of a rectangular chip")
+    side: Width = Field(3e-3, gt=0, description="Width of a rectangular stack along x")
     depth: Width | None = Field(
-        None, gt=0, description="Second width of a rectangular chip; by default equal to `side`"
+        None, gt=0, description="Width of a rectangular stack along y; by default equal to `side`"
     )
     diameter: Width | None = Field(
-        None, gt=0, description="Diameter of a round stack; cannot be combined with the key `side`"
+        None,
+        gt=0,
+        description=(
+            "Diameter of a round stack; cannot be combined with the keys `side` and `depth`"
+        ),
     )
-    layers: Count = Field(33, ge=1, le=400, description="Number of active layers")
+    layers: Count = Field(
+        33, ge=1, le=400, description="Number of active ceramic layers in the stack"
+    )
     layer_thickness: Length | None = Field(
-        None, gt=0, description="Thickness of one layer; cannot be combined with the key `height`"
+        None,
+        gt=0,
+        description=(
+            "Thickness of one active ceramic layer; cannot be combined with the key `height`"
+        ),
     )
     height: Extent = Field(
         default_factory=_compute_default_height,
         gt=0,
-        description="Total height of all layers",
+        description=(
+            "Total height of all active layers; by default `layers` times `layer_thickness`, "
+            "or 2 mm without `layer_thickness`"
+        ),
     )
     bottom_cap: Cap | None = None
     top_cap: Cap | None = None
     material: str | dict[str, Any] = Field(
         PAPER_CERAMIC,
-        description="Ceramic poled along z: a name, or a table of changes to THP51",
+        description=(
+            "Ceramic of the stack: the name of a ceramic poled along z, or a table of the "
+            "properties that differ from THP51"
+        ),
     )
     poling: Literal["z", "x"] = Field(
         "z",
-        description="Direction of poling: z for a stack that elongates, x for a stack that shears",
+        description=(
+            "Poling direction of the ceramic: z for a stack that elongates, x for a stack "
+            "that shears"
+        ),
     )
     mesh: ChipMesh = ChipMesh()
     damping: ChipDamping = ChipDamping()
     mounting: Mounting = Field(
         "roller",
         description=(
-            "Support of the bottom face: roller, glued, free, or a stiffness per area in N/m3"
+            "Support of the bottom face of the stack: roller, glued, free, or a stiffness "
+            "per area in N/m3"
         ),
     )
     preload_spring: Stiffness | None = Field(
-        None, gt=0, description="Stiffness of the preload spring, which acts evenly on the top face"
+        None,
+        gt=0,
+        description=(
+            "Stiffness of the preload spring, whose force is distributed evenly over the top "
+            "face of the stack"
+        ),
     )
 
     @model_validator(mode="after")
-    def _require_consistent_keys(self) -> Chip:
+    def _require_consistent_keys(self) -> StackKeys:
         if self.diameter is not None and {"side", "depth"} & self.model_fields_set:
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 "the size of the chip is missing: write diameter, or side and depth",
                 None,
                 hint="delete side and depth, or delete diameter",
@@ -181,18 +239,18 @@ class Chip(Section):
         if self.layer_thickness is not None:
             height = self.layers * self.layer_thickness
             if not math.isclose(height, self.height):
-                raise invalid_value_error(
+                raise make_invalid_value_error(
                     "write height or layer_thickness, not both: height = layers * layer_thickness",
                     None,
                     hint="delete height",
                 )
-        outermost, half = self.mesh.rings * self.mesh.ring_spacing, min(self.half)
+        outermost, half = self.mesh.rings * self.mesh.ring_spacing, min(self.half_widths)
         if outermost > half * (1 - 1e-6):
             fitting = int(half * (1 - 1e-6) // self.mesh.ring_spacing)
             spacing = float(f"{0.9 * half / self.mesh.rings:.2g}")
             hint = f"lower mesh.rings to {fitting}"
             hint = hint if fitting else f"lower mesh.ring_spacing to {spacing:g} m"
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 (
                     f"mesh.rings: a contact ring of radius {outermost:g} m does not fit on the "
                     f"chip; half of the smaller side is {half:g} m"
@@ -201,13 +259,13 @@ class Chip(Section):
                 hint=hint,
             )
         if self.poling == "x" and self.mounting in ("roller", "free"):
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 'poling = "x" needs mounting = "glued"', None, hint='write  mounting = "glued"'
             )
         try:
             _ = self.ceramic
         except UsageError as error:
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 error.message, error.expected, "material", error.hint
             ) from None
         return self
@@ -223,8 +281,8 @@ class Chip(Section):
         table = self.material
         if not isinstance(table, str):
             table = {"like": PAPER_CERAMIC, **table}
-        result = material(table)
-        if result.conductor or not result.isotropic_about_z:
+        result = find_material(table)
+        if result.conductor or not result.is_isotropic_about_z:
             raise UsageError(
                 f"{result.name} is not a ceramic with poling along z (class 6mm)",
                 expected="a ceramic such as THP51 or PZT-5A",
@@ -233,7 +291,7 @@ class Chip(Section):
         return replace(result, name="ceramic")
 
     @property
-    def half(self) -> tuple[float, float]:
+    def half_widths(self) -> tuple[float, float]:
         """Half of the stack's width along x and half of its width along y [m]."""
         if self.diameter is not None:
             return self.diameter / 2, self.diameter / 2

@@ -48,14 +48,16 @@ def _check_directory(text: str) -> Path:
 
 def _make_out_option(default: str) -> Any:
     """Return the option ``--out`` with the default directory ``default``."""
-    text = f"Directory to write into. Default: {default}."
+    text = f"Directory into which output files are written. Default: {default}."
     return typer.Option("--out", "-o", metavar="DIR", parser=_check_directory, help=text)
 
 
 PARAMETERS = {
     "scene": typer.Argument(
         metavar="SCENE",
-        help="Name of a built-in scene, part number, or path of a TOML file.",
+        help=(
+            "Name of a built-in scene, part number from the parts library, or path of a TOML file."
+        ),
         autocompletion=_complete_scene_names,
     ),
     "sweep.scene": typer.Argument(
@@ -63,18 +65,25 @@ PARAMETERS = {
     ),
     "model": typer.Argument(
         metavar="MODEL",
-        help="NAME of the files NAME.M .E .K .B .C (Matrix Market or Harwell-Boeing; first order "
-        ".A .B .C .D .E); a .npz or .mat file; a file of Abaqus, CalculiX, Nastran or Ansys; "
-        "SCENE:PART, a body of a scene; a measured response (.s1p, .s2p, .csv, .txt, .zma, "
-        ".mat); or the table of a thermal transient. "
-        "NAME.toml in the same folder contains ports, units and band.",
+        help=(
+            "Model to reduce: SCENE:PART for a body of a scene, or the name of a file. "
+            "Matrices: a .npz or .mat file, or NAME for NAME.M .E .K .B .C (first order: .A "
+            ".B .C .D .E; Matrix Market or Harwell-Boeing). Other programs: a file of "
+            "Abaqus, CalculiX, Nastran or Ansys. Measurements: a response (.s1p, .s2p, .csv, "
+            ".txt, .zma, .mat), or a table of a thermal transient. NAME.toml in the same "
+            "folder states ports, units and band."
+        ),
     ),
     "target": typer.Argument(
-        metavar="SCENE:PART", help="Scene and the name of the part to fit, separated by a colon."
+        metavar="SCENE:PART",
+        help="Scene, and name of the part that is fitted, separated by a colon.",
     ),
     "data": typer.Argument(
         metavar="DATA",
-        help="Measured impedance: .s1p, .csv, .txt, .zma or .mat; or a .toml list of curves.",
+        help=(
+            "File of the measured impedance (.s1p, .csv, .txt, .zma or .mat), or a .toml "
+            "file that lists several measured curves."
+        ),
     ),
     "run.out": _make_out_option("./SCENE"),
     "export.out": _make_out_option("./SCENE, or beside the reduced model"),
@@ -86,27 +95,38 @@ PARAMETERS = {
     "set_": typer.Option(
         "--set",
         metavar="KEY=VALUE",
-        help="Override a key of the scene; VALUE is a number in SI units, or text with a unit. A "
-        "TOML file overrides all keys that it contains. Repeatable.",
+        help=(
+            "Override a key of the scene. VALUE is a number in SI units, or text with a "
+            "unit. A TOML file in place of KEY=VALUE overrides all keys that the file "
+            "contains. Repeatable."
+        ),
     ),
     "sweep.set_": typer.Option(
         "--set",
         metavar="KEY=RANGE",
-        help="Vary a key of the scene, or param.PART.NAME of a subcircuit. RANGE is a:b:n, "
-        "log:a:b:n, x,y,z, normal(mu,sigma,n), uniform(a,b,n), or one value. Repeatable.",
+        help=(
+            "Vary a key of the scene, or the parameter param.PART.NAME of a subcircuit. "
+            "RANGE is a:b:n (linear), log:a:b:n, x,y,z (a list), normal(mu,sigma,n), "
+            "uniform(a,b,n), or one value. Repeatable."
+        ),
     ),
     "trust": typer.Option(
         "--trust",
-        help="Allow included netlists to run commands and access files. Lines that ngspice "
-        "ignores or replaces then cause only a warning.",
+        help=(
+            "Allow included netlists to run commands and access files. With this option, "
+            "lines that ngspice ignores or replaces cause only a warning."
+        ),
     ),
     "as_json": typer.Option("--json", help="Print one JSON object instead of tables."),
-    "quiet": typer.Option("--quiet", "-q", help="Print neither progress nor tables."),
+    "quiet": typer.Option("--quiet", "-q", help="Print neither progress messages nor tables."),
     "run.deck": typer.Option(
-        metavar="FILE", help="Run this edited netlist of the scene, with its metrics and checks."
+        metavar="FILE",
+        help=(
+            "Run this edited netlist of the scene, and compute the metrics and checks of the scene."
+        ),
     ),
     "verify.deck": typer.Option(
-        metavar="FILE", help="Verify this edited netlist of the scene without a new export."
+        metavar="FILE", help="Verify this edited netlist of the scene in place of a new export."
     ),
     "verbose": typer.Option(
         "--verbose", "-v", help="Print all tables of the report, not only the main results."
@@ -115,43 +135,61 @@ PARAMETERS = {
     "keep": typer.Option("--keep", help="Keep the raw file and the log file of the simulator."),
     "dialect": typer.Option(
         metavar="DIALECT",
-        help=f"Simulator of the netlist: {_list_dialects()}, or a dialect of an installed package.",
+        help=f"Simulator for which the netlist is written: {_list_dialects()}, or a dialect of an "
+        "installed package.",
     ),
     "export.tolerance": typer.Option(
         metavar="X",
-        help="Error tolerance of every model reduction. Default: tolerance of the scene.",
+        help=(
+            "Largest permitted relative error of every reduced model. Default: the tolerance "
+            "in the scene."
+        ),
     ),
     "count": typer.Option(metavar="N", help="Write N copies of the scene into one deck."),
     "rom": typer.Option(
         metavar="FILE",
-        help="Export this reduced model, a file that 'reduce' wrote, instead of a scene.",
+        help=(
+            "Export the reduced model in FILE, which the command reduce wrote, instead of a scene."
+        ),
     ),
     "dense": typer.Option(
         "--dense",
-        help="With --rom: write one dense state-space system instead of one block for each mode.",
+        help=(
+            "With --rom: write the model as one dense state-space system instead of one "
+            "block for each mode."
+        ),
     ),
     "all_": typer.Option("--all", help="Verify every built-in scene."),
     "full": typer.Option(
         "--full",
-        help="Integrate full models over up to 400 000 steps, not 4 000, and solve large full "
-        "models at all frequencies.",
+        help=(
+            "Integrate full models over up to 400 000 time steps instead of 4 000, and solve "
+            "large full models at all frequencies."
+        ),
     ),
     "search": typer.Argument(
         metavar="SEARCH",
-        help="Words to search for in the number, maker or device of a part. Default: all parts.",
+        help=(
+            "Words to search for in the part number, maker and device of each part. Default: "
+            "all parts."
+        ),
     ),
     "keys": typer.Option("--keys", help="List every key that a scene may have."),
-    "parts": typer.Option("--parts", help="List the part types."),
+    "parts": typer.Option("--parts", help="List the part types that a scene may contain."),
     "part_type": typer.Option(
         "--part", metavar="TYPE", help="List the pins and keys of a part type, with an example."
     ),
     "band": typer.Option(
         metavar="F0 F1",
-        help="Lowest and highest frequency of the error estimate [Hz]. Default: the band in "
-        "NAME.toml or the scene, otherwise up to the fifth natural frequency.",
+        help=(
+            "Lowest and highest frequency of the band in which the error is estimated [Hz]. "
+            "Default: the band in NAME.toml or the scene, otherwise up to the fifth natural "
+            "frequency."
+        ),
     ),
     "tolerance": typer.Option(
-        metavar="X", help="Largest relative error of the reduced model. Default: 1e-4."
+        metavar="X",
+        help="Largest permitted relative error of the reduced model in the band. Default: 1e-4.",
     ),
     "order": typer.Option(
         metavar="Q",
@@ -159,78 +197,125 @@ PARAMETERS = {
     ),
     "method": typer.Option(
         metavar="NAME",
-        help="Reduction method, such as 'response POD', or compare for a table of all methods. "
-        "Default: the result with fewer states of response POD and balanced truncation.",
+        help=(
+            "Reduction method, such as 'response POD', or compare for a table of all "
+            "methods. Default: response POD or balanced truncation, whichever result has "
+            "fewer states."
+        ),
     ),
     "solver": typer.Option(
         metavar="NAME",
-        help="Direct solver of the reduction, such as pardiso, which needs pip install "
-        "'kc2spice[fast]'. Default: CHOLMOD and SuperLU.",
+        help=(
+            "Direct solver for the linear equations of the reduction, such as pardiso "
+            "(requires pip install 'kc2spice[fast]'). Default: CHOLMOD and SuperLU."
+        ),
     ),
     "norm": typer.Option(
         metavar="NORM",
-        help="Norm of the error: pointwise (relative at every frequency) or peak (relative to the "
-        "largest value in the band). Default: peak if all ports are signals.",
+        help=(
+            "Norm of the error: pointwise (relative to the response at each frequency) or "
+            "peak (relative to the largest response in the band). Default: peak if all ports "
+            "are signals, otherwise pointwise."
+        ),
     ),
     "dc": typer.Option(
         metavar="OHM",
-        help="Resistance of a measured one-port at zero frequency, such as '80 mOhm', or open. "
-        "Default: extrapolation from the lowest frequencies.",
+        help=(
+            "Resistance of a measured one-port at zero frequency, such as '80 mOhm', or open "
+            "for no conduction. Default: extrapolation from the lowest frequencies."
+        ),
     ),
     "shunt": typer.Option(
         metavar="OHM",
-        help="Resistance in series with the part during the measurement of a gain, such as '100 "
-        "Ohm'. Required for tables of gain and phase.",
+        help=(
+            "Resistance in series with the part in a measurement of gain and phase, such as "
+            "'100 Ohm'. Required for tables of gain and phase."
+        ),
     ),
     "power": typer.Option(
         metavar="W",
-        help="Power that was switched on or off at the time zero of a thermal transient, such as "
-        "'2 W'. Required for tables of temperatures.",
+        help=(
+            "Heating power that was switched on or off at time zero of the measured "
+            "transient, such as '2 W'. Required for tables of temperatures."
+        ),
     ),
     "network": typer.Option(
         metavar="FORM",
-        help="Form of the network of one thermal port: foster or cauer. Default: foster.",
+        help=(
+            "Form of the thermal RC network for a model with one thermal port: foster or "
+            "cauer. Default: foster."
+        ),
     ),
     "vary": typer.Option(
         metavar="KEY[=LOW:HIGH]",
-        help="Key of the part that the fit varies, and its range in SI units. Default: 30 % "
-        "below and above the value of the scene; for losses, a tenth of the value to ten times "
-        "the value. Repeatable.",
+        help=(
+            "Key of the part that is fitted, and its range in SI units. Default range: 30 % "
+            "below to 30 % above the value in the scene; for losses, a tenth to ten times "
+            "this value. Repeatable."
+        ),
     ),
     "error": typer.Option(
-        metavar="X", min=1e-12, max=1.0, help="Largest accepted relative error of the metrics."
+        metavar="X",
+        min=1e-12,
+        max=1.0,
+        help="Largest relative error of the metrics that the fastest settings may cause.",
     ),
     "bench.metric": typer.Option(
         metavar="NAME",
-        help="Metric whose error is compared with --error. Default: the key `bench.metric` of the "
-        "scene, otherwise all metrics that converge. Repeatable.",
+        help=(
+            "Metric whose error must not exceed --error. Default: the key `bench.metric` of "
+            "the scene, otherwise all metrics that converge. Repeatable."
+        ),
     ),
     "sweep.metric": typer.Option(
         metavar="NAME",
-        help="Column of the table: a metric, or the path of a number in result.json, such as "
-        "model.kick.resonance_short_hz. Default: all metrics. Repeatable.",
+        help=(
+            "Column of the output table: a metric, or the path of a number in result.json, "
+            "such as model.kick.resonance_short_hz. Default: all metrics. Repeatable."
+        ),
     ),
     "repeats": typer.Option(
-        metavar="N", min=1, help="Number of runs for each setting; the median CPU time is used."
+        metavar="N",
+        min=1,
+        help="Number of repeated runs with the same settings, whose median CPU time is used.",
     ),
     "zipped": typer.Option(
         "--zip",
-        help="Vary all keys together, point by point. Default: every combination of values.",
+        help=(
+            "Combine the first values of all keys, then the second values, and so on. "
+            "Default: every combination of values."
+        ),
     ),
-    "latin": typer.Option("--latin", help="Sample the random keys by a Latin hypercube."),
-    "seed": typer.Option(metavar="N", min=0, help="Seed of the random numbers."),
+    "latin": typer.Option(
+        "--latin", help="Choose the values of random keys by Latin hypercube sampling."
+    ),
+    "seed": typer.Option(metavar="N", min=0, help="Seed of the random number generator."),
     "table_format": typer.Option(
-        "--format", metavar="FORMAT", help="Format of the table: csv or parquet."
+        "--format", metavar="FORMAT", help="File format of the table of results: csv or parquet."
     ),
     "workers": typer.Option(
-        metavar="N", min=1, help="Number of points computed in parallel. Default: number of cores."
+        metavar="N",
+        min=1,
+        help=(
+            "Number of sweep points that are computed in parallel. Default: number of "
+            "processor cores."
+        ),
     ),
     "dask": typer.Option(
-        metavar="ADDRESS", help="Dask scheduler that runs the points, or 'local'."
+        metavar="ADDRESS",
+        help=(
+            "Address of the Dask scheduler that computes the sweep points, or 'local' for "
+            "workers on this machine."
+        ),
     ),
-    "timeout": typer.Option(metavar="S", min=0.1, help="Longest time of one run of ngspice [s]."),
+    "timeout": typer.Option(
+        metavar="S", min=0.1, help="Longest permitted time of one run of ngspice [s]."
+    ),
     "retry_failed": typer.Option(
-        "--retry-failed", help="Repeat failed points. Default: repeat only interrupted points."
+        "--retry-failed",
+        help=(
+            "Repeat failed and interrupted sweep points. Default: repeat only interrupted points."
+        ),
     ),
     "dry_run": typer.Option("--dry-run", help="Print the planned runs without running them."),
 }

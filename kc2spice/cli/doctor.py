@@ -15,9 +15,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from kc2spice.core.cache import cache_dir
+from kc2spice.core.cache import find_cache_dir
 from kc2spice.core.errors import Kc2spiceError, MissingToolError
-from kc2spice.core.packages import install_command
+from kc2spice.core.packages import make_install_command
 from kc2spice.netlist.deck import Deck
 from kc2spice.sim.ngspice import find_ngspice, run_deck
 
@@ -64,7 +64,7 @@ _FEATURE_TESTS = (
 
 
 @dataclass(frozen=True)
-class Finding:
+class InstallationFinding:
     """Result of one check of the installation.
 
     ``fix`` is the command that corrects the problem, empty if the check passes. kc2spice cannot run
@@ -78,31 +78,35 @@ class Finding:
     needed: bool = True
 
 
-def check_installation() -> Iterator[Finding]:
+def check_installation() -> Iterator[InstallationFinding]:
     """Yield the result of each check of the installation, quick checks first."""
     version = ".".join(map(str, sys.version_info[:3]))
-    yield Finding("Python", sys.version_info >= (3, 11), version, "install Python 3.11 or newer")
+    yield InstallationFinding(
+        "Python", sys.version_info >= (3, 11), version, "install Python 3.11 or newer"
+    )
     for library in _PYTHON_PACKAGES:
         try:
-            yield Finding(library, True, importlib.metadata.version(library))
+            yield InstallationFinding(library, True, importlib.metadata.version(library))
         except importlib.metadata.PackageNotFoundError:
             fix = f"{sys.executable} -m pip install {library}"
-            yield Finding(library, False, "not installed", fix)
+            yield InstallationFinding(library, False, "not installed", fix)
     if sys.platform == "linux":
         missing = [soname for soname in _GMSH_LIBRARIES if not _can_load_library(soname)]
         result = "missing " + ", ".join(missing) if missing else f"{len(_GMSH_LIBRARIES)} found"
-        fix = install_command(*(_GMSH_LIBRARIES[item] for item in missing)) if missing else ""
-        yield Finding("system libraries of gmsh", not missing, result, fix)
+        fix = make_install_command(*(_GMSH_LIBRARIES[item] for item in missing)) if missing else ""
+        yield InstallationFinding("system libraries of gmsh", not missing, result, fix)
     yield from _check_ngspice()
     name = ctypes.util.find_library("ngspice")
     ok = name is not None and _can_load_library(name)
-    fix = "" if ok else install_command("libngspice0")
-    yield Finding("libngspice", ok, name or "not found", fix, needed=ok)
-    folder = cache_dir()
+    fix = "" if ok else make_install_command("libngspice0")
+    yield InstallationFinding("libngspice", ok, name or "not found", fix, needed=ok)
+    folder = find_cache_dir()
     existing = next(filter(os.path.exists, (folder, *folder.parents)))
     ok = os.path.isdir(existing) and os.access(existing, os.W_OK | os.X_OK)
     fix = "set KC2SPICE_CACHE to a directory that you can write to"
-    yield Finding("cache", ok, f"{folder}{'' if ok else ' cannot be written'}", fix, needed=False)
+    yield InstallationFinding(
+        "cache", ok, f"{folder}{'' if ok else ' cannot be written'}", fix, needed=False
+    )
 
 
 def _can_load_library(soname: str) -> bool:
@@ -113,16 +117,16 @@ def _can_load_library(soname: str) -> bool:
         return False
 
 
-def _check_ngspice() -> Iterator[Finding]:
+def _check_ngspice() -> Iterator[InstallationFinding]:
     """Check the ngspice program, the features that kc2spice uses, and the code models."""
     find_ngspice.cache_clear()
-    install, missing = install_command("ngspice"), None
+    install, missing = make_install_command("ngspice"), None
     try:
         result = find_ngspice()
-        yield Finding("ngspice", True, f"{result.version} ({result.path})")
+        yield InstallationFinding("ngspice", True, f"{result.version} ({result.path})")
     except MissingToolError as error:
         missing = error
-        yield Finding("ngspice", False, f"{error.message} ({error.where})", install)
+        yield InstallationFinding("ngspice", False, f"{error.message} ({error.where})", install)
     for name, text, vectors, expected, fix in _FEATURE_TESTS:
         ok, outcome, needed = False, "no ngspice", text == _FEATURE_DECK
         if missing is None:
@@ -135,4 +139,4 @@ def _check_ngspice() -> Iterator[Finding]:
                     outcome = "a test netlist runs" if ok else f"got {ends}"
                 except Kc2spiceError as error:
                     outcome = error.message
-        yield Finding(name, ok, outcome, fix if missing is None else install, needed)
+        yield InstallationFinding(name, ok, outcome, fix if missing is None else install, needed)

@@ -18,10 +18,10 @@ from typing import Annotated, Any
 import typer
 
 from kc2spice.cli.arguments import PARAMETERS
-from kc2spice.cli.tables import (
+from kc2spice.cli.terminal_output import (
     INTERRUPTED_EXIT_CODE,
     PIPED_COLUMNS,
-    Caller,
+    OutputRecipient,
     print_keys,
     print_table,
     print_tables,
@@ -136,24 +136,26 @@ def _register_command(function: Callable[..., None]) -> Callable[..., None]:
     and ends with an exit code.
     """
 
-    def call(as_json: bool, quiet: bool, **words: Any) -> None:
+    def run_command(as_json: bool, quiet: bool, **words: Any) -> None:
         """Run the command with its options."""
         with report_errors():
-            function(Caller(as_json, quiet), **words)
+            function(OutputRecipient(as_json, quiet), **words)
 
-    name = call.__name__ = function.__name__.removeprefix("_")
-    call.__doc__ = function.__doc__
+    name = run_command.__name__ = function.__name__.removeprefix("_")
+    run_command.__doc__ = function.__doc__
     _, *command_parameters = inspect.signature(function).parameters.values()
-    flags = (item.replace(default=False) for item in inspect.signature(call).parameters.values())
+    flags = (
+        item.replace(default=False) for item in inspect.signature(run_command).parameters.values()
+    )
     parameters = []
     for item in (*command_parameters, next(flags), next(flags)):
         info = PARAMETERS.get(f"{name}.{item.name}") or PARAMETERS[item.name]
         parameters.append(item.replace(annotation=Annotated[item.annotation, info]))
-    call.__annotations__ = {item.name: item.annotation for item in parameters}
-    call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    run_command.__annotations__ = {item.name: item.annotation for item in parameters}
+    run_command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     # typer does not wrap a paragraph that begins with a backspace character
     epilog = "\b\nExamples:\n" + "\n".join(f"  {line}" for line in EXAMPLES[name])
-    app.command(cls=CheckedCommand, epilog=epilog)(call)
+    app.command(cls=CheckedCommand, epilog=epilog)(run_command)
     return function
 
 
@@ -166,7 +168,7 @@ def _load_scene(scene: str, set_: list[str] | None) -> Any:
 
 @_register_command
 def _run(
-    caller: Caller,
+    caller: OutputRecipient,
     scene: str,
     out: Path | None = None,
     set_: list[str] | None = None,
@@ -181,20 +183,20 @@ def _run(
     Builds and reduces the models, writes the netlists, runs ngspice and checks the result. At the
     end, all files are moved to DIR; report.html contains the curves.
     """
-    from kc2spice.cli.tables import print_result
+    from kc2spice.cli.terminal_output import print_result
     from kc2spice.workflow import run as study
 
     loaded = _load_scene(scene, set_)
     out = out or Path(loaded.name)
-    with caller.progress() as progress:
+    with caller.open_progress_display() as progress:
         result = study.run_scene(loaded, out, progress, trust=trust, deck=deck, keep=keep, png=png)
-    if caller.expects_text(result, out):
+    if caller.print_json_if_requested(result, out):
         print_result(result, out, verbose=verbose)
 
 
 @_register_command
 def _export(
-    caller: Caller,
+    caller: OutputRecipient,
     scene: str | None = None,
     out: Path | None = None,
     set_: list[str] | None = None,
@@ -247,15 +249,17 @@ def _export(
             raise
         out, head = out or Path(loaded.name), {"scene": loaded.name}
         choices: dict[str, Any] = {"trust": trust, "count": count, "solver": solver}
-        with caller.progress() as progress:
+        with caller.open_progress_display() as progress:
             files = export_scene(loaded, out, dialect, progress, **choices)
-    if caller.expects_text({**head, "files": [path.name for path in files]}, files[0].parent):
+    if caller.print_json_if_requested(
+        {**head, "files": [path.name for path in files]}, files[0].parent
+    ):
         print_table("files", [(str(path),) for path in files])
 
 
 @_register_command
 def _verify(
-    caller: Caller,
+    caller: OutputRecipient,
     scene: str | None = None,
     all_: bool = False,
     full: bool = False,
@@ -272,7 +276,7 @@ def _verify(
     from kc2spice.workflow.verify.verify import verify_scenes
 
     if (scene is None) is not all_:
-        got = "neither of them" if scene is None else f"{scene} and --all"
+        got = "neither SCENE nor --all" if scene is None else f"{scene} and --all"
         raise UsageError(
             "the command needs either a SCENE or --all",
             where="verify",
@@ -282,9 +286,11 @@ def _verify(
         )
     loaded = [_load_scene(name, set_) for name in ([scene] if scene else list_gallery())]
     out = out or Path("verify" if all_ else f"{loaded[0].name}_verify")
-    with caller.progress() as progress:
+    with caller.open_progress_display() as progress:
         result = verify_scenes(loaded, out, full=full, deck=deck, trust=trust, progress=progress)
-    if caller.expects_text(result if all_ else next(iter(result["scenes"].values())), out):
+    if caller.print_json_if_requested(
+        result if all_ else next(iter(result["scenes"].values())), out
+    ):
         from kc2spice.report.verify_page import format_verification
 
         for name, item in result["scenes"].items():
@@ -296,27 +302,27 @@ def _verify(
 
 
 @_register_command
-def _explain(caller: Caller, scene: str, set_: list[str] | None = None) -> None:
+def _explain(caller: OutputRecipient, scene: str, set_: list[str] | None = None) -> None:
     """Print the effects that SCENE models and neglects.
 
     Lists parts, joined pins, numerical settings with their error estimates, and neglected effects
     with their estimated size.
     """
-    from kc2spice.core.progress import Clock
-    from kc2spice.scene.model import scene_hash
+    from kc2spice.core.progress import StageTimer
+    from kc2spice.scene.model import compute_scene_hash
     from kc2spice.scene.numerical_settings import describe_plan
     from kc2spice.workflow.models import build_models
 
     loaded = _load_scene(scene, set_)
-    build = build_models(loaded, Clock())
+    build = build_models(loaded, StageTimer())
     step = (
         None
         if build.largest_step is None
         else {"s": build.largest_step.step, "why": build.largest_step.why}
     )
-    head = {"scene": loaded.name, "hash": scene_hash(loaded), "largest_step": step}
+    head = {"scene": loaded.name, "hash": compute_scene_hash(loaded), "largest_step": step}
     record = {**head, **describe_plan(build)}
-    if caller.expects_text(record):
+    if caller.print_json_if_requested(record):
         from kc2spice.report.run_page import format_model_summary
 
         print(textwrap.fill(f"{record['scene']}: {loaded.title}", PIPED_COLUMNS))
@@ -334,7 +340,7 @@ def _explain(caller: Caller, scene: str, set_: list[str] | None = None) -> None:
 
 @_register_command
 def _scenes(
-    caller: Caller, keys: bool = False, parts: bool = False, part_type: str | None = None
+    caller: OutputRecipient, keys: bool = False, parts: bool = False, part_type: str | None = None
 ) -> None:
     """List the built-in scenes, all keys, or part types."""
     from dataclasses import asdict
@@ -351,20 +357,20 @@ def _scenes(
             f"{first} cannot be combined with {other}",
             where="scenes",
             got=f"{first} {other}",
-            expected="one of them",
+            expected=f"either {first} or {other}",
             hint=f"run kc2spice scenes {first}, then kc2spice scenes {other}",
         )
     if keys:
         scene_keys = list(list_all_keys())
-        if caller.expects_text(list(map(asdict, scene_keys))):
+        if caller.print_json_if_requested(list(map(asdict, scene_keys))):
             print_keys("keys of a scene", scene_keys)
     elif parts:
         docs = list(describe_part_types())
-        if caller.expects_text(list(map(asdict, docs))):
+        if caller.print_json_if_requested(list(map(asdict, docs))):
             print_table("part types", [(doc.name, doc.title) for doc in docs], names=0)
     elif part_type is not None:
         doc = describe_part_type(part_type)
-        if caller.expects_text(asdict(doc)):
+        if caller.print_json_if_requested(asdict(doc)):
             print(textwrap.fill(f"{doc.name}: {doc.title}. {doc.doc}", PIPED_COLUMNS) + "\n")
             pins = [(pin.name, pin.kind, pin.default or "") for pin in doc.pins]
             print_table("pins", pins, ("pin", "unit", "default"), names=0)
@@ -373,12 +379,12 @@ def _scenes(
                 print(f"example\n{doc.example}")
     else:
         titles = {name: load_scene(name).title for name in list_gallery()}
-        if caller.expects_text(titles):
+        if caller.print_json_if_requested(titles):
             print_table("scenes", list(titles.items()))
 
 
 @_register_command
-def _parts(caller: Caller, search: str | None = None) -> None:
+def _parts(caller: OutputRecipient, search: str | None = None) -> None:
     """List commercial parts and the sources of their data.
 
     The commands run, export, verify and explain accept a part number in place of SCENE.
@@ -388,20 +394,20 @@ def _parts(caller: Caller, search: str | None = None) -> None:
     from kc2spice.scene.catalogue import search_parts
 
     parts = search_parts(search or "")
-    if caller.expects_text(list(map(asdict, parts))):
+    if caller.print_json_if_requested(list(map(asdict, parts))):
         rows = [(part.number, part.maker, part.device, part.kind) for part in parts]
         print_table("parts", rows, ("number", "maker", "device", "part type"), names=0)
 
 
 @_register_command
-def _doctor(caller: Caller) -> None:
+def _doctor(caller: OutputRecipient) -> None:
     """Check simulator and packages, and print the fixes."""
     from dataclasses import asdict
 
     from kc2spice.cli.doctor import check_installation
 
     findings = list(check_installation())
-    if caller.expects_text({"findings": list(map(asdict, findings))}):
+    if caller.print_json_if_requested({"findings": list(map(asdict, findings))}):
         marks = ("ok" if f.ok else "MISSING" if f.needed else "absent" for f in findings)
         rows = [
             (mark, f.name, f.state, "" if f.ok else f.fix)
@@ -414,7 +420,7 @@ def _doctor(caller: Caller) -> None:
 
 @_register_command
 def _reduce(
-    caller: Caller,
+    caller: OutputRecipient,
     model: str,
     out: Path | None = None,
     band: tuple[float, float] | None = None,
@@ -438,7 +444,7 @@ def _reduce(
 
     options: dict[str, Any] = {"band": band, "tolerance": tolerance, "order": order, "norm": norm}
     if method not in (None, "compare"):
-        from kc2spice.workflow.methods import require_method_option
+        from kc2spice.workflow.method_comparison import require_method_option
 
         require_method_option(method)
     if method == "compare":
@@ -448,9 +454,9 @@ def _reduce(
         return
     options |= {"dc": dc, "shunt": shunt, "power": power, "network": network}
     options |= {"method": method, "solver": solver}
-    with naming_options(options), caller.progress() as progress:
+    with naming_options(options), caller.open_progress_display() as progress:
         result = reduce_study(model, out, **options, progress=progress)
-    if caller.expects_text(result):
+    if caller.print_json_if_requested(result):
         from kc2spice.report.run_page import format_above_band
 
         low, high = result["band_hz"]
@@ -488,10 +494,10 @@ METHOD_COLUMNS = "method", "states", "error estimate", "of the peak", "CPU time"
 
 
 def _compare_methods(
-    caller: Caller, model: str, options: dict[str, Any], no_effect: Mapping[str, object]
+    caller: OutputRecipient, model: str, options: dict[str, Any], no_effect: Mapping[str, object]
 ) -> None:
     """Print number of states, error estimate and CPU time of every reduction method."""
-    from kc2spice.workflow.methods import compare_methods
+    from kc2spice.workflow.method_comparison import compare_methods
     from kc2spice.workflow.reduce_files import require_stable
 
     for option, value in no_effect.items():
@@ -504,9 +510,9 @@ def _compare_methods(
                 expected=expected,
                 hint=f"leave out {option}",
             )
-    with naming_options(options), caller.progress() as progress:
+    with naming_options(options), caller.open_progress_display() as progress:
         result = compare_methods(model, **options, progress=progress)
-    if caller.expects_text(result):
+    if caller.print_json_if_requested(result):
         title = f"{result['unknowns']} equations, error {result['norm']}"
         print_table(title, list(map(_format_method_row, result["methods"])), METHOD_COLUMNS)
         print(f"CPU time of the basis that all methods use: {result['shared_cpu_s']:.2g} s")
@@ -524,7 +530,7 @@ def _format_method_row(row: dict[str, Any]) -> tuple[str, ...]:
 
 @_register_command
 def _fit(
-    caller: Caller,
+    caller: OutputRecipient,
     target: str,
     data: Path,
     vary: list[str] | None = None,
@@ -549,10 +555,10 @@ def _fit(
             hint=f"write {target}:PART with a part that 'kc2spice explain {target}' lists",
         )
     scene = _load_scene(name, set_)
-    with naming_options(("vary", "shunt", "out")), caller.progress() as progress:
+    with naming_options(("vary", "shunt", "out")), caller.open_progress_display() as progress:
         out = out or Path(f"{part}_fit")
         result = fit_study(scene, part, data, vary or (), out, progress, shunt=shunt)
-    if caller.expects_text(result):
+    if caller.print_json_if_requested(result):
         from kc2spice.report.fit_page import format_fit
 
         print_tables(format_fit(result))
@@ -561,7 +567,7 @@ def _fit(
 
 @_register_command
 def _bench(
-    caller: Caller,
+    caller: OutputRecipient,
     scene: str,
     error: float = 1e-4,
     metric: list[str] | None = None,
@@ -581,10 +587,10 @@ def _bench(
     loaded, names = _load_scene(scene, set_), tuple(metric or ())
     out = out or Path(f"{loaded.name}_bench")
     options: dict[str, Any] = {"error": error, "metric": names, "repeats": repeats, "trust": trust}
-    with caller.progress() as progress:
+    with caller.open_progress_display() as progress:
         record = measure(loaded, out, **options, progress=progress)
     recommended = record["recommended"]
-    if caller.expects_text(record, out):
+    if caller.print_json_if_requested(record, out):
         from kc2spice.report.bench_page import format_bench
 
         front = [point for point in record["points"] if point["front"] or point["own"]]
@@ -599,7 +605,7 @@ def _bench(
 
 @_register_command
 def _sweep(
-    caller: Caller,
+    caller: OutputRecipient,
     scene: str,
     set_: list[str] | None = None,
     zipped: bool = False,
@@ -621,16 +627,20 @@ def _sweep(
     """
     from kc2spice.scene.overrides import expand_overrides
     from kc2spice.workflow.sweep import engine
-    from kc2spice.workflow.sweep.workers import available_cores, dask_workers, local_workers
+    from kc2spice.workflow.sweep.workers import (
+        count_available_cores,
+        make_dask_connector,
+        make_local_worker_pool,
+    )
 
-    table = engine.table_file_name(table_format)
+    table = engine.get_table_file_name(table_format)
     options: dict[str, Any] = {"zipped": zipped, "latin": latin, "seed": seed, "timeout": timeout}
     definition = engine.load_named_sweep(
         scene, expand_overrides(set_ or ()), metrics=metric or (), **options
     )
     out = out or Path(f"{definition.scene.name}_sweep")
-    count = workers or available_cores()
-    pool = local_workers(count) if dask is None else dask_workers(dask, count)
+    count = workers or count_available_cores()
+    pool = make_local_worker_pool(count) if dask is None else make_dask_connector(dask, count)
     if not caller.quiet:
         print(definition.describe(), file=sys.stderr)
     result: dict[str, Any] = {
@@ -639,17 +649,17 @@ def _sweep(
         "failed": 0,
         "resumed": 0,
     }
-    result |= {"table": str((out / table).absolute()), "runs": definition.runs}
+    result |= {"table": str((out / table).absolute()), "runs": definition.run_counts}
     if not dry_run:
         table_options: dict[str, Any] = {"table_format": table_format, "retry_failed": retry_failed}
         try:
-            with caller.progress() as progress:
+            with caller.open_progress_display() as progress:
                 result = engine.run_sweep(definition, out, pool, progress, **table_options)
         except KeyboardInterrupt:
             state = f"the points run so far are kept in {out}, the same command runs the rest"
             print(f"kc2spice: interrupted; {state}", file=sys.stderr)
             raise typer.Exit(INTERRUPTED_EXIT_CODE) from None
-    if caller.expects_text(result):
+    if caller.print_json_if_requested(result):
         rows = [(name, str(result[name])) for name in ("points", "failed", "resumed", "table")]
         for name, share in result.get("yield", {}).items():
             low, high = share["low"], share["high"]

@@ -15,7 +15,7 @@ from typing import Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from kc2spice.cli.tables import report_errors
+from kc2spice.cli.terminal_output import report_errors
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, unknown
 
 PROGRAM = "kc2spice"
@@ -121,10 +121,12 @@ def _make_parser_error(command: Any, error: Any, typed: list[str]) -> UsageError
 
 def _convert_to_hertz(words: Sequence[str]) -> list[str]:
     """Return frequencies such as ``20k`` as numbers in Hz; empty if a word is no frequency."""
-    from kc2spice.core.quantities import quantity  # imported here: slow to load
+    from kc2spice.core.quantities import convert_quantity  # imported here: slow to load
 
     with contextlib.suppress(UsageError):
-        ends = [quantity(word if word.endswith("Hz") else f"{word}Hz", "Hz") for word in words]
+        ends = [
+            convert_quantity(word if word.endswith("Hz") else f"{word}Hz", "Hz") for word in words
+        ]
         return [f"{end:.12g}" for end in ends]
     return []
 
@@ -260,10 +262,10 @@ def _make_invalid_number_error(param: Any, typed: list[str], is_integer: bool) -
     ``is_integer`` is true if the option needs a whole number.
     """
     name, words = param.opts[0], _find_option_words(param, typed)
-    wrong = next((word for word in words if not _is_number(word)), None)
+    wrong_word = next((word for word in words if not _is_number(word)), None)
     low, high = _find_option_limits(param)
     limits = f"{low:g} to {high:g}" if high is not None else f"at least {low or 0:g}"
-    if wrong is None:
+    if wrong_word is None:
         problem = "this value is not a whole number" if is_integer else "this value is out of range"
         unlimited = low is None and high is None
         expected = "a whole number" + ("" if unlimited else f", {limits}") if is_integer else limits
@@ -271,19 +273,23 @@ def _make_invalid_number_error(param: Any, typed: list[str], is_integer: bool) -
         return UsageError(problem, where=name, got=" ".join(words), expected=expected, hint=hint)
     if param.name != "band":
         problem, kind = "this value is not a number", "a whole number" if is_integer else "a number"
-        expected, hint = kind, f"write {kind} in place of {wrong}"
+        expected, hint = kind, f"write {kind} in place of {wrong_word}"
         if low is not None or high is not None:
             expected = f"{kind}, {limits}"
             hint = f"for example {name} {max(low or 1, 1) if high is None else high:g}"
-        share = wrong.removesuffix("%").strip()
-        if wrong.endswith("%") and _is_number(share) and not is_integer:
+        share = wrong_word.removesuffix("%").strip()
+        if wrong_word.endswith("%") and _is_number(share) and not is_integer:
             hint = f"write {name} {float(share) / 100:.12g}"
-        return UsageError(problem, where=name, got=wrong, expected=expected, hint=hint)
+        return UsageError(problem, where=name, got=wrong_word, expected=expected, hint=hint)
     hint = f"write {name} 1000 2000 for 1 to 2 kHz"
     if ends := _convert_to_hertz(words):
         hint = " ".join(["write", name, *ends])
     return UsageError(
-        "this value is not a number", where=name, got=wrong, expected="numbers in Hz", hint=hint
+        "this value is not a number",
+        where=name,
+        got=wrong_word,
+        expected="numbers in Hz",
+        hint=hint,
     )
 
 

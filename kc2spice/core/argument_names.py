@@ -49,7 +49,7 @@ def name_options(error: UsageError, names: Iterable[str]) -> None:
         options = alone.sub(r"\1 --\2", assigned.sub(write_option, text))
         return re.sub(r"\bargument(s?) --", r"option\1 --", options)
 
-    _translate(error, translate)
+    _translate_error(error, translate)
     if error.where is not None and re.fullmatch(pattern, error.where):
         error.where = f"--{error.where}"
 
@@ -78,13 +78,13 @@ def name_arguments(error: UsageError, overrides: str = "overrides") -> None:
         value_text = f"['{first}']" if name == _LIST_OPTION else first
         return f"{noun}{name}={value_text}{blank}{second}"
 
-    _translate(error, lambda text: _OPTION.sub(write_argument, text))
+    _translate_error(error, lambda text: _OPTION.sub(write_argument, text))
     if error.where is not None:
         location = re.sub(r"^--set:?(?= |$)", f"{overrides}:", error.where).removesuffix(":")
         error.where = location.removeprefix("--")
 
 
-def _translate(error: UsageError, translate: Callable[[str], str]) -> None:
+def _translate_error(error: UsageError, translate: Callable[[str], str]) -> None:
     """Apply ``translate`` to the message, the expected values and the hint of an error."""
     error.message = translate(error.message)
     error.expected = error.expected and translate(error.expected)

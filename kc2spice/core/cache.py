@@ -41,7 +41,7 @@ _LIBRARIES = ("numpy", "scipy", "scikit-fem", "gmsh")
 _CACHE_DIRECTORIES = {"win32": ("LOCALAPPDATA", "AppData/Local"), "darwin": ("", "Library/Caches")}
 
 
-def cache_dir() -> Path:
+def find_cache_dir() -> Path:
     """Return the cache directory: ``$KC2SPICE_CACHE``, or the default of the platform."""
     if selected := os.environ.get("KC2SPICE_CACHE"):
         return Path(selected)
@@ -90,7 +90,7 @@ def load_or_build(
     """
     known = {cls.__name__: cls for cls in classes}
     modules = {__name__, *sources, *(cls.__module__ for cls in known.values())}
-    path = cache_dir() / kind / f"{_compute_digest(key, modules)}.entry"
+    path = find_cache_dir() / kind / f"{_compute_digest(key, modules)}.entry"
     entry = _load_entry(path, known)
     if entry is None:
         with _lock_entry(path):
@@ -117,7 +117,7 @@ def _lock_entry(path: Path) -> Iterator[None]:
 
 def _compute_digest(key: Mapping[str, Any], sources: Iterable[str]) -> str:
     """Compute the SHA-256 hash of a key, of source texts and of versions of libraries."""
-    versions = {name: _installed_version(name) for name in _LIBRARIES}
+    versions = {name: _find_installed_version(name) for name in _LIBRARIES}
     texts = {name: _compute_source_digest(name) for name in sources}
     content = {"key": key, "libraries": versions, "sources": texts}
     text = json.dumps(content, sort_keys=True, default=_convert_to_json)
@@ -125,7 +125,7 @@ def _compute_digest(key: Mapping[str, Any], sources: Iterable[str]) -> str:
 
 
 @cache
-def _installed_version(library: str) -> str:
+def _find_installed_version(library: str) -> str:
     """Return the installed version of a library, or ``absent``."""
     try:
         return importlib.metadata.version(library)
@@ -166,9 +166,11 @@ def _store_result(path: Path, result: Any, known: Mapping[str, type]) -> None:
         with temporary.open("wb") as file:
             np.savez(file, **arrays)  # type: ignore[arg-type]
         os.replace(temporary, path)
-        _delete_unused_entries(cache_dir())
+        _delete_unused_entries(find_cache_dir())
     except OSError as error:
-        warnings.warn(f"cannot write the cache {cache_dir()}: {error.strerror}", stacklevel=3)
+        warnings.warn(
+            f"the cache {find_cache_dir()} cannot be written: {error.strerror}", stacklevel=3
+        )
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink()

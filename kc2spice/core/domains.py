@@ -53,7 +53,7 @@ class Quantity:
         return f"{words.removesuffix('y')}ies" if words.endswith("y") else f"{words}s"
 
     @property
-    def per_unit(self) -> float:
+    def pin_value_per_si_unit(self) -> float:
         """Number of volts or amperes on a pin that represent one SI unit."""
         return float(f"{1 / self.factor:.15g}")
 
@@ -108,27 +108,29 @@ class Domain:
     def __repr__(self) -> str:
         """Return a one-line description of the domain for the Python prompt."""
         text = f"<Domain {self.name}: 1 V is 1 {self.across.pin_unit or 'unit'}"
-        return f"{text}, 1 A is 1 {self.flow}; power: {self.power}>"
+        return f"{text}, 1 A is 1 {self.flow_unit}; power: {self.power}>"
 
     @property
-    def conservative(self) -> bool:
+    def is_conservative(self) -> bool:
         """Whether parts exchange energy through the pins of the domain."""
         return self.through is not None
 
     @property
-    def flow(self) -> str:
+    def flow_unit(self) -> str:
         """Unit that 1 A through a pin represents, ``-`` for a signal."""
         return SIGNAL if self.through is None else self.through.pin_unit
 
     @property
     def admittance(self) -> float:
         """Circuit admittance [A/V] that represents an admittance of 1 in SI units."""
-        return 1.0 if self.through is None else self.across.factor * self.through.per_unit
+        return (
+            1.0 if self.through is None else self.across.factor * self.through.pin_value_per_si_unit
+        )
 
     @property
     def units(self) -> tuple[str, str]:
         """Units that 1 V and 1 A on a pin represent."""
-        return self.across.pin_unit, self.flow
+        return self.across.pin_unit, self.flow_unit
 
     def value_unit(self, letter: str) -> str:
         """Return the unit of a V, I, R, C or L element's value; empty for SPICE's own units.
@@ -168,10 +170,10 @@ class Domain:
     @property
     def can_be_metered(self) -> bool:
         """Whether the two quantities at one pin determine the power through this pin."""
-        return self.conservative and self.power != "velocity of the frame * through"
+        return self.is_conservative and self.power != "velocity of the frame * through"
 
     @property
-    def kind_of_law(self) -> str:
+    def law_pin_kind(self) -> str:
         """Kind of the pins in the reference solver; ``signal`` for the domain acceleration."""
         return "signal" if self.power == "velocity of the frame * through" else self.name
 
@@ -188,7 +190,7 @@ class Domain:
         assert self.through is not None, f"{self.name} has nothing through its pins"
         return self.through
 
-    def quantity(self, side: Side) -> Quantity:
+    def get_quantity(self, side: Side) -> Quantity:
         """Return the quantity across or through a pin."""
         return self.across if side == "across" else self.through_variable
 
@@ -300,7 +302,7 @@ TABLE = (ELECTRICAL, TRANSLATION, ROTATION, ACCELERATION, THERMAL, ACOUSTIC, SIG
 
 DOMAINS = {domain.name: domain for domain in TABLE}
 PORTS = {domain.port: domain for domain in TABLE if domain.port}
-CONSERVATIVE = tuple(domain for domain in TABLE if domain.conservative)
+CONSERVATIVE = tuple(domain for domain in TABLE if domain.is_conservative)
 # Names of the reference pins; the reference of signals is ``ref``.
 REFERENCES = frozenset({"ref", *(domain.reference for domain in TABLE if domain.reference)})
 
@@ -320,7 +322,7 @@ def _list_quantities() -> dict[str, tuple[Domain, Side]]:
 QUANTITIES = _list_quantities()
 # Symbols of through quantities in names of results, such as ``i`` for ``current``.
 FLOW_SYMBOLS = {
-    name: domain.quantity(side).symbol
+    name: domain.get_quantity(side).symbol
     for name, (domain, side) in QUANTITIES.items()
     if side == "through"
 }
@@ -331,7 +333,7 @@ def _list_pin_units() -> Iterator[tuple[str, str]]:
     for domain in CONSERVATIVE:
         yield domain.units
         if domain.rate is not None:
-            yield domain.rate.pin_unit, domain.flow
+            yield domain.rate.pin_unit, domain.flow_unit
 
 
 PIN_UNITS = tuple(_list_pin_units())
@@ -351,7 +353,7 @@ def find_domain(unit: str, flow: str) -> Domain | None:
     """
     for domain in CONSERVATIVE:
         rate = domain.rate.pin_unit if domain.rate else unit
-        if domain.flow == flow and unit in (domain.across.pin_unit, rate):
+        if domain.flow_unit == flow and unit in (domain.across.pin_unit, rate):
             return domain
     return None
 

@@ -198,11 +198,11 @@ def list_candidates(word: object, choices: Iterable[str], command: str | None = 
         return ", ".join(names)
     import difflib  # imported here, because most errors do not need it
 
-    def dissimilarity(name: str) -> float:
+    def compute_dissimilarity(name: str) -> float:
         """Return a measure of the difference between a name and the word."""
         return -difflib.SequenceMatcher(None, str(word)[:MAX_COMPARED_LENGTH], name).ratio()
 
-    nearest = sorted(names, key=dissimilarity)[:MAX_CANDIDATES]
+    nearest = sorted(names, key=compute_dissimilarity)[:MAX_CANDIDATES]
     where = "" if command is None else f": {command}"
     return f"{', '.join(nearest)}, … ({len(names)} in all{where})"
 

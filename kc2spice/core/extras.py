@@ -22,7 +22,7 @@ class OptionalLibrary(NamedTuple):
     extra: str | None
 
     @property
-    def install(self) -> str:
+    def installation_command(self) -> str:
         """Command that installs the library.
 
         >>> OptionalLibrary("pyyeti", "nastran").install
@@ -86,5 +86,5 @@ def import_optional(module: str, where: str) -> Any:
             f"{library.package} {problem}",
             where=where,
             got=None if is_missing else str(error) or type(error).__name__,
-            hint=library.install,
+            hint=library.installation_command,
         ) from None

@@ -33,7 +33,7 @@ class Curve(EqualByContent):
 
 
 @dataclass(frozen=True, eq=False)
-class Map(EqualByContent):
+class ColourMap(EqualByContent):
     """Colour map of values ``z`` (rows, columns) over a grid of cells.
 
     The ascending coordinates ``x`` (columns,) and ``y`` (rows,) are the centres of the cells. A
@@ -67,7 +67,7 @@ class Panel:
     log_x: bool = False
     log_y: bool = False
     equal: bool = False
-    map: Map | None = None
+    map: ColourMap | None = None
 
 
 @dataclass(frozen=True)

@@ -50,7 +50,7 @@ def _handle_signals(grace: float) -> set[int]:
     handled = threading.Semaphore(0)
 
     def raise_interrupt(number: int, frame: FrameType | None) -> None:
-        """Raise KeyboardInterrupt at the first signal."""
+        """Notify the watching thread of the signal, and raise KeyboardInterrupt."""
         handled.release()
         raise KeyboardInterrupt
 

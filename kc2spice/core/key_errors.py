@@ -14,16 +14,16 @@ from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, normalise_word
-from kc2spice.core.prefix import format_quantity
-from kc2spice.core.quantities import Section, quantity
+from kc2spice.core.quantities import Section, convert_quantity
 from kc2spice.core.schemas import (
     KeyPath,
     find_section,
     find_unit,
+    get_plausible_range,
     join_path,
     list_keys,
-    plausible_range_of,
 )
+from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.core.synonyms import CHOICE_SYNONYMS, KEY_SYNONYMS, REPLACED_KEYS
 from kc2spice.core.toml_text import display_text, format_toml, quote_value
 from kc2spice.core.untrusted_files import make_identifier
@@ -55,7 +55,7 @@ class _InvalidValue:
     missing: Sequence[str]
 
     @property
-    def place(self) -> KeyPath:
+    def schema_path(self) -> KeyPath:
         """Path of the value within the schema, including the names of union members."""
         return self.details["loc"]
 
@@ -69,12 +69,12 @@ class _InvalidValue:
         """Additional data of the error, such as the limits of a number."""
         return self.details.get("ctx", {})
 
-    def assign(self, value: str) -> str:
+    def write_assignment(self, value: str) -> str:
         """Return the text ``KEY = VALUE`` that sets the key to ``value``, for a hint."""
         return _write_assignment(self.path, value)
 
 
-def describe_invalid(
+def describe_invalid_key(
     error: ValidationError,
     schema: type[BaseModel],
     at: KeyPath = (),
@@ -113,7 +113,7 @@ def describe_invalid(
     return full_path, {"message": message, "got": got, "expected": expected, "hint": hint}
 
 
-def validate(
+def validate_table(
     schema: type[Schema],
     table: Mapping[str, Any] | Schema,
     where: str,
@@ -134,7 +134,7 @@ def validate(
     try:
         return schema.model_validate(typed, context=context)
     except ValidationError as error:
-        path, words = describe_invalid(error, schema, table=typed)
+        path, words = describe_invalid_key(error, schema, table=typed)
         inside = f"{where} " if where.endswith(":") else f"{where}."
         location = inside + join_path(path) if path else where.removesuffix(":")
         raise UsageError(where=location, **words) from None
@@ -195,7 +195,8 @@ def _explain(invalid: _InvalidValue) -> Explanation:
 
 
 def _explain_unknown_key(invalid: _InvalidValue) -> Explanation:
-    path, schema = invalid.place, invalid.schema
+    """Explain the error for an unknown key, with the most similar known key."""
+    path, schema = invalid.schema_path, invalid.schema
     table = _find_schema(schema, path)
     fields = [*table.model_fields, *(invalid.also if len(path) == 1 else ())]
     word, all_keys = str(path[-1]), (join_path(item) for item, _ in list_keys(schema))
@@ -213,8 +214,9 @@ def _explain_unknown_key(invalid: _InvalidValue) -> Explanation:
 
 
 def _explain_missing_key(invalid: _InvalidValue) -> Explanation:
+    """Explain the error that a required key is missing."""
     message = f"{join_path(invalid.path)} is missing"
-    return message, *_explain_missing(invalid.schema, invalid.place, invalid.path)
+    return message, *_explain_missing(invalid.schema, invalid.schema_path, invalid.path)
 
 
 def _replace_unknown_key(word: str, missing: Sequence[str]) -> str:
@@ -261,7 +263,7 @@ def _explain_missing(
     field, listed = _find_field(schema, path), None
     if not unit and field is not None:
         choices = get_args(field.annotation) if get_origin(field.annotation) is Literal else ()
-        value = f'"{choices[0]}"' if choices else _show_example(field)
+        value = f'"{choices[0]}"' if choices else _format_example(field)
         if choices:
             listed = f"one of {list_candidates('', map(str, choices))}"
     destination = f"  to {table}" if table else ""
@@ -272,7 +274,7 @@ def _explain_missing(
 def _suggest_quantity(schema: type[BaseModel], path: KeyPath, unit: str) -> str:
     """Return a plausible value of the key at ``path``: a power of ten within its range."""
     field = _find_field(schema, path)
-    plausible = None if field is None else plausible_range_of(field)
+    plausible = None if field is None else get_plausible_range(field)
     if plausible is None:
         return f"1 {unit}"
     middle = 10.0 ** round(math.log10(math.sqrt(plausible.low * plausible.high)))
@@ -286,14 +288,14 @@ def _explain_pattern(invalid: _InvalidValue) -> Explanation:
     """Explain the error that a string contains characters that are not allowed."""
     pattern, name = str(invalid.context["pattern"]), make_identifier(str(invalid.value), "name")
     expected = "a letter, then letters, digits and _, at most 64 in all"
-    hint = f"write it without other characters: {name}"
+    hint = f"write the text without other characters: {name}"
     if pattern == "^[xyz]{1,3}$":
         expected, hint = "one to three of the letters x, y and z", 'for example "z"'
     elif letters := re.fullmatch(r"\^\[([A-Z]+)\]\$", pattern):
         expected, hint = f"one of {', '.join(letters[1])}", f'for example "{letters[1][0]}"'
     if invalid.path[0] in _SINGLE_LINE_KEYS:
         expected = "one line of text without control characters"
-        hint = "delete line breaks and control characters from it"
+        hint = "delete line breaks and control characters from the text"
     return "this text is not allowed", expected, hint
 
 
@@ -303,6 +305,7 @@ def _explain_quantity(invalid: _InvalidValue) -> Explanation:
 
 
 def _explain_choice(invalid: _InvalidValue) -> Explanation:
+    """Explain the error that a value is not one of the choices of its key."""
     choices = re.findall(r"'?(\w+)'?(?:, | or |$)", invalid.context["expected"])
     word, key = str(invalid.value), invalid.path[-1]
     hint = did_you_mean(word, choices)
@@ -310,24 +313,27 @@ def _explain_choice(invalid: _InvalidValue) -> Explanation:
         hint = f'write  {key} = "{meaning}"'
     vector = _AXIS_VECTORS.get(normalise_word(word))
     # the key accepts a choice or a vector
-    if vector and any(map(_is_union_member, invalid.place)) and "x" not in choices:
+    if vector and any(map(_is_union_member, invalid.schema_path)) and "x" not in choices:
         vector = vector.replace("1", "-1") if word.strip().startswith("-") else vector
         hint = f"write  {key} = {vector}"
     example = f'"{choices[0]}"'
-    hint = hint or f"for example  {invalid.assign(example)}"
+    hint = hint or f"for example  {invalid.write_assignment(example)}"
     listed = list_candidates(invalid.value, choices, _help_command(invalid.schema))
     return "this value is not one of the choices", f"one of {listed}", hint
 
 
 def _explain_number(invalid: _InvalidValue) -> Explanation:
-    return "not a number", "a number", f"write for example  {invalid.assign('1.0')}"
+    """Explain the error that a value is not a number."""
+    return "not a number", "a number", f"write for example  {invalid.write_assignment('1.0')}"
 
 
 def _explain_text(invalid: _InvalidValue) -> Explanation:
+    """Explain the error that a value is not a text."""
     return "not a text", "a text in quotes", f'for example  {invalid.path[-1]} = "NAME"'
 
 
 def _explain_whole_number(invalid: _InvalidValue) -> Explanation:
+    """Explain the error that a value is not a whole number."""
     key, value = invalid.path[-1], invalid.value
     hint = f"for example  {key} = 10"
     if isinstance(value, float) and math.isfinite(value) and abs(value) < 1e9:
@@ -336,8 +342,9 @@ def _explain_whole_number(invalid: _InvalidValue) -> Explanation:
 
 
 def _explain_limit(invalid: _InvalidValue) -> Explanation:
+    """Explain the error that a number exceeds a limit of its key."""
     limit = ", ".join(f"{_LIMIT_SIGNS[key]} {bound:g}" for key, bound in invalid.context.items())
-    unit = _find_unit(invalid.schema, invalid.place) or ""
+    unit = _find_unit(invalid.schema, invalid.schema_path) or ""
     hint = _suggest_value(join_path(invalid.path), invalid.value, invalid.context, unit)
     return "out of range", f"{limit} {unit}".rstrip(), hint
 
@@ -373,14 +380,15 @@ def _explain_table(invalid: _InvalidValue) -> Explanation:
 
 def _suggest_table(invalid: _InvalidValue, form: str) -> str:
     """Suggest a table that assigns the typed value to the most likely key."""
-    schema, place, path, value = invalid.schema, invalid.place, invalid.path, invalid.value
+    schema, place, path, value = invalid.schema, invalid.schema_path, invalid.path, invalid.value
     if isinstance(value, (Mapping, list)) or len(path) <= 1:
         key = _find_choice_key(schema, place, value)
         if key is not None and len(path) == 1:
             return f'write  [{path[0]}]  and below it  {key} = "{value}"'
         return f"write a table {form} with its keys"
     if isinstance(path[-1], int):
-        return f"write  {invalid.assign(_write_entry(_find_schema(schema, (*place, '')), value))}"
+        entry = _write_entry(_find_schema(schema, (*place, "")), value)
+        return f"write  {invalid.write_assignment(entry)}"
     if isinstance(value, str) and (key := _find_text_key(schema, place)):
         return f'write  {path[-1]} = {{ {key} = "{value}" }}'
     if key := _find_value_key(schema, place, value):
@@ -394,7 +402,7 @@ def _explain_list(invalid: _InvalidValue) -> Explanation:
     if isinstance(value, Mapping):  # a table in place of a list of tables
         keys = ", ".join(f"{name} = …" for name in value)
         hint = f"write one table for each entry:  {key} = [{quote_value(value)}]"
-        return "not a list", f"a list, {invalid.assign(f'[{{ {keys} }}]')}", hint
+        return "not a list", f"a list, {invalid.write_assignment(f'[{{ {keys} }}]')}", hint
     example = "[ … ]"
     if isinstance(value, str) and value in _AXIS_VECTORS:
         example = _AXIS_VECTORS[value]
@@ -402,7 +410,11 @@ def _explain_list(invalid: _InvalidValue) -> Explanation:
         example = f"[0, {format_toml(value)}]"  # a band begins at 0 Hz
     elif isinstance(value, str) and isinstance(key, str):
         example = f'["{value}"]'
-    return "not a list", f"a list, {invalid.assign('[ … ]')}", f"write  {invalid.assign(example)}"
+    return (
+        "not a list",
+        f"a list, {invalid.write_assignment('[ … ]')}",
+        f"write  {invalid.write_assignment(example)}",
+    )
 
 
 def _explain_list_length(invalid: _InvalidValue) -> Explanation:
@@ -465,7 +477,7 @@ def _write_entry(schema: type[BaseModel], typed: object) -> str:
         if not field.is_required():
             continue
         unit = find_unit(field)
-        value = f'"{_suggest_quantity(schema, (name,), unit)}"' if unit else _show_example(field)
+        value = f'"{_suggest_quantity(schema, (name,), unit)}"' if unit else _format_example(field)
         if text is not None and not unit:
             value, text = f'"{text}"', None
         entries.append(f"{name} = {value}")
@@ -498,7 +510,7 @@ def _find_value_key(schema: type[BaseModel], path: KeyPath, value: object) -> st
         unit = find_unit(field)
         if unit is not None:
             with contextlib.suppress(UsageError):
-                quantity(value, unit)
+                convert_quantity(value, unit)
                 return name
     return None
 
@@ -512,7 +524,7 @@ def _find_field(schema: type[BaseModel], path: KeyPath) -> FieldInfo | None:
     return dict(list_keys(schema)).get(names)
 
 
-def _show_example(field: FieldInfo) -> str:
+def _format_example(field: FieldInfo) -> str:
     """Return an example value of a key as TOML text."""
     return str(field.examples[0]) if field.examples else "VALUE"
 

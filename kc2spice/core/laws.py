@@ -65,8 +65,8 @@ class WaveCombination:
 
     ``terms`` are pairs ``(factor, wave)``. If ``charge`` is true, an ac result is divided by ``j
     omega``, which converts a current to a charge. If ``rate`` is true, an ac result is multiplied
-    by ``j omega`` and by a :func:`low_pass_response` with the corner frequency ``corner`` [rad/s];
-    in other analyses the result does not exist.
+    by ``j omega`` and by a :func:`compute_low_pass_response` with the corner frequency ``corner``
+    [rad/s]; in other analyses the result does not exist.
     """
 
     terms: tuple[tuple[float, str], ...]
@@ -95,7 +95,7 @@ class WaveCombination:
             return None if self.rate else np.asarray(value + self.constant)
         s = 2j * np.pi * scale
         if self.rate:
-            return np.asarray(s * low_pass_response(s, self.corner) * value)
+            return np.asarray(s * compute_low_pass_response(s, self.corner) * value)
         return np.asarray(value / s) if self.charge else value
 
 
@@ -115,7 +115,7 @@ def evaluate_combinations(
     return result
 
 
-def low_pass_response(s: np.ndarray, corner: float) -> np.ndarray:
+def compute_low_pass_response(s: np.ndarray, corner: float) -> np.ndarray:
     """Return the response of a second-order low-pass filter at complex frequencies ``s``.
 
     The response is ``1 / (1 + sqrt(2) s / w + (s / w)^2)`` with the corner frequency w [rad/s],
@@ -212,7 +212,7 @@ class SecondOrderBody:
         )
 
     @property
-    def scales(self) -> tuple[float, ...]:
+    def state_scales(self) -> tuple[float, ...]:
         """Reference magnitude of each state, by which the error of the state is divided."""
         return (1e-3,) * len(self.states)
 
@@ -253,7 +253,7 @@ class IdealSource:
     @property
     def sets_signal(self) -> bool:
         """Whether the source sets a signal pin."""
-        return self.domain.kind_of_law == SIGNALS.name
+        return self.domain.law_pin_kind == SIGNALS.name
 
     @property
     def prescribes_flow(self) -> bool:
@@ -263,7 +263,7 @@ class IdealSource:
     @property
     def pins(self) -> tuple[LawPin, ...]:
         """Pins of the source."""
-        kind = self.domain.kind_of_law
+        kind = self.domain.law_pin_kind
         if self.sets_signal:
             return (LawPin("out", kind),)
         return (LawPin("out", kind), LawPin("ret", kind, grounded=True))
@@ -330,7 +330,7 @@ class Device(ABC):
         return ()
 
     @property
-    def charged(self) -> tuple[int, ...]:
+    def storing_flow_indices(self) -> tuple[int, ...]:
         """Indices of the flows that contain the rate of a stored quantity, such as a charge."""
         return ()
 
@@ -345,7 +345,7 @@ class Device(ABC):
         return ()
 
     @property
-    def scales(self) -> tuple[float, ...]:
+    def state_scales(self) -> tuple[float, ...]:
         """Reference magnitude [A, N] of each state, by which the error of the state is divided."""
         return (1e-3,) * len(self.states)
 
@@ -365,13 +365,15 @@ class Device(ABC):
     @property
     def has_stored_quantities(self) -> bool:
         """Whether the device stores quantities that differ from its states."""
-        return type(self).store is not Device.store and bool(self.states or self.charged)
+        return type(self).evaluate_storage is not Device.evaluate_storage and bool(
+            self.states or self.storing_flow_indices
+        )
 
     @abstractmethod
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         """Return the outputs and their derivatives by ``e``, arrays of shape (k,) and (k, m)."""
 
-    def store(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
+    def evaluate_storage(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         """Return the stored quantities, and their derivatives with respect to ``e``.
 
         The number of stored quantities is ``len(states) + len(charged)``.
@@ -385,7 +387,7 @@ class Device(ABC):
 
     def evaluate_stored_quantities(self, e: np.ndarray, mode: Any) -> np.ndarray:
         """Return the stored quantities without their derivatives."""
-        return self.store(e, mode)[0]
+        return self.evaluate_storage(e, mode)[0]
 
     def small_signal_derivatives(
         self, s: complex, e: np.ndarray, mode: Any
@@ -397,7 +399,7 @@ class Device(ABC):
         (len(states), m). All derivatives are evaluated at the inputs ``e`` of the operating point.
         The derivatives are complex if they depend on the frequency.
         """
-        return self.evaluate(e, mode)[1], self.store(e, mode)[1]
+        return self.evaluate(e, mode)[1], self.evaluate_storage(e, mode)[1]
 
     def noise(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray] | None:
         """Compute the weights of the noise sources in ``out`` and in the stored quantities.
@@ -408,20 +410,20 @@ class Device(ABC):
         """
         return None
 
-    def mode(self, e: np.ndarray) -> Any:
-        """Return the mode in which the device begins with the inputs ``e``."""
+    def find_initial_mode(self, e: np.ndarray) -> Any:
+        """Return the mode in which the device begins, at the inputs ``e``."""
         return None
 
-    def guards(self, e: np.ndarray, mode: Any) -> np.ndarray:
-        """Compute the values of the guard functions, which are positive within the mode."""
+    def evaluate_guards(self, e: np.ndarray, mode: Any) -> np.ndarray:
+        """Return the values of the guard functions, which are positive within the mode."""
         return np.empty(0)
 
-    def next_mode(self, mode: Any, guard: int) -> Any:
+    def find_next_mode(self, mode: Any, guard: int) -> Any:
         """Return the mode that follows ``mode`` when the guard function ``guard`` reaches zero."""
         return mode
 
     def limit_change(self, e: np.ndarray, last: np.ndarray) -> np.ndarray:
-        """Return the inputs at which Newton's method linearises the law next.
+        """Return the new inputs, with a limited change in one step of Newton's method.
 
         ``e`` are the inputs of the new iterate, ``last`` the inputs of the last linearisation. A
         law with an exponential function limits the difference of these inputs, so that the function
@@ -549,7 +551,7 @@ class PortBody(Device):
             output[at, list(map(attrgetter("name"), rows)).index(name)] = 1.0
         return load, stored, direct, output
 
-    def loads(self, e: np.ndarray) -> np.ndarray:
+    def compute_loads(self, e: np.ndarray) -> np.ndarray:
         """Compute the loads ``a`` (inputs,) from the inputs ``e`` of the device."""
         return self._port_matrices[0] @ e
 
@@ -576,8 +578,8 @@ class PortBody(Device):
             self.responses[s] = self.model.pencil.transfer(np.array([s]))[0]
         return self.responses[s]
 
-    def mode(self, e: np.ndarray) -> Relation:
-        """Return the static relation as the first mode."""
+    def find_initial_mode(self, e: np.ndarray) -> Relation:
+        """Return the static relation, in which the body begins."""
         return self.static_relation
 
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -590,7 +592,7 @@ class PortBody(Device):
         load, _, direct, output = self._port_matrices
         return direct + output @ H @ load
 
-    def store(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
+    def evaluate_storage(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         """Return the charges and their derivatives with respect to ``e``."""
         load, stored, _, _ = self._port_matrices
         slope = stored @ mode.H @ load
@@ -656,7 +658,7 @@ class SignalBlock(Device):
         return tuple(map("x{}".format, range(len(self.A))))
 
     @property
-    def scales(self) -> tuple[float, ...]:
+    def state_scales(self) -> tuple[float, ...]:
         """Reference magnitude of each state, by which the error of the state is divided."""
         return (1.0,) * len(self.A)
 
@@ -670,7 +672,7 @@ class SignalBlock(Device):
         slope = np.block([[self.B, self.A], [self.D, self.C]])
         return slope @ e, slope
 
-    def store(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
+    def evaluate_storage(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         """Return ``E x`` and its derivative with respect to ``e``."""
         slope = np.hstack([0.0 * self.B, self.E])
         return slope @ e, slope

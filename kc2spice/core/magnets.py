@@ -115,7 +115,7 @@ CURRENT_EXPONENTS = {
 FORCE_COEFFICIENTS = tuple(CURRENT_EXPONENTS)
 
 
-def current_products(i1: Any, i2: Any) -> np.ndarray:
+def compute_current_products(i1: Any, i2: Any) -> np.ndarray:
     """Return the six products of powers of both currents, on an additional last axis."""
     i1, i2 = np.broadcast_arrays(np.asarray(i1, dtype=float), i2)
     return np.stack([i1**a * i2**b for a, b in CURRENT_EXPONENTS.values()], axis=-1)
@@ -159,14 +159,14 @@ class Coenergy:
     def force(self, y: Any, i1: Any, i2: Any) -> np.ndarray:
         """Return the force on the sphere [N]; the arguments may be arrays."""
         slopes = self.slopes[1](self.require_height(y, "catch"))
-        return np.asarray((slopes * current_products(i1, i2)).sum(axis=-1))
+        return np.asarray((slopes * compute_current_products(i1, i2)).sum(axis=-1))
 
-    def inductances(self, y: Any) -> np.ndarray:
+    def compute_inductances(self, y: Any) -> np.ndarray:
         """Return the symmetric inductance matrix [H] at the height ``y``; shape (..., 2, 2)."""
-        return _current_hessian(self.terms(self.require_height(y, "catch")))
+        return _compute_current_hessian(self.terms(self.require_height(y, "catch")))
 
 
-def _current_hessian(p: np.ndarray) -> np.ndarray:
+def _compute_current_hessian(p: np.ndarray) -> np.ndarray:
     """Return the Hessian of ``p . products`` by the currents, an array of shape (..., 2, 2)."""
     return np.stack([2 * p[..., 3], p[..., 4], p[..., 4], 2 * p[..., 5]], -1).reshape(
         *p.shape[:-1], 2, 2
@@ -174,7 +174,7 @@ def _current_hessian(p: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class EMTable(EqualByContent):
+class MagnetostaticTable(EqualByContent):
     """Table of magnetostatic finite-element solutions at several heights.
 
     The dependence of force and flux on the currents is exact, because the materials are linear.
@@ -190,7 +190,7 @@ class EMTable(EqualByContent):
     B_y > 0 on the axis. The magnetic moment of the sphere points to +y.
     """
 
-    def scale_magnets(self, remanence: float, shift: float) -> EMTable:
+    def scale_magnets(self, remanence: float, shift: float) -> MagnetostaticTable:
         """Return the table for magnets with a different remanence and height.
 
         The remanence is multiplied by the factor ``remanence``, and the magnets are ``shift`` [m]
@@ -215,7 +215,7 @@ class EMTable(EqualByContent):
     resistance: np.ndarray  # (2,)
     unknowns: int
     # table at some of the heights, computed on a mesh with elements that are twice as large
-    coarser: EMTable | None = None
+    coarser: MagnetostaticTable | None = None
 
     @cached_property
     def splines(self) -> PiecewisePolynomial:
@@ -281,10 +281,12 @@ class EMTable(EqualByContent):
         }
 
 
-def compute_test_forces(table: EMTable, currents: np.ndarray) -> np.ndarray:
+def compute_test_forces(table: MagnetostaticTable, currents: np.ndarray) -> np.ndarray:
     """Compute the forces [N] at the n heights of the table for m pairs of coil currents.
 
     The argument ``currents`` has the shape (m, 2), and the result has the shape (m, n). The curves
     are comparable with Fig. 6 of Schütz et al. (2021).
     """
-    return np.array([current_products(i1, i2) @ table.coefficients.T for i1, i2 in currents])
+    return np.array(
+        [compute_current_products(i1, i2) @ table.coefficients.T for i1, i2 in currents]
+    )

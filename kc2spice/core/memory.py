@@ -17,7 +17,7 @@ PAGE_SIZE_NAME = "SC_PAGE_SIZE"
 UNLIMITED_BYTES = 2**62  # bytes; without a limit, control groups of version 1 report almost 2^63
 
 
-def available_bytes(root: Path = Path("/")) -> float:
+def find_available_bytes(root: Path = Path("/")) -> float:
     """Determine the memory [B] that this process can use without swapping.
 
     Without other limits, the result is the free memory of the machine. The limits are read from
@@ -28,10 +28,10 @@ def available_bytes(root: Path = Path("/")) -> float:
         *_free_memory_of_control_groups(root),
         *_free_memory_below_limits(root),
     ]
-    return max(min(limits), 0.0) if limits else _physical_bytes()
+    return max(min(limits), 0.0) if limits else _read_physical_memory()
 
 
-def _physical_bytes() -> float:
+def _read_physical_memory() -> float:
     """Return the physical memory of the machine [B]."""
     return float(os.sysconf(PAGE_SIZE_NAME)) * os.sysconf("SC_PHYS_PAGES")
 

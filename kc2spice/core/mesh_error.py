@@ -44,12 +44,12 @@ MESH_QUANTITIES = {  # keyed by the name of the mesh error without prefix
 
 def list_mesh_errors(facts: Mapping[str, float]) -> dict[str, float]:
     """Return the estimated relative mesh errors, keyed by a description of the quantity."""
-    return {item.description: error for item, error in _list_estimates(facts)}
+    return {item.description: error for item, error in _list_estimated_errors(facts)}
 
 
 def list_limited_errors(facts: Mapping[str, float]) -> Iterator[tuple[str, float, float]]:
     """Yield description, estimated mesh error and limit of each quantity that has a limit."""
-    for item, error in _list_estimates(facts):
+    for item, error in _list_estimated_errors(facts):
         if item.warning_limit is not None:
             yield item.description, error, item.warning_limit
 
@@ -60,7 +60,7 @@ def select_mesh_values(facts: Mapping[str, float]) -> dict[str, float]:
     return {name: float(facts[name]) for name in names}
 
 
-def _list_estimates(facts: Mapping[str, float]) -> Iterator[tuple[MeshQuantity, float]]:
+def _list_estimated_errors(facts: Mapping[str, float]) -> Iterator[tuple[MeshQuantity, float]]:
     """Yield each mesh-dependent quantity with its estimated error."""
     for name, item in MESH_QUANTITIES.items():
         if f"{MESH_ERROR_PREFIX}{name}" in facts:

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from typing import Protocol
 
 
-class Named(Protocol):
+class NamedObject(Protocol):
     """Protocol of an object with a name."""
 
     @property
@@ -14,6 +14,6 @@ class Named(Protocol):
         """Name of the object in a scene or in a netlist."""
 
 
-def list_names(items: Iterable[Named]) -> list[str]:
+def list_names(items: Iterable[NamedObject]) -> list[str]:
     """Return the names of ``items`` in their order."""
     return [item.name for item in items]

@@ -1,6 +1,6 @@
 """Commands that install programs on the operating system of this machine.
 
-The arguments of :func:`install_command` are names of Debian packages. The result is a shell
+The arguments of :func:`make_install_command` are names of Debian packages. The result is a shell
 command, or a sentence if the package manager of the system is unknown. Commands for Fedora, macOS
 and Windows are not tested.
 """
@@ -44,7 +44,7 @@ _PACKAGE_NAMES = {
 }
 
 
-def install_command(*packages: str) -> str:
+def make_install_command(*packages: str) -> str:
     """Return the command that installs Debian ``packages`` on this system.
 
     Parameters
@@ -60,7 +60,7 @@ def install_command(*packages: str) -> str:
 
     Examples
     --------
-    >>> install_command("ngspice").endswith("ngspice")
+    >>> make_install_command("ngspice").endswith("ngspice")
     True
     """
     command = _find_command(sys.platform, _read_os_release())

@@ -117,7 +117,7 @@ def _clip_to_window(
 
 
 def _evaluate_range(take: str, scale: np.ndarray, values: np.ndarray, level: float) -> float | None:
-    """Compute the value ``take`` of a probe from all points of a wave."""
+    """Compute the probed value, such as ``max``, from all points of a wave."""
     if np.iscomplexobj(values) and take in ("max", "argmax"):
         place, largest = find_response_maximum(scale.real, np.abs(values))
         return largest if take == "max" else place
@@ -176,7 +176,7 @@ def compute_mean_frequency(scale: np.ndarray, values: np.ndarray) -> float | Non
     """
     late = np.abs(scale - scale[0]) >= np.ptp(scale) / 2
     x, y = scale[late], values[late]
-    y = y - _time_average(x, y)
+    y = y - _compute_time_average(x, y)
     k = np.flatnonzero((y[:-1] < 0) & (y[1:] >= 0))
     if k.size < 2:
         return None
@@ -195,8 +195,8 @@ def find_first_crossing(scale: np.ndarray, values: np.ndarray, level: float) -> 
     return float(scale[k] + share * (scale[k + 1] - scale[k]))
 
 
-def _time_average(scale: np.ndarray, values: np.ndarray) -> float:
-    """Return the mean of the values over the scale, by the trapezoidal rule."""
+def _compute_time_average(scale: np.ndarray, values: np.ndarray) -> float:
+    """Return the mean of the values over the scale by the trapezoidal rule."""
     span = scale[-1] - scale[0]  # for a descending scale, span and integral are negative
     return float(
         np.trapezoid(values, scale) / span if span else values[0]
@@ -210,8 +210,8 @@ _PROBE_FUNCTIONS: dict[str, Callable[[np.ndarray, np.ndarray, float], float | No
     "min": lambda scale, values, _: values.min(),
     "final": lambda scale, values, _: values[-1],
     "peak_to_peak": lambda scale, values, _: np.ptp(values),
-    "mean": lambda scale, values, _: _time_average(scale, values),
-    "rms": lambda scale, values, _: math.sqrt(_time_average(scale, values**2)),
+    "mean": lambda scale, values, _: _compute_time_average(scale, values),
+    "rms": lambda scale, values, _: math.sqrt(_compute_time_average(scale, values**2)),
     "frequency": lambda scale, values, _: compute_mean_frequency(scale, values),
     "crossing": find_first_crossing,
 }

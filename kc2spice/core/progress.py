@@ -5,7 +5,7 @@ and remaining time of the stage at the level DEBUG. Without a log handler of the
 printed.
 
 :class:`StepTimer` and :class:`ConvergenceTimer` estimate the remaining time of a computation, and
-call :func:`report_remaining`. The estimate is reported for the stage that contains the
+call :func:`report_remaining_time`. The estimate is reported for the stage that contains the
 computation.
 """
 
@@ -36,14 +36,14 @@ def ignore_progress(stage: str, done: float | None, text: str) -> None:
 def follow_stage(progress: Progress, name: str, text: str) -> Iterator[Callable[[float], None]]:
     """Report the start of a stage, and yield a function that reports its completed fraction.
 
-    Within the ``with`` block, :func:`report_remaining` also reports a completed fraction: the
+    Within the ``with`` block, :func:`report_remaining_time` also reports a completed fraction: the
     elapsed fraction of the estimated time.
 
     Examples
     --------
     >>> seen = []
     >>> with follow_stage(lambda *item: seen.append(item), "reduce", "900 equations"):
-    ...     report_remaining(0.0, "last step")
+    ...     report_remaining_time(0.0, "last step")
     >>> seen
     [('reduce', None, '900 equations'), ('reduce', 1.0, '900 equations, last step')]
     """
@@ -63,7 +63,7 @@ def follow_stage(progress: Progress, name: str, text: str) -> Iterator[Callable[
         _report.reset(token)
 
 
-def report_remaining(seconds: float, step: str) -> None:
+def report_remaining_time(seconds: float, step: str) -> None:
     """Report the remaining time [s] of the current stage, and the name of its current step."""
     report = _report.get()
     if report is not None:
@@ -85,7 +85,7 @@ class StepTimer:
             sum(size for _, size in part) for part in (steps[:number], steps[number:])
         )
         elapsed = time.perf_counter() - self._start
-        report_remaining(elapsed * remaining / finished, steps[number][0])
+        report_remaining_time(elapsed * remaining / finished, steps[number][0])
 
 
 class ConvergenceTimer:
@@ -113,7 +113,9 @@ class ConvergenceTimer:
         self._errors.append(error)
         count, remaining = len(self._errors), self.remaining_steps()
         per_step = (time.perf_counter() - self._start) / count
-        report_remaining(remaining * per_step, f"{self._name} {count} of about {count + remaining}")
+        report_remaining_time(
+            remaining * per_step, f"{self._name} {count} of about {count + remaining}"
+        )
 
     def remaining_steps(self) -> int:
         """Return the number of remaining steps, extrapolated from the latest errors.
@@ -133,8 +135,8 @@ class ConvergenceTimer:
 
 
 @dataclass
-class Clock:
-    """Wall time [s] of each stage; 0 for a stage that was skipped or read from the cache."""
+class StageTimer:
+    """Timer of the stages of a run, with the wall time [s] of each stage."""
 
     progress: Progress = ignore_progress
     wall_s: dict[str, float] = field(default_factory=lambda: dict.fromkeys(STAGES, 0.0))

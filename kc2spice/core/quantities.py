@@ -34,7 +34,7 @@ DEFAULT_TEMPERATURE = 300.15  # K, default temperature of a simulation (27 °C i
 ELEMENTARY_CHARGE = 1.602176634e-19  # C, exact (SI, 2019)
 
 
-def quantity(value: object, si: str, *, where: str | None = None) -> float:
+def convert_quantity(value: object, si: str, *, where: str | None = None) -> float:
     """Convert ``value`` to the SI unit ``si``, which is ``""`` for a plain number.
 
     A number is returned unchanged. A string is a number with a unit (``"100 V"``, ``"25 us"``);
@@ -67,7 +67,7 @@ def quantity(value: object, si: str, *, where: str | None = None) -> float:
     return result
 
 
-def invalid_value_error(
+def make_invalid_value_error(
     reason: str, expected: str | None, key: str | None = None, hint: str | None = None
 ) -> PydanticCustomError:
     """Make the error that a validator raises for an invalid value, or for an invalid ``key``."""
@@ -78,9 +78,9 @@ def invalid_value_error(
 def _parse_number(si: str, value: object) -> float:
     """Convert a number or a quantity with a unit to the unit ``si``."""
     try:
-        return quantity(value, si)
+        return convert_quantity(value, si)
     except UsageError as error:
-        raise invalid_value_error(error.message, error.expected, hint=error.hint) from None
+        raise make_invalid_value_error(error.message, error.expected, hint=error.hint) from None
 
 
 def _parse_number_with_unit(si: str, value: object) -> float:
@@ -88,7 +88,7 @@ def _parse_number_with_unit(si: str, value: object) -> float:
     if not isinstance(value, str):
         hint = f'write for example  "{value} {si}"'
         expected = f'a string such as "1 {si}"'
-        raise invalid_value_error("the unit of this value is missing", expected, hint=hint)
+        raise make_invalid_value_error("the unit of this value is missing", expected, hint=hint)
     return _parse_number(si, value)
 
 
@@ -96,14 +96,14 @@ def _require_ring_radii(value: object) -> object:
     """Return ``value`` if it is a valid choice of contact rings; otherwise raise an error."""
     if value in ("needed", "all") or (type(value) is int and value >= 1):
         return value
-    raise invalid_value_error(
+    raise make_invalid_value_error(
         "this value is not one of the choices",
         "needed, all, or a whole number from 1 on",
         hint='write  "needed"',
     )
 
 
-class ScalePlace(float):
+class ScalePosition(float):
     """Position on the scale of an analysis; ``unit`` is empty for a number without a unit."""
 
     unit: str = ""
@@ -111,16 +111,20 @@ class ScalePlace(float):
 
 # Units of positions on the scale of an analysis: of frequency, of time, and of swept quantities.
 # A dc sweep can vary every quantity that a source can prescribe.
-SCALE_UNITS = ("Hz", "s", *dict.fromkeys(d.quantity(side).unit for d, side in QUANTITIES.values()))
+SCALE_UNITS = (
+    "Hz",
+    "s",
+    *dict.fromkeys(d.get_quantity(side).unit for d, side in QUANTITIES.values()),
+)
 
 
-def _parse_place(value: object) -> ScalePlace:
+def _parse_scale_position(value: object) -> ScalePosition:
     """Parse a position on the scale of an analysis."""
-    if isinstance(value, ScalePlace):
+    if isinstance(value, ScalePosition):
         return value
     for unit in SCALE_UNITS:
         try:
-            result = ScalePlace(quantity(value, unit))
+            result = ScalePosition(convert_quantity(value, unit))
         except UsageError:
             continue
         result.unit = unit if isinstance(value, str) else ""
@@ -129,7 +133,7 @@ def _parse_place(value: object) -> ScalePlace:
     if isinstance(value, str):
         corrections = (suggest_spelling(value, unit) for unit in ("Hz", "s"))
         hint = next((item for item in corrections if item and "if the value" not in item), hint)
-    raise invalid_value_error(
+    raise make_invalid_value_error(
         "this value is not a time or frequency", 'such as "46 Hz" or "2 ms"', hint=hint
     )
 
@@ -138,14 +142,14 @@ def _parse_mounting(value: object) -> object:
     """Parse the mounting of a body: a name or a stiffness."""
     known = ("roller", "glued", "free")
     try:
-        if value in known or 0 < quantity(value, "N/m3") < float("inf"):
-            return value if value in known else quantity(value, "N/m3")
+        if value in known or 0 < convert_quantity(value, "N/m3") < float("inf"):
+            return value if value in known else convert_quantity(value, "N/m3")
     except UsageError:
         pass
     above_zero = 'or a stiffness per area above zero such as "1e14 N/m3"'
     hint = did_you_mean(str(value), known) or 'write for example  "glued"'
     expected = f"{', '.join(known)}, {above_zero}"
-    raise invalid_value_error("this mounting does not exist", expected, hint=hint)
+    raise make_invalid_value_error("this mounting does not exist", expected, hint=hint)
 
 
 def si(unit: str) -> BeforeValidator:
@@ -166,12 +170,11 @@ def si(unit: str) -> BeforeValidator:
 
 
 @dataclass(frozen=True)
-class Plausible:
+class PlausibleRange:
     """Range of plausible values of a key, as metadata of its type.
 
-    Plausible values are between ``low`` and ``high`` in ``unit``. ``why`` is the reason for these
-    limits.
-    Zero is accepted, for example for a tip without mass.
+    Plausible values are between ``low`` and ``high`` in ``unit``. ``why`` is the reason for
+    these limits. Zero is accepted, for example for a tip without mass.
     """
 
     unit: str
@@ -183,10 +186,12 @@ class Plausible:
 Length = Annotated[float, si("m")]
 # Plausible dimensions of manufactured parts: thickness of layers and plates, width and length.
 Thickness = Annotated[
-    Length, Plausible("m", 1e-7, 0.03, "films begin at 0.1 um, plates end at 3 cm")
+    Length, PlausibleRange("m", 1e-7, 0.03, "films begin at 0.1 um, plates end at 3 cm")
 ]
-Width = Annotated[Length, Plausible("m", 1e-6, 0.5, "transducers are 1 um to half a metre wide")]
-Extent = Annotated[Length, Plausible("m", 1e-6, 1.0, "transducers are 1 um to a metre long")]
+Width = Annotated[
+    Length, PlausibleRange("m", 1e-6, 0.5, "transducers are 1 um to half a metre wide")
+]
+Extent = Annotated[Length, PlausibleRange("m", 1e-6, 1.0, "transducers are 1 um to a metre long")]
 Time = Annotated[float, si("s")]
 Frequency = Annotated[float, si("Hz")]
 Voltage = Annotated[float, si("V")]
@@ -200,13 +205,15 @@ FluxDensity = Annotated[float, si("T")]
 Resistivity = Annotated[float, si("Ohm m")]
 Rate = Annotated[float, si("1/s")]
 Resistance = Annotated[float, si("Ohm")]
-PLAUSIBLE_CAPACITANCE = Plausible(
+PLAUSIBLE_CAPACITANCE = PlausibleRange(
     "F", 1e-21, 1e5, "the largest capacitors have thousands of farads"
 )
-PLAUSIBLE_INDUCTANCE = Plausible("H", 1e-15, 1e5, "the largest coils have thousands of henries")
+PLAUSIBLE_INDUCTANCE = PlausibleRange(
+    "H", 1e-15, 1e5, "the largest coils have thousands of henries"
+)
 Capacitance = Annotated[float, si("F"), PLAUSIBLE_CAPACITANCE]
 Inductance = Annotated[float, si("H"), PLAUSIBLE_INDUCTANCE]
-PLAUSIBLE_MASS = Plausible(
+PLAUSIBLE_MASS = PlausibleRange(
     "kg", 1e-18, 1e3, "no transducer moves less than a femtogram or more than a ton"
 )
 Mass = Annotated[float, si("kg"), PLAUSIBLE_MASS]
@@ -215,7 +222,7 @@ Charge = Annotated[float, si("C")]
 Slew = Annotated[float, si("V/s")]
 Ratio = Annotated[float, si("")]
 Count = Annotated[int, Strict()]
-Place = Annotated[float, PlainValidator(_parse_place)]
+Place = Annotated[float, PlainValidator(_parse_scale_position)]
 Rings = Annotated[Literal["needed", "all"] | int, BeforeValidator(_require_ring_radii)]
 Mounting = Annotated[Literal["roller", "glued", "free"] | float, BeforeValidator(_parse_mounting)]
 GateLength = Annotated[float, BeforeValidator(partial(_parse_number_with_unit, "m"))]

@@ -9,7 +9,7 @@ from typing import Any, get_args
 from pydantic import BaseModel, BeforeValidator
 from pydantic.fields import FieldInfo
 
-from kc2spice.core.quantities import Plausible
+from kc2spice.core.quantities import PlausibleRange
 
 KeyPath = tuple[str | int, ...]
 
@@ -36,7 +36,7 @@ def find_section(annotation: Any) -> type[BaseModel] | None:
     return None
 
 
-def _field_metadata(field: FieldInfo) -> Iterator[Any]:
+def _list_field_metadata(field: FieldInfo) -> Iterator[Any]:
     """Yield the metadata of a field and, for a list, of the type of its elements."""
     yield from field.metadata
     for argument in get_args(field.annotation):
@@ -48,15 +48,17 @@ def find_unit(field: FieldInfo) -> str | None:
 
     In a list of numbers, all numbers have this unit.
     """
-    for meta in _field_metadata(field):
+    for meta in _list_field_metadata(field):
         if isinstance(meta, BeforeValidator) and isinstance(meta.func, partial):
             return str(meta.func.args[0])
     return None
 
 
-def plausible_range_of(field: FieldInfo) -> Plausible | None:
+def get_plausible_range(field: FieldInfo) -> PlausibleRange | None:
     """Return the range of plausible values of a key; None for a key without such a range."""
-    return next((meta for meta in _field_metadata(field) if isinstance(meta, Plausible)), None)
+    return next(
+        (meta for meta in _list_field_metadata(field) if isinstance(meta, PlausibleRange)), None
+    )
 
 
 def join_path(path: KeyPath) -> str:

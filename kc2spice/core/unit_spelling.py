@@ -68,7 +68,7 @@ def suggest_spelling(value: object, si: str) -> str | None:
         inner = f'"{value[0]}"' if isinstance(value[0], str) else f"{value[0]}"
         return f"write the value without brackets: {inner}"
     if not isinstance(value, str):
-        return _show_form(si)
+        return _make_form_hint(si)
     if len(value) > MAX_QUANTITY_LENGTH:
         return f"write a number of at most {MAX_QUANTITY_LENGTH} characters"
     if several := _SEVERAL_VALUES.match(value):
@@ -83,12 +83,12 @@ def suggest_spelling(value: object, si: str) -> str | None:
     return _complete_text(value, typed, si) or _suggest_unit(typed, si)
 
 
-def _show_form(si: str) -> str:
+def _make_form_hint(si: str) -> str:
     """Return a hint that shows the form of a quantity in the unit ``si``."""
     return f'write a number with its unit, such as "1 {si}"' if si else "write a number"
 
 
-def _accept(text: str, si: str) -> str | None:
+def _suggest_if_valid(text: str, si: str) -> str | None:
     """Suggest ``text`` if it is a quantity in the unit ``si``."""
     with contextlib.suppress(ValueError):
         parse_quantity(text, si)
@@ -100,7 +100,7 @@ def _replace_name(typed: _TypedQuantity, si: str) -> str | None:
     """Suggest the symbol of a unit whose name was typed: ``5 volts``."""
     word = "" if parse_unit(typed.unit) else typed.unit.lower().removesuffix("s")
     symbol = _UNIT_WORDS.get(word)
-    return symbol and _accept(f"{typed.number} {symbol}", si)
+    return symbol and _suggest_if_valid(f"{typed.number} {symbol}", si)
 
 
 def _replace_celsius(typed: _TypedQuantity, si: str) -> str | None:
@@ -112,7 +112,7 @@ def _replace_celsius(typed: _TypedQuantity, si: str) -> str | None:
         rise = "the difference from the ambient temperature in K"
         number = typed.number
         return f'write {rise}, such as  "{number} K"  for a rise of {number} °C'
-    return _accept(f"{typed.number} {typed.unit.replace(celsius[0], 'K')}", si)
+    return _suggest_if_valid(f"{typed.number} {typed.unit.replace(celsius[0], 'K')}", si)
 
 
 def _replace_prefix_in_number(typed: _TypedQuantity, si: str) -> str | None:
@@ -130,7 +130,7 @@ def _correct_letter_case(typed: _TypedQuantity, si: str) -> str | None:
         return None
     prefix = typed.unit[: -len(si)]
     prefix = "M" if (prefix, si) == ("m", "Hz") else prefix  # mhz means megahertz
-    return _accept(f"{typed.number} {prefix}{si}", si)
+    return _suggest_if_valid(f"{typed.number} {prefix}{si}", si)
 
 
 def _add_exponent(typed: _TypedQuantity, si: str) -> str | None:
@@ -188,7 +188,7 @@ def _suggest_unit(typed: _TypedQuantity | None, si: str) -> str:
     from difflib import get_close_matches  # imported here, because most values need no correction
 
     if typed is None:
-        return _show_form(si)
+        return _make_form_hint(si)
     number, unit = typed.number, typed.unit
     as_typed = f'write  "{number} {si}"  if the value is in {si}'
     if parse_unit(unit) is not None:

@@ -115,7 +115,7 @@ def make_encoding_error(data: bytes, where: str) -> UsageError:
         where=where,
         got=got,
         expected="a text file in UTF-8",
-        hint=f"save {where} with the encoding UTF-8 in a text editor; it is now in {encoding}",
+        hint=f"in a text editor, save {where} with the encoding UTF-8, not {encoding}",
     )
 
 

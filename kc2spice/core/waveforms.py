@@ -147,13 +147,17 @@ class PulseKeys(Section):
     ``edge`` is the rise time and the fall time. ``width`` is the width of the pulse at half height.
     """
 
-    high: float | str = Field(1.0, description="Value of the pulse, in the unit of the source")
-    low: float | str = Field(0.0, description="Value between pulses, in the unit of the source")
+    high: float | str = Field(
+        1.0, description="Value of the source during a pulse, in the unit of the source"
+    )
+    low: float | str = Field(
+        0.0, description="Value of the source between pulses, in the unit of the source"
+    )
     width: Time = Field(description="Width of the pulse at half of its height")
-    edge: Time = Field(1e-9, description="Rise and fall time of the pulse")
-    start: Time = Field(0.0, description="Time at which the pulse begins to rise")
+    edge: Time = Field(1e-9, description="Rise time of the pulse, equal to the fall time")
+    start: Time = Field(0.0, description="Time at which the first pulse begins to rise")
     period: Time | None = Field(
-        None, description="Period of a pulse train; by default there is one pulse"
+        None, description="Period of the pulse train; by default the source has only one pulse"
     )
     count: Count | None = Field(
         None, description="Number of pulses of a pulse train; by default unlimited"
@@ -167,7 +171,9 @@ class SineKeys(Section):
         1.0, description="Amplitude of the sine, in the unit of the source"
     )
     frequency: Frequency = Field(gt=0, description="Frequency of the sine")
-    start: Time = Field(0.0, description="Time at which the sine begins")
+    start: Time = Field(
+        0.0, description="Time at which the sine begins; before this time, the source is zero"
+    )
 
 
 @dataclass(frozen=True)
@@ -211,7 +217,7 @@ class Waveform:
 
     @cached_property
     def _corner_points(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the times and values of the corners."""
+        """Times and values of the corners, two arrays."""
         times, values = np.array(self.points, dtype=float).T
         return times, values
 
@@ -240,7 +246,7 @@ class Waveform:
         turned = np.sin(w * (np.asarray(t) - self.start) + 0.5 * np.pi * order)
         return (np.asarray(within) > self.start) * self.amplitude * w**order * turned
 
-    def rate(self, t: Any, within: Any, order: int = 1) -> Any:
+    def compute_derivative(self, t: Any, within: Any, order: int = 1) -> Any:
         """Compute the time derivative of order ``order`` at the times ``t``.
 
         At a corner, the derivative jumps. The times ``within`` select the smooth piece on one side
@@ -251,7 +257,7 @@ class Waveform:
         piece = np.searchsorted(self._corner_points[0], self._fold_time(within))
         return self._slopes_between_corners[piece] * (order == 1) + 0.0 * np.asarray(t)
 
-    def knots(self, stop: float) -> tuple[np.ndarray, np.ndarray]:
+    def list_points(self, stop: float) -> tuple[np.ndarray, np.ndarray]:
         """Return times [s] and values of all points in all periods.
 
         The result contains all periods that begin before ``stop``.
@@ -263,9 +269,9 @@ class Waveform:
             values = np.tile(values, turns.size)[first]
         return times, values
 
-    def corners(self, stop: float) -> np.ndarray:
+    def find_corner_times(self, stop: float) -> np.ndarray:
         """Return the times [s] up to ``stop`` at which the time derivative jumps."""
-        result = self.knots(stop)[0] if self.is_piecewise_linear else np.array([self.start])
+        result = self.list_points(stop)[0] if self.is_piecewise_linear else np.array([self.start])
         return result[(result > 0) & (result < stop)]
 
     def format_spice(self, scale: float = 1.0) -> str:
@@ -308,22 +314,22 @@ class Waveform:
         return f"PULSE({' '.join(map(_format_number, numbers))})"
 
 
-def constant_waveform(value: float) -> Waveform:
+def make_constant_waveform(value: float) -> Waveform:
     """Make a waveform with a constant value."""
     return Waveform(((0.0, value),))
 
 
-def sine_waveform(amplitude: float, frequency: float, start: float = 0.0) -> Waveform:
+def make_sine_waveform(amplitude: float, frequency: float, start: float = 0.0) -> Waveform:
     """Make a sine that begins at ``start`` [s]."""
     return Waveform(((start, 0.0),), None, amplitude, frequency, start)
 
 
-def linear_waveform(points: Iterable[tuple[float, float]] | np.ndarray) -> Waveform:
+def make_linear_waveform(points: Iterable[tuple[float, float]] | np.ndarray) -> Waveform:
     """Make a piecewise linear waveform through ``points``, an array of shape (n, 2)."""
     return Waveform(tuple((float(t), float(v)) for t, v in points))
 
 
-def pulse_waveform(
+def make_pulse_waveform(
     low: float,
     high: float,
     start: float,
@@ -379,8 +385,8 @@ class RecordedWave(EqualByContent):
     step_limit = np.inf
 
     @cached_property
-    def _curve(self) -> Any:
-        """Interpolating spline of the values."""
+    def _spline(self) -> Any:
+        """Spline that interpolates the values."""
         # imported here, because the import of scipy takes long
         from scipy.interpolate import Akima1DInterpolator
 
@@ -388,13 +394,13 @@ class RecordedWave(EqualByContent):
 
     def __call__(self, t: Any) -> Any:
         """Return the values of the waveform at the times ``t`` [s]."""
-        return self.rate(t, t, 0)
+        return self.compute_derivative(t, t, 0)
 
-    def rate(self, t: Any, within: Any, order: int = 1) -> Any:
+    def compute_derivative(self, t: Any, within: Any, order: int = 1) -> Any:
         """Return the time derivative of order ``order`` at the times ``t``."""
-        return self._curve(np.clip(t, self.times[0], self.times[-1]), order)
+        return self._spline(np.clip(t, self.times[0], self.times[-1]), order)
 
-    def corners(self, stop: float) -> np.ndarray:
+    def find_corner_times(self, stop: float) -> np.ndarray:
         """Return the times [s] of the corners up to the time ``stop``."""
         times = self.times[::16]
         return times[(times > 0.0) & (times < stop)]

@@ -23,7 +23,7 @@ from kc2spice.core.laws import (
 )
 
 # SI value of the across quantity that 1 V on a node represents, keyed by the kind of pin.
-NODE_UNITS = {domain.kind_of_law: domain.across.factor for domain in TABLE}
+NODE_UNITS = {domain.law_pin_kind: domain.across.factor for domain in TABLE}
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Network:
         return all(isinstance(law, IdealSource) for law in self.laws)
 
     @property
-    def names(self) -> frozenset[str]:
+    def law_names(self) -> frozenset[str]:
         """Names of the laws in the network."""
         return frozenset(map(attrgetter("name"), self.laws))
 

@@ -16,10 +16,10 @@ from kc2spice.core.laws import IdealSource
 from kc2spice.core.waveforms import RecordedWave, Waveforms
 from kc2spice.equations.networks import NODE_UNITS, Network, prescribes_value
 from kc2spice.equations.scene_laws import SceneLaws
-from kc2spice.scene.model import Build
+from kc2spice.scene.model import BuiltScene
 
 # Kind of the source that prescribes the values of a net, keyed by the kind of its pins.
-SOURCE_KINDS = {d.name: d.across.name for d in TABLE if d.kind_of_law == d.name}
+SOURCE_KINDS = {d.name: d.across.name for d in TABLE if d.law_pin_kind == d.name}
 # shortest permitted interval between samples, relative to the duration of the run
 # The difference between two closer times would be a rounding error.
 SHORTEST_INTERVAL = 1e-6
@@ -36,13 +36,13 @@ def find_replayed_nets(laws: SceneLaws) -> dict[str, str] | None:
     """
     result: dict[str, str] = {}
     pins_joined: dict[str, tuple[str, ...]] = {}
-    for pins in laws.join_nets({}).values():
+    for pins in laws.list_law_pins_by_net({}).values():
         pins_joined |= dict.fromkeys(pins, pins)
-    for net, name, pin, law_pin in laws.links:
+    for net, name, pin, law_pin in laws.pin_links:
         prescribed = map(partial(prescribes_value, laws.laws), pins_joined.get(law_pin, (law_pin,)))
         if _joins_part_without_law(laws, name, pin) and not any(prescribed):
             kind = result.get(net, "signal")
-            result[net] = laws.kinds[law_pin] if kind == "signal" else kind
+            result[net] = laws.pin_kinds[law_pin] if kind == "signal" else kind
     if not laws.laws or not set(result.values()) <= set(SOURCE_KINDS):
         return None
     return result
@@ -50,19 +50,19 @@ def find_replayed_nets(laws: SceneLaws) -> dict[str, str] | None:
 
 def _joins_part_without_law(laws: SceneLaws, name: str, pin: str) -> bool:
     """Return whether a part without a law, on the net of a pin, may change the net's value."""
-    for part, end in laws.build.scene.joined_pins(name, pin):
+    for part, end in laws.build.scene.list_joined_pins(name, pin):
         if part in laws.parts_without_law and _may_change_net(laws.build, part, end):
             return True
     return False
 
 
-def _may_change_net(build: Build, name: str, pin: str) -> bool:
+def _may_change_net(build: BuiltScene, name: str, pin: str) -> bool:
     """Return whether a part may change the value on the net of a pin.
 
     A signal input of a built-in part does not change the net, because the input draws no current.
     """
     end = build.scene.terminals[name, pin]
-    return end.flow != "-" or end.signal_out or build.scene.parts[name].netlist
+    return end.flow != "-" or end.signal_out or build.scene.parts[name].is_user_netlist
 
 
 def select_networks_to_solve(
@@ -79,7 +79,7 @@ def select_networks_to_solve(
         source = _make_recorded_source(net, kind, waves)
         sources[net] = source
         driven.add(f"{source.name}.out")
-    networks = laws.networks_with(sources) if sources else laws.networks
+    networks = laws.build_networks(sources) if sources else laws.networks
     result = []
     for network in networks:
         if not network.has_sources_only and not network.is_fully_driven_by(driven):

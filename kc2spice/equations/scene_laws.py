@@ -30,7 +30,7 @@ from kc2spice.equations.networks import (
     prescribes_value,
     split_networks,
 )
-from kc2spice.scene.model import Build
+from kc2spice.scene.model import BuiltScene
 
 
 class PinLink(NamedTuple):
@@ -51,7 +51,7 @@ class SceneLaws:
     carries no current.
     """
 
-    build: Build
+    build: BuiltScene
 
     @cached_property
     def parts_with_cards(self) -> tuple[str, ...]:
@@ -88,7 +88,11 @@ class SceneLaws:
     @cached_property
     def equations(self) -> Mapping[str, Equations]:
         """Equations of each part that has a law."""
-        return {k: v for k, v in self.available_equations.items() if k not in self._loaded_signals}
+        return {
+            k: v
+            for k, v in self.available_equations.items()
+            if k not in self._parts_with_loaded_signals
+        }
 
     @cached_property
     def parts_without_law(self) -> tuple[str, ...]:
@@ -103,7 +107,7 @@ class SceneLaws:
         prescribe their motion.
         """
         parts = self.build.scene.parts
-        names = [name for name in self.parts_with_cards if not parts[name].reduced]
+        names = [name for name in self.parts_with_cards if not parts[name].is_body]
         if not self.available_equations.keys() >= set(names):
             return False
         stated = chain.from_iterable(self.available_equations[name].laws for name in names)
@@ -115,12 +119,12 @@ class SceneLaws:
         return _index_laws(self.equations)
 
     @cached_property
-    def kinds(self) -> dict[str, str]:
+    def pin_kinds(self) -> dict[str, str]:
         """Kind of each pin of a law, keyed by the pin ``LAW.PIN``."""
         return list_pin_kinds(self.laws.values())
 
     @cached_property
-    def links(self) -> tuple[PinLink, ...]:
+    def pin_links(self) -> tuple[PinLink, ...]:
         """Pins of the parts with a law, and the corresponding pins of the laws."""
         return tuple(_list_pin_links(self.build, self.equations))
 
@@ -132,9 +136,9 @@ class SceneLaws:
         ------
         UsageError : the laws of the parts are incompatible.
         """
-        return self.networks_with({})
+        return self.build_networks({})
 
-    def networks_with(self, sources: Mapping[str, IdealSource]) -> tuple[Network, ...]:
+    def build_networks(self, sources: Mapping[str, IdealSource]) -> tuple[Network, ...]:
         """Return the networks of the laws and of additional ``sources``, a mapping keyed by net."""
         results: dict[str, WaveCombination] = {}
         sweeps: dict[tuple[str, str], tuple[str, float]] = {}
@@ -143,9 +147,11 @@ class SceneLaws:
             for key, source in item.sweeps.items():
                 sweeps[name, key] = source
         laws = [*self.laws.values(), *sources.values()]
-        return split_networks(laws, self.join_nets(sources), results, sweeps)
+        return split_networks(laws, self.list_law_pins_by_net(sources), results, sweeps)
 
-    def join_nets(self, sources: Mapping[str, IdealSource]) -> dict[str, tuple[str, ...]]:
+    def list_law_pins_by_net(
+        self, sources: Mapping[str, IdealSource]
+    ) -> dict[str, tuple[str, ...]]:
         """Return the pins of the laws and of ``sources`` on each net, keyed by net.
 
         Nets of the scene that share a pin of a law become one net.
@@ -154,7 +160,7 @@ class SceneLaws:
         by_net: dict[str, set[str]] = {}
         for net, source in sources.items():
             by_net[net] = {f"{source.name}.out"}
-        for link in self.links:
+        for link in self.pin_links:
             by_net.setdefault(link.net, {GROUND} if link.net == "0" else set()).add(link.law_pin)
         groups = merge_groups([*map(set, inside), *by_net.values()])
         grounded, ungrounded = set[str](), []
@@ -167,7 +173,7 @@ class SceneLaws:
         return result | ({GROUND: tuple(sorted(grounded))} if grounded else {})
 
     @cached_property
-    def _loaded_signals(self) -> frozenset[str]:
+    def _parts_with_loaded_signals(self) -> frozenset[str]:
         """Names of the parts that set a signal on a net where a current or a force acts."""
         laws = _index_laws(self.available_equations)
         kinds = list_pin_kinds(laws.values())
@@ -197,7 +203,7 @@ def _index_laws(equations: Mapping[str, Equations]) -> dict[str, Law]:
     return {law.name: law for law in laws}
 
 
-def _list_pin_links(build: Build, equations: Mapping[str, Equations]) -> Iterator[PinLink]:
+def _list_pin_links(build: BuiltScene, equations: Mapping[str, Equations]) -> Iterator[PinLink]:
     """Yield the links between pins of parts and pins of laws."""
     nets = build.scene.nets
     for name, item in equations.items():
@@ -205,23 +211,23 @@ def _list_pin_links(build: Build, equations: Mapping[str, Equations]) -> Iterato
             yield PinLink(nets[name, pin], name, pin, law_pin)
 
 
-def get_scene_laws(build: Build) -> SceneLaws:
+def get_scene_laws(build: BuiltScene) -> SceneLaws:
     """Return the laws of the scene with the models of its parts.
 
     The laws stored in the build (:func:`store_laws`) are returned if they are valid. If the scene
     or the models of the build have changed, the laws are created again.
     """
     laws = build.laws
-    if isinstance(laws, SceneLaws) and _have_common_parts(laws.build, build):
+    if isinstance(laws, SceneLaws) and _have_same_models(laws.build, build):
         return laws
     return SceneLaws(build)
 
 
-def store_laws(build: Build) -> Build:
+def store_laws(build: BuiltScene) -> BuiltScene:
     """Return a copy of a build that stores its laws, which are then created only once."""
     return replace(build, laws=get_scene_laws(build))
 
 
-def _have_common_parts(a: Build, b: Build) -> bool:
+def _have_same_models(a: BuiltScene, b: BuiltScene) -> bool:
     """Return whether two builds have the same scene and the same models."""
     return a.scene is b.scene and a.models is b.models

@@ -15,20 +15,26 @@ from kc2spice.core.quantities import (
     Ratio,
     RefinementRule,
     Section,
-    invalid_value_error,
+    make_invalid_value_error,
 )
 
 
-class Mesh(Section):
+class BodyMeshKeys(Section):
     """Keys of a mesh; ``refine`` is the number of cells into which each cell edge is divided."""
 
     refine: Annotated[Count, RefinementRule(2.0, model=True, mesh=True)] = Field(
-        1, ge=1, le=8, description="Factor that multiplies the number of cells along each edge"
+        1,
+        ge=1,
+        le=8,
+        description=(
+            "Refinement factor of the body's mesh: number of equal parts into which each "
+            "cell edge is divided"
+        ),
     )
 
 
-class Damping(Section):
-    """Mechanical and dielectric losses of a body.
+class DampingKeys(Section):
+    """Keys of the mechanical and dielectric losses of a body.
 
     ``model = "rayleigh"`` selects viscous damping with the matrix ``E = alpha M + beta K``, where M
     is the mass matrix and K the stiffness matrix. The damping ratio ``zeta`` applies at the
@@ -46,45 +52,69 @@ class Damping(Section):
     ratio: Ratio | tuple[Ratio, Ratio] | None = Field(
         None,
         description=(
-            "Damping ratio (fraction of critical damping) at the frequency `at`; two ratios for "
-            "two frequencies"
+            "Damping ratio (fraction of critical damping) at the frequency `at`, or two "
+            "damping ratios for two frequencies"
         ),
     )
-    quality: Ratio | None = Field(None, gt=0, description="Q factor, equal to 1 / (2 * ratio)")
+    quality: Ratio | None = Field(
+        None,
+        gt=0,
+        description=(
+            "Mechanical Q factor of the body, 1 / (2 * ratio), which can replace the key `ratio`"
+        ),
+    )
     loss_factor: Ratio | None = Field(
-        None, ge=0, description="Mechanical loss factor, equal to 2 * ratio"
+        None,
+        ge=0,
+        description=(
+            "Mechanical loss factor of the body, 2 * ratio, which can replace the key `ratio`"
+        ),
     )
     per_material: bool = Field(
-        False, description="Whether the damping is computed from the Q factors of the materials"
+        False,
+        description=(
+            "Whether the damping of the body is computed from the Q factors of its materials"
+        ),
     )
     at: Frequency | tuple[Frequency, Frequency] | None = Field(
         None,
-        description=("Frequency at which the damping ratio holds; by default the first resonance"),
+        description=(
+            "Frequency at which the damping ratio applies; by default the first resonance of "
+            "the body"
+        ),
     )
     alpha: Rate = Field(
-        0.0, ge=0, description="Coefficient alpha of the mass-proportional damping alpha M"
+        0.0,
+        ge=0,
+        description="Coefficient alpha of the damping matrix alpha M, where M is the mass matrix",
     )
     loss_tangent: Ratio | None = Field(
         None,
         ge=0,
         le=1,
-        description=("Dielectric loss tangent of the free body at 1 kHz, as in data sheets"),
+        description=(
+            "Dielectric loss tangent of the mechanically free body at 1 kHz, as stated in "
+            "data sheets"
+        ),
     )
 
     model: Literal["rayleigh", "ieee176"] = Field(
         "rayleigh",
-        description="Loss model: viscous damping, or complex constants of IEEE 176 with constant Q",
+        description=(
+            "Loss model: viscous damping (rayleigh), or complex material constants with a "
+            "constant Q factor (ieee176)"
+        ),
     )
 
     @model_validator(mode="after")
-    def _reject_rayleigh_keys(self) -> Damping:
+    def _reject_rayleigh_keys(self) -> DampingKeys:
         """Reject keys that cannot be combined with ``model = "ieee176"``."""
         if self.model == "ieee176":
             others = {"per_material": self.per_material, "alpha": self.alpha}
             others["two ratios"] = isinstance(self.ratio, tuple)
             for name, value in others.items():
                 if value:
-                    raise invalid_value_error(
+                    raise make_invalid_value_error(
                         f'{name} applies only to model = "rayleigh"; write one quality instead',
                         None,
                         hint=f'delete {name}, or write  model = "rayleigh"',
@@ -92,13 +122,13 @@ class Damping(Section):
         return self
 
     @model_validator(mode="after")
-    def _require_consistent_damping(self) -> Damping:
+    def _require_consistent_damping(self) -> DampingKeys:
         """Require at most one of the alternative damping keys, with a valid value."""
         choices = [self.ratio, self.quality, self.loss_factor]
         if sum(item is not None for item in choices) + self.per_material > 1:
             names = "ratio", "quality", "loss_factor", "per_material"
             stated = [name for name in names if name in self.model_fields_set]
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 f"the damping is stated twice, by {' and '.join(stated)}",
                 f"one of {', '.join(names)}",
                 hint=f"delete {stated[0]}; an option --set replaces the table: "
@@ -106,26 +136,26 @@ class Damping(Section):
             )
         two = isinstance(self.ratio, tuple), isinstance(self.at, tuple)
         if two[0] != two[1]:
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 "two values of ratio need two frequencies in at",
                 None,
                 hint='write for example  ratio = [0.01, 0.02]  and  at = ["1 kHz", "5 kHz"]',
             )
         values = np.atleast_1d([x for x in (self.ratio,) if x is not None]).ravel()
         if (values < 0).any() or (self.at is not None and np.min(self.at) <= 0):
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 "a damping ratio is negative, or a frequency is not greater than 0",
                 "a damping ratio of at least 0, and a frequency above 0",
                 hint='for example  ratio = 0.01  and  at = "5 kHz"',
             )
         if (values >= 1).any() or (self.quality is not None and self.quality <= 0.5):
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 "the damping is overcritical",
                 "a damping ratio below 1, or a Q factor above 0.5",
                 hint="for 1 % damping, write ratio = 0.01 or quality = 50",
             )
         if two[0] and (self.at[0] == self.at[1] or min(self._solve_two_ratios()) < 0 or self.alpha):  # type: ignore[index]
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 (
                     "Rayleigh damping cannot have these two damping ratios: for frequencies f1 < "
                     "f2, zeta2/zeta1 must be between f1/f2 and f2/f1"
@@ -153,14 +183,14 @@ class Damping(Section):
             return max(self.ratio)
         return 0.01 if self.ratio is None else self.ratio
 
-    def frequency(self, resonance_hz: float | None) -> float | None:
+    def find_ratio_frequency(self, resonance_hz: float | None) -> float | None:
         """Return the frequency [Hz] at which the damping ratio is :attr:`zeta`."""
         return resonance_hz if self.at is None else float(np.min(self.at))
 
-    def rayleigh(self, resonance_hz: float) -> tuple[float, float]:
+    def compute_rayleigh_factors(self, resonance_hz: float) -> tuple[float, float]:
         """Return ``alpha`` [1/s] and ``beta`` [s] of the matrix ``E = alpha M + beta K``."""
         if isinstance(self.ratio, tuple):
             return self._solve_two_ratios()
-        at = self.frequency(resonance_hz)
+        at = self.find_ratio_frequency(resonance_hz)
         assert at is not None
         return self.alpha, self.zeta / (math.pi * at)

@@ -100,7 +100,7 @@ def read_poling(path: Path, where: str, axisymmetric: bool) -> PolingTable:
     try:
         text = decode_text(read_bounded(path, MAX_FILE_BYTES))
     except UnicodeDecodeError:
-        hint = "save it with the encoding UTF-8 in a text editor"
+        hint = f"save {path.name} with the encoding UTF-8 in a text editor"
         raise wrong(where, "this file is not UTF-8 text", str(path), hint=hint) from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
@@ -149,7 +149,7 @@ def compute_centres(mesh: Mesh) -> np.ndarray:
     return np.asarray(mesh.doflocs[:, mesh.t].mean(axis=1).T)
 
 
-def find_parents(coarse: Mesh, fine: Mesh) -> np.ndarray:
+def find_coarse_elements(coarse: Mesh, fine: Mesh) -> np.ndarray:
     """Find the element of the mesh ``coarse`` that contains the centre of each ``fine`` element."""
     kinds = ((MeshHex, MeshHex1), (MeshTet, MeshTet1), (MeshQuad, MeshQuad1))
     kind = next((first for base, first in kinds if isinstance(coarse, base)), MeshTri1)

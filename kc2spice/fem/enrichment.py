@@ -74,14 +74,14 @@ class Enrichment:
     signs: np.ndarray
 
     @property
-    def count(self) -> int:
+    def function_count(self) -> int:
         """Number of cubic functions in the whole solid."""
         return int(self.numbers.max()) + 1
 
     def mask_dielectric_functions(self) -> np.ndarray:
         """Return a mask that selects functions in piezoelectrics and dielectrics."""
-        field = np.array([m.piezoelectric or m.dielectric for m in self.solid.materials])
-        result = np.zeros(self.count, bool)
+        field = np.array([m.is_piezoelectric or m.dielectric for m in self.solid.materials])
+        result = np.zeros(self.function_count, bool)
         result[self.numbers[:, field[self.solid.owner]]] = True
         return result
 
@@ -93,7 +93,7 @@ class EnrichedOperators:
     The unknowns of the cubic functions are displacements and potentials. ``K`` is the stiffness
     matrix of the displacements, ``C`` the coupling matrix of displacements and potentials, ``P``
     the permittivity matrix of the potentials, and ``M`` the mass matrix. The matrices named
-    ``…_nodes`` have a row for each unknown of a cubic function and a column for each unknown of a
+    ``…_dofs`` have a row for each unknown of a cubic function and a column for each unknown of a
     node:
 
     - rows of ``K_nodes``, ``C_nodes`` and ``M_nodes``: displacements of the cubic functions
@@ -132,8 +132,8 @@ def assemble_enrichment(
     The mask ``free`` (count, d) selects displacements. The mask ``live`` (count,) selects
     potentials.
     """
-    solid, d = enrichment.solid, enrichment.solid.components
-    nodes, size = solid.basis(1).element_dofs, solid.places.shape[1]
+    solid, d = enrichment.solid, enrichment.solid.component_count
+    nodes, size = solid.basis(1).element_dofs, solid.node_positions.shape[1]
     unknowns = {
         ("nodes", 0): np.arange(size * d).reshape(size, d),
         ("nodes", 1): np.arange(size)[:, None],
@@ -149,11 +149,11 @@ def assemble_enrichment(
         for i, group, j in product((0, 1), local, (0, 1))
     }
     masses = {
-        "nodes": _SparseSum((enrichment.count, size)),
-        "functions": _SparseSum((enrichment.count,) * 2),
+        "nodes": _SparseSum((enrichment.function_count, size)),
+        "functions": _SparseSum((enrichment.function_count,) * 2),
     }
     table = _tabulate_functions(solid, _make_basis(solid, np.array([0])).X, enrichment.functions)
-    for material, cells in _split_chunks(solid, len(table), len(enrichment.functions)):
+    for material, cells in _split_by_material(solid, len(table), len(enrichment.functions)):
         S, M = _compute_element_matrices(solid, material, cells, table, len(nodes))
         numbers, sign = enrichment.numbers[:, cells].T, enrichment.signs[:, cells].T
         here = {"nodes": nodes[:, cells].T, "functions": numbers}
@@ -182,6 +182,7 @@ def assemble_enrichment(
 
 
 def _make_basis(solid: Solid, cells: np.ndarray) -> skfem.Basis:
+    """Return a finite-element basis on the elements ``cells`` of a solid."""
     if isinstance(solid.mesh, MeshTet):
         return solid.basis(quadrature=_make_tetrahedron_rule(INTEGRATION_ORDER), elements=cells)
     return solid.basis(INTEGRATION_ORDER, elements=cells)
@@ -214,6 +215,7 @@ def evaluate_shape_functions(solid: Solid, X: np.ndarray) -> list[ShapeFunction]
 
 
 def _evaluate_simplex_functions(corners: np.ndarray, X: np.ndarray) -> list[ShapeFunction]:
+    """Evaluate the cubic shape functions of a simplex at the points ``X``."""
     inverse = np.linalg.inv(np.vstack([np.ones(corners.shape[1]), corners]))
     value, slope = inverse @ np.vstack([np.ones(X.shape[1]), X]), inverse[:, 1:, None]
     result = []
@@ -301,12 +303,14 @@ def _tabulate_functions(
     return np.array([np.broadcast_arrays(*row) for row in rows], dtype=float)
 
 
-def _split_chunks(solid: Solid, local: int, more: int) -> Iterator[tuple[Material, np.ndarray]]:
+def _split_by_material(
+    solid: Solid, local: int, more: int
+) -> Iterator[tuple[Material, np.ndarray]]:
     """Yield pairs of a material and a group of its elements.
 
     The element matrices of a group need at most ``CHUNK_BYTES`` bytes.
     """
-    count = max(1, int(CHUNK_BYTES / (8 * local * more * (solid.components + 1) ** 2)))
+    count = max(1, int(CHUNK_BYTES / (8 * local * more * (solid.component_count + 1) ** 2)))
     for number, material in enumerate(solid.materials):
         cells = np.flatnonzero(solid.owner == number)
         for start in range(0, len(cells), count):
@@ -360,11 +364,11 @@ def _compute_reference_tensor(
     gradient components of each field. In axisymmetric solids, the value of the field is appended as
     the last gradient component.
     """
-    d = solid.components
-    field = material.piezoelectric or material.dielectric
+    d = solid.component_count
+    field = material.is_piezoelectric or material.dielectric
     kinds = d + 1 if solid.axisymmetric else d
     strain = np.zeros((*weights.shape, 9, d + field, kinds))
-    axes = solid.axes
+    axes = solid.axis_indices
     for i, y in enumerate(axes):
         for k, x in enumerate(axes):
             strain[:, :, VOIGT_ROWS[x, y], k, :d] += inverse[:, :, :, i]

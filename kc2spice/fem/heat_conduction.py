@@ -47,9 +47,9 @@ class HeatSolid:
     areas: np.ndarray | None = None
 
     @property
-    def count(self) -> int:
+    def node_count(self) -> int:
         """Number of nodes."""
-        return int(self.geometry.places.shape[1])
+        return int(self.geometry.node_positions.shape[1])
 
     def compute_weights(self, basis: skfem.Basis, cells: np.ndarray) -> np.ndarray:
         """Return the weights of integration points for volume integrals.
@@ -78,7 +78,7 @@ def list_local_functions(basis: skfem.Basis) -> Iterator[tuple[np.ndarray, np.nd
         yield np.stack(value, -1), np.stack([f.grad[:, :, q].T for f in local], -1)
 
 
-def _split_chunks(solid: HeatSolid) -> Iterator[tuple[ThermalMaterial, np.ndarray]]:
+def _split_by_material(solid: HeatSolid) -> Iterator[tuple[ThermalMaterial, np.ndarray]]:
     """Yield pairs of a material and a group of at most ``CHUNK_SIZE`` of its elements."""
     for number, material in enumerate(solid.materials):
         cells = np.flatnonzero(solid.geometry.owner == number)
@@ -92,9 +92,9 @@ def assemble_heat(solid: HeatSolid) -> tuple[sparse.csc_array, sparse.csc_array]
     Both matrices have the shape (nodes, nodes).
     """
     capacities, conductances = [], []
-    for material, cells in _split_chunks(solid):
+    for material, cells in _split_by_material(solid):
         basis = solid.geometry.basis(elements=cells)
-        k = material.conductivity[solid.geometry.axes][:, None]
+        k = material.conductivity[solid.geometry.axis_indices][:, None]
         e_cell, k_cell = np.zeros(()), np.zeros(())
         weights = solid.compute_weights(basis, cells).T[:, :, None, None]
         for (N, G), w in zip(list_local_functions(basis), weights, strict=True):
@@ -103,7 +103,7 @@ def assemble_heat(solid: HeatSolid) -> tuple[sparse.csc_array, sparse.csc_array]
         nodes = basis.element_dofs.T
         capacities.append((e_cell, nodes, nodes))
         conductances.append((k_cell, nodes, nodes))
-    shape = (solid.count, solid.count)
+    shape = (solid.node_count, solid.node_count)
     E, K = (symmetrise(sum_matrices(parts, shape)) for parts in (capacities, conductances))
     return E, K
 
@@ -113,7 +113,7 @@ def assemble_faces(solid: HeatSolid, facets: np.ndarray) -> sparse.csc_array:
 
     H has the shape (nodes, nodes). The sum of the entries of H is the area of the faces.
     """
-    basis = solid.geometry.facet_basis(facets, solid.geometry.quadrature)
+    basis = solid.geometry.make_facet_basis(facets, solid.geometry.quadrature_degree)
     weights, nodes = (
         solid.compute_weights(basis, solid.find_adjacent_cell_numbers(facets)),
         basis.element_dofs.T,
@@ -121,7 +121,7 @@ def assemble_faces(solid: HeatSolid, facets: np.ndarray) -> sparse.csc_array:
     matrix = np.zeros(())
     for (N, _), w in zip(list_local_functions(basis), weights.T[:, :, None, None], strict=True):
         matrix = matrix + w * N[:, :, None] * N[:, None]
-    return symmetrise(sum_matrices([(matrix, nodes, nodes)], (solid.count, solid.count)))
+    return symmetrise(sum_matrices([(matrix, nodes, nodes)], (solid.node_count, solid.node_count)))
 
 
 def _find_local_coordinates(mesh: skfem.Mesh, cell: int, point: np.ndarray) -> np.ndarray:
@@ -143,12 +143,12 @@ def _find_local_coordinates(mesh: skfem.Mesh, cell: int, point: np.ndarray) -> n
     return np.asarray(local[:, 0])
 
 
-def find_point_shares(solid: HeatSolid, point: np.ndarray) -> np.ndarray:
+def evaluate_functions_at_point(solid: HeatSolid, point: np.ndarray) -> np.ndarray:
     """Return the values (nodes,) of the shape functions of all nodes at a point.
 
     For a point outside of the mesh, the value is 1 at the nearest node and 0 at all other nodes.
     """
-    geometry, result = solid.geometry, np.zeros(solid.count)
+    geometry, result = solid.geometry, np.zeros(solid.node_count)
     mesh = geometry.mesh
     centres = mesh.p[:, mesh.t].mean(axis=1)
     near = np.argsort(np.linalg.norm(centres.T - point, axis=1))[:MAX_CANDIDATES]
@@ -161,7 +161,7 @@ def find_point_shares(solid: HeatSolid, point: np.ndarray) -> np.ndarray:
             values, _ = next(list_local_functions(basis))
             result[basis.element_dofs[:, 0]] = values[0]
             return result
-    result[np.argmin(np.linalg.norm(geometry.places.T - point, axis=1))] = 1.0
+    result[np.argmin(np.linalg.norm(geometry.node_positions.T - point, axis=1))] = 1.0
     return result
 
 
@@ -202,7 +202,7 @@ def assemble_interface(solid: HeatSolid, facets: np.ndarray) -> sparse.csc_array
     """
     geometry = solid.geometry
     first, second = (
-        geometry.facet_basis(facets, geometry.quadrature, side=side) for side in (0, 1)
+        geometry.make_facet_basis(facets, geometry.quadrature_degree, side=side) for side in (0, 1)
     )
     nodes = np.vstack([first.element_dofs, second.element_dofs]).T
     weights, matrix = (
@@ -213,7 +213,7 @@ def assemble_interface(solid: HeatSolid, facets: np.ndarray) -> sparse.csc_array
     for ((N, _), (M, _)), w in zip(functions, weights.T[:, :, None, None], strict=True):
         jump = np.concatenate([N, -M], axis=1)
         matrix = matrix + w * jump[:, :, None] * jump[:, None]
-    return symmetrise(sum_matrices([(matrix, nodes, nodes)], (solid.count, solid.count)))
+    return symmetrise(sum_matrices([(matrix, nodes, nodes)], (solid.node_count, solid.node_count)))
 
 
 def find_common_faces(geometry: Solid, first: np.ndarray, second: np.ndarray) -> np.ndarray:
@@ -229,6 +229,6 @@ def find_face_nodes(geometry: Solid, facets: np.ndarray) -> np.ndarray:
 
     If a face has duplicated nodes, only the nodes on its first side are returned.
     """
-    basis = geometry.facet_basis(facets, 2)
+    basis = geometry.make_facet_basis(facets, 2)
     values = np.max([np.abs(N) for N, _ in list_local_functions(basis)], axis=0)
     return np.unique(basis.element_dofs.T[values > FACE_TOLERANCE])

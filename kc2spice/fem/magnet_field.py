@@ -44,9 +44,9 @@ from skfem.models.poisson import laplace
 
 from kc2spice.core.errors import SimulationError, wrong
 from kc2spice.core.gmsh_session import gmsh_session
-from kc2spice.core.magnets import EMTable
+from kc2spice.core.magnets import MagnetostaticTable
 from kc2spice.core.quantities import MU_0
-from kc2spice.fem.magnet_keys import Catch, Ring
+from kc2spice.fem.magnet_keys import CatchKeys, RingKeys
 from kc2spice.linalg.factor import Factor, factorise_supernodal
 
 # smallest number of heights that are also solved on a mesh with elements of twice the size
@@ -66,8 +66,8 @@ _LATTICE_SIZE, _SPHERE_SIZE, _PART_SIZE, _CORNER_SIZE, _SIZE_GROWTH = (
 
 
 def compute_catch_table(
-    catch: Catch, radius: float, progress: Callable[[float], None] = lambda share: None
-) -> EMTable:
+    catch: CatchKeys, radius: float, progress: Callable[[float], None] = lambda share: None
+) -> MagnetostaticTable:
     """Compute force, flux and inductance at ``catch.positions`` heights of the sphere.
 
     The heights extend from ``y_min`` to ``y_max``. ``progress`` receives the completed share after
@@ -79,14 +79,14 @@ def compute_catch_table(
         the air cylinder.
     SimulationError : a computed field does not satisfy the field equations.
     """
-    positions = count_compared_positions(catch.positions)
+    positions = choose_compared_count(catch.positions)
     settings = {"refine": catch.refine / 2, "positions": positions}
     rough = catch.model_copy(update=settings)  # a scene cannot set refine below 1
     return replace(_sweep_heights(catch, radius, progress), coarser=_sweep_heights(rough, radius))
 
 
-def count_compared_positions(count: int) -> int:
-    """Choose the number of heights at which the field is also solved on a coarser mesh.
+def choose_compared_count(count: int) -> int:
+    """Choose at how many heights the field is also solved on a coarser mesh.
 
     At least five heights are chosen. The chosen heights are equally spaced among ``count`` heights.
     """
@@ -96,14 +96,14 @@ def count_compared_positions(count: int) -> int:
 
 
 def _sweep_heights(
-    catch: Catch, radius: float, progress: Callable[[float], None] = lambda share: None
-) -> EMTable:
+    catch: CatchKeys, radius: float, progress: Callable[[float], None] = lambda share: None
+) -> MagnetostaticTable:
     """Compute force, flux and inductance at all heights with one element size."""
     y = list_sphere_heights(catch)
     forces = np.empty((y.size, 4, 4))
     fluxes = np.empty((y.size, 2, 4))
     unknowns = 0
-    for done, (index, equations_at) in enumerate(assemble_heights(catch, radius), 1):
+    for done, (index, equations_at) in enumerate(assemble_field_equations(catch, radius), 1):
         fields = equations_at.solve(equations_at.loads)
         forces[index] = equations_at.compute_force_matrix(fields)
         fluxes[index] = (equations_at.loads.T @ fields)[[LOWER, UPPER]]
@@ -121,7 +121,7 @@ def _sweep_heights(
         2 * forces[:, LOWER, UPPER],
         forces[:, UPPER, UPPER],
     )
-    return EMTable(
+    return MagnetostaticTable(
         y=y,
         coefficients=np.column_stack(force),
         flux0=sign * fluxes[:, :, RING] + fluxes[:, :, SPHERE],
@@ -131,12 +131,12 @@ def _sweep_heights(
     )
 
 
-def list_sphere_heights(catch: Catch) -> np.ndarray:
+def list_sphere_heights(catch: CatchKeys) -> np.ndarray:
     """Return the heights of the sphere's centre [m] at which the force is tabulated."""
     return np.linspace(catch.y_min, catch.y_max, catch.positions)
 
 
-def get_ring_direction(catch: Catch) -> float:
+def get_ring_direction(catch: CatchKeys) -> float:
     """Return 1 if ring and sphere have the same direction of magnetisation, otherwise -1."""
     return 1.0 if catch.polarity == "parallel" else -1.0
 
@@ -179,7 +179,9 @@ class FieldEquations:
         return -0.5 * near.T @ (self.stretch @ near)
 
 
-def assemble_heights(catch: Catch, radius: float) -> Iterator[tuple[int, FieldEquations]]:
+def assemble_field_equations(
+    catch: CatchKeys, radius: float
+) -> Iterator[tuple[int, FieldEquations]]:
     """Yield the index and the field equations of each height of the sphere.
 
     Heights that differ by a multiple of the lattice pitch have the same meshes.
@@ -190,7 +192,7 @@ def assemble_heights(catch: Catch, radius: float) -> Iterator[tuple[int, FieldEq
     for value in np.unique(offset):
         selected = np.flatnonzero(offset == value)
         lattice = make_bore(catch, radius, pitch, y[selected[0]], y[selected[-1]])
-        equations_at = assemble_field(catch, lattice)
+        equations_at = make_field_assembler(catch, lattice)
         for index in selected.tolist():
             yield index, equations_at(y[index])
 
@@ -210,7 +212,7 @@ class ElementMatrices:
     loads: np.ndarray  # (n, 4): loads of ring, sphere, and 1 A in the lower and in the upper coil
 
 
-def assemble_field(catch: Catch, bore: Bore) -> Callable[[float], FieldEquations]:
+def make_field_assembler(catch: CatchKeys, bore: BoreLattice) -> Callable[[float], FieldEquations]:
     """Return a function that assembles the field equations at a height of the sphere.
 
     Stator and mover are meshed once, for the lattice ``bore``. The argument of the returned
@@ -249,7 +251,8 @@ def assemble_field(catch: Catch, bore: Bore) -> Callable[[float], FieldEquations
     free = (r < right - edge) & (y > low + edge) & (y < high - edge)
     lookup, count, more = cKDTree(stator.points.T), stator.points.shape[1], moved.points.shape[1]
 
-    def equations_at(height: float) -> FieldEquations:
+    def assemble_equations(height: float) -> FieldEquations:
+        """Return the field equations with the centre of the sphere at ``height`` [m]."""
         mover = count + np.arange(more)
         distance, mover[rim] = lookup.query((moved.points[:, rim] + [[0], [height]]).T)
         if not np.max(distance) < 1e-6 * bore.pitch:
@@ -276,11 +279,11 @@ def assemble_field(catch: Catch, bore: Bore) -> Callable[[float], FieldEquations
         loads[mover] += moved.loads
         return FieldEquations(matrix.tocsc(), loads, solved, mover, stretch)
 
-    return equations_at
+    return assemble_equations
 
 
 def _assemble_mesh(
-    catch: Catch,
+    catch: CatchKeys,
     mesh: MeshTri2,
     magnet: np.ndarray,
     sources: dict[int, tuple[LinearForm, float, np.ndarray]],
@@ -330,14 +333,14 @@ def _stiffness_derivative(u: Any, v: Any, w: Any) -> np.ndarray:
 
 @LinearForm
 def _remanence_load(v: Any, w: Any) -> np.ndarray:
-    """Return ``int b(v) dV``, the load that an axial ``nu B_rem`` of 1 A/m causes."""
+    """Return the integrand of the load that an axial ``nu B_rem`` of 1 A/m causes."""
     r = w.x[0]
     return 2 * pi * r * (2 * v + r * v.grad[0])
 
 
 @LinearForm
 def _current_load(v: Any, w: Any) -> np.ndarray:
-    """Return ``int A_phi 2 pi r dr dy``, the load that a current density of 1 A/m^2 causes.
+    """Return the integrand of the load that a current density of 1 A/m^2 causes.
 
     The product of this load and a field is the flux linkage for one turn per square metre.
     """
@@ -345,7 +348,7 @@ def _current_load(v: Any, w: Any) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Bore:
+class BoreLattice:
     """Regular lattice of cells in the bore, in which the sphere moves; lengths in m.
 
     ``bottom`` is the height of the lowest line of the lattice. The lattice consists of ``rows``
@@ -364,17 +367,17 @@ class Bore:
     size: float
 
 
-def list_actuator_sections(catch: Catch) -> tuple[Ring, Ring, Ring]:
+def list_actuator_sections(catch: CatchKeys) -> tuple[RingKeys, RingKeys, RingKeys]:
     """Return the sections of the ring magnet, the lower coil and the upper coil."""
     return catch.ring, catch.lower, catch.upper
 
 
-def get_section(part: Ring) -> tuple[float, float, float, float]:
+def get_section(part: RingKeys) -> tuple[float, float, float, float]:
     """Return the limits r_min, y_min, r_max, y_max [m] of a part's rectangular section."""
     return part.inner, part.y - part.height / 2, part.outer, part.y + part.height / 2
 
 
-def get_air_section(catch: Catch) -> tuple[float, float, float, float]:
+def get_air_section(catch: CatchKeys) -> tuple[float, float, float, float]:
     """Return the limits [m] of the air cylinder's section, which is centred on the actuator.
 
     Source: section 2.2.1 of the paper.
@@ -396,7 +399,7 @@ def get_air_section(catch: Catch) -> tuple[float, float, float, float]:
     return 0.0, centre - catch.air_height / 2, catch.air_radius, centre + catch.air_height / 2
 
 
-def choose_lattice_pitch(catch: Catch, radius: float, spacing: float) -> float:
+def choose_lattice_pitch(catch: CatchKeys, radius: float, spacing: float) -> float:
     """Choose the height of lattice cells [m] as a multiple or fraction of ``spacing``.
 
     ``spacing`` [m] is the distance between consecutive heights of the sphere.
@@ -406,7 +409,9 @@ def choose_lattice_pitch(catch: Catch, radius: float, spacing: float) -> float:
     return spacing / ceil(ratio) if ratio >= 1 else spacing * floor(1 / ratio)
 
 
-def make_bore(catch: Catch, radius: float, pitch: float, lowest: float, highest: float) -> Bore:
+def make_bore(
+    catch: CatchKeys, radius: float, pitch: float, lowest: float, highest: float
+) -> BoreLattice:
     """Return the lattice for heights of the sphere's centre from ``lowest`` to ``highest``.
 
     Raises
@@ -429,17 +434,19 @@ def make_bore(catch: Catch, radius: float, pitch: float, lowest: float, highest:
         raise wrong("catch.y_min, catch.y_max", problem, got, expected, hint)
     size = radius / catch.refine
     columns = ceil(wall / (_LATTICE_SIZE * size))
-    return Bore(radius, wall, pitch, columns, half, bottom, round((top - bottom) / pitch), size)
+    return BoreLattice(
+        radius, wall, pitch, columns, half, bottom, round((top - bottom) / pitch), size
+    )
 
 
-def mesh_stator(catch: Catch, bore: Bore) -> MeshTri2:
+def mesh_stator(catch: CatchKeys, bore: BoreLattice) -> MeshTri2:
     """Mesh the stator, the meridian half-plane with the lattice in its bore, with triangles."""
     top = bore.bottom + bore.rows * bore.pitch
     boxes = list(map(get_section, list_actuator_sections(catch)))
     shapes = [get_air_section(catch), (0.0, bore.bottom, bore.wall, top), *boxes]
     corners = [*chain.from_iterable(product(box[::2], box[1::2]) for box in boxes)]
 
-    def size(r: float, y: float) -> float:
+    def compute_element_size(r: float, y: float) -> float:
         """Return the element size [m] at the point ``r``, ``y``."""
         to_corner = min(hypot(r - a, y - b) for a, b in corners)
         to_part = min(
@@ -459,11 +466,11 @@ def mesh_stator(catch: Catch, bore: Bore) -> MeshTri2:
             cells = bore.rows if high - low > bore.pitch / 2 else bore.columns
             gmsh.model.mesh.setTransfiniteCurve(curve, cells + 1)
         gmsh.model.mesh.setTransfiniteSurface(lattice[1], "AlternateLeft")
-        points, triangles = _generate_mesh(gmsh, size)
+        points, triangles = _generate_mesh(gmsh, compute_element_size)
     return MeshTri2.from_mesh(MeshTri(points, triangles))
 
 
-def mesh_mover(bore: Bore) -> tuple[MeshTri2, np.ndarray]:
+def mesh_mover(bore: BoreLattice) -> tuple[MeshTri2, np.ndarray]:
     """Mesh the mover, a box around a sphere at the origin.
 
     The second returned array is a mask of the triangles inside the sphere. Triangle edges on the
@@ -499,7 +506,7 @@ def mesh_mover(bore: Bore) -> tuple[MeshTri2, np.ndarray]:
     return mesh, inside
 
 
-def _compute_narrowest_gap(catch: Catch, radius: float) -> float:
+def _compute_narrowest_gap(catch: CatchKeys, radius: float) -> float:
     """Return the radial gap [m] between the sphere and the smallest bore of magnet and coils."""
     return min(map(attrgetter("inner"), list_actuator_sections(catch))) - radius
 

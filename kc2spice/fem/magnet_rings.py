@@ -91,12 +91,12 @@ class RingCells:
         """
         r, z = self.r, self.z
         logs = self._mean_log_distances
-        result, near = _compute_mean_mutual(r, z, r, z, logs), r < AXIS_CELLS * self.wide
+        result, near = _compute_section_mutuals(r, z, r, z, logs), r < AXIS_CELLS * self.wide
         steps = [(i * self.wide, j * self.tall) for i, j in product(GAUSS_POINTS, GAUSS_POINTS)]
         part = np.zeros((np.count_nonzero(near), r.size))
         for (u, v), (s, t) in product(steps, steps):
             ends = r[near] + u[near], z[near] + v[near], r + s, z + t
-            part += _compute_mean_mutual(*ends, logs[near]) / len(steps) ** 2
+            part += _compute_section_mutuals(*ends, logs[near]) / len(steps) ** 2
         result[near], result[:, near] = part, part.T
         return result
 
@@ -122,7 +122,7 @@ class RingCells:
         return 2 * np.pi * self.r / (self.wide * self.tall * self.filled)
 
 
-def _compute_mean_mutual(
+def _compute_section_mutuals(
     r: np.ndarray, z: np.ndarray, other: np.ndarray, height: np.ndarray, logs: np.ndarray
 ) -> np.ndarray:
     """Compute the mutual inductances [H] of sections from the mutual inductances of circles.
@@ -273,7 +273,7 @@ class Winding:
             sheet.turns * self.couple_circles(np.full_like(z, sheet.radius), z) @ p / 2
         )
 
-    def couple_winding(self, other: Winding) -> float:
+    def compute_coupling_inductance(self, other: Winding) -> float:
         """Compute the mutual inductance [H] with another winding.
 
         For two equal windings, this is the self-inductance. Source for the self-inductance of a
@@ -490,7 +490,8 @@ def _list_chebyshev_heights(low: float, high: float) -> tuple[np.ndarray, np.nda
 
 
 def _compute_coil_inductance(coils: Sequence[Winding]) -> np.ndarray:
-    return np.array([list(map(a.couple_winding, coils)) for a in coils])
+    """Compute the matrix of self- and mutual inductances [H] of the coils."""
+    return np.array([list(map(a.compute_coupling_inductance, coils)) for a in coils])
 
 
 def _compute_current_basis(
@@ -504,6 +505,7 @@ def _compute_current_basis(
     """
 
     def compute_currents(speeds: np.ndarray, couplings: np.ndarray) -> np.ndarray:
+        """Return the currents of the body in its modes at the frequencies ``speeds``."""
         return couplings[:, :, None, :] * (1j * speeds / (rates[:, None] + 1j * speeds)).T
 
     sampled = compute_currents(speeds[::2], mutual[:, ::3]).reshape(-1, rates.size)
@@ -512,16 +514,19 @@ def _compute_current_basis(
         0, 2, 1
     )
 
-    def compute_effect(rate: np.ndarray, at: np.ndarray, slope: np.ndarray) -> list[np.ndarray]:
+    def compute_flux_and_force(
+        rate: np.ndarray, at: np.ndarray, slope: np.ndarray
+    ) -> list[np.ndarray]:
+        """Return the frequency responses of flux and force to the body's currents."""
         share = 1j * speeds / (rate[:, None] + 1j * speeds)
         return [np.einsum("iyn,jyn,nf->ijyf", at, other, share) for other in (at, slope)]
 
-    exact = compute_effect(rates, mutual, slopes)
+    exact = compute_flux_and_force(rates, mutual, slopes)
     error = np.inf
     for count in range(1, left.shape[1] + 1):
         basis = left[:, :count]
         reduced, turn = np.linalg.eigh(basis.T * rates @ basis)
-        part = compute_effect(reduced, mutual @ basis @ turn, slopes @ basis @ turn)
+        part = compute_flux_and_force(reduced, mutual @ basis @ turn, slopes @ basis @ turn)
         error = max(np.abs(a - b).max() / np.abs(a).max() for a, b in zip(exact, part, strict=True))
         if error < tolerance:
             break

@@ -43,15 +43,15 @@ from kc2spice.core.errors import (
     name_part_in_errors,
     wrong,
 )
-from kc2spice.core.key_errors import validate
+from kc2spice.core.key_errors import validate_table
 from kc2spice.core.quantities import (
     EPSILON_0,
     Density,
     Pressure,
     Ratio,
     Section,
-    invalid_value_error,
-    quantity,
+    convert_quantity,
+    make_invalid_value_error,
     si,
 )
 
@@ -94,7 +94,7 @@ class CylindricalAxes:
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
     point: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
-    def frames(self, places: np.ndarray, elements: np.ndarray) -> np.ndarray:
+    def compute_rotations(self, places: np.ndarray, elements: np.ndarray) -> np.ndarray:
         """Return rotation matrices to the cylindrical axes at ``places`` [m].
 
         The matrices have the shape (n, 3, 3), and the places the shape (n, 3). The columns of each
@@ -121,7 +121,7 @@ class ElementAxes(EqualByContent):
 
     rotations: np.ndarray
 
-    def frames(self, places: np.ndarray, elements: np.ndarray) -> np.ndarray:
+    def compute_rotations(self, places: np.ndarray, elements: np.ndarray) -> np.ndarray:
         """Return rotation matrices to the material axes of n ``elements``.
 
         The returned array has the shape (n, 3, 3).
@@ -176,16 +176,16 @@ class Material(EqualByContent):
     local_axes: CylindricalAxes | ElementAxes | None = None
 
     def __repr__(self) -> str:
-        kind = "piezoelectric" if self.piezoelectric else "elastic"
+        kind = "piezoelectric" if self.is_piezoelectric else "elastic"
         return f"Material({self.name!r}, {kind}, {self.density:g} kg/m3)"
 
     @property
-    def piezoelectric(self) -> bool:
+    def is_piezoelectric(self) -> bool:
         """Whether stress and electric field are coupled."""
         return bool(np.any(self.e))
 
     @property
-    def isotropic_about_z(self) -> bool:
+    def is_isotropic_about_z(self) -> bool:
         """Whether the material is isotropic about z.
 
         Rotations by 30 and 45 degrees about z must change all tensors by at most 2 % of their
@@ -193,7 +193,7 @@ class Material(EqualByContent):
         """
         for angle in (np.pi / 6, np.pi / 4):
             c, s = np.cos(angle), np.sin(angle)
-            rotated = self.rotated(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]]))
+            rotated = self.rotate(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]]))
             for name in ("C", "e", "eps_S"):
                 tensor = getattr(self, name)
                 limit = 0.02 * np.abs(tensor).max()
@@ -202,7 +202,7 @@ class Material(EqualByContent):
         return True
 
     @property
-    def couples_planes(self) -> bool:
+    def has_out_of_plane_coupling(self) -> bool:
         """Whether motion in a plane through z causes motion or polarisation out of the plane.
 
         This coupling exists if a nonzero tensor component changes its sign under reflection in the
@@ -212,7 +212,7 @@ class Material(EqualByContent):
         elastic = C[np.ix_(out, within)].max() > TENSOR_ROUNDING * C.max()
         return bool(elastic or e[np.ix_([0, 2], out)].max() > TENSOR_ROUNDING * e.max())
 
-    def at(
+    def compute_tensors(
         self, places: np.ndarray, elements: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Compute stiffness, coupling and permittivity at n places.
@@ -223,7 +223,7 @@ class Material(EqualByContent):
         """
         if self.local_axes is None:
             return self.C[None], self.e[None], self.eps_S[None]
-        R = self.local_axes.frames(places, elements)
+        R = self.local_axes.compute_rotations(places, elements)
         M, back = compute_bond_matrix(R), R.transpose(0, 2, 1)
         turned = M.transpose(0, 2, 1)
         return M @ self.C @ turned, R @ self.e @ turned, R @ self.eps_S @ back
@@ -251,7 +251,7 @@ class Material(EqualByContent):
         """Piezoelectric strain coefficients (3, 6) [C/N] = [m/V]."""
         return np.linalg.solve(self.C, self.e.T).T
 
-    def rotated(self, R: np.ndarray) -> Material:
+    def rotate(self, R: np.ndarray) -> Material:
         """Return the material rotated by ``R`` (3, 3): axis i then points along ``R[:, i]``.
 
         With Bond's matrix M(R) for stress, the rotated tensors are ``M C M'``, ``R e M'`` and ``R
@@ -266,13 +266,13 @@ class Material(EqualByContent):
             axis=R @ self.axis,
         )
 
-    def poled(self, direction: Sequence[float]) -> Material:
+    def rotate_z_axis(self, direction: Sequence[float]) -> Material:
         """Return the material with its z axis (the poling of a ceramic) along ``direction``.
 
         The material is rotated by the smallest possible angle. If the direction is -z, it is
         rotated by half a turn about x.
         """
-        return self.rotated(compute_poling_rotation(direction))
+        return self.rotate(compute_poling_rotation(direction))
 
 
 def compute_poling_rotation(direction: Sequence[float] | np.ndarray) -> np.ndarray:
@@ -322,9 +322,9 @@ def _convert_to_unit(unit: str, value: object) -> object:
     if isinstance(value, (list, tuple)):
         return list(map(partial(_convert_to_unit, unit), value))
     try:
-        return quantity(value, unit)
+        return convert_quantity(value, unit)
     except UsageError as error:
-        raise invalid_value_error(error.message, error.expected, hint=error.hint) from None
+        raise make_invalid_value_error(error.message, error.expected, hint=error.hint) from None
 
 
 _Tensor: TypeAlias = dict[str, float] | list[list[float]]
@@ -338,7 +338,7 @@ def make_unknown_base_error(name: str, known: Sequence[str]) -> PydanticCustomEr
     """Make the error for a key ``like`` with the ``name`` of an unknown material."""
     expected = f"one of {list_candidates(name, known, 'docs/reference/materials.md')}"
     hint = did_you_mean(name, known) or f'write for example  like = "{known[0]}"'
-    return invalid_value_error("this material does not exist", expected, "like", hint)
+    return make_invalid_value_error("this material does not exist", expected, "like", hint)
 
 
 class MaterialTable(Section):
@@ -361,35 +361,49 @@ class MaterialTable(Section):
 
     like: str | None = Field(
         None,
-        description=("Built-in material whose properties apply where this table has no value"),
+        description=(
+            "Name of a built-in material, whose properties apply where this table states no value"
+        ),
     )
-    density: Density = Field(gt=0)
+    density: Density = Field(gt=0, description="Mass density of the material")
     symmetry: Symmetry | None = Field(
-        None, description="Crystal symmetry of the components, or a point group such as 6mm or 32"
+        None, description="Crystal symmetry of the material, or its point group such as 6mm or 32"
     )
     youngs_modulus: Annotated[_Modulus, _make_component_validator("Pa")] | None = Field(
-        None, description="Young's modulus: one value, or three values along x, y and z"
+        None,
+        description=(
+            "Young's modulus of the material: one value, or three values along x, y and z"
+        ),
     )
     poisson_ratio: Annotated[float | dict[str, float], _make_component_validator("")] | None = (
         Field(
             None,
-            description="Poisson's ratio: one value, or the three values nu_xy, nu_yz and nu_xz",
+            description=(
+                "Poisson's ratio of the material: one value, or the three ratios nu_xy, nu_yz "
+                "and nu_xz"
+            ),
         )
     )
     shear_modulus: Annotated[dict[str, float], _make_component_validator("Pa")] | None = Field(
-        None, description="Shear moduli g_yz, g_xz and g_xy, required with three Young's moduli"
+        None,
+        description=(
+            "Shear moduli g_yz, g_xz and g_xy of an orthotropic material, required if three "
+            "Young's moduli are stated"
+        ),
     )
     stiffness: Annotated[_Tensor, _make_component_validator("Pa")] | None = Field(
-        None, description="Stiffness components c11, c12, … at constant electric field"
+        None, description="Elastic stiffness components c11, c12, … at constant electric field"
     )
     compliance: Annotated[_Tensor, _make_component_validator("1/Pa")] | None = Field(
-        None, description="Compliance components s11, s12, … at constant electric field"
+        None, description="Elastic compliance components s11, s12, … at constant electric field"
     )
     stress_coupling: Annotated[_Tensor, _make_component_validator("C/m2")] | None = Field(
-        None, description="Piezoelectric components e31, e33, … (stress per electric field)"
+        None,
+        description="Piezoelectric stress coefficients e31, e33, … (stress per electric field)",
     )
     strain_coupling: Annotated[_Tensor, _make_component_validator("C/N")] | None = Field(
-        None, description="Piezoelectric components d31, d33, … (strain per electric field)"
+        None,
+        description="Piezoelectric strain coefficients d31, d33, … (strain per electric field)",
     )
     permittivity: Annotated[_Tensor, _make_component_validator("")] | None = Field(
         None, description="Relative permittivity components eps11, eps22 and eps33"
@@ -397,38 +411,59 @@ class MaterialTable(Section):
     permittivity_at: Literal["stress", "strain"] | None = Field(
         None,
         description=(
-            "Quantity that was constant when the permittivity was measured; stress (T) in most "
-            "data sheets"
+            "Quantity that was constant while the permittivity was measured: stress, as in "
+            "most data sheets, or strain"
         ),
     )
     conductor: bool = Field(
         False,
-        description=("Whether the material is a conductor, whose faces can be electrodes"),
+        description=(
+            "Whether the material is an electrical conductor, so that its faces can be electrodes"
+        ),
     )
     quality: Ratio | None = Field(
-        None, gt=0, description="Mechanical Q factor, used if damping.per_material is true"
+        None,
+        gt=0,
+        description="Mechanical Q factor of the material, used if damping.per_material is true",
     )
     loss_tangent: Ratio | None = Field(
-        None, ge=0, description="Dielectric loss tangent, used if damping.per_material is true"
+        None,
+        ge=0,
+        description=(
+            "Dielectric loss tangent of the material, used if damping.per_material is true"
+        ),
     )
     tensile_strength: Pressure | None = Field(
         None, gt=0, description="Largest principal stress that the material withstands"
     )
     depoling_field: Annotated[float, si("V/m")] | None = Field(
-        None, gt=0, description="Largest electric field in the direction opposite to the poling"
+        None,
+        gt=0,
+        description=(
+            "Largest electric field that the material withstands in the direction opposite "
+            "to its poling"
+        ),
     )
     breakdown_field: Annotated[float, si("V/m")] | None = Field(
-        None, gt=0, description="Largest electric field in any direction"
+        None,
+        gt=0,
+        description="Largest electric field that the material withstands in any direction",
     )
     residual_stress: tuple[Pressure, Pressure, Pressure] | None = Field(
         None,
-        description="Residual stress along x, y and z of the body, in equilibrium with "
-        "the forces of its supports",
+        description=(
+            "Residual normal stresses of the body at rest along x, y and z, in equilibrium "
+            "with the forces of its supports"
+        ),
     )
-    source: str = Field("", description="Reference for all values of this table")
+    source: str = Field(
+        "", description="Literature reference for all values of this material table"
+    )
     sources: dict[str, str] = Field(
         default_factory=dict,
-        description="References for single properties, by the key of the property",
+        description=(
+            "Literature references for single properties, each under the key of the property"
+        ),
     )
 
     @model_validator(mode="before")
@@ -460,13 +495,13 @@ class MaterialTable(Section):
             hint = 'add  youngs_modulus = "100 GPa"  and  poisson_ratio = 0.3'
             if stated:
                 hint = f"delete {' and '.join(stated[1:])}"
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 "the material needs exactly one of youngs_modulus, stiffness, compliance",
                 None,
                 hint=hint,
             )
         if self.stress_coupling is not None and self.strain_coupling is not None:
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 "stress_coupling and strain_coupling cannot be combined",
                 None,
                 hint="delete strain_coupling, because both contain the same constants",
@@ -477,20 +512,20 @@ class MaterialTable(Section):
             line = 'permittivity_at = "stress"' if self.permittivity is not None else (
                 "permittivity = { eps11 = 1700, eps33 = 1800 }"
             )  # fmt: skip
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 f"the key {missing} of this piezoelectric material is missing",
                 None,
                 hint=f"add  {line}  with the values of the data sheet",
             )
         if coupled and self.conductor:
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 "a material with conductor = true cannot have piezoelectric constants",
                 None,
                 hint="delete conductor",
             )
         unknown = set(self.sources) - set(type(self).model_fields)
         if unknown:
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 f"sources contains unknown keys: {', '.join(sorted(unknown))}",
                 None,
                 hint=did_you_mean(min(unknown), type(self).model_fields)
@@ -498,7 +533,7 @@ class MaterialTable(Section):
             )
         return self
 
-    def build(self, name: str) -> Material:
+    def build_material(self, name: str) -> Material:
         """Build the material ``name`` from the constants, with tensors in stress-charge form.
 
         Raises
@@ -729,6 +764,7 @@ def _require_positive_definite(matrix: np.ndarray, key: str, hint: str | None = 
 
 @cache
 def _load_tables() -> dict[str, dict[str, Any]]:
+    """Return the material tables of the library file, keyed by name."""
     return tomllib.loads((Path(__file__).parent / "materials.toml").read_text("utf-8"))
 
 
@@ -741,10 +777,10 @@ def _list_library_names() -> dict[str, str]:
 @cache
 def _load_material(name: str) -> Material:
     """Return the library material with this ``name``."""
-    return MaterialTable.model_validate(_load_tables()[name]).build(name)
+    return MaterialTable.model_validate(_load_tables()[name]).build_material(name)
 
 
-def material(
+def find_material(
     name_or_table: str | Mapping[str, Any] | Material, where: str = "material"
 ) -> Material:
     """Return the material with a name in the library, or the material of a table.
@@ -758,9 +794,9 @@ def material(
     if isinstance(name_or_table, Material):
         return name_or_table
     if isinstance(name_or_table, Mapping):
-        table = validate(MaterialTable, name_or_table, where)
+        table = validate_table(MaterialTable, name_or_table, where)
         with name_part_in_errors(where):
-            return table.build(where.rsplit(".", 1)[-1])
+            return table.build_material(where.rsplit(".", 1)[-1])
     if name_or_table.lower() not in _list_library_names():
         names = list(_load_tables())
         expected = f"one of {list_candidates(name_or_table, names, 'docs/reference/materials.md')}"

@@ -74,7 +74,7 @@ def extract_mesh(
     return arrays
 
 
-def measure_box(file: str) -> dict[str, np.ndarray]:
+def measure_bounding_box(file: str) -> dict[str, np.ndarray]:
     """Return the array ``box`` (2, 3): opposite corners of the bounding box of a file's mesh.
 
     The corners are in the unit of the file, and in mm for a STEP file.
@@ -98,6 +98,7 @@ def _merge_file(gmsh: ModuleType, file: str, dimension: int) -> None:
 
 
 def _collect_arrays(gmsh: ModuleType, dimension: int, where: str) -> dict[str, np.ndarray]:
+    """Return the mesh in the current gmsh model as named arrays."""
     tags, coordinates, _ = gmsh.model.mesh.getNodes()
     order = np.argsort(tags)
     ranked = tags[order]

@@ -85,11 +85,11 @@ class CellBlock:
         return self.nodes[:, : self.corners]
 
     @property
-    def is_product(self) -> bool:
+    def is_tensor_product(self) -> bool:
         """Whether the elements are quadrilaterals or hexahedra."""
         return self.corners == 2**self.dimension
 
-    def renumber(self, number: np.ndarray) -> CellBlock:
+    def renumber_nodes(self, number: np.ndarray) -> CellBlock:
         """Return the block with each node replaced by its new number in ``number`` (n,)."""
         return CellBlock(number[self.nodes], self.corners, self.local)
 
@@ -115,7 +115,7 @@ class CellBlock:
 
 def is_product_mesh(blocks: Sequence[CellBlock]) -> bool:
     """Return whether all elements are quadrilaterals, or all elements are hexahedra."""
-    return bool(blocks) and all(block.is_product for block in blocks)
+    return bool(blocks) and all(block.is_tensor_product for block in blocks)
 
 
 def reject_folded_elements(points: np.ndarray, blocks: Sequence[CellBlock], where: str) -> None:
@@ -157,6 +157,7 @@ def divide_faces(faces: np.ndarray) -> np.ndarray:
 
 
 def _rotate_to_lowest_node(faces: np.ndarray) -> np.ndarray:
+    """Rotate the node order of each face so that its lowest node comes first."""
     order = (faces.argmin(axis=1)[:, None] + np.arange(faces.shape[1])) % faces.shape[1]
     return np.take_along_axis(faces, order, axis=1)
 
@@ -266,9 +267,10 @@ def make_quadratic_mesh(
 def _make_simplex_mesh(
     points: np.ndarray, blocks: Sequence[CellBlock]
 ) -> tuple[Mesh, np.ndarray, np.ndarray]:
+    """Make a mesh of the triangles or tetrahedra into which ``blocks`` are divided."""
     corners, parent = divide_cells(blocks)
     vertices, cells = np.unique(corners, return_inverse=True)
-    number = _invert_numbers(vertices, len(points))
+    number = _index_vertices(vertices, len(points))
     kind, curved = SIMPLEX_MESHES[points.shape[1]]
     mesh = curved.from_mesh(kind(points[vertices].T.copy(), cells.reshape(corners.shape).T.copy()))
     places = mesh.doflocs.copy()
@@ -281,6 +283,7 @@ def _make_simplex_mesh(
 def _make_product_mesh(
     points: np.ndarray, blocks: Sequence[CellBlock]
 ) -> tuple[Mesh, np.ndarray, np.ndarray]:
+    """Make the mesh of the quadrilaterals or hexahedra in ``blocks``."""
     dimension = points.shape[1]
     kind, curved = PRODUCT_MESHES[dimension]
     corners = np.concatenate([block.vertices for block in blocks])
@@ -299,7 +302,7 @@ def _make_product_mesh(
         places[:, columns] = np.einsum(
             "il,eld->die", _compute_interpolation_weights(block), points[block.nodes]
         )
-    number = _invert_numbers(vertices, len(points))
+    number = _index_vertices(vertices, len(points))
     return curved(places, mesh.t), number, np.arange(len(corners))
 
 
@@ -329,7 +332,8 @@ def _compute_interpolation_weights(block: CellBlock) -> np.ndarray:
     return result
 
 
-def _invert_numbers(vertices: np.ndarray, count: int) -> np.ndarray:
+def _index_vertices(vertices: np.ndarray, count: int) -> np.ndarray:
+    """Return the index in ``vertices`` of each number below ``count``; -1 if absent."""
     number = np.full(count, -1)
     number[vertices] = np.arange(len(vertices))
     return number

@@ -27,7 +27,7 @@ from skfem.mesh import Mesh
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError, list_candidates, unknown, wrong
 from kc2spice.core.files import suggest_file
-from kc2spice.core.quantities import quantity
+from kc2spice.core.quantities import convert_quantity
 from kc2spice.core.untrusted_files import call_in_child, read_bounded
 from kc2spice.fem.mesh_cells import (
     CellBlock,
@@ -99,7 +99,7 @@ class GroupedMesh:
     groups: Mapping[str, Group]
     numbers: np.ndarray
 
-    def group(self, name: str, where: str, *codimensions: int) -> Group:
+    def get_group(self, name: str, where: str, *codimensions: int) -> Group:
         """Return the group ``name``, which must have one of the ``codimensions``.
 
         ``where`` is the scene key that contains the name of the group.
@@ -210,7 +210,7 @@ def find_length_unit(path: Path, unit: str | None) -> float:
     """
     if path.suffix.lower() in STEP_SUFFIXES or unit is not None:
         try:
-            return quantity(f"1 {unit or 'mm'}", "m", where="unit")
+            return convert_quantity(f"1 {unit or 'mm'}", "m", where="unit")
         except UsageError as error:
             near = re.search(r'"1 (\w+)"', error.hint or "")
             hint = f'write  unit = "{near[1] if near else "mm"}"'
@@ -221,16 +221,17 @@ def find_length_unit(path: Path, unit: str | None) -> float:
             raise wrong("unit", problem, repr(unit), accepted, hint) from error
     sides = measure_extent(path)
 
-    def in_millimetres(scale: float) -> str:
+    def format_sides(scale: float) -> str:
+        """Return the side lengths, multiplied by ``scale`` to millimetres, as text."""
         return " x ".join(f"{float(f'{scale * side:.4g}'):.12g}" for side in sides)
 
     sizes = (
-        f'"{name}" if it is {in_millimetres(1e3 * quantity(f"1 {name}", "m"))} mm'
+        f'"{name}" if it is {format_sides(1e3 * convert_quantity(f"1 {name}", "m"))} mm'
         for name in LENGTH_UNITS_ACCEPTED
     )
     problem = f"a {path.suffix} file does not state its unit of length"
     hint = 'add  unit = "mm"  below mesh, if the size in mm is right'
-    got = f"a body of {in_millimetres(1.0)} in the unit of the file"
+    got = f"a body of {format_sides(1.0)} in the unit of the file"
     raise wrong("unit", problem, got, ", ".join(sizes), hint)
 
 
@@ -246,7 +247,7 @@ def measure_extent(path: Path) -> np.ndarray:
     ------
     UsageError : the file is missing, or its format does not match its suffix.
     """
-    low, high = _call_gmsh("measure_box", path, _read_content(path))["box"]
+    low, high = _call_gmsh("measure_bounding_box", path, _read_content(path))["box"]
     return np.asarray(high - low)
 
 
@@ -259,6 +260,7 @@ def _call_gmsh(function: str, path: Path, data: bytes, **request: Any) -> dict[s
     file = FILE_FORMATS[path.suffix.lower()][1]
 
     def write_copy(home: Path) -> None:
+        """Write a copy of the mesh file to the folder ``home``."""
         (home / file).write_bytes(data)
 
     request = {**request, "file": file}
@@ -348,7 +350,7 @@ def _read_content(path: Path) -> bytes:
     if path.suffix.lower() in STEP_SUFFIXES and b"DOCUMENT_FILE" in _STEP_STRING_OR_COMMENT.sub(
         b"", data
     ):
-        hint = "export it without external references"
+        hint = f"export {path.name} without external references"
         expected = "one file with all solids"
         raise wrong(str(path), "this file refers to other files", "DOCUMENT_FILE", expected, hint)
     return data
@@ -385,7 +387,7 @@ def _assemble_mesh(
     same = np.arange(len(points))
     if merge:
         same = merge_nodes(points, blocks, merge)
-        blocks = [block.renumber(same) for block in blocks]
+        blocks = [block.renumber_nodes(same) for block in blocks]
     if merge != 0:
         owners = {name: arrays[f"group{k}"] for k, (name, d) in enumerate(record) if d == dimension}
         reject_unconnected_solids(points, blocks, owners, where)
@@ -402,9 +404,9 @@ def _assemble_mesh(
             if d == 2 and not is_product_mesh(blocks):
                 members = divide_faces(members)
             facets = find_columns(mesh.facets, number[members])
-            groups[name] = Group(1, np.unique(_require_on_body(facets, name)))
+            groups[name] = Group(1, np.unique(_require_entities_on_body(facets, name)))
         else:
-            ends = _require_on_body(number[members], name)
+            ends = _require_entities_on_body(number[members], name)
             length = np.linalg.norm(points[members[:, 0]] - points[members[:, -1]], axis=1)
             groups[name] = Group(dimension - d, *_compute_node_weights(mesh, ends, length, name))
     return GroupedMesh(mesh, groups, arrays["numbers"][parent])
@@ -438,7 +440,7 @@ def _compute_node_weights(
     nodes, weights = ends.ravel(), np.ones(len(ends))
     if ends.shape[1] == 2:
         middle = find_edge_nodes(mesh, ends)
-        _require_on_body(middle - mesh.nvertices, name)
+        _require_entities_on_body(middle - mesh.nvertices, name)
         nodes = np.concatenate([*ends.T, middle])
         weights = np.concatenate([length, length, 4 * length]) / 6  # weights of Simpson's rule
     unique, place = np.unique(nodes, return_inverse=True)
@@ -446,8 +448,8 @@ def _compute_node_weights(
     return unique, total / (total.sum() or 1.0)
 
 
-def _require_on_body(places: np.ndarray, name: str) -> np.ndarray:
-    """Return the indices ``places`` of a group's entities, if all entities are on the body.
+def _require_entities_on_body(places: np.ndarray, name: str) -> np.ndarray:
+    """Return the indices of a group's entities; reject entities outside of the body.
 
     An entity that is not on the body has the index -1, which raises an error.
     """

@@ -62,10 +62,10 @@ def compute_energy_products(solid: Solid, u: np.ndarray, phi: np.ndarray) -> Ene
 
     The solutions are displacements ``u`` (d nodes, k) [m] and potentials ``phi`` (nodes, k) [V].
     """
-    patches = _Patches.fit(solid, u, phi)
+    patches = _PatchPolynomials.fit_patches(solid, u, phi)
     k = u.shape[1]
     solution, error, spread = np.zeros((3, k, k))
-    for cells in _split_chunks(solid.mesh.nelements):
+    for cells in _split_range(solid.mesh.nelements):
         basis = solid.basis(elements=cells)
         places = np.moveaxis(np.asarray(basis.global_coordinates()), 0, -1)
         energy = np.zeros((len(cells), k, k))
@@ -85,7 +85,7 @@ def compute_energy_products(solid: Solid, u: np.ndarray, phi: np.ndarray) -> Ene
     return EnergyProducts(solution, error, spread)
 
 
-def _split_chunks(count: int) -> Iterator[np.ndarray]:
+def _split_range(count: int) -> Iterator[np.ndarray]:
     """Yield the numbers from 0 to ``count - 1`` in arrays of at most :data:`CHUNK_SIZE` numbers."""
     return (
         np.arange(start, min(start + CHUNK_SIZE, count)) for start in range(0, count, CHUNK_SIZE)
@@ -101,7 +101,7 @@ def _evaluate_fields(
     the strains, and rows 6 to 8 the electric field, multiplied by the coupling factor of the
     material.
     """
-    d, nodes = solid.components, basis.element_dofs.T
+    d, nodes = solid.component_count, basis.element_dofs.T
     moves = (d * nodes[:, :, None] + np.arange(d)).reshape(len(nodes), -1)
     factor = -_compute_coupling_factors(solid)[solid.owner[cells], None, None]
     for _, B, G in list_strain_operators(solid, basis):
@@ -135,7 +135,7 @@ def _list_energy_matrices(
             members = owner == number
             C, e, eps = (item if len(item) == 1 else item[members] for item in next(each))
             H[members, :6, :6] = C
-            if material.piezoelectric or material.dielectric:
+            if material.is_piezoelectric or material.dielectric:
                 e, eps = e / factors[number], eps / factors[number] ** 2
                 H[members, 6:, :6], H[members, :6, 6:], H[members, 6:, 6:] = (
                     -e,
@@ -169,7 +169,7 @@ def _evaluate_monomials(x: np.ndarray, degree: int) -> tuple[np.ndarray, np.ndar
 
 
 @dataclass(frozen=True, eq=False)
-class _Patches:
+class _PatchPolynomials:
     """Polynomials that are fitted to strain and electric field in patches of elements.
 
     A patch consists of the elements around a corner of the mesh. The position of this corner is the
@@ -185,7 +185,7 @@ class _Patches:
     degree: int
 
     @staticmethod
-    def fit(solid: Solid, u: np.ndarray, phi: np.ndarray) -> _Patches:
+    def fit_patches(solid: Solid, u: np.ndarray, phi: np.ndarray) -> _PatchPolynomials:
         """Fit polynomials to the strain and electric field in all patches."""
         degree = solid.order
         places, samples = _sample_fields(solid, u, phi, solid.order)
@@ -198,7 +198,7 @@ class _Patches:
         mean = np.trace(sums, axis1=1, axis2=2) / len(degrees)
         sums += RIDGE_PENALTY * mean[:, None, None] * np.diag(degrees**2)
         coefficients = np.linalg.solve(sums, right)
-        return _Patches(number, middle, size, coefficients, degree)
+        return _PatchPolynomials(number, middle, size, coefficients, degree)
 
     def evaluate(self, cells: np.ndarray, at: np.ndarray, hats: np.ndarray) -> np.ndarray:
         """Return the recovered strains and electric fields at one point of each element.
@@ -226,7 +226,7 @@ def _sample_fields(
     shape (elements, points, 9 k).
     """
     places, values = [], []
-    for cells in _split_chunks(solid.mesh.nelements):
+    for cells in _split_range(solid.mesh.nelements):
         basis = solid.basis(order, elements=cells)
         places.append(np.moveaxis(np.asarray(basis.global_coordinates()), 0, -1))
         fields = np.stack([*_evaluate_fields(solid, basis, cells, u, phi)], axis=1)
@@ -245,12 +245,12 @@ def _number_patches(solid: Solid) -> tuple[np.ndarray, np.ndarray]:
     names = np.array([material.name for material in solid.materials])
     label = solid.owner if solid.order == 2 else names[solid.owner]
     alike = label[first] == label[second]
-    n, nodes = solid.mesh.nelements, solid.places.shape[1]
+    n, nodes = solid.mesh.nelements, solid.node_positions.shape[1]
     links = sparse.coo_array((np.ones(alike.sum()), (first[alike], second[alike])), shape=(n, n))
     piece = connected_components(links, directed=False)[1]
     corners = solid.basis(1).element_dofs[: solid.mesh.t.shape[0]].T
     known, number = np.unique(piece[:, None] * nodes + corners, return_inverse=True)
-    return number.reshape(corners.shape), solid.places[:, known % nodes].T
+    return number.reshape(corners.shape), solid.node_positions[:, known % nodes].T
 
 
 def _assign_patch_elements(number: np.ndarray, count: int) -> sparse.csr_array:
@@ -279,7 +279,7 @@ def _assemble_normal_equations(
     values`` (patches, terms, 9 k).
     """
     sizes, sums, rights = [], [], []
-    for chosen in _split_chunks(len(middle)):
+    for chosen in _split_range(len(middle)):
         start, end = members.indptr[chosen[0]], members.indptr[chosen[-1] + 1]
         elements = members.indices[start:end]
         counts = np.diff(members.indptr[chosen[0] : chosen[-1] + 2])

@@ -87,16 +87,16 @@ class Solid:
         determinant = self.mesh.mapping().detDF(self.basis(2).X)
         flipped = (determinant.min(axis=1) <= 0) & (determinant.max(axis=1) >= 0)
         if flipped.any():
-            expected = "Jacobian determinants of one sign"
+            expected = "a Jacobian determinant of one sign in each element"
             problem = "some elements have a negative volume"
             hint = "repair or refine the mesh"
-            raise wrong("mesh", problem, f"{flipped.sum()} of them", expected, hint)
+            raise wrong("mesh", problem, f"{flipped.sum()} elements", expected, hint)
         for material in self.materials if self.axisymmetric else ():
-            if material.local_axes is not None and material.couples_planes:
+            if material.local_axes is not None and material.has_out_of_plane_coupling:
                 problem = "this material twists an axisymmetric body under a voltage"
                 hint = 'use a mesh in three dimensions (part = "body" without axisymmetric)'
                 raise wrong(None, problem, material.name, "a poling in the plane of the mesh", hint)
-            if material.local_axes is None and not material.isotropic_about_z:
+            if material.local_axes is None and not material.is_isotropic_about_z:
                 problem = "an axisymmetric body needs materials that are isotropic about its axis"
                 hint = 'use a mesh in three dimensions (part = "body"), or give the average in the '
                 hint += 'plane; poling = { GROUP = "radial" } is that of a ring poled radially'
@@ -108,12 +108,12 @@ class Solid:
             raise wrong("mesh", problem, got, "x (the radius) of at least 0", hint)
 
     @property
-    def components(self) -> int:
+    def component_count(self) -> int:
         """Number d of displacement components."""
         return self.mesh.dim()
 
     @property
-    def axes(self) -> np.ndarray:
+    def axis_indices(self) -> np.ndarray:
         """Indices of the mesh coordinates among x, y and z."""
         return _COORDINATE_AXES[self.mesh.dim()]
 
@@ -130,7 +130,7 @@ class Solid:
         return skfem.ElementQuad2() if isinstance(mesh, MeshQuad) else skfem.ElementTriP2()
 
     @property
-    def quadrature(self) -> int:
+    def quadrature_degree(self) -> int:
         """Polynomial degree to which integration is exact.
 
         This degree is sufficient for the mass matrix of quadratic tetrahedra with straight edges.
@@ -140,14 +140,14 @@ class Solid:
     def basis(self, order: int | None = None, **options: Any) -> skfem.Basis:
         """Return the scalar finite-element basis, whose degrees of freedom are called nodes."""
         if "quadrature" not in options:
-            options["intorder"] = order or self.quadrature
-        return skfem.Basis(self.mesh, self.element, dofs=self._nodes, **options)
+            options["intorder"] = order or self.quadrature_degree
+        return skfem.Basis(self.mesh, self.element, dofs=self._dofs, **options)
 
-    def facet_basis(
+    def make_facet_basis(
         self, facets: np.ndarray, order: int, side: Literal[0, 1] = 0
     ) -> skfem.BoundaryFacetBasis:
         """Return the scalar basis on facets, with shape functions of the element on ``side``."""
-        options: dict[str, Any] = {"facets": facets, "intorder": order, "dofs": self._nodes}
+        options: dict[str, Any] = {"facets": facets, "intorder": order, "dofs": self._dofs}
         if not self.mesh.affine:
             options["mapping"] = FacetMapping(self.mesh, self.mesh.elem(), self.mesh.bndelem)
         if side:
@@ -155,12 +155,13 @@ class Solid:
         return skfem.BoundaryFacetBasis(self.mesh, self.element, **options)
 
     @cached_property
-    def places(self) -> np.ndarray:
+    def node_positions(self) -> np.ndarray:
         """Positions [m] of the nodes, an array of shape (d, nodes)."""
         return np.asarray(self.basis(1).doflocs)
 
     @cached_property
-    def _nodes(self) -> skfem.Dofs | None:
+    def _dofs(self) -> skfem.Dofs | None:
+        """Degrees of freedom with the node ``numbers`` of the solid; None without them."""
         if self.numbers is None:
             return None
         result = skfem.Dofs(self.mesh, self.element)
@@ -173,7 +174,7 @@ class Solid:
 
 
 @dataclass(frozen=True, eq=False)
-class Operators:
+class SolidMatrices:
     """Finite-element matrices of all nodes of a solid without constraints.
 
     The module docstring defines the matrices.
@@ -194,7 +195,7 @@ def list_strain_operators(
     gradients. B (elements, 6, l d) maps nodal displacements to strains.
     """
     local = [function[0] for function in basis.basis]
-    d, axes = solid.components, solid.axes
+    d, axes = solid.component_count, solid.axis_indices
     radius = np.asarray(basis.global_coordinates())[0]
     for q in range(basis.X.shape[-1]):
         value = np.stack([np.broadcast_to(np.asarray(f), basis.dx.shape)[:, q] for f in local], -1)
@@ -228,10 +229,10 @@ def list_tensors(
         if solid.axisymmetric and not by_element:
             yield material.C[None], material.e[None], material.eps_S[None]
         else:
-            yield material.at(places[:, q], elements)
+            yield material.compute_tensors(places[:, q], elements)
 
 
-def _split_chunks(solid: Solid, only: int | None) -> Iterator[tuple[Material, np.ndarray]]:
+def _split_by_material(solid: Solid, only: int | None) -> Iterator[tuple[Material, np.ndarray]]:
     """Yield pairs of a material and a group of at most ``CHUNK_SIZE`` of its elements.
 
     If ``only`` is the number of a material, only this material is yielded.
@@ -243,16 +244,16 @@ def _split_chunks(solid: Solid, only: int | None) -> Iterator[tuple[Material, np
                 yield material, cells[start : start + CHUNK_SIZE]
 
 
-def assemble_solid(solid: Solid, *, only: int | None = None) -> Operators:
+def assemble_solid(solid: Solid, *, only: int | None = None) -> SolidMatrices:
     """Assemble the mass, stiffness, coupling and permittivity matrices of a solid.
 
     Only piezoelectric and dielectric materials contribute to coupling and permittivity. If ``only``
     is the number of a material, the matrices include only the elements of this material.
     """
-    d = solid.components
+    d = solid.component_count
     parts: list[list[tuple[np.ndarray, ...]]] = [[], [], [], []]
-    for material, cells in _split_chunks(solid, only):
-        field = material.piezoelectric or material.dielectric
+    for material, cells in _split_by_material(solid, only):
+        field = material.is_piezoelectric or material.dielectric
         basis = solid.basis(elements=cells)
         weights = basis.dx
         if solid.axisymmetric:
@@ -276,11 +277,11 @@ def assemble_solid(solid: Solid, *, only: int | None = None) -> Operators:
         if field:
             parts[2].append((c, moves, nodes))
             parts[3].append((p, nodes, nodes))
-    n = solid.places.shape[1]
+    n = solid.node_positions.shape[1]
     shapes = ((n, n), (d * n, d * n), (d * n, n), (n, n))
     m, K_uu, K_up, K_pp = (sum_matrices(p, s) for p, s in zip(parts, shapes, strict=True))
     M = sparse.csc_array(sparse.kron(symmetrise(m), np.eye(d)))
-    return Operators(M, symmetrise(K_uu), K_up, symmetrise(K_pp))
+    return SolidMatrices(M, symmetrise(K_uu), K_up, symmetrise(K_pp))
 
 
 def _compute_stress_stiffness(
@@ -292,7 +293,7 @@ def _compute_stress_stiffness(
     u`` for each displacement component u with its test function v and the prestress sigma0. In
     axisymmetric solids, the rotation of the hoop direction adds ``sigma0_y v_r u_r / r^2``.
     """
-    d, sigma = solid.components, np.array(material.residual_stress)
+    d, sigma = solid.component_count, np.array(material.residual_stress)
     item = G.transpose(0, 2, 1) @ (sigma[:, None] * G)
     result = np.einsum("eab,ij->eaibj", item, np.eye(d))
     if solid.axisymmetric:
@@ -311,7 +312,9 @@ def compute_node_shares(
     assumed to be constant.
     """
     basis = (
-        solid.facet_basis(facets, 4) if facets is not None else solid.basis(4, elements=elements)
+        solid.make_facet_basis(facets, 4)
+        if facets is not None
+        else solid.basis(4, elements=elements)
     )
     form = skfem.LinearForm(lambda v, w: v * w.x[0] if solid.axisymmetric else v)
     shares = form.assemble(basis)
@@ -324,7 +327,7 @@ def compute_volume_gradient(solid: Solid, facets: np.ndarray) -> np.ndarray:
     The returned array ``int N n dS`` [m^2] has the shape (d nodes,), with the shape functions N and
     the outward normal n. In axisymmetric solids, the integrals extend over the full turn.
     """
-    basis = solid.facet_basis(facets, FACE_QUADRATURE)
+    basis = solid.make_facet_basis(facets, FACE_QUADRATURE)
     radius = np.asarray(basis.global_coordinates())[0]
     around = 2 * np.pi * radius if solid.axisymmetric else np.ones_like(radius)
     form = skfem.LinearForm(lambda v, w: v * w.weight)
@@ -334,7 +337,7 @@ def compute_volume_gradient(solid: Solid, facets: np.ndarray) -> np.ndarray:
 
 def compute_area(solid: Solid, facets: np.ndarray) -> float:
     """Return the area [m^2] of boundary facets; in axisymmetric solids, over the full turn."""
-    basis = solid.facet_basis(facets, FACE_QUADRATURE)
+    basis = solid.make_facet_basis(facets, FACE_QUADRATURE)
     around = 2 * np.pi * basis.global_coordinates()[0] if solid.axisymmetric else 1.0
     return float((basis.dx * around).sum())
 

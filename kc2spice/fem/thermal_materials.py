@@ -19,9 +19,9 @@ from pydantic import Field, model_validator
 
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, wrong
-from kc2spice.core.key_errors import validate
-from kc2spice.core.quantities import Density, Section, invalid_value_error, si
-from kc2spice.fem.materials import make_unknown_base_error, material
+from kc2spice.core.key_errors import validate_table
+from kc2spice.core.quantities import Density, Section, make_invalid_value_error, si
+from kc2spice.fem.materials import find_material, make_unknown_base_error
 
 Conductivity = Annotated[float, si("W/(m K)")]
 SpecificHeat = Annotated[float, si("J/(kg K)")]
@@ -59,21 +59,28 @@ class ThermalMaterialTable(Section):
     """
 
     like: str | None = Field(
-        None, description="Built-in material whose properties apply where this table has no value"
+        None,
+        description=(
+            "Name of a built-in material, whose properties apply where this table states no value"
+        ),
     )
     density: Density = Field(gt=0, description="Mass density of the material")
-    specific_heat: SpecificHeat = Field(gt=0, description="Specific heat capacity")
+    specific_heat: SpecificHeat = Field(gt=0, description="Specific heat capacity of the material")
     conductivity: Conductivity | tuple[Conductivity, Conductivity, Conductivity] = Field(
-        description="Thermal conductivity: one value, or three values along x, y and z"
+        description=(
+            "Thermal conductivity of the material: one value, or three values along x, y and z"
+        )
     )
     resistance_coefficient: Annotated[float, si("1/K")] | None = Field(
         None,
         description=(
-            "Relative change of the electrical resistance for each kelvin, from the resistance at "
-            "20 degrees Celsius"
+            "Temperature coefficient of the electrical resistance: relative change for each "
+            "kelvin, referred to 20 degrees Celsius"
         ),
     )
-    source: str = Field("", description="Reference for all values of this table")
+    source: str = Field(
+        "", description="Literature reference for all values of this material table"
+    )
 
     @model_validator(mode="before")
     @classmethod
@@ -89,15 +96,15 @@ class ThermalMaterialTable(Section):
     @model_validator(mode="after")
     def _require_positive_conductivity(self) -> ThermalMaterialTable:
         if np.min(self.conductivity) <= 0:
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 "conductivity must be greater than 0",
                 None,
                 hint='write for example  conductivity = "15 W/(m K)"',
             )
         return self
 
-    def build(self, name: str) -> ThermalMaterial:
-        """Return the material of the table, with the name ``name``."""
+    def build_material(self, name: str) -> ThermalMaterial:
+        """Build the thermal material ``name`` from the constants of the table."""
         conductivity = np.broadcast_to(np.asarray(self.conductivity, float), 3).copy()
         return ThermalMaterial(name, self.density, self.specific_heat, conductivity)
 
@@ -114,7 +121,7 @@ def load_thermal_library() -> Mapping[str, Mapping[str, Any]]:
     """Return the material tables of the library, keyed by name; each contains a density."""
     result = {}
     for name, table in _load_tables().items():
-        density = {} if "density" in table else {"density": material(name).density}
+        density = {} if "density" in table else {"density": find_material(name).density}
         result[name] = density | table
     return result
 
@@ -143,11 +150,13 @@ def find_thermal_material(
     401.0 3439205
     """
     if isinstance(name_or_table, Mapping):
-        return validate(ThermalMaterialTable, name_or_table, where).build(where.rpartition(".")[2])
+        return validate_table(ThermalMaterialTable, name_or_table, where).build_material(
+            where.rpartition(".")[2]
+        )
     name = list_thermal_names().get(name_or_table.lower())
     if name is None:
         raise _make_unknown_material_error(name_or_table, where)
-    return ThermalMaterialTable.model_validate(load_thermal_library()[name]).build(name)
+    return ThermalMaterialTable.model_validate(load_thermal_library()[name]).build_material(name)
 
 
 def find_resistance_coefficient(name: str) -> float:
@@ -169,6 +178,7 @@ def find_resistance_coefficient(name: str) -> float:
 
 
 def _make_unknown_material_error(name: str, where: str) -> UsageError:
+    """Return the error for a material that the thermal library does not contain."""
     names = list(_load_tables())
     hint = did_you_mean(name, names)
     hint = hint or 'write a table: { density = …, conductivity = "… W/(m K)", specific_heat = … }'

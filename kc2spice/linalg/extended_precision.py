@@ -73,7 +73,9 @@ class RefinedSolver:
         self._plain = A, E
         self._sides = (ExactMatrix(A), ExactMatrix(E)), (ExactMatrix(A.T), ExactMatrix(E.T))
 
-    def at(self, s: complex, B: np.ndarray, C: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def solve_two_sided(
+        self, s: complex, B: np.ndarray, C: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return ``(A + s E)^-1 B`` and ``(A + s E)^-T C'``.
 
         Raises

@@ -17,7 +17,7 @@ import scipy
 
 from kc2spice.core.errors import MissingToolError, SimulationError, UsageError
 from kc2spice.core.gmsh_session import gmsh_session
-from kc2spice.core.memory import available_bytes
+from kc2spice.core.memory import find_available_bytes
 from kc2spice.linalg.processor import use_fast_kernels
 from kc2spice.linalg.solver import (
     DirectSolver,
@@ -41,7 +41,7 @@ def require_memory(need: float, purpose: str, *, where: str, hint: str) -> None:
     ------
     UsageError : less than ``need`` is free.
     """
-    free = USABLE_MEMORY_SHARE * available_bytes()
+    free = USABLE_MEMORY_SHARE * find_available_bytes()
     if need > free:
         raise UsageError(
             "the model needs more memory than this machine has free",
@@ -73,7 +73,7 @@ def require_memory_for_factors(
     # The computation of the bandwidth would take as long as an assembly of the matrix.
     if (
         get_supplied_solver() is not None
-        or size * FILL_FACTOR * rows**1.5 <= USABLE_MEMORY_SHARE * available_bytes()
+        or size * FILL_FACTOR * rows**1.5 <= USABLE_MEMORY_SHARE * find_available_bytes()
     ):
         return
     pattern = scipy.sparse.csr_array(abs(matrix))
@@ -302,9 +302,9 @@ def factorise_quasi_definite(matrix: scipy.sparse.csc_array) -> Factor:
         trial = np.random.default_rng(0).standard_normal(matrix.shape[0])
         try:
             # imported here, because it loads scipy.linalg
-            from kc2spice.linalg.quasidefinite import QuasiDefinite
+            from kc2spice.linalg.quasidefinite import QuasiDefiniteFactor
 
-            apply = QuasiDefinite(matrix, minus, _group_unknowns(matrix)[0], order).solve
+            apply = QuasiDefiniteFactor(matrix, minus, _group_unknowns(matrix)[0], order).solve
             factor = Factor(matrix, apply, order, negative=int(minus.sum()))
             factor.solve(trial)
             return factor
@@ -338,9 +338,9 @@ def factorise_two_sided(matrix: scipy.sparse.csc_array, *, symmetric: bool) -> P
             return forward, Factor(scipy.sparse.csc_array(matrix.T), transposed)
         except (RuntimeError, MemoryError, SimulationError) as error:
             reason = error
-    text = reason.message if isinstance(reason, SimulationError) else str(reason)
+    cause = reason.message if isinstance(reason, SimulationError) else str(reason)
     raise SimulationError(
-        "the matrix of the equations cannot be factorised", where="direct solver", got=text
+        "the matrix of the equations cannot be factorised", where="direct solver", got=cause
     )
 
 

@@ -184,4 +184,6 @@ def _load_library() -> ctypes.CDLL:
             return ctypes.CDLL(path)
         except OSError as error:
             problem, got = "PARDISO cannot be loaded", str(error)
-    raise MissingToolError(problem, where="solver", got=got, hint=OPTIONAL_LIBRARIES["mkl"].install)
+    raise MissingToolError(
+        problem, where="solver", got=got, hint=OPTIONAL_LIBRARIES["mkl"].installation_command
+    )

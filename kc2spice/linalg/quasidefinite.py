@@ -63,7 +63,7 @@ class ColumnPanel:
     below: np.ndarray
 
 
-class QuasiDefinite:
+class QuasiDefiniteFactor:
     """Factor ``L D L'`` of a quasi-definite matrix.
 
     Parameters
@@ -179,14 +179,14 @@ def _eliminate_pivots(panel: np.ndarray, remainder: np.ndarray, minus: np.ndarra
     Y, Z = below[:, head], below[:, tail]
     if positive:
         Y[:] = dtrsm(1.0, S, Y, side=1, lower=1, trans_a=1)
-        _subtract_square(remainder, Y, 1.0)
+        _subtract_outer_product(remainder, Y, 1.0)
     if positive < count:
         W = triangle[tail, head]
         if positive:
             W[:] = dtrsm(1.0, S, block[tail, head], side=1, lower=1, trans_a=1)
         triangle[tail, tail] = T = _compute_cholesky_factor(W @ W.T - block[tail, tail])
         Z[:] = dtrsm(1.0, T, Y @ W.T - Z, side=1, lower=1, trans_a=1)
-        _subtract_square(remainder, Z, -1.0)
+        _subtract_outer_product(remainder, Z, -1.0)
     return ColumnPanel(turn, positive, triangle, below)
 
 
@@ -200,7 +200,7 @@ def _compute_cholesky_factor(matrix: np.ndarray) -> np.ndarray:
     return np.asarray(factor)
 
 
-def _subtract_square(matrix: np.ndarray, columns: np.ndarray, sign: float) -> None:
+def _subtract_outer_product(matrix: np.ndarray, columns: np.ndarray, sign: float) -> None:
     """Subtract ``sign columns columns'`` from the lower triangle of a matrix in place."""
     if matrix.size and columns.size:
         result = dsyrk(-sign, columns, beta=1.0, c=matrix, lower=1, overwrite_c=1)

@@ -16,14 +16,14 @@ import numpy as np
 
 from kc2spice.core.errors import Kc2spiceError, SimulationError, UsageError, unknown
 
-HOW = (
+_SUPPORTED_SOLVERS = (
     "'pardiso', or a function of one sparse matrix that returns an object with solve(rhs), such as "
     "scipy.sparse.linalg.splu"
 )
 
 
 class Factorisation(Protocol):
-    """A factorised matrix A.
+    """Interface of a factorised matrix A that a direct solver returns.
 
     The optional attribute ``negative_eigenvalues`` is the number of negative eigenvalues of a real
     symmetric matrix, which equals the number of negative pivots of its LDL' factor.
@@ -66,7 +66,7 @@ def use_solver(solver: DirectSolver | str | None) -> Iterator[None]:
             "this object is not a direct solver",
             where="solver",
             got=got,
-            expected=HOW,
+            expected=_SUPPORTED_SOLVERS,
             hint="omit the argument solver to use the built-in solvers",
         )
     token = _supplied.set(solver)
@@ -105,7 +105,10 @@ def factorise_with_solver(solver: DirectSolver, matrix: Any) -> Factorisation:
     if not callable(getattr(factor, "solve", None)):
         got = f"{type(factor).__name__} without a method solve"
         raise UsageError(
-            "the solver did not return a factorised matrix", where="solver", got=got, expected=HOW
+            "the solver did not return a factorised matrix",
+            where="solver",
+            got=got,
+            expected=_SUPPORTED_SOLVERS,
         )
     return factor
 
@@ -147,5 +150,5 @@ def _call_user_function(function: Callable[[Any], Any], argument: Any) -> Any:
             "the direct solver ended with an error",
             where="solver",
             got=f"{type(error).__name__}: {error}",
-            expected=HOW,
+            expected=_SUPPORTED_SOLVERS,
         ) from error

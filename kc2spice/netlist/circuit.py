@@ -9,7 +9,7 @@ from functools import cached_property
 from typing import TypeVar
 
 from kc2spice.core.errors import UsageError
-from kc2spice.netlist.expression import Tree, parse_expression, probed_names
+from kc2spice.netlist.expression import Tree, find_probed_names, parse_expression
 from kc2spice.netlist.spelling import format_number
 
 SMALLEST_POSITIVE = 1e-30  # smallest accepted value of a parameter that must be positive
@@ -45,7 +45,7 @@ class Card:
         """Name of the file that contains the statement."""
         return self.where.rpartition(":")[0]
 
-    def error(
+    def make_error(
         self, message: str, got: str = "", expected: str | None = None, hint: str | None = None
     ) -> UsageError:
         """Return an error about this card, which quotes ``got`` or by default the whole card."""
@@ -76,7 +76,7 @@ class Element(Card):
     unit: str = field(default="", compare=False)
 
     @classmethod
-    def of(cls, name: str, *words: str | float, **parameters: str) -> Element:
+    def from_words(cls, name: str, *words: str | float, **parameters: str) -> Element:
         """Make an element from its name and the words and assignments of its card.
 
         Parameters
@@ -108,7 +108,9 @@ class Element(Card):
         return cls(kind, name, nodes, sources, model, values, parameters)
 
     @classmethod
-    def behaviour(cls, name: str, plus: str, minus: str, quantity: str, law: str) -> Element:
+    def behavioural_source(
+        cls, name: str, plus: str, minus: str, quantity: str, law: str
+    ) -> Element:
         """Return the behavioural source whose current I or voltage V is an expression."""
         return cls("b", name, (plus, minus), quantity=quantity, expression=law)
 
@@ -122,7 +124,7 @@ class Element(Card):
         return self.name.lower()
 
     @cached_property
-    def ends(self) -> tuple[str, ...]:
+    def lower_case_nodes(self) -> tuple[str, ...]:
         """Nodes in lower case, as simulators compare nodes."""
         return tuple(map(str.lower, self.nodes))
 
@@ -145,13 +147,13 @@ class Element(Card):
     def sensed_nodes(self) -> frozenset[str]:
         """Nodes whose voltages occur in the expression; empty if the expression is invalid."""
         try:
-            return probed_names(self.law, "v") if self.quantity else frozenset()
+            return find_probed_names(self.law, "v") if self.quantity else frozenset()
         except UsageError:  # the check of the netlist reports an invalid expression
             return frozenset()
 
 
 @dataclass(frozen=True)
-class Model(Card):
+class ModelCard(Card):
     """Statement ``.model`` with a name, a type and parameters."""
 
     name: str
@@ -168,7 +170,7 @@ class Parameters(Card):
 
 
 @dataclass(frozen=True)
-class Function(Card):
+class FunctionCard(Card):
     """Statement ``.func``: name, arguments and expression of a function."""
 
     name: str
@@ -219,7 +221,7 @@ class Circuit(Card):
         return replace(self, items=tuple(map(change, inner)))
 
 
-Item = Element | Model | Parameters | Function | Directive | Circuit
+Item = Element | ModelCard | Parameters | FunctionCard | Directive | Circuit
 Kind = TypeVar("Kind")
 Value = TypeVar("Value")
 
@@ -264,11 +266,11 @@ class Param:
     high: float = math.inf
 
 
-def electrical_pins(names: Iterable[str]) -> tuple[Pin, ...]:
+def make_electrical_pins(names: Iterable[str]) -> tuple[Pin, ...]:
     """Return electrical pins: 1 V represents 1 V, and 1 A represents 1 A."""
     return tuple(Pin(name, "V", "A") for name in names)
 
 
-def positive_parameter(name: str, default: float, unit: str, doc: str) -> Param:
+def make_positive_parameter(name: str, default: float, unit: str, doc: str) -> Param:
     """Return a parameter whose value must be positive."""
     return Param(name, default, unit, doc, low=SMALLEST_POSITIVE)

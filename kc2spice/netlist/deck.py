@@ -13,7 +13,6 @@ from typing import Any
 from kc2spice.core.domains import describe_units
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.circuit import Circuit, Directive, Element, Item, select_items
-from kc2spice.netlist.elements import Line, attach_comments
 from kc2spice.netlist.expression import literal_value, split_terms
 from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.powers import PowerTerm
@@ -21,6 +20,7 @@ from kc2spice.netlist.printers.ngspice import Printer, locate_cards
 from kc2spice.netlist.read import OPTION_CARDS, read_cards
 from kc2spice.netlist.scope import Scope
 from kc2spice.netlist.scope import build_scope as scoped
+from kc2spice.netlist.shared_cards import Line, attach_comments
 from kc2spice.netlist.spelling import format_comment, format_number, format_rounded
 
 ANALYSES = frozenset((".tran", ".ac", ".dc", ".op", ".noise"))
@@ -59,7 +59,7 @@ MAX_POINTS_PER_DECADE = 2**31 - 1  # simulators store the number of points per d
 
 
 @dataclass(frozen=True)
-class Command:
+class AnalysisCommand:
     """Analysis command: the kind of the analysis, and the words after it on its card."""
 
     kind: str
@@ -77,8 +77,8 @@ class Command:
 
 
 @dataclass(frozen=True)
-class Measure:
-    """Card ``.meas`` for an analysis of the ``kind``, with the conversion factor to SI units.
+class MeasureCard:
+    """Card ``.meas`` of one analysis, with the conversion factor to SI units.
 
     The ``words`` follow the name of the measurement. An ``op`` analysis has no ``.meas`` card: its
     only word is the name of the vector that the deck prints.
@@ -103,28 +103,30 @@ class Measure:
         yield Directive(".meas", (self.kind, self.name, scaled))
 
 
-def transient_command(stop: float, max_step: float, *, uic: bool) -> Command:
+def make_transient_command(stop: float, max_step: float, *, uic: bool) -> AnalysisCommand:
     """Return the ``.tran`` analysis up to ``stop`` [s] with steps of at most ``max_step`` [s]."""
     step = min(max_step, stop / 1000)
     words = (format_rounded(step), format_number(stop), "0", format_rounded(max_step))
-    return Command("tran", (*words, "uic") if uic else words)
+    return AnalysisCommand("tran", (*words, "uic") if uic else words)
 
 
-def ac_command(start: float, stop: float, points: int, scale: str) -> Command:
+def make_ac_command(start: float, stop: float, points: int, scale: str) -> AnalysisCommand:
     """Return the ``.ac`` analysis at about ``points`` frequencies, ``start`` to ``stop`` [Hz]."""
-    return Command("ac", _format_range(start, stop, points, scale))
+    return AnalysisCommand("ac", _format_range(start, stop, points, scale))
 
 
-def noise_command(
+def make_noise_command(
     output: str, source: str, start: float, stop: float, points: int, scale: str
-) -> Command:
+) -> AnalysisCommand:
     """Return the ``.noise`` analysis of the voltage ``output``.
 
-    The frequencies are those of :func:`ac_command`. At each frequency, the result contains the
+    The frequencies are those of :func:`make_ac_command`. At each frequency, the result contains the
     noise of each device. The equivalent input noise, which the simulator also computes, is
     relative to the source with the name ``source``.
     """
-    return Command("noise", (output, source, *_format_range(start, stop, points, scale), "1"))
+    return AnalysisCommand(
+        "noise", (output, source, *_format_range(start, stop, points, scale), "1")
+    )
 
 
 def _format_range(start: float, stop: float, points: int, scale: str) -> tuple[str, ...]:
@@ -135,15 +137,17 @@ def _format_range(start: float, stop: float, points: int, scale: str) -> tuple[s
     return "dec", str(math.ceil(points / decades)), format_number(start), format_number(stop)
 
 
-def with_frequencies(command: Command, start: float, stop: float, points: int) -> Command:
+def with_frequencies(
+    command: AnalysisCommand, start: float, stop: float, points: int
+) -> AnalysisCommand:
     """Return a small-signal ``command`` with a new range of equally spaced frequencies [Hz]."""
     reference = command.words[:2] if command.kind == "noise" else ()
     last = command.words[6:] if command.kind == "noise" else ()
     words = (*reference, *_format_range(start, stop, points, "linear"), *last)
-    return Command(command.kind, words)
+    return AnalysisCommand(command.kind, words)
 
 
-def dc_command(source: str, first: float, last: float, points: int) -> Command:
+def make_dc_command(source: str, first: float, last: float, points: int) -> AnalysisCommand:
     """Return the ``.dc`` sweep of a source from ``first`` to ``last``, in the unit of the source.
 
     The simulator adds the steps up, with rounding errors. The end of the range is a quarter of a
@@ -163,7 +167,7 @@ def dc_command(source: str, first: float, last: float, points: int) -> Command:
             expected=expected,
             hint="write fewer points or a wider range",
         )
-    return Command(
+    return AnalysisCommand(
         "dc", (source, format_number(first), format_number(last + step / 4), format_number(step))
     )
 
@@ -195,15 +199,15 @@ class Deck:
     parts: tuple[Subcircuit, ...] = ()
     items: tuple[Item, ...] = ()
     options: tuple[Option, ...] = ()
-    command: Command = Command("op", ())
+    command: AnalysisCommand = AnalysisCommand("op", ())
     vectors: Mapping[str, tuple[str, float]] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     powers: Mapping[str, tuple[PowerTerm, ...]] = field(default_factory=dict)
-    measures: tuple[Measure, ...] = ()
+    measures: tuple[MeasureCard, ...] = ()
     stop: float | None = None
     max_step: float | None = None
     initial_voltages: Mapping[str, float] = field(default_factory=dict)
-    refinements: tuple[Command, ...] = ()
+    refinements: tuple[AnalysisCommand, ...] = ()
     sweep_scale: float = 1.0
     text: str | None = None
     tree: Circuit | None = field(default=None, compare=False)
@@ -220,7 +224,7 @@ class Deck:
         )
 
     @property
-    def main(self) -> str:
+    def main_file_name(self) -> str:
         """Name of the file that the simulator reads."""
         return f"{self.name}.cir"
 
@@ -236,7 +240,7 @@ class Deck:
     def files(self) -> dict[str, str]:
         """Texts of the deck file and of its libraries, keyed by file name."""
         libraries = dict(map(attrgetter("filename", "text"), self.parts))
-        return {self.main: self._print_main} | libraries | dict(self.more)
+        return {self.main_file_name: self._print_main} | libraries | dict(self.more)
 
     @cached_property
     def circuit(self) -> Circuit:
@@ -247,7 +251,7 @@ class Deck:
         UsageError : an invalid card.
         """
         if self.text is None:
-            return self.tree_with_usage(*self._usage_comment)
+            return self.add_usage_comment(*self._usage_comment)
         return _insert_cards(self._parse_text, [*self._option_cards, *self._refinement_cards])
 
     @cached_property
@@ -260,14 +264,16 @@ class Deck:
         """
         more = {name: read_cards(text, name) for name, text in self.more.items()}
         libraries = dict(map(attrgetter("filename", "circuit"), self.parts))
-        return {self.main: self.circuit} | libraries | more
+        return {self.main_file_name: self.circuit} | libraries | more
 
     @cached_property
     def located_trees(self) -> Mapping[str, Circuit]:
         """Syntax trees in which each card has its position in the written files."""
         libraries = dict(map(attrgetter("filename", "located_tree"), self.parts))
-        main = locate_cards(self.circuit, self.main) if self.text is None else self.circuit
-        return {**self.trees, **libraries, self.main: main}
+        main = (
+            locate_cards(self.circuit, self.main_file_name) if self.text is None else self.circuit
+        )
+        return {**self.trees, **libraries, self.main_file_name: main}
 
     @cached_property
     def scope(self) -> Scope:
@@ -277,12 +283,12 @@ class Deck:
         ------
         UsageError : an invalid card, a missing or circular include, or a name with two definitions.
         """
-        return scoped(self.circuit, self.trees, self.main)
+        return scoped(self.circuit, self.trees, self.main_file_name)
 
     @cached_property
     def _parse_text(self) -> Circuit:
         """Return the syntax tree of a deck that the user has written."""
-        return self.tree or read_cards(self.text or "", self.main, title=True)
+        return self.tree or read_cards(self.text or "", self.main_file_name, title=True)
 
     @cached_property
     def _print_main(self) -> str:
@@ -294,23 +300,23 @@ class Deck:
     @property
     def _usage_comment(self) -> tuple[str, ...]:
         """Comment with the command that runs the deck in ngspice."""
-        raw, plot = f"{self.name}.raw {self.main}", f"{self.name}_plot.sp"
+        raw, plot = f"{self.name}.raw {self.main_file_name}", f"{self.name}_plot.sp"
         return (
-            f"* Run it with:  ngspice -b {self.main}  (prints results)",
+            f"* Run it with:  ngspice -b {self.main_file_name}  (prints results)",
             f"*           or  ngspice -b -r {raw}  (saves all vectors)",
             f"*           or  ngspice {plot}  (plots the main curves)",
         )
 
-    def tree_with_usage(self, *usage: str) -> Circuit:
-        """Return the tree of the main file with ``usage``, a comment on how to run the file.
+    def add_usage_comment(self, *usage: str) -> Circuit:
+        """Return the tree of the main file, with a comment on how to run the file.
 
         The tree of a deck that the user has written is returned unchanged.
         """
         if self.text is not None:
             return self.circuit
-        return Circuit(items=attach_comments(self._deck_lines(usage)))
+        return Circuit(items=attach_comments(self._list_main_lines(usage)))
 
-    def _deck_lines(self, usage: Iterable[str]) -> Iterator[Line]:
+    def _list_main_lines(self, usage: Iterable[str]) -> Iterator[Line]:
         """Yield the lines of the main file."""
         yield f"* {format_comment(self.title)}"
         yield from self.notes or ("",)
@@ -333,7 +339,7 @@ class Deck:
             yield Directive(".save", (vector,))
         if self.command.kind == "noise":
             yield Directive(".save", ("onoise_total",))  # a vector of the second ngspice plot
-        yield from self._measure_cards(
+        yield from self._write_measures(
             "" if usage != self._usage_comment else ", which ngspice prints without -r"
         )
         yield from self._print_cards
@@ -357,11 +363,11 @@ class Deck:
         return set(map(attrgetter("unit"), chain(pins, elements)))
 
     @property
-    def _available_measures(self) -> list[Measure]:
+    def _available_measures(self) -> list[MeasureCard]:
         """Measurements for the kind of the deck's analysis."""
         return [measure for measure in self.measures if measure.kind == self.command.kind]
 
-    def _measure_cards(self, printed: str) -> Iterator[Line]:
+    def _write_measures(self, printed: str) -> Iterator[Line]:
         """Yield the cards of the measurements, below a comment whose last words are ``printed``."""
         cards = list(chain.from_iterable(map(attrgetter("cards"), self._available_measures)))
         if cards:
@@ -378,7 +384,7 @@ class Deck:
         columns += self.saved_vectors[:2]
         yield Directive(".print", (self.command.kind, *dict.fromkeys(columns)))
 
-    def with_command(self, command: Command) -> Deck:
+    def with_command(self, command: AnalysisCommand) -> Deck:
         """Return the deck with another analysis, without refinements."""
         if self.text is None:
             return replace(self, command=command, refinements=())
@@ -392,8 +398,8 @@ class Deck:
 
     def read_option(self, key: str, default: float) -> float:
         """Return the value of a numeric option; its text may have a scale factor."""
-        text = self.option_value(key)
-        value = literal_value(text, where=self.main) if text else None
+        text = self.find_option_text(key)
+        value = literal_value(text, where=self.main_file_name) if text else None
         return default if value is None else value
 
     @property
@@ -406,8 +412,8 @@ class Deck:
         """Limit of the charge error of a time step [C] (option ``chgtol``)."""
         return self.read_option("chgtol", CHGTOL)
 
-    def option_value(self, key: str) -> str | None:
-        """Return the value of an option; None if the deck does not set the option."""
+    def find_option_text(self, key: str) -> str | None:
+        """Return the text of an option's value; None if the deck does not set the option."""
         result = None
         for card in select_items(self.circuit.items, Directive):
             for word in card.words if card.keyword in OPTION_CARDS else ():
@@ -419,7 +425,7 @@ class Deck:
     def with_results(self, vectors: Mapping[str, tuple[str, float]]) -> Deck:
         """Return the deck with the results ``vectors`` in addition to its present results."""
         result = replace(self, vectors={**self.vectors, **vectors})
-        if self.text is None or ".save" not in map(_keyword_of, self._parse_text.items):
+        if self.text is None or ".save" not in map(_get_keyword, self._parse_text.items):
             return result
         card = Directive(".save", tuple(map(itemgetter(0), vectors.values())))
         return result._replace_tree(_insert_cards(self._parse_text, [card]))
@@ -434,23 +440,23 @@ class Deck:
         new = tuple(Option(key, value, reason) for key, value in options.items())
         return replace(self, options=unchanged + new)
 
-    def with_steps(self, factor: float) -> Deck:
+    def scale_max_step(self, factor: float) -> Deck:
         """Return the deck with its largest time step multiplied by ``factor``."""
         if self.max_step is None:
             return self
         step, words = factor * self.max_step, list(self.command.words)
         words[3] = format_rounded(step)
-        return replace(self, command=Command("tran", tuple(words)), max_step=step)
+        return replace(self, command=AnalysisCommand("tran", tuple(words)), max_step=step)
 
 
-def _keyword_of(item: Item) -> str:
+def _get_keyword(item: Item) -> str:
     """Return the keyword of a dot card; empty for other items."""
     return item.keyword if isinstance(item, Directive) else ""
 
 
 def _find_analysis(items: Sequence[Item]) -> int | None:
     """Return the index of the first analysis; None if the items contain no analysis."""
-    return next((k for k, item in enumerate(items) if _keyword_of(item) in ANALYSES), None)
+    return next((k for k, item in enumerate(items) if _get_keyword(item) in ANALYSES), None)
 
 
 def _insert_cards(tree: Circuit, cards: Sequence[Item]) -> Circuit:

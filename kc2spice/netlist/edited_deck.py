@@ -16,14 +16,14 @@ from typing import Any, NamedTuple
 
 from kc2spice.core.errors import MAX_CANDIDATES, UsageError
 from kc2spice.netlist.circuit import Element
-from kc2spice.netlist.deck import Command, Deck
+from kc2spice.netlist.deck import AnalysisCommand, Deck
 from kc2spice.netlist.expression import Trace, literal_value, parse_vector
 from kc2spice.netlist.include_scan import (
     ANALYSES,
     PRINT_OPTIONS,
-    check_deck_effects,
     read_accuracy_options,
     read_checked_circuit,
+    reject_side_effects,
 )
 from kc2spice.netlist.printers.ngspice import Printer
 from kc2spice.netlist.read import Statement, build_tree
@@ -112,7 +112,7 @@ def read_edited_deck(original: Deck, path: Path) -> DeckEdits:
         )
     result = read_checked_circuit(path, trust=original.trusted)
     cards = list(result.cards(title=True))
-    check_deck_effects(cards, part=False)
+    reject_side_effects(cards, part=False)
     analysis = _require_analysis(original, cards, path)
     _require_saved_vectors(original, cards, path)
     deck = replace(
@@ -125,7 +125,7 @@ def read_edited_deck(original: Deck, path: Path) -> DeckEdits:
         initial_voltages={},
         stop=_read_stop(original, analysis),
         max_step=_read_max_step(original, analysis),
-        command=Command(original.command.kind, tuple(analysis.words[1:])),
+        command=AnalysisCommand(original.command.kind, tuple(analysis.words[1:])),
     )
     _require_results(original.scope, deck, path, original.name)
     return DeckEdits(
@@ -301,15 +301,17 @@ def _compare_cards(before: Scope, now: Scope) -> dict[str, str]:
         owner = key if a is None else a.owner or key
         if b is None and a is not None:
             result[owner] = f"the deck has no card {a.name}"
-        elif a is None or b is None or _element_content(a) != _element_content(b):
+        elif a is None or b is None or _format_without_nodes(a) != _format_without_nodes(b):
             result[owner] = f"its card {(a or b).name} is different"  # type: ignore[union-attr]
-        elif a.ends != b.ends:  # the scene keys remain valid for an instance with other nodes
+        elif (
+            a.lower_case_nodes != b.lower_case_nodes
+        ):  # the scene keys remain valid for an instance with other nodes
             name = key if key.startswith("x") else owner
             result[name] = f"its card {a.name} is connected to other nodes"
     return result
 
 
-def _element_content(card: Element) -> str:
+def _format_without_nodes(card: Element) -> str:
     """Return the text of an element without its nodes; for an instance, also without parameters."""
     plain = replace(card, nodes=())
     return normalise_element(replace(plain, parameters={}) if card.kind == "x" else plain)
@@ -317,17 +319,17 @@ def _element_content(card: Element) -> str:
 
 def normalise_element(card: Element) -> str:
     """Return the text of an element in normal form, without redundant blanks and brackets."""
-    plain = replace(card, name=card.key, nodes=card.ends, parameters=card.settings)
-    return Printer().element(plain)
+    plain = replace(card, name=card.key, nodes=card.lower_case_nodes, parameters=card.settings)
+    return Printer().format_element(plain)
 
 
 def _compare_instances(before: Scope, now: Scope) -> dict[str, InstanceEdit]:
     """Return the differences of all instances that exist in both circuits."""
     result = {}
-    edited = now.elements_of("x")
-    for key, card in before.elements_of("x").items():
-        old = before.find(card.model)
-        new = now.find(edited[key].model) if key in edited else None
+    edited = now.select_elements("x")
+    for key, card in before.select_elements("x").items():
+        old = before.find_subcircuit(card.model)
+        new = now.find_subcircuit(edited[key].model) if key in edited else None
         if old is not None and new is not None:
             parameters = _compare_parameters(
                 old.defaults | card.settings, new.defaults | edited[key].settings
@@ -359,7 +361,7 @@ def _list_cards(scope: Scope, above: frozenset[str] = frozenset()) -> Any:
     """Return the content of all cards of a subcircuit, including inner subcircuits."""
     inside = []
     for item in scope.elements:
-        called = scope.find(item.model) if item.kind == "x" else None
+        called = scope.find_subcircuit(item.model) if item.kind == "x" else None
         if called is not None and called.name.lower() not in above:
             within = _list_cards(called, above | {called.name.lower()})
             inside.append((item.model.lower(), sorted(called.defaults.items()), within))

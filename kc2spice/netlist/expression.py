@@ -61,7 +61,7 @@ class CircuitVariable:
 
 
 @dataclass(frozen=True)
-class Call:
+class FunctionCall:
     """Function call; the name of the function is in lower case."""
 
     function: str
@@ -69,7 +69,7 @@ class Call:
 
 
 @dataclass(frozen=True)
-class Unary:
+class UnaryOperation:
     """Sign or logical negation of an operand."""
 
     op: str
@@ -77,7 +77,7 @@ class Unary:
 
 
 @dataclass(frozen=True)
-class Binary:
+class BinaryOperation:
     """Binary operation ``left op right``."""
 
     op: str
@@ -86,7 +86,7 @@ class Binary:
 
 
 @dataclass(frozen=True)
-class Choice:
+class ConditionalExpression:
     """Conditional expression ``test ? yes : no``."""
 
     test: Tree
@@ -94,7 +94,15 @@ class Choice:
     no: Tree
 
 
-Tree = Number | Name | CircuitVariable | Call | Unary | Binary | Choice
+Tree = (
+    Number
+    | Name
+    | CircuitVariable
+    | FunctionCall
+    | UnaryOperation
+    | BinaryOperation
+    | ConditionalExpression
+)
 
 
 def parse_expression(text: str, *, where: str = "expression") -> Tree:
@@ -115,7 +123,7 @@ def literal_value(text: str, *, where: str = "expression") -> float | None:
     UsageError : the text is not an expression.
     """
     sign, tree = "", parse_expression(text, where=where)
-    if isinstance(tree, Unary) and tree.op in "+-":
+    if isinstance(tree, UnaryOperation) and tree.op in "+-":
         sign, tree = tree.op, tree.value
     return float(sign + tree.text) if isinstance(tree, Number) else None
 
@@ -129,11 +137,11 @@ def walk_tree(tree: Tree) -> Iterator[Tree]:
 
 def list_operands(tree: Tree) -> tuple[Tree, ...]:
     """Return the operands of the outermost operation of ``tree``."""
-    below = tree.arguments if isinstance(tree, Call) else vars(tree).values()
+    below = tree.arguments if isinstance(tree, FunctionCall) else vars(tree).values()
     return tuple(item for item in below if isinstance(item, Tree))
 
 
-def probed_names(tree: Tree, kind: str) -> frozenset[str]:
+def find_probed_names(tree: Tree, kind: str) -> frozenset[str]:
     """Return the lower-case names in the circuit variables of an expression.
 
     If ``kind`` is ``"v"``, the names are the nodes whose voltages occur in the expression. If
@@ -148,8 +156,8 @@ def probed_names(tree: Tree, kind: str) -> frozenset[str]:
 
 def map_operands(tree: Tree, change: Callable[[Tree], Tree]) -> Tree:
     """Return ``tree`` with ``change`` applied to the operands of its outermost operation."""
-    if isinstance(tree, Call):
-        return Call(tree.function, tuple(map(change, tree.arguments)))
+    if isinstance(tree, FunctionCall):
+        return FunctionCall(tree.function, tuple(map(change, tree.arguments)))
     kind: Any = type(tree)
     return kind(*(change(x) if isinstance(x, Tree) else x for x in vars(tree).values()))
 
@@ -187,24 +195,24 @@ def evaluate_parameter(tree: Tree, names: Mapping[str, float]) -> float:
             return float(text)
         case Name(text) if text.lower() in names:
             return names[text.lower()]
-        case Call(function, arguments) if function in _MATH_FUNCTIONS:
+        case FunctionCall(function, arguments) if function in _MATH_FUNCTIONS:
             return float(
                 _MATH_FUNCTIONS[function](*(evaluate_parameter(item, names) for item in arguments))
             )
-        case Unary("-" | "+" as op, inner):
+        case UnaryOperation("-" | "+" as op, inner):
             return (
                 -evaluate_parameter(inner, names) if op == "-" else evaluate_parameter(inner, names)
             )
-        case Binary(op, left, right) if op in _OPERATORS:
+        case BinaryOperation(op, left, right) if op in _OPERATORS:
             return float(
                 _OPERATORS[op](evaluate_parameter(left, names), evaluate_parameter(right, names))
             )
-        case Choice(test, yes, no):
+        case ConditionalExpression(test, yes, no):
             return evaluate_parameter(yes if evaluate_parameter(test, names) else no, names)
     raise UsageError(
         "this expression is not a number",
         where="expression",
-        got=ExpressionWriter().write(tree)[:80],
+        got=ExpressionWriter().write_tree(tree)[:80],
     )
 
 
@@ -218,16 +226,16 @@ def substitute_names(tree: Tree, values: Mapping[str, Tree]) -> Tree:
 class ExpressionWriter:
     """Writer that converts expression trees to text; dialects override its methods."""
 
-    def name(self, text: str) -> str:
+    def format_name(self, text: str) -> str:
         """Return the spelling of a parameter or keyword."""
         return text
 
-    def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
+    def write_call(self, function: str, arguments: tuple[Tree, ...]) -> str:
         """Return the text of a function call with its arguments."""
-        return f"{function}({', '.join(map(self.write, arguments))})"
+        return f"{function}({', '.join(map(self.write_tree, arguments))})"
 
-    def write(self, tree: Tree, level: int = 0) -> str:
-        """Return the text of ``tree``.
+    def write_tree(self, tree: Tree, level: int = 0) -> str:
+        """Write an expression tree as text.
 
         The text is in parentheses if the outermost operator has a lower precedence than
         ``level``.
@@ -236,22 +244,22 @@ class ExpressionWriter:
             case Number(text):
                 return text
             case Name(text):
-                return self.name(text)
+                return self.format_name(text)
             case CircuitVariable(kind, names):
                 return f"{kind.upper()}({','.join(names)})"
-            case Call(function, arguments):
-                return self.call(function, arguments)
-            case Choice(test, yes, no):
-                return f"({self.write(test)} ? {self.write(yes)} : {self.write(no)})"
-            case Unary(op, value):
-                text = f"{op}{self.write(value, len(_OPERATOR_LEVELS))}"
+            case FunctionCall(function, arguments):
+                return self.write_call(function, arguments)
+            case ConditionalExpression(test, yes, no):
+                return f"({self.write_tree(test)} ? {self.write_tree(yes)} : {self.write_tree(no)})"
+            case UnaryOperation(op, value):
+                text = f"{op}{self.write_tree(value, len(_OPERATOR_LEVELS))}"
                 return f"({text})" if level > 3 else text
-            case Binary("^", left, right):
+            case BinaryOperation("^", left, right):
                 level = len(_OPERATOR_LEVELS)
-                return f"{self.write(left, level)}^{self.write(right, level)}"
-            case Binary(op, left, right):
+                return f"{self.write_tree(left, level)}^{self.write_tree(right, level)}"
+            case BinaryOperation(op, left, right):
                 rank = _PRECEDENCE[op]
-                text = f"{self.write(left, rank)}{op}{self.write(right, rank + 1)}"
+                text = f"{self.write_tree(left, rank)}{op}{self.write_tree(right, rank + 1)}"
                 return f"({text})" if rank < level else text
         raise TypeError(tree)
 
@@ -266,16 +274,16 @@ class _Parser:
         """Parse the complete text as one expression; reject additional text after it."""
         tree = self.parse_choice()
         if self.text[self.at :].strip():
-            raise self.error("unexpected text")
+            raise self.make_error("unexpected text")
         return tree
 
-    def error(self, what: str) -> UsageError:
+    def make_error(self, fault: str) -> UsageError:
         """Return the error for unexpected text."""
         return UsageError(
-            f"not an expression: {what}",
+            f"this text is not an expression: {fault}",
             where=self.where,
             got=f"{self.text[:60]!r} at {self.text[self.at : self.at + 20]!r}",
-            hint=self._advise(what),
+            hint=self._advise(fault),
         )
 
     def _advise(self, what: str) -> str:
@@ -302,7 +310,7 @@ class _Parser:
     def expect_operator(self, op: str) -> None:
         """Consume the operator ``op``; raise an error if the next token is another one."""
         if self.accept_operator(op) is None:
-            raise self.error(f"{op} expected")
+            raise self.make_error(f"{op} expected")
 
     def parse_choice(self) -> Tree:
         """Parse ``test ? yes : no`` or a simpler expression."""
@@ -311,30 +319,32 @@ class _Parser:
             return test
         yes = self.parse_choice()
         self.expect_operator(":")
-        return Choice(test, yes, self.parse_choice())
+        return ConditionalExpression(test, yes, self.parse_choice())
 
     def parse_binary(self, depth: int) -> Tree:
         """Parse binary operations of one precedence level."""
         left = self.parse_unary()
         while (result := self.peek_token()) and _PRECEDENCE.get(result["op"], -1) >= depth:
             self.at = result.end()
-            left = Binary(result["op"], left, self.parse_binary(_PRECEDENCE[result["op"]] + 1))
+            left = BinaryOperation(
+                result["op"], left, self.parse_binary(_PRECEDENCE[result["op"]] + 1)
+            )
         return left
 
     def parse_unary(self) -> Tree:
         """Parse a sign or negation."""
         if op := self.accept_operator("-", "+", "!"):
-            return Unary(op, self.parse_unary())
+            return UnaryOperation(op, self.parse_unary())
         value = self.parse_primary()
         if self.accept_operator("^", "**"):
-            return Binary("^", value, self.parse_unary())
+            return BinaryOperation("^", value, self.parse_unary())
         return value
 
     def parse_primary(self) -> Tree:
         """Parse a number, a name, a call or an expression in parentheses."""
         match = self.peek_token()
         if match is None:
-            raise self.error("a number, a name or a bracket expected")
+            raise self.make_error("a number, a name or a bracket expected")
         self.at = match.end()
         if match["number"]:
             return Number(_remove_scale_factor(match["number"], match["suffix"]))
@@ -345,7 +355,7 @@ class _Parser:
             self.expect_operator(closing)
             return inner
         self.at = match.start()
-        raise self.error("a number, a name or a bracket expected")
+        raise self.make_error("a number, a name or a bracket expected")
 
     def parse_name_or_call(self, name: str) -> Tree:
         """Parse a name, or a function call if a parenthesis follows the name."""
@@ -355,7 +365,7 @@ class _Parser:
             end = self.text.find(")", self.at)
             inside, self.at = self.text[self.at : end], end + 1
             if end < 0 or not inside.strip():
-                raise self.error("a node expected")
+                raise self.make_error("a node expected")
             return CircuitVariable(name.lower(), tuple(map(str.strip, inside.split(","))))
         arguments: list[Tree] = []
         if self.accept_operator(")") is None:
@@ -363,7 +373,7 @@ class _Parser:
             while self.accept_operator(","):
                 arguments.append(self.parse_choice())
             self.expect_operator(")")
-        return Call(name.lower(), tuple(arguments))
+        return FunctionCall(name.lower(), tuple(arguments))
 
 
 def _remove_scale_factor(literal: str, suffix: str) -> str:
@@ -394,7 +404,7 @@ class Trace:
     path: tuple[str, ...] = ()
     parameter: str = ""
 
-    def within(self, instance: str) -> Trace:
+    def qualify_with_instance(self, instance: str) -> Trace:
         """Return the vector of this node or device inside an instance of the circuit."""
         if self.quantity == "v":
             return replace(self, names=tuple(f"{instance}.{name}" for name in self.names))

@@ -20,22 +20,22 @@ from kc2spice.netlist.circuit import (
     Card,
     Circuit,
     Element,
-    Function,
+    FunctionCard,
     Item,
-    Model,
+    ModelCard,
     Parameters,
     select_items,
 )
 from kc2spice.netlist.expression import (
-    Binary,
-    Call,
-    Choice,
+    BinaryOperation,
     CircuitVariable,
+    ConditionalExpression,
     ExpressionWriter,
+    FunctionCall,
     Name,
     Number,
     Tree,
-    Unary,
+    UnaryOperation,
     literal_value,
     map_operands,
     parse_expression,
@@ -124,14 +124,14 @@ class _CircuitTranslator:
     def __init__(
         self,
         circuit: Circuit,
-        models: Mapping[str, Model],
+        models: Mapping[str, ModelCard],
         functions: frozenset[str],
         syntax: Syntax,
     ) -> None:
         self.circuit, self.syntax = circuit, syntax
-        defined = select_items(circuit.items, Function)
+        defined = select_items(circuit.items, FunctionCard)
         self.functions = functions | {function.name.lower() for function in defined}
-        local = {model.name.lower(): model for model in select_items(circuit.items, Model)}
+        local = {model.name.lower(): model for model in select_items(circuit.items, ModelCard)}
         self.models = {**models, **local}
         elements = select_items(circuit.items, Element)
         coupled = (element.sources for element in elements if element.kind == "k")
@@ -176,11 +176,11 @@ class _CircuitTranslator:
                 return (
                     _CircuitTranslator(item, self.models, self.functions, self.syntax).translate(),
                 )
-            case Model():
+            case ModelCard():
                 return self._translate_model(item)
             case Parameters():
                 return (replace(item, values=self._translate_values(item.values, item)),)
-            case Function():
+            case FunctionCard():
                 return (
                     replace(item, expression=self._translate_expression(item.expression, item)),
                 )
@@ -190,24 +190,24 @@ class _CircuitTranslator:
 
     # --- models -----------------------------------------------------------------------------------
 
-    def _resolve_model(self, model: Model) -> Model:
+    def _resolve_model(self, model: ModelCard) -> ModelCard:
         """Return the model with the parameters of its base model (``ako:``)."""
         if not model.type.lower().startswith("ako:"):
             return model
         base = self.models.get(model.type[4:].lower())
         if base is None or base is model:
-            raise model.error(
+            raise model.make_error(
                 "no model to begin with",
                 model.type[4:],
                 "a .model of this file",
                 f"add the line  .model {model.type[4:]} …  of its manufacturer",
             )
         base = self._resolve_model(base)
-        parameters = _model_parameters(base) | _model_parameters(model)
+        parameters = _get_model_parameters(base) | _get_model_parameters(model)
         parameters.pop(base.type.lower(), None)  # the type may be repeated after ako:
         return replace(model, type=base.type, parameters=parameters)
 
-    def _translate_model(self, model: Model) -> Iterable[Model]:
+    def _translate_model(self, model: ModelCard) -> Iterable[ModelCard]:
         """Translate a model to ngspice."""
         model = self._resolve_model(model)
         kind = model.type.lower()
@@ -227,16 +227,16 @@ class _CircuitTranslator:
 
     # --- elements ---------------------------------------------------------------------------------
 
-    def _is_ideal_diode(self, model: Model) -> bool:
+    def _is_ideal_diode(self, model: ModelCard) -> bool:
         """Return whether the model is the piecewise linear diode of LTspice."""
         ideal = model.type.lower() == "d" and bool(
-            _model_parameters(model).keys() & IDEAL_DIODE_PARAMETERS
+            _get_model_parameters(model).keys() & IDEAL_DIODE_PARAMETERS
         )
         return ideal and self.syntax == "ltspice"
 
-    def _is_gradual_switch(self, model: Model) -> bool:
+    def _is_gradual_switch(self, model: ModelCard) -> bool:
         """Return whether the model is a PSpice switch with a smooth transition."""
-        hysteresis = _model_parameters(model).keys() & {"vt", "vh", "it", "ih"}
+        hysteresis = _get_model_parameters(model).keys() & {"vt", "vh", "it", "ih"}
         is_switch = model.type.lower() in PSPICE_SWITCHES and self.syntax == "pspice"
         return is_switch and not hysteresis
 
@@ -247,7 +247,7 @@ class _CircuitTranslator:
         if element.kind == "r" and "r" in element.settings:
             return (self._translate_resistor(element),)
         if element.kind == "a":
-            raise element.error(
+            raise element.make_error(
                 "a device of LTspice's own has no equal in ngspice",
                 hint="replace it by B sources, or by a subcircuit of the same function",
             )
@@ -255,11 +255,11 @@ class _CircuitTranslator:
         if element.kind in "eg" and (
             "laplace" in words or element.expression.lower().startswith("laplace")
         ):
-            raise element.error(
+            raise element.make_error(
                 "a Laplace transform has no equivalent in ngspice", hint=LAPLACE_HINT
             )
         if element.kind == "i" and words.endswith(" load"):
-            raise element.error(
+            raise element.make_error(
                 "a load without current at 0 V has no equivalent in ngspice",
                 hint="delete load from this line, or replace the source by a resistor",
             )
@@ -274,17 +274,17 @@ class _CircuitTranslator:
         if model is not None and self._is_ideal_diode(resolved := self._resolve_model(model)):
             return (
                 _translate_ideal_diode(
-                    element, self._translate_values(_model_parameters(resolved), resolved)
+                    element, self._translate_values(_get_model_parameters(resolved), resolved)
                 ),
             )
         switch = self.models.get(element.model.lower()) if element.kind in "sw" else None
         if switch is not None and self._is_gradual_switch(switch):
             return (
                 _translate_gradual_switch(
-                    element, self._translate_values(_model_parameters(switch), switch)
+                    element, self._translate_values(_get_model_parameters(switch), switch)
                 ),
             )
-        if element.kind in "eg" and (points := _table_points(element)):
+        if element.kind in "eg" and (points := _read_table_points(element)):
             law = self._translate_expression(
                 f"table(V({','.join(element.nodes[2:])}), {points})", element
             )
@@ -302,7 +302,7 @@ class _CircuitTranslator:
         """Return the element with the temperature of its model (PSpice, ``T_ABS``)."""
         names = (element.model, *element.values[:1])
         models = filter(None, (self.models.get(name.lower()) for name in names))
-        for model in map(_model_parameters, models):
+        for model in map(_get_model_parameters, models):
             if "t_abs" in model and self.syntax == "pspice":
                 is_cold = element.kind == "r" and literal_value(model["t_abs"]) == ABSOLUTE_ZERO
                 setting = {"noisy": "0"} if is_cold else {"temp": model["t_abs"]}
@@ -314,7 +314,7 @@ class _CircuitTranslator:
         law = self._translate_expression(element.settings["r"].strip("{}'"), element)
         plus, minus = element.nodes
         current = f"V({plus},{minus})/({law})"
-        return Element.behaviour(f"B{element.name}", plus, minus, "I", current)
+        return Element.behavioural_source(f"B{element.name}", plus, minus, "I", current)
 
     def _translate_source(self, element: Element) -> Iterable[Item]:
         """Translate a behavioural source: the expression and the settings after the expression."""
@@ -325,7 +325,7 @@ class _CircuitTranslator:
                 continue
             across = {"rpar": "r", "cpar": "c"}.get(name)
             if across is None:
-                raise element.error(
+                raise element.make_error(
                     f"{name} of a behavioural source has no equivalent in ngspice",
                     hint=LAPLACE_HINT if name == "laplace" else f"delete {name} from this line",
                 )
@@ -340,7 +340,7 @@ class _CircuitTranslator:
     def _translate_inductor(self, element: Element) -> Iterable[Item]:
         """Translate an inductor with the parasitics ``Rser``, ``Rpar`` and ``Cpar``."""
         if "flux" in element.settings:
-            raise element.error(
+            raise element.make_error(
                 "a flux by an expression has no equivalent in ngspice",
                 hint="write a constant inductance in place of the expression",
             )
@@ -374,7 +374,7 @@ def _move_ratings(element: Element) -> Element:
 def _make_parallel_element(element: Element, name: str, *words: str) -> Element:
     """Return a parasitic element with the multiplicity ``m`` of its main element."""
     count = {key: text for key, text in element.parameters.items() if key.lower() == "m"}
-    parasitic = Element.of(name, *words, **({} if name[0] in "Vv" else count))
+    parasitic = Element.from_words(name, *words, **({} if name[0] in "Vv" else count))
     return replace(parasitic, where=element.where, written=element.written)
 
 
@@ -382,7 +382,7 @@ def _translate_capacitor(element: Element) -> Iterable[Item]:
     """Translate a capacitor with its parasitics."""
     settings = element.settings
     if "q" in settings or any(word.lower().startswith("q=") for word in element.values):
-        raise element.error(
+        raise element.make_error(
             "a charge by an expression has no equivalent in ngspice",
             hint="write a constant capacitance in place of the expression",
         )
@@ -392,7 +392,7 @@ def _translate_capacitor(element: Element) -> Iterable[Item]:
 def _translate_voltage(element: Element) -> Iterable[Item]:
     """Translate a voltage source with the parasitics ``Rser`` and ``Cpar``."""
     if any(word.lower().startswith("wavefile") for word in element.values):
-        raise element.error(
+        raise element.make_error(
             "a source that reads a sound file has no equivalent in ngspice",
             hint="write the waveform as  PWL(TIME VALUE TIME VALUE …)",
         )
@@ -446,33 +446,37 @@ def _translate_ideal_diode(element: Element, model: Mapping[str, str]) -> Elemen
     """
     unknown = {*element.settings} - {"m", "n", "temp", "l", "w"}
     if unknown:
-        raise element.error(
+        raise element.make_error(
             f"an ideal diode has no parameter {', '.join(sorted(unknown))}",
             hint=f"delete {', '.join(sorted(unknown))} from this line",
         )
 
-    def parameter(name: str, default: str = "0") -> str:
-        """Return a parameter of the model or its default."""
+    def format_parameter(name: str, default: str = "0") -> str:
+        """Return a model parameter or its default, in parentheses."""
         return f"({model.get(name, default).strip('{}')})"
 
-    off, count = parameter("roff", f"{{1/{MIN_CONDUCTANCE}}}"), element.settings
+    off, count = format_parameter("roff", f"{{1/{MIN_CONDUCTANCE}}}"), element.settings
     volts = f"V({','.join(element.nodes)})"
     if "n" in count:
         volts = f"({volts}/({count['n'].strip('{}')}))"
-    forward = _ramp_expression(f"{volts}-{parameter('vfwd')}", model, "epsilon")
-    current = f"{volts}/{off}+(1/{parameter('ron', '1')}-1/{off})*{forward}"
+    forward = _write_ramp(f"{volts}-{format_parameter('vfwd')}", model, "epsilon")
+    current = f"{volts}/{off}+(1/{format_parameter('ron', '1')}-1/{off})*{forward}"
     if "vrev" in model:
-        reverse = _ramp_expression(f"-{volts}-abs({parameter('vrev')})", model, "revepsilon")
-        current += f"-(1/{parameter('rrev', model.get('ron', '1'))}-1/{off})*{reverse}"
+        reverse = _write_ramp(f"-{volts}-abs({format_parameter('vrev')})", model, "revepsilon")
+        current += f"-(1/{format_parameter('rrev', model.get('ron', '1'))}-1/{off})*{reverse}"
     ends = []
     for name, sign in (("ilimit", "max"), ("revilimit", "min")):
         part = f"{sign}({current}, 0)"
-        ends.append(f"{parameter(name)}*tanh({part}/{parameter(name)})" if name in model else part)
+        ends.append(
+            f"{format_parameter(name)}*tanh({part}/{format_parameter(name)})"
+            if name in model
+            else part
+        )
     if "ilimit" in model or "revilimit" in model:
         current = "+".join(ends)
     if "m" in count:
         current = f"({count['m'].strip('{}')})*({current})"
-    law = ExpressionWriter().write(parse_expression(current, where=element.where))
+    law = ExpressionWriter().write_tree(parse_expression(current, where=element.where))
     return replace(
         element, kind="b", name=f"B{element.name}", model="", values=(), parameters={},
         quantity="I", expression=law,
@@ -491,28 +495,28 @@ def _translate_gradual_switch(element: Element, model: Mapping[str, str]) -> Ele
     else:
         control, on, off, default = f"I({element.sources[0]})", "ion", "ioff", "1m"
 
-    def parameter(name: str, default: str) -> str:
+    def format_parameter(name: str, default: str) -> str:
         """Return a parameter of the model or its default."""
         return f"({model.get(name, default).strip('{}')})"
 
-    high, low = parameter(on, default), parameter(off, "0")
-    opened, closed = parameter("roff", "1Meg"), parameter("ron", "1")
+    high, low = format_parameter(on, default), format_parameter(off, "0")
+    opened, closed = format_parameter("roff", "1Meg"), format_parameter("ron", "1")
     share = f"min(max(({control}-{low})/({high}-{low}), 0), 1)"
     plus, minus = element.nodes[:2]
     law = f"V({plus},{minus})/{opened}*exp(ln({opened}/{closed})*{share}*{share}*(3-2*{share}))"
     return _make_source(
-        element, "I", ExpressionWriter().write(parse_expression(law, where=element.where))
+        element, "I", ExpressionWriter().write_tree(parse_expression(law, where=element.where))
     )
 
 
 def _make_source(element: Element, quantity: str, law: str) -> Element:
     """Return a behavioural source between the first two nodes of an element."""
     plus, minus = element.nodes[:2]
-    source = Element.behaviour(f"B{element.name}", plus, minus, quantity, law)
+    source = Element.behavioural_source(f"B{element.name}", plus, minus, quantity, law)
     return replace(source, notes=element.notes, where=element.where, written=element.written)
 
 
-def _table_points(element: Element) -> str:
+def _read_table_points(element: Element) -> str:
     """Return the points of an LTspice ``table=(x, y, ...)``; empty without a table."""
     text = element.settings.get("table", "")
     for word in element.values:
@@ -520,7 +524,7 @@ def _table_points(element: Element) -> str:
     return ", ".join(_NUMBER_IN_TABLE.findall(text))
 
 
-def _ramp_expression(excess: str, model: Mapping[str, str], width: str) -> str:
+def _write_ramp(excess: str, model: Mapping[str, str], width: str) -> str:
     """Return the expression of a ramp: 0 below 0, slope 1 above ``width``, a parabola between."""
     text = model.get(width, "0")
     if _is_zero(text):
@@ -530,19 +534,19 @@ def _ramp_expression(excess: str, model: Mapping[str, str], width: str) -> str:
     return f"({inside}*{inside}/(2*{text})+max({excess}-{text}, 0))"
 
 
-def _model_parameters(model: Model) -> dict[str, str]:
+def _get_model_parameters(model: ModelCard) -> dict[str, str]:
     """Return the parameters of a model, keyed by names in lower case."""
     return {key.lower(): text for key, text in model.parameters.items()}
 
 
-def _require_simple_switch(model: Model) -> None:
+def _require_simple_switch(model: ModelCard) -> None:
     """Reject a switch model with a smooth transition, inductance, voltage or limit."""
-    words = _model_parameters(model)
+    words = _get_model_parameters(model)
     name = "vh" if model.type.lower() == "sw" else "ih"
     width = literal_value(words.get(name, "0"), where=model.where)
     if width is not None and width < 0:
         got = f"{name}={words[name]}"
-        raise model.error(
+        raise model.make_error(
             "a switch that opens gradually has no equivalent in ngspice",
             got,
             hint=f"write  {name}=0",
@@ -550,7 +554,7 @@ def _require_simple_switch(model: Model) -> None:
     extra = words.keys() & {"lser", "vser", "ilimit", "level", "epsilon", "oneway"}
     if extra:
         problem = f"{', '.join(sorted(extra))} of a switch has no equivalent in ngspice"
-        raise model.error(problem, hint=f"delete {', '.join(sorted(extra))} from this line")
+        raise model.make_error(problem, hint=f"delete {', '.join(sorted(extra))} from this line")
 
 
 # --- numbers and expressions ----------------------------------------------------------------------
@@ -584,12 +588,12 @@ class _ExpressionTranslator:
         """
         if "^" in text and self.scope.syntax == "ltspice":
             message = "LTspice reads ^ as exclusive or, PSpice and ngspice as a power"
-            raise self.card.error(
+            raise self.card.make_error(
                 message, text[:80], "** for a power", "write ** in place of ^, if you mean a power"
             )
         text = re.sub(r"(?<!&)&(?!&)", "&&", re.sub(r"(?<!\|)\|(?!\|)", "||", text))
         text = text.replace("~", "!").translate(_MICRO)
-        return ExpressionWriter().write(
+        return ExpressionWriter().write_tree(
             self.translate_tree(parse_expression(text, where=self.card.where))
         )
 
@@ -597,19 +601,19 @@ class _ExpressionTranslator:
         """Translate an expression tree to ngspice, operands first."""
         tree = map_operands(tree, self.translate_tree)
         match tree:
-            case Call(function, arguments):
+            case FunctionCall(function, arguments):
                 return self._translate_call(function, arguments)
-            case Choice(test, yes, no):
-                return Choice(_translate_condition(test), yes, no)
-            case Unary("!", inner):
-                return Choice(_translate_condition(inner), Number("0"), Number("1"))
-            case Binary(op, left, right) if op in _LOGICAL_OPERATORS:
-                return Choice(
-                    Binary(op, _translate_condition(left), _translate_condition(right)),
+            case ConditionalExpression(test, yes, no):
+                return ConditionalExpression(_translate_condition(test), yes, no)
+            case UnaryOperation("!", inner):
+                return ConditionalExpression(_translate_condition(inner), Number("0"), Number("1"))
+            case BinaryOperation(op, left, right) if op in _LOGICAL_OPERATORS:
+                return ConditionalExpression(
+                    BinaryOperation(op, _translate_condition(left), _translate_condition(right)),
                     Number("1"),
                     Number("0"),
                 )
-            case Binary("^", base, power):
+            case BinaryOperation("^", base, power):
                 return self._translate_power(base, power)
             case CircuitVariable("i", (name,)):
                 return CircuitVariable("i", (self._find_meter(name),))
@@ -630,15 +634,15 @@ class _ExpressionTranslator:
     def _translate_call(self, function: str, arguments: tuple[Tree, ...]) -> Tree:
         """Translate a function call to an ngspice expression tree."""
         if function in self.scope.functions:  # a user's .func replaces the built-in function
-            return Call(function, arguments)
+            return FunctionCall(function, arguments)
         if reason := _UNSUPPORTED_FUNCTIONS.get(function):
-            got = ExpressionWriter().write(Call(function, arguments))
+            got = ExpressionWriter().write_tree(FunctionCall(function, arguments))
             hint = f"replace {function}(…) by an expression without it"
-            raise self.card.error(f"{reason} has no equal in ngspice", got[:80], hint=hint)
+            raise self.card.make_error(f"{reason} has no equal in ngspice", got[:80], hint=hint)
         rule = _FUNCTION_RULES.get((function, len(arguments))) or _FUNCTION_RULES.get(
             (function, -1)
         )
-        return Call(function, arguments) if rule is None else rule(*arguments)
+        return FunctionCall(function, arguments) if rule is None else rule(*arguments)
 
     def _translate_power(self, base: Tree, power: Tree) -> Tree:
         """Translate ``base ** power``, because ngspice uses the absolute value of the base."""
@@ -649,16 +653,20 @@ class _ExpressionTranslator:
             and 0 < exponent <= _MAX_PRODUCT_POWER
         ):
             if exponent % 2 == 0:
-                return Binary("^", base, power)
+                return BinaryOperation("^", base, power)
             even = Number(str(int(exponent) - 1))
-            return base if exponent == 1 else Binary("*", base, Binary("^", base, even))
+            return (
+                base
+                if exponent == 1
+                else BinaryOperation("*", base, BinaryOperation("^", base, even))
+            )
         if _is_non_negative(base):
-            return Binary("^", base, power)
+            return BinaryOperation("^", base, power)
         problem = "a power with a base that can be negative has a different value in ngspice"
         expected = "abs(…) around the base, or a whole number as exponent"
-        raise self.card.error(
+        raise self.card.make_error(
             problem,
-            ExpressionWriter().write(Binary("^", base, power))[:80],
+            ExpressionWriter().write_tree(BinaryOperation("^", base, power))[:80],
             expected,
             "write abs(…) around the base",
         )
@@ -670,20 +678,21 @@ def _is_non_negative(tree: Tree) -> bool:
     Such expressions are numbers, parameters, and functions without negative values.
     """
     return isinstance(tree, Number | Name) or (
-        isinstance(tree, Call) and tree.function in ("abs", "cosh", "exp", "hypot", "sqrt", "uramp")
+        isinstance(tree, FunctionCall)
+        and tree.function in ("abs", "cosh", "exp", "hypot", "sqrt", "uramp")
     )
 
 
 def _translate_condition(tree: Tree) -> Tree:
     """Translate a condition, which LTspice treats as true if it is above one half."""
-    compared = isinstance(tree, Binary) and tree.op in (*_COMPARISONS, *_LOGICAL_OPERATORS)
-    return tree if compared else Binary(">", tree, Number("0.5"))
+    compared = isinstance(tree, BinaryOperation) and tree.op in (*_COMPARISONS, *_LOGICAL_OPERATORS)
+    return tree if compared else BinaryOperation(">", tree, Number("0.5"))
 
 
 def _translate_limit(x: Tree, a: Tree, b: Tree) -> Tree:
     """Translate ``limit(x, a, b)``, which is the median of its three arguments."""
-    low, high = Call("min", (a, b)), Call("max", (a, b))
-    return Call("min", (Call("max", (x, low)), high))
+    low, high = FunctionCall("min", (a, b)), FunctionCall("max", (a, b))
+    return FunctionCall("min", (FunctionCall("max", (x, low)), high))
 
 
 def _translate_table(x: Tree, *points: Tree) -> Tree:
@@ -695,60 +704,66 @@ def _translate_table(x: Tree, *points: Tree) -> Tree:
     result = points[1]
     ends = list(zip(points[::2], points[1::2], strict=False))
     for (left, low), (right, high) in pairwise(ends):
-        rise, width = Binary("-", high, low), Binary("-", right, left)
-        inside = Call("min", (Call("max", (x, left)), right))
-        share = Binary("/", Binary("-", inside, left), width)
-        result = Binary("+", result, Binary("*", rise, share))
+        rise, width = BinaryOperation("-", high, low), BinaryOperation("-", right, left)
+        inside = FunctionCall("min", (FunctionCall("max", (x, left)), right))
+        share = BinaryOperation("/", BinaryOperation("-", inside, left), width)
+        result = BinaryOperation("+", result, BinaryOperation("*", rise, share))
     return result
 
 
 def _translate_signed_power(x: Tree, power: Tree) -> Tree:
     """Translate ``pwrs``: the power of the absolute value of ``x``, with the sign of ``x``."""
-    return Binary("*", Call("sgn", (x,)), Binary("^", Call("abs", (x,)), power))
+    return BinaryOperation(
+        "*", FunctionCall("sgn", (x,)), BinaryOperation("^", FunctionCall("abs", (x,)), power)
+    )
 
 
 def _translate_whole_part(x: Tree) -> Tree:
     """Translate ``int``, which rounds a value towards zero."""
-    return Binary("*", Call("sgn", (x,)), Call("floor", (Call("abs", (x,)),)))
+    return BinaryOperation(
+        "*", FunctionCall("sgn", (x,)), FunctionCall("floor", (FunctionCall("abs", (x,)),))
+    )
 
 
 def _translate_hypot(x: Tree, y: Tree) -> Tree:
     """Translate ``hypot``, the square root of a sum of squares."""
-    return Call("sqrt", (Binary("+", Binary("*", x, x), Binary("*", y, y)),))
+    return FunctionCall(
+        "sqrt", (BinaryOperation("+", BinaryOperation("*", x, x), BinaryOperation("*", y, y)),)
+    )
 
 
 def _translate_square(x: Tree) -> Tree:
     """Translate ``square(x)``."""
-    return Binary("*", x, x)
+    return BinaryOperation("*", x, x)
 
 
 def _translate_inverter(x: Tree) -> Tree:
     """Translate ``inv(x)``, which is 0 if the condition ``x`` is true, and otherwise 1."""
-    return Choice(_translate_condition(x), Number("0"), Number("1"))
+    return ConditionalExpression(_translate_condition(x), Number("0"), Number("1"))
 
 
 def _translate_buffer(x: Tree) -> Tree:
     """Translate ``buf(x)``, which is 1 if the condition ``x`` is true, and otherwise 0."""
-    return Choice(_translate_condition(x), Number("1"), Number("0"))
+    return ConditionalExpression(_translate_condition(x), Number("1"), Number("0"))
 
 
 _FUNCTION_RULES: dict[tuple[str, int], Callable[..., Tree]] = {
-    ("if", 3): lambda test, yes, no: Choice(_translate_condition(test), yes, no),
+    ("if", 3): lambda test, yes, no: ConditionalExpression(_translate_condition(test), yes, no),
     ("limit", 3): _translate_limit,
     ("table", -1): _translate_table,
-    ("pwr", 2): lambda x, power: Binary("^", Call("abs", (x,)), power),
+    ("pwr", 2): lambda x, power: BinaryOperation("^", FunctionCall("abs", (x,)), power),
     ("pwrs", 2): _translate_signed_power,
     ("int", 1): _translate_whole_part,
-    ("round", 1): lambda x: Call("nint", (x,)),
+    ("round", 1): lambda x: FunctionCall("nint", (x,)),
     ("hypot", 2): _translate_hypot,
     ("sqr", 1): _translate_square,
     ("square", 1): _translate_square,
     ("buf", 1): _translate_buffer,
     ("inv", 1): _translate_inverter,
-    ("log", 1): lambda x: Call("ln", (x,)),
-    ("sign", 1): lambda x: Call("sgn", (x,)),
-    ("stp", 1): lambda x: Call("u", (x,)),
-    ("arctan", 1): lambda x: Call("atan", (x,)),
-    ("arcsin", 1): lambda x: Call("asin", (x,)),
-    ("arccos", 1): lambda x: Call("acos", (x,)),
+    ("log", 1): lambda x: FunctionCall("ln", (x,)),
+    ("sign", 1): lambda x: FunctionCall("sgn", (x,)),
+    ("stp", 1): lambda x: FunctionCall("u", (x,)),
+    ("arctan", 1): lambda x: FunctionCall("atan", (x,)),
+    ("arcsin", 1): lambda x: FunctionCall("asin", (x,)),
+    ("arccos", 1): lambda x: FunctionCall("acos", (x,)),
 }

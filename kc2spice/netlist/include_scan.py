@@ -90,7 +90,7 @@ def flatten_includes(path: Path, home: Path, *, trust: bool, inside: bool = Fals
     UsageError : a file is not text or too large, there are too many files, or an include is
     circular or leads out of ``home``.
     """
-    lines = _Reader(path, home, trust, inside).lines(path.name, path, str(path), ())
+    lines = _Reader(path, home, trust, inside).read_lines(path.name, path, str(path), ())
     return FlatCircuit(make_plain_name(path.name), tuple(lines))
 
 
@@ -105,7 +105,9 @@ class _Reader:
     files: int = 0
     size: int = 0
 
-    def lines(self, name: str, path: Path, where: str, chain: tuple[Path, ...]) -> Iterator[Line]:
+    def read_lines(
+        self, name: str, path: Path, where: str, chain: tuple[Path, ...]
+    ) -> Iterator[Line]:
         """Yield the lines of the file ``path``, which the line ``where`` includes as ``name``."""
         real = path.resolve()
         if real in chain:
@@ -142,7 +144,7 @@ class _Reader:
             inner = target if self.trust else str(PurePosixPath(name).parent / target)
             begin, end = f"* begin of {format_comment(inner)}", f"* end of {format_comment(inner)}"
             yield Line(begin, position, begin)
-            yield from self.lines(inner, file, position, (*chain, real))
+            yield from self.read_lines(inner, file, position, (*chain, real))
             yield Line(end, position, end)
 
     def _is_outside(self, file: Path) -> bool:
@@ -251,10 +253,12 @@ def _require_netlist_format(data: bytes, where: str) -> None:
             expected="a text file with a SPICE netlist",
             hint="ask the manufacturer for a model without encryption",
         )
-    for start, (kind, action) in _OTHER_FORMATS.items():
+    for start, (file_type, action) in _OTHER_FORMATS.items():
         if data[:20].lstrip().lower().startswith(start.lower()):
             expected = "a text file with a SPICE netlist"
-            raise UsageError(f"this file is {kind}", where=where, expected=expected, hint=action)
+            raise UsageError(
+                f"this file is {file_type}", where=where, expected=expected, hint=action
+            )
     if b"\0" in data[:200]:
         raise make_encoding_error(data, where)
 
@@ -347,8 +351,8 @@ _LAPLACE_LAW = re.compile(r"(?i)(?<![\w.])laplace\s*[={(]")
 _PART_FILE_CONTENT = "a file of subcircuits with their models, parameters and functions"
 
 
-def check_deck_effects(cards: Iterable[Statement], *, part: bool) -> None:
-    """Reject cards that change the deck outside of the part or line they belong to.
+def reject_side_effects(cards: Iterable[Statement], *, part: bool) -> None:
+    """Reject cards that change the deck outside of their own part or line.
 
     Raises
     ------
@@ -365,7 +369,7 @@ def check_deck_effects(cards: Iterable[Statement], *, part: bool) -> None:
             continue
         depth += (key == ".subckt") - (key == ".ends")
         for what, expected, hint in _find_deck_effects(card, depth == 0, part):
-            raise card.error(f"the netlist {what}", card.written[:120], expected, hint)
+            raise card.make_error(f"the netlist {what}", card.written[:120], expected, hint)
 
 
 def _find_deck_effects(
@@ -411,7 +415,7 @@ def _find_deck_effects(
         word.partition("=")[0].lower() for word in words
     )
     if outside and redefines:
-        hint = "rename it, or put it into the .subckt that uses it"
+        hint = "rename the definition, or move the definition into the .subckt"
         yield "defines a built-in name for the whole deck", "a name of its own", hint
 
 
@@ -558,7 +562,7 @@ def read_included_netlist(name: str, home: Path, *, trust: bool = False) -> Flat
     if _is_missing(home / name):
         raise make_missing_netlist_error(home / name)
     result = read_checked_circuit(home / name, trust=trust, home=home)
-    check_deck_effects(result.cards(), part=True)
+    reject_side_effects(result.cards(), part=True)
     return result
 
 
@@ -577,7 +581,7 @@ def read_untrusted_netlist(name: str, home: Path) -> FlatCircuit:
     result = flatten_includes(
         path, path.parent if home == Path() else home, trust=True, inside=True
     )
-    check_deck_effects(result.cards(), part=True)
+    reject_side_effects(result.cards(), part=True)
     return result
 
 
@@ -614,7 +618,7 @@ def _require_known_command(card: Statement) -> None:
         hint = suggestion
     if hint is not None:
         expected = f"one of {list_candidates(key, sorted(ALLOWED_COMMANDS))}"
-        raise card.error(f"ngspice has no command {key}", card.written[:120], expected, hint)
+        raise card.make_error(f"ngspice has no command {key}", card.written[:120], expected, hint)
 
 
 def _find_card_faults(card: Statement) -> Iterator[str]:

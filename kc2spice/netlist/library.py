@@ -17,9 +17,16 @@ from kc2spice.core import __version__
 from kc2spice.core.errors import UsageError
 from kc2spice.core.files import suggest_file
 from kc2spice.core.untrusted_files import decode_text, read_bounded
-from kc2spice.netlist.circuit import Circuit, Element, Param, Pin, electrical_pins, select_items
+from kc2spice.netlist.circuit import (
+    Circuit,
+    Element,
+    Param,
+    Pin,
+    make_electrical_pins,
+    select_items,
+)
 from kc2spice.netlist.expression import literal_value
-from kc2spice.netlist.prefixes import with_prefix
+from kc2spice.netlist.prefixes import format_with_prefix
 from kc2spice.netlist.printers.ngspice import Printer, locate_cards
 from kc2spice.netlist.read import read_cards
 from kc2spice.netlist.spelling import format_comment, format_number, require_word
@@ -32,7 +39,7 @@ _PARAMETER_LINE = re.compile(r"\* @param (\w+)=(\S+) unit=(\S+)(?: range=(\S+)\.
 
 @dataclass(frozen=True)
 class Header:
-    """Origin of a netlist: the name of the scene, and the hash of the input data."""
+    """Data for the header of a netlist: name of the scene, and hash of the input data."""
 
     scene: str
     scene_hash: str
@@ -46,7 +53,7 @@ class Header:
         )
 
 
-def model_comments(plan: Mapping[str, Any], without: Collection[str] = ()) -> tuple[str, ...]:
+def write_model_comments(plan: Mapping[str, Any], without: Collection[str] = ()) -> tuple[str, ...]:
     """Return comment lines about the models, neglected effects and settings of a deck."""
     error = "not estimated" if plan["error_budget"] is None else f"budget {plan['error_budget']:g}"
     settings = []
@@ -215,19 +222,19 @@ def read_lib(path: str | Path) -> list[Subcircuit]:
     return parts
 
 
-def instance_comment(name: str, pins: Iterable[str], defaults: Mapping[str, str]) -> str:
+def write_instance_comment(name: str, pins: Iterable[str], defaults: Mapping[str, str]) -> str:
     """Return an example ``X`` line as a comment; its nodes have the names of the pins.
 
     Examples
     --------
-    >>> instance_comment("contact", ("ring", "v", "base"), {"eps": "400000000.0"})
+    >>> write_instance_comment("contact", ("ring", "v", "base"), {"eps": "400000000.0"})
     '* use: X1 ring v base contact eps=400meg'
     """
-    settings = (f"{key}={with_prefix(value)}" for key, value in defaults.items())
+    settings = (f"{key}={format_with_prefix(value)}" for key, value in defaults.items())
     return " ".join(("* use: X1", *pins, name, *settings))
 
 
-def parameter_line(param: Param) -> str:
+def write_parameter_line(param: Param) -> str:
     """Return the comment line with default, unit, range and explanation of a parameter."""
     bounded = math.isfinite(param.low) or math.isfinite(param.high)
     bounds = f" range={param.low:g}..{param.high:g}" if bounded else ""
@@ -241,18 +248,18 @@ def parse_subcircuits(text: str, file: str) -> list[Subcircuit]:
     library = read_cards(text, file)
     parts = list(filter(parse_declared_pins, library.subcircuits))
     if not parts:
-        inner = set(chain.from_iterable(map(_instantiated_names, library.subcircuits)))
+        inner = set(chain.from_iterable(map(_list_instantiated_names, library.subcircuits)))
         parts = [item for item in library.subcircuits if item.name.lower() not in inner]
     return [_make_part(item, library, text, file) for item in parts]
 
 
-def _instantiated_names(circuit: Circuit) -> Iterator[str]:
+def _list_instantiated_names(circuit: Circuit) -> Iterator[str]:
     """Yield the lower-case names of the subcircuits that a circuit instantiates."""
     for item in select_items(circuit.items, Element):
         if item.kind == "x":
             yield item.model.lower()
     for inner in circuit.subcircuits:
-        yield from _instantiated_names(inner)
+        yield from _list_instantiated_names(inner)
 
 
 def join_comments(notes: Iterable[str]) -> list[str]:
@@ -276,7 +283,7 @@ def _make_part(circuit: Circuit, library: Circuit, text: str, file: str) -> Subc
     if pins and list(map(attrgetter("key"), pins)) != list(map(str.lower, circuit.pins)):
         listed = " ".join(map(attrgetter("name"), pins))
         message = "the header does not list the pins of the subcircuit"
-        raise circuit.error(message, listed, " ".join(circuit.pins))
+        raise circuit.make_error(message, listed, " ".join(circuit.pins))
     heads = {m[1].lower(): m for m in map(_PARAMETER_LINE.match, join_comments(circuit.notes)) if m}
     params = []
     for name, default in circuit.defaults.items():
@@ -285,7 +292,7 @@ def _make_part(circuit: Circuit, library: Circuit, text: str, file: str) -> Subc
             (head[3], head[6], float(head[4] or "-inf"), float(head[5] or "inf")) if head else ()
         )
         params.append(Param(name, math.nan if value is None else value, *(labels or ("-", ""))))
-    ends = tuple(pins) or electrical_pins(circuit.pins)
+    ends = tuple(pins) or make_electrical_pins(circuit.pins)
     title = join_comments(text.split("\n"))[0].lstrip("* ")
     return Subcircuit(
         circuit.name, ends, tuple(params), library, title=title, file=file, source=text

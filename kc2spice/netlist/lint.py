@@ -14,9 +14,9 @@ from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.expression import (
     BUILT_IN_NAMES,
     FUNCTIONS,
-    Binary,
-    Call,
+    BinaryOperation,
     CircuitVariable,
+    FunctionCall,
     Name,
     Number,
     parse_expression,
@@ -63,23 +63,25 @@ def find_wiring_mistakes(deck: Deck) -> list[UsageError]:
             return []
     except UsageError:  # the second call raises this error again, with the position of the card
         pass
-    top = build_scope(deck.located_trees[deck.main], deck.located_trees, deck.main)
+    top = build_scope(
+        deck.located_trees[deck.main_file_name], deck.located_trees, deck.main_file_name
+    )
     return _find_problems(deck, deck.located_trees, top)
 
 
 def _find_problems(deck: Deck, trees: Mapping[str, Circuit], top: Scope) -> list[UsageError]:
     """Return the wiring mistakes in parsed circuits."""
     signals = frozenset(_list_signal_pins(trees.values()))
-    read = _saved_nodes(deck, top)
+    read = _list_saved_nodes(deck, top)
     read.setdefault(id(top), set()).update(deck.free_nets)
     problems: list[UsageError] = []
-    for item in top.inner_scopes():
+    for item in top.list_scopes():
         problems += _check_cards(item)
         problems += _check_connections(item, signals, read.get(id(item), set()))
     return problems
 
 
-def _saved_nodes(deck: Deck, top: Scope) -> dict[int, set[str]]:
+def _list_saved_nodes(deck: Deck, top: Scope) -> dict[int, set[str]]:
     """Return the nodes inside subcircuits whose voltages the deck saves, as ``v(x1.p)``.
 
     The keys are the identities (``id``) of the scopes that contain the nodes. A saved node needs no
@@ -111,8 +113,8 @@ def _check_cards(scope: Scope) -> Iterator[UsageError]:
         if first is not part:
             other = f"another name; the first {part.key} is in {first.where}"
             hint = f"rename this element, such as {part.name}_2"
-            yield part.error("two elements have the same name", part.name, other, hint)
-    kinds = {"v": scope.nodes | GROUND_NAMES, "i": scope.elements_of("vlehb").keys()}
+            yield part.make_error("two elements have the same name", part.name, other, hint)
+    kinds = {"v": scope.nodes | GROUND_NAMES, "i": scope.select_elements("vlehb").keys()}
     for card in (*scope.commands, *scope.elements):
         if isinstance(card, Element):
             check = _check_instance if card.kind == "x" else _check_references
@@ -123,17 +125,21 @@ def _check_cards(scope: Scope) -> Iterator[UsageError]:
 
 def _check_instance(part: Element, scope: Scope) -> Iterator[UsageError]:
     """Yield the mistakes on the card of a subcircuit instance."""
-    called = scope.find(part.model)
+    called = scope.find_subcircuit(part.model)
     if called is None:
         message, hint = "no such subcircuit", f"add a .subckt {part.model} to this file"
         yield _make_unknown_name_error(part, message, part.model, scope.subcircuits, hint)
         return
     if len(part.nodes) != len(called.pins):
         lacks_nodes = len(part.nodes) < len(called.pins)
-        which = called.pins[len(part.nodes) :] if lacks_nodes else part.ends[len(called.pins) :]
-        yield part.error(
+        which = (
+            called.pins[len(part.nodes) :]
+            if lacks_nodes
+            else part.lower_case_nodes[len(called.pins) :]
+        )
+        yield part.make_error(
             f"{'missing' if lacks_nodes else 'too many'} pins of {called.name}: {' '.join(which)}",
-            f"{len(part.nodes)} nodes: {' '.join(part.ends)}",
+            f"{len(part.nodes)} nodes: {' '.join(part.lower_case_nodes)}",
             f"{len(called.pins)} pins: {' '.join(called.pins)}",
             f"add the nodes of {' '.join(which)}" if lacks_nodes else f"delete {' '.join(which)}",
         )
@@ -150,7 +156,7 @@ def _check_references(part: Element, scope: Scope) -> Iterator[UsageError]:
         yield _make_unknown_name_error(part, "no such model", part.model, scope.models, hint)
     for param in part.settings if part.kind in "rlcvi" else ():
         if instead := _PARASITIC_ELEMENTS.get(param):
-            yield part.error(
+            yield part.make_error(
                 "ngspice has no such parameter of an element, LTspice has",
                 f"{param}={part.settings[param]} of {part.name}",
                 f"{instead}, as an element of its own",
@@ -162,14 +168,14 @@ def _check_references(part: Element, scope: Scope) -> Iterator[UsageError]:
             integer, unit, decimals = number
             message = f"ngspice reads {value} as {integer}{unit}"
             plain = f"{integer}.{decimals}{unit}"
-            yield part.error(message, f"{value} of {part.name}", plain, f"write {plain}")
+            yield part.make_error(message, f"{value} of {part.name}", plain, f"write {plain}")
     kind = "l" if part.kind == "k" else "v"
     for source in map(str.lower, part.sources):
         item = scope.elements_by_key.get(source)
         if item is None or item.kind != kind:
             what = "inductor" if kind == "l" else "voltage source"
             message, hint = f"no such {what}", f"add the {what} {source} to this netlist"
-            known = scope.elements_of(kind)
+            known = scope.select_elements(kind)
             yield _make_unknown_name_error(part, message, source, known, hint)
 
 
@@ -220,12 +226,12 @@ def _check_expression(
                         yield _make_unknown_name_error(
                             card, f"no such {what}", name, kinds[kind], hint
                         )
-            case Call(name) if law and name not in functions:
-                message, hint = "ngspice has no such function", f"define it: .func {name}(x) {{…}}"
+            case FunctionCall(name) if law and name not in functions:
+                message, hint = "ngspice has no such function", f"add a .func {name}(x) {{…}}"
                 yield _make_unknown_name_error(card, message, name, functions, hint)
-            case Binary("^", _, power) if law and power in _ODD_NUMBERS:
+            case BinaryOperation("^", _, power) if law and power in _ODD_NUMBERS:
                 message = "ngspice takes odd powers of the absolute value"
-                yield card.error(message, card.written, "a product", "write x*x*x for x^3")
+                yield card.make_error(message, card.written, "a product", "write x*x*x for x^3")
 
 
 def _check_connections(
@@ -236,7 +242,7 @@ def _check_connections(
     Nodes of signal outputs, nodes in an output command or in an expression, nodes named ``nc…``,
     and the saved nodes in ``read`` may have only one connection.
     """
-    uses = Counter(chain(scope.pins, *map(attrgetter("ends"), scope.elements)))
+    uses = Counter(chain(scope.pins, *map(attrgetter("lower_case_nodes"), scope.elements)))
     watched = set(read)
     for card in scope.commands:
         for text in _card_text(card).split("(")[1:]:
@@ -244,14 +250,14 @@ def _check_connections(
             watched.update(map(str.strip, names))
     watched.update(*map(attrgetter("sensed_nodes"), scope.elements))
     for part in scope.elements:
-        called = scope.find(part.model) if part.kind == "x" else None
+        called = scope.find_subcircuit(part.model) if part.kind == "x" else None
         pins = dict(enumerate(called.pins if called else ()))
-        for position, node in enumerate(part.ends):
+        for position, node in enumerate(part.lower_case_nodes):
             if uses[node] > 1 or node in GROUND_NAMES or node in watched or node.startswith("nc"):
                 continue
             pin = pins.get(position, str(position + 1))
             if (part.model.lower(), pin) not in signals:
-                yield part.error(
+                yield part.make_error(
                     f"floating port: nothing else is wired to node {node}",
                     f"pin {pin} of {part.name}",
                     next(iter(difflib.get_close_matches(node, uses.keys() - {node}, 1)), None),
@@ -274,4 +280,4 @@ def _make_unknown_name_error(
     expected = f"one of {list_candidates(name, sorted(known))}" if known else None
     similar = difflib.get_close_matches(name.lower(), list(known), 1)
     hint = f"did you mean {similar[0]!r}?" if similar else otherwise
-    return card.error(message, name, expected, hint)
+    return card.make_error(message, name, expected, hint)

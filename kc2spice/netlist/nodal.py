@@ -91,8 +91,8 @@ class NodalCircuit:
         return result
 
     @cached_property
-    def elements(self) -> list[tuple[Element, Tree | float]]:
-        """Each element with the expression of its value; the value of a source is zero."""
+    def element_values(self) -> list[tuple[Element, Tree | float]]:
+        """Each element with the expression of its value; the value is zero for a source."""
         items = select_items(self.circuit.items, Element)
         return list(zip(items, map(_parse_value, items), strict=True))
 
@@ -111,11 +111,11 @@ class NodalCircuit:
         grounded : pins of the instance at ground.
         sources : additional voltage sources to ground: the node of each source, keyed by its name.
         """
-        elements = list(self.elements)
+        elements = list(self.element_values)
         for name, node in sources.items():
             elements.append((Element(kind="v", name=name, nodes=(node, GROUND)), 0.0))
         rows = _number_unknowns(elements, {GROUND, *map(str.lower, grounded)})
-        names = self._parameter_values(values)
+        names = self._evaluate_parameters(values)
         stamps: tuple[list[tuple[int, int, float]], ...] = ([], [])
         for item, size in elements:
             number = size if isinstance(size, float) else evaluate_parameter(size, names)
@@ -124,7 +124,7 @@ class NodalCircuit:
                     stamps[part].append((rows[i], rows[j], entry))
         return NodalEquations(rows, tuple(map(_split_columns, stamps)))
 
-    def _parameter_values(self, values: Mapping[str, float]) -> dict[str, float]:
+    def _evaluate_parameters(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return the values of all parameters, keyed by lower-case name."""
         names: dict[str, float] = {}
         for key, text in self.circuit.defaults.items():
@@ -141,7 +141,7 @@ def _number_unknowns(
     """Number the unknowns: first the node voltages, then the currents of elements."""
     nodes, currents = dict[str, None](), []
     for item, _ in elements:
-        nodes |= dict.fromkeys(item.ends)
+        nodes |= dict.fromkeys(item.lower_case_nodes)
         if item.kind in _BRANCH_KINDS:
             currents.append(f"i({item.key})")
     unknowns = [*filterfalse(grounded.__contains__, nodes), *currents]
@@ -182,7 +182,7 @@ def _stamp_entries(item: Element, size: float) -> Iterable[tuple[int, str, str, 
     The equation of a node states that the sum of the currents out of the node is zero. The equation
     of a current is the constitutive equation of the element with this current.
     """
-    a, b = item.ends[:2]
+    a, b = item.lower_case_nodes[:2]
     if item.kind in "rc":
         part, conductance = ("rc".index(item.kind), 1 / size if item.kind == "r" else size)
         for row, sign in ((a, conductance), (b, -conductance)):
@@ -190,7 +190,7 @@ def _stamp_entries(item: Element, size: float) -> Iterable[tuple[int, str, str, 
             yield part, row, b, -sign
         return
     if item.kind == "g":
-        plus, minus = item.ends[2:4]
+        plus, minus = item.lower_case_nodes[2:4]
         for row, sign in ((a, size), (b, -size)):
             yield 0, row, plus, sign
             yield 0, row, minus, -sign
@@ -203,6 +203,6 @@ def _stamp_entries(item: Element, size: float) -> Iterable[tuple[int, str, str, 
     if item.kind == "l":
         yield 1, current, current, -size
     if item.kind == "e":
-        plus, minus = item.ends[2:4]
+        plus, minus = item.lower_case_nodes[2:4]
         yield 0, current, plus, -size
         yield 0, current, minus, size

@@ -6,7 +6,7 @@ A description names the part that contains the node, and the nearest pins.
 from __future__ import annotations
 
 from kc2spice.core.errors import UsageError
-from kc2spice.netlist.circuit import electrical_pins
+from kc2spice.netlist.circuit import make_electrical_pins
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.scope import Scope, find_instance
 
@@ -29,11 +29,11 @@ def describe_node(deck: Deck, node: str) -> str | None:
     if path:
         return _describe_instance(deck, scope, path[-1], name)
     if name in scope.elements_by_key:
-        return f"{name} in {deck.main}"
+        return f"{name} in {deck.main_file_name}"
     wired = []
     for element in scope.elements:
-        called = scope.find(element.model) if element.kind == "x" else None
-        for position, end in enumerate(element.ends):
+        called = scope.find_subcircuit(element.model) if element.kind == "x" else None
+        for position, end in enumerate(element.lower_case_nodes):
             if end == name:
                 pin = f" ({called.name}) pin {called.pins[position]}" if called else ""
                 wired.append(f"{element.key}{pin}")
@@ -47,7 +47,7 @@ def _describe_instance(deck: Deck, scope: Scope, instance: str, name: str) -> st
     ``ring0``.
     """
     part = next((part for part in deck.parts if part.name.lower() == scope.name.lower()), None)
-    pins = part.pins if part else electrical_pins(scope.pins)
+    pins = part.pins if part else make_electrical_pins(scope.pins)
     matching = [pin for pin in pins if name.endswith(pin.key)]
     what = f"part {instance} ({part.title if part else scope.name})"
     if not matching:

@@ -28,7 +28,7 @@ class PowerTerm(NamedTuple):
     law: Power
 
     @property
-    def names(self) -> frozenset[str]:
+    def result_names(self) -> frozenset[str]:
         """Names of the results that the power depends on."""
         return frozenset({self.through} if self.law == "through" else {self.across, self.through})
 

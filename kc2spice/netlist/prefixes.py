@@ -45,14 +45,15 @@ def read_parameter(text: str) -> float:
     return read_value(f"{plain:.15e}")
 
 
-def with_prefix(text: str) -> str:
+def format_with_prefix(text: str) -> str:
     """Return a number with a scale factor if ngspice reads the same double.
 
     Other texts, names and plain integers, such as ``V1`` and ``12``, are returned unchanged.
 
     Examples
     --------
-    >>> [with_prefix(text) for text in ("2.49e-05", "400000000.0", "1e-07", "0.99", "1e-18", "V1")]
+    >>> texts = ("2.49e-05", "400000000.0", "1e-07", "0.99", "1e-18", "V1")
+    >>> [format_with_prefix(text) for text in texts]
     ['24.9u', '400meg', '100.00n', '0.99', '1e-18', 'V1']
     """
     if not _FLOAT.fullmatch(text):
@@ -103,4 +104,4 @@ def _spell_number(number: Decimal, power: int) -> Iterator[str]:
 
 def with_prefixes(text: str) -> str:
     """Return a word of a card, such as a waveform, with a scale factor after each number."""
-    return _EMBEDDED_FLOAT.sub(lambda match: with_prefix(match[0]), text)
+    return _EMBEDDED_FLOAT.sub(lambda match: format_with_prefix(match[0]), text)

@@ -27,9 +27,9 @@ from kc2spice.netlist.circuit import (
     Circuit,
     Directive,
     Element,
-    Function,
+    FunctionCard,
     Item,
-    Model,
+    ModelCard,
     Parameters,
 )
 from kc2spice.netlist.expression import literal_value
@@ -172,7 +172,7 @@ def _read_items(
     result: list[Item] = []
     for s in cards:
         if s.keyword == ".ends" and head is None:
-            raise s.error(".ends without .subckt", hint="delete this line")
+            raise s.make_error(".ends without .subckt", hint="delete this line")
         if s.keyword == ".ends" or not s.keyword:
             if s.keyword or head is None:
                 return tuple(result), s.notes
@@ -180,7 +180,7 @@ def _read_items(
         if s.keyword == ".control":
             block = takewhile(lambda card: card.keyword != ".endc", cards)
             commands = tuple(map(attrgetter("written"), block))
-            result.append(Directive(".control", commands, **_card_origin(s)))
+            result.append(Directive(".control", commands, **_describe_card_origin(s)))
         else:
             result.append(_read_subckt(s, cards) if s.keyword == ".subckt" else _read_card(s))
         if s.keyword == ".end":
@@ -189,7 +189,7 @@ def _read_items(
         name = head.words[1] if len(head.words) > 1 else ""
         end = f".ends {name}".strip()
         hint = f"add the line  {end}  below the last element of {name or 'the subcircuit'}"
-        raise head.error("this subcircuit has no end", expected=end, hint=hint)
+        raise head.make_error("this subcircuit has no end", expected=end, hint=hint)
     return tuple(result), ()
 
 
@@ -197,16 +197,16 @@ def _read_subckt(s: Statement, cards: Iterator[Statement]) -> Circuit:
     """Read the subcircuit whose ``.subckt`` card is ``s``."""
     _, *operands = s.plain_words
     if not operands:
-        raise s.error("this subcircuit has no name", hint="write  .subckt NAME PIN1 PIN2")
+        raise s.make_error("this subcircuit has no name", hint="write  .subckt NAME PIN1 PIN2")
     pins, assigned = _separate_assignments(operands[1:])
     low = list(map(str.lower, pins))
     if len(set(low)) < len(low):
         duplicate = next(pin for pin in low if low.count(pin) > 1)
         hint = f"rename the second pin {duplicate}"
-        raise s.error(f"the pin {duplicate} stands twice", " ".join(pins), hint=hint)
+        raise s.make_error(f"the pin {duplicate} stands twice", " ".join(pins), hint=hint)
     defaults = _read_assignments(assigned, s)
     items, closing = _read_items(cards, s)
-    return Circuit(operands[0], tuple(pins), defaults, items, closing, **_card_origin(s))
+    return Circuit(operands[0], tuple(pins), defaults, items, closing, **_describe_card_origin(s))
 
 
 def _separate_assignments(card: Iterable[str]) -> tuple[list[str], list[str]]:
@@ -220,7 +220,7 @@ def _separate_assignments(card: Iterable[str]) -> tuple[list[str], list[str]]:
 
 def _read_card(s: Statement) -> Item:
     """Read one card that does not begin a subcircuit or a control block."""
-    origin = _card_origin(s)
+    origin = _describe_card_origin(s)
     if not s.keyword.startswith("."):
         return parse_element(s)
     if s.keyword in (".func", ".param", ".params") and (defined := _read_function(s)):
@@ -231,19 +231,19 @@ def _read_card(s: Statement) -> Item:
         if len(s.words) < 3:
             model = s.words[1] if len(s.words) > 1 else "NAME"
             hint = f"write for example  .model {model} D(IS=1e-14)"
-            raise s.error("model card is not complete", hint=hint)
+            raise s.make_error("model card is not complete", hint=hint)
         kind, _, inside = " ".join(s.words[2:]).partition("(")
         kind, *more = kind.split() + split_words(inside.rstrip().removesuffix(")"))
-        return Model(s.words[1], kind, dict(map(_split_assignment, more)), **origin)
+        return ModelCard(s.words[1], kind, dict(map(_split_assignment, more)), **origin)
     return Directive(s.keyword, tuple(s.words[1:]), **origin)
 
 
-def _card_origin(s: Statement) -> dict[str, Any]:
+def _describe_card_origin(s: Statement) -> dict[str, Any]:
     """Return file and line of a card, the text of the card, and the comments above the card."""
     return {"notes": s.notes, "where": s.where, "written": s.written}
 
 
-def _read_function(s: Statement) -> Function | None:
+def _read_function(s: Statement) -> FunctionCard | None:
     """Read the function on a card ``.func f(x) {law}`` or ``.param f(x) = {law}``.
 
     The result is None for other cards.
@@ -254,7 +254,7 @@ def _read_function(s: Statement) -> Function | None:
         return None
     arguments = tuple(filter(None, map(str.strip, inside.split(","))))
     law = law.strip().removeprefix("=").strip()
-    return Function(name.strip(), arguments, law, **_card_origin(s))
+    return FunctionCard(name.strip(), arguments, law, **_describe_card_origin(s))
 
 
 def _read_assignments(items: Iterable[str], s: Statement) -> dict[str, str]:
@@ -265,7 +265,7 @@ def _read_assignments(items: Iterable[str], s: Statement) -> dict[str, str]:
         if not _is_assignment(word):
             named = word if word.isidentifier() else "NAME"
             hint = f"write {named}={'VALUE' if named == word else word}"
-            raise s.error("not a parameter", word, "name=value", hint)
+            raise s.make_error("not a parameter", word, "name=value", hint)
         name, value = _split_assignment(word)
         pairs[name] = value
     return pairs
@@ -285,14 +285,14 @@ def _split_assignment(word: str) -> tuple[str, str]:
 
 def parse_element(s: Statement) -> Element:
     """Parse the card of an element; for an unknown element letter, all words are values."""
-    kind, origin = s.written[0].lower(), _card_origin(s)
+    kind, origin = s.written[0].lower(), _describe_card_origin(s)
     if kind == "b":
-        return _read_behaviour(s)
+        return _read_behavioural_source(s)
     name, *rest = s.plain_words
     if kind == "x":
         plain, assigned = _separate_assignments(rest)
         if not plain:
-            raise s.error(
+            raise s.make_error(
                 "the name of the subcircuit is missing",
                 hint=f"write  {name} NODE1 NODE2 SUBCIRCUIT",
             )
@@ -309,7 +309,7 @@ def parse_element(s: Statement) -> Element:
         more = ", then a value or model" if kind not in "vi" else ""
         places = " ".join(f"NODE{k}" for k in range(1, count + 1))
         hint = f"write  {name} {places}{' VALUE' if more else ''}"
-        raise s.error("element is not complete", expected=f"{count} nodes{more}", hint=hint)
+        raise s.make_error("element is not complete", expected=f"{count} nodes{more}", hint=hint)
     nodes, sources, rest = tuple(rest[:count]), tuple(rest[count:end]), rest[end:]
     if kind in "eg" and count == 2:
         return _read_controlled_source(Element(kind, name, nodes, values=tuple(rest), **origin))
@@ -334,15 +334,15 @@ def _count_nodes(kind: str, rest: Sequence[str]) -> int:
     return NODE_COUNTS[kind]
 
 
-def _read_behaviour(s: Statement) -> Element:
+def _read_behavioural_source(s: Statement) -> Element:
     """Read the card of a B source, whose expression extends to the end of the card."""
     name, *rest = s.written.split(None, 3)
     quantity, _, law = rest[2].partition("=") if len(rest) > 2 else ("", "", "")
     if quantity.strip().upper() not in ("V", "I") or not law.strip():
         hint = f"write  {name} NODE1 NODE2 V=EXPRESSION"
         expected = "I=… or V=expression"
-        raise s.error("behavioural source without a law", expected=expected, hint=hint)
-    origin = _card_origin(s) | {
+        raise s.make_error("behavioural source without a law", expected=expected, hint=hint)
+    origin = _describe_card_origin(s) | {
         "quantity": quantity.strip().upper(),
         "expression": _remove_braces(law),
     }

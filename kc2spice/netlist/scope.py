@@ -16,8 +16,8 @@ from kc2spice.netlist.circuit import (
     Circuit,
     Directive,
     Element,
-    Function,
-    Model,
+    FunctionCard,
+    ModelCard,
     Parameters,
     key_by_lower_name,
 )
@@ -43,17 +43,17 @@ class Scope:
     pins: tuple[str, ...] = ()
     defaults: dict[str, str] = field(default_factory=dict)
     params: ChainMap[str, str] = field(default_factory=ChainMap)
-    models: ChainMap[str, Model] = field(default_factory=ChainMap)
-    functions: ChainMap[str, Function] = field(default_factory=ChainMap)
+    models: ChainMap[str, ModelCard] = field(default_factory=ChainMap)
+    functions: ChainMap[str, FunctionCard] = field(default_factory=ChainMap)
     subcircuits: ChainMap[str, Scope] = field(default_factory=ChainMap)
     elements: list[Element] = field(default_factory=list)
-    commands: list[Parameters | Function | Directive] = field(default_factory=list)
+    commands: list[Parameters | FunctionCard | Directive] = field(default_factory=list)
     defined: dict[str, tuple[str, Card]] = field(default_factory=dict)
 
     @property
     def nodes(self) -> frozenset[str]:
         """Pins of the subcircuit, and nodes of its elements."""
-        return frozenset(self.pins).union(*map(attrgetter("ends"), self.elements))
+        return frozenset(self.pins).union(*map(attrgetter("lower_case_nodes"), self.elements))
 
     @cached_property
     def elements_by_key(self) -> dict[str, Element]:
@@ -63,19 +63,19 @@ class Scope:
             result.setdefault(element.key, element)
         return result
 
-    def elements_of(self, kinds: str) -> dict[str, Element]:
+    def select_elements(self, kinds: str) -> dict[str, Element]:
         """Return the elements whose letter is in ``kinds``, keyed by lower-case name."""
         return {key: item for key, item in self.elements_by_key.items() if item.kind in kinds}
 
-    def find(self, name: str) -> Scope | None:
+    def find_subcircuit(self, name: str) -> Scope | None:
         """Return the definition of the subcircuit ``name`` that is valid in this scope."""
         return self.subcircuits.get(name.lower())
 
-    def inner_scopes(self) -> Iterator[Scope]:
+    def list_scopes(self) -> Iterator[Scope]:
         """Yield this scope, and the scopes of all subcircuits that are defined within it."""
         yield self
         for child in self.subcircuits.maps[0].values():
-            yield from child.inner_scopes()
+            yield from child.list_scopes()
 
 
 def build_scope(tree: Circuit, files: Mapping[str, Circuit] | None = None, file: str = "") -> Scope:
@@ -92,7 +92,7 @@ def build_scope(tree: Circuit, files: Mapping[str, Circuit] | None = None, file:
         got = include.argument or "no file name"
         hint = did_you_mean(include.argument, others) or f"copy {got} beside the netlist"
         expected = f"one of {', '.join(others)}" if others else None
-        raise include.error("included file is not there", got, expected, hint)
+        raise include.make_error("included file is not there", got, expected, hint)
     return top
 
 
@@ -113,18 +113,18 @@ def _fill_scope(
                     letters = "".join(sorted(NODE_COUNTS)).upper()
                     expected = f"a name that begins with one of {letters}X"
                     hint = "delete this line, or begin it with * if it is a comment"
-                    raise item.error("unknown kind of element", name, expected, hint)
+                    raise item.make_error("unknown kind of element", name, expected, hint)
                 scope.elements.append(item)
             case Circuit():
                 missing += _fill_scope(_open_subcircuit(item, scope), item, chain, files)
-            case Model(name, kind, given):
+            case ModelCard(name, kind, given):
                 _require_same_definition(scope, f"model {name}", f"{kind} {given}", item)
                 scope.models[name.lower()] = item
             case Directive(keyword) if keyword in INCLUDES:
                 # the path of an included file is relative to the directory of the including file
                 target = str(PurePosixPath(chain[-1]).parent / item.argument)
                 if target in chain:
-                    raise item.error(
+                    raise item.make_error(
                         "a file includes itself, directly or through others", " -> ".join(chain)
                     )
                 if target in files:
@@ -138,7 +138,7 @@ def _fill_scope(
                 for key, value in values.items():
                     _require_same_definition(scope, f"parameter {key}", value, item)
                     scope.params[key.lower()] = value
-            case Function(name, _, law):
+            case FunctionCard(name, _, law):
                 scope.commands.append(item)
                 _require_same_definition(scope, f"function {name}", law, item)
                 scope.functions[name.lower()] = item
@@ -153,8 +153,8 @@ def _require_same_definition(scope: Scope, what: str, value: str, card: Card) ->
     first, first_card = scope.defined.setdefault(what, (value, card))
     if first_card.file != card.file and first != value:
         expected = f"one definition; the first is in {first_card.where}"
-        hint = "rename one, or put it into its .subckt"
-        raise card.error(f"two files define the {what}", card.written, expected, hint)
+        hint = "rename one of the two, or move each definition into its .subckt"
+        raise card.make_error(f"two files define the {what}", card.written, expected, hint)
 
 
 def _open_subcircuit(item: Circuit, parent: Scope) -> Scope:
@@ -163,7 +163,7 @@ def _open_subcircuit(item: Circuit, parent: Scope) -> Scope:
     if first := parent.subcircuits.maps[0].get(name):
         expected = f"one definition; the first is in {first.where}"
         hint = f"rename or delete the second .subckt {item.name}"
-        raise item.error("two subcircuits have one name", item.name, expected, hint)
+        raise item.make_error("two subcircuits have one name", item.name, expected, hint)
     defaults = key_by_lower_name(item.defaults)
     parent.subcircuits[name] = Scope(
         item.name,
@@ -200,5 +200,5 @@ def find_instance(top: Scope, path: tuple[str, ...]) -> Scope | None:
     scope: Scope | None = top
     for name in path:
         element = scope.elements_by_key.get(name) if scope else None
-        scope = scope.find(element.model) if scope and element else None
+        scope = scope.find_subcircuit(element.model) if scope and element else None
     return scope

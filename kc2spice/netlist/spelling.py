@@ -158,7 +158,7 @@ def format_comment(text: str) -> str:
 
 
 @cache
-def template_renderer(autoescape: bool = False) -> Any:
+def get_template_environment(autoescape: bool = False) -> Any:
     """Return the jinja2 environment for the templates of the package or of the repository."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
@@ -194,4 +194,4 @@ def render_template(template: str, **values: object) -> str:
     The template can use the filters ``n`` (format a number), ``name`` (check a name), ``comment``
     (format a comment) and ``q`` (quote a string of an S-expression).
     """
-    return template_renderer().get_template(template).render(**values)
+    return get_template_environment().get_template(template).render(**values)

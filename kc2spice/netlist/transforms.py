@@ -18,10 +18,10 @@ from kc2spice.netlist.circuit import (
     key_by_lower_name,
 )
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.elements import add_title
 from kc2spice.netlist.expression import join_terms, parse_vector, split_terms
-from kc2spice.netlist.library import Subcircuit, instance_comment, parameter_line
+from kc2spice.netlist.library import Subcircuit, write_instance_comment, write_parameter_line
 from kc2spice.netlist.scope import Scope
+from kc2spice.netlist.shared_cards import add_title
 from kc2spice.netlist.spelling import format_number
 
 Parameters = tuple[tuple[str, float], ...]  # ("PART.NAME", value)
@@ -44,7 +44,7 @@ def merge_helpers(part: Subcircuit, helpers: Iterable[Subcircuit]) -> Subcircuit
         for k, item in enumerate(items):
             if isinstance(item, Circuit) and item.name == name:
                 title = f"* {name}:{helper.title.partition(':')[2]}"
-                head = ("", title, instance_comment(name, item.pins, item.defaults))
+                head = ("", title, write_instance_comment(name, item.pins, item.defaults))
                 items[k] = replace(item, notes=(*head, *item.notes[helper.header_lines :]))
         tree = replace(tree, items=(*tree.items, *items))
     return part.with_circuit(tree)
@@ -68,7 +68,7 @@ def rename_subcircuits(circuit: Circuit, names: Mapping[str, str]) -> Circuit:
 # --- new values of the netlist parameters param.PART.NAME ---
 
 
-def library_stem(part: Subcircuit) -> str:
+def make_library_stem(part: Subcircuit) -> str:
     """Return the name of a part's library file without its suffix."""
     return part.filename.rpartition(".")[0] or part.filename
 
@@ -82,10 +82,10 @@ def list_parameterised_subcircuits(part: Subcircuit) -> Iterator[tuple[str, Circ
     """
     for item in part.circuit.subcircuits:
         main = item.name.lower() == part.name.lower()
-        yield (library_stem(part) if main else item.name.removeprefix(f"{part.name}_")), item
+        yield (make_library_stem(part) if main else item.name.removeprefix(f"{part.name}_")), item
 
 
-def parameter_defaults(deck: Deck) -> dict[str, float]:
+def list_parameter_defaults(deck: Deck) -> dict[str, float]:
     """Return the default value of every numeric parameter, keyed by ``PART.NAME``."""
     result = {}
     for part in deck.parts:
@@ -105,7 +105,7 @@ def with_parameters(deck: Deck, values: Iterable[tuple[str, float]]) -> Deck:
     ------
     UsageError : no part of the deck has this parameter, or the value is not allowed.
     """
-    known, parts = parameter_defaults(deck), list(deck.parts)
+    known, parts = list_parameter_defaults(deck), list(deck.parts)
     for key, value in values:
         if key not in known:
             message = "no part of this scene has a parameter of this name"
@@ -119,16 +119,18 @@ def _change_parameter(part: Subcircuit, library: str, name: str, value: float) -
     """Return a part with a new default value of a parameter of the subcircuit ``library``."""
     changed_circuits = dict[int, Circuit]()
     params = list(part.params)
-    for k, param in enumerate(params if library == library_stem(part) else ()):
+    for k, param in enumerate(params if library == make_library_stem(part) else ()):
         if param.name.lower() == name.lower():
             _require_in_range(param, library, value)
             params[k] = replace(param, default=value)
-    lines = dict(zip(map(parameter_line, part.params), map(parameter_line, params), strict=True))
+    lines = dict(
+        zip(map(write_parameter_line, part.params), map(write_parameter_line, params), strict=True)
+    )
     for where, item in list_parameterised_subcircuits(part):
         if where == library and name in item.defaults:
             defaults = {**item.defaults, name: format_number(value)}
-            before = instance_comment(item.name, item.pins, item.defaults)
-            lines[before] = instance_comment(item.name, item.pins, defaults)
+            before = write_instance_comment(item.name, item.pins, item.defaults)
+            lines[before] = write_instance_comment(item.name, item.pins, defaults)
             notes = tuple(lines.get(line, line) for line in item.notes)
             changed_circuits[id(item)] = replace(item, defaults=defaults, notes=notes)
     items = tuple(changed_circuits.get(id(item), item) for item in part.circuit.items)
@@ -183,7 +185,7 @@ def make_array_deck(deck: Deck, count: int) -> Deck:
         raise UsageError(message, where="--count", got=got, expected=expected)
     unit, numbers = f"{deck.name}_unit", range(1, count + 1)
     copy = add_title("one copy", [Circuit(unit, ("common",), items=deck.items)])
-    copies = add_title(f"{count} copies", [Element.of(f"X{k}", "0", unit) for k in numbers])
+    copies = add_title(f"{count} copies", [Element.from_words(f"X{k}", "0", unit) for k in numbers])
     vectors, units, initial = dict[str, tuple[str, float]](), dict[str, str](), dict[str, float]()
     for k in numbers:
         for name, (expression, factor) in deck.vectors.items():
@@ -207,7 +209,7 @@ def _move_into_instance(expression: str, instance: str) -> str:
     signed = []
     for sign, text in split_terms(expression):
         item = parse_vector(text)
-        signed.append((sign, str(item.within(instance)) if item else text))
+        signed.append((sign, str(item.qualify_with_instance(instance)) if item else text))
     return join_terms(signed)
 
 
@@ -260,7 +262,7 @@ def _remove_arithmetic_noise(part: Subcircuit, noisy: Iterable[str]) -> Subcircu
 def _list_noisy_resistors(scope: Scope, path: str = "") -> Iterator[tuple[str, str]]:
     """Yield the simulator names of noisy resistors, and the paths of their instances."""
     for item in scope.elements:
-        if item.kind == "x" and (inner := scope.find(item.model)) is not None:
+        if item.kind == "x" and (inner := scope.find_subcircuit(item.model)) is not None:
             yield from _list_noisy_resistors(inner, f"{path}{item.key}.")
         elif item.kind == "r" and item.settings.get("noisy") != "0":
             yield f"r.{path}{item.key}" if path else item.key, f"{path}{item.key}"

@@ -12,8 +12,8 @@ from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.printers.dialect_registry import (
     NGSPICE,
     VERILOG_A,
-    deck_dialects,
     find_dialect,
+    list_deck_dialects,
 )
 from kc2spice.netlist.printers.kicad import make_project
 from kc2spice.netlist.printers.ngspice import locate_cards
@@ -31,16 +31,16 @@ def translate_deck(deck: Deck, dialect: str) -> Deck:
     if dialect == NGSPICE:
         return deck
     printer = find_dialect(dialect)(deck)
-    main = deck.tree_with_usage(f"* Run it with:  {printer.command} {deck.main}")
-    trees = {**deck.located_trees, deck.main: main}
+    main = deck.add_usage_comment(f"* Run it with:  {printer.command} {deck.main_file_name}")
+    trees = {**deck.located_trees, deck.main_file_name: main}
     if deck.text is None:
-        trees[deck.main] = locate_cards(main, deck.main)
+        trees[deck.main_file_name] = locate_cards(main, deck.main_file_name)
     files = {name: printer.format_file(tree) for name, tree in trees.items()}
     vectors = {}
     for key, (expression, factor) in deck.vectors.items():
-        signed = [(sign, printer.vector(item)) for sign, item in split_terms(expression)]
+        signed = [(sign, printer.format_vector(item)) for sign, item in split_terms(expression)]
         vectors[key] = join_terms(signed), factor
-    text = files.pop(deck.main)
+    text = files.pop(deck.main_file_name)
     changes: dict[str, Any] = {"options": (), "refinements": (), "vectors": vectors}
     return replace(deck, text=text, tree=None, more=files, parts=(), **changes)
 
@@ -91,7 +91,7 @@ def write_symbol_files(deck: Deck, dialect: str = "ngspice") -> dict[str, str]:
     if dialect == VERILOG_A:
         return {}
     files = make_project(deck) if dialect == NGSPICE else {}
-    dialects = deck_dialects() if dialect == NGSPICE else (dialect,)
+    dialects = list_deck_dialects() if dialect == NGSPICE else (dialect,)
     for name in filter(NGSPICE.__ne__, dialects):
         printer = find_dialect(name)()
         for part in deck.parts:

@@ -20,18 +20,18 @@ import numpy as np
 from kc2spice.core.domains import QUANTITIES, Quantity
 from kc2spice.core.errors import UsageError
 from kc2spice.core.naming import list_names
-from kc2spice.netlist.circuit import Element, Item, Model, Parameters
-from kc2spice.netlist.elements import Line, attach_comments, pivot_cards
+from kc2spice.netlist.circuit import Element, Item, ModelCard, Parameters
 from kc2spice.netlist.expression import (
-    Binary,
-    Call,
+    BinaryOperation,
     CircuitVariable,
+    FunctionCall,
     Name,
     Number,
     Tree,
     substitute_names,
     walk_tree,
 )
+from kc2spice.netlist.shared_cards import Line, attach_comments, write_pivot_cards
 from kc2spice.netlist.spelling import LEAK_RATE, format_number
 from kc2spice.physics.declaration import TEMPERATURE, Branch, Declaration
 from kc2spice.physics.linkages import FluxLinkages, find_flux_linkages
@@ -46,14 +46,14 @@ from kc2spice.physics.symbolic import (
     find_names,
     format_tree,
     is_affine,
+    make_weighted_sum,
     multiply_trees,
     subtract_trees,
-    weighted_sum,
 )
 
 _UNIT_CAPACITANCE = "1e-06"
 NO_TABLES: Mapping[str, TableFunction] = MappingProxyType({})
-_KINK_SWITCH = Model("edge", "SW", {"VT": "0", "VH": "0", "RON": "1e6", "ROFF": "2e6"})
+_KINK_SWITCH = ModelCard("edge", "SW", {"VT": "0", "VH": "0", "RON": "1e6", "ROFF": "2e6"})
 _TIME_INTEGRALS = {
     "current": ("charge", "coulombs"),
     "voltage": ("flux", "webers"),
@@ -98,7 +98,7 @@ _COMMENT_TEXTS = {
 }  # fmt: skip
 
 
-def subcircuit_items(
+def write_subcircuit_items(
     declaration: Declaration, noise: bool = False, tables: Mapping[str, TableFunction] = NO_TABLES
 ) -> tuple[Item, ...]:
     """Return the cards between ``.subckt`` and ``.ends``, with their comments.
@@ -111,7 +111,7 @@ def subcircuit_items(
 
 def has_losses(declaration: Declaration) -> bool:
     """Return whether any branch has a resistance, a conductance or damping."""
-    return any(declaration.loss_coefficient(b) != ZERO for b in declaration.acting_branches)
+    return any(declaration.derive_loss_coefficient(b) != ZERO for b in declaration.acting_branches)
 
 
 def _write_items(
@@ -124,15 +124,19 @@ def _write_items(
     linkages = find_flux_linkages(declaration)
     lookups = Lookups(tables, _list_laws(declaration, linkages), rest)
     if lookups.argument:
-        nodes = {**nodes, **lookups.node_trees(), **_list_inner_voltages(declaration, linkages)}
+        nodes = {
+            **nodes,
+            **lookups.list_lookup_trees(),
+            **_list_inner_voltages(declaration, linkages),
+        }
         yield from _write_lookups(lookups, nodes)
     for tree, name in declaration.power_series.items():
         yield f"* power series {name}"
-        yield Element.behaviour(
+        yield Element.behavioural_source(
             f"B{name}", name, rest, "V", format_tree(substitute_names(tree, nodes))
         )
     rated = set(declaration.branches_with_rate).difference(declaration.inertial_branches)
-    rated.update(declaration.displacements if linkages else ())
+    rated.update(declaration.displacement_branches if linkages else ())
     rated -= {b for b in declaration.branches if b.name in declaration.velocities}
     for branch in declaration.branches:
         if branch.less or branch.name in declaration.lags:
@@ -145,19 +149,21 @@ def _write_items(
         b if b.plus else replace(b, plus=rest, minus=rest) for b in declaration.acting_branches
     ]
     for branch in branches if noise else ():
-        if (loss := declaration.loss_coefficient(branch)) != ZERO:
+        if (loss := declaration.derive_loss_coefficient(branch)) != ZERO:
             source = CircuitVariable("v", (f"noise_{branch.name}", branch.minus))
-            added[branch.name] = multiply_trees(source, Call("sqrt", (loss,)))
+            added[branch.name] = multiply_trees(source, FunctionCall("sqrt", (loss,)))
             yield _format_comment("noise", branch, loss=format_tree(loss))
-            yield Element.of(f"Rnoise_{branch.name}", f"noise_{branch.name}", branch.minus, "1")
+            yield Element.from_words(
+                f"Rnoise_{branch.name}", f"noise_{branch.name}", branch.minus, "1"
+            )
     if linkages:
         yield from _write_linkages(linkages, lookups, nodes)
-        branches = [b for b in branches if not b.flows]
+        branches = [b for b in branches if not b.is_flow]
     for branch in branches:
-        if branch.moves:
+        if branch.is_motion:
             yield from _write_force(declaration, branch, nodes, added[branch.name], lookups)
         else:
-            make = _write_flux if branch.flows else _write_charge
+            make = _write_current_branch if branch.is_flow else _write_voltage_branch
             yield from make(declaration, branch, nodes, added[branch.name])
     yield from _write_kink_switches(declaration, nodes)
     for name, tree in declaration.output_trees.items():
@@ -173,7 +179,7 @@ def _list_inner_voltages(
     The reference pin of a part with lookups is at 0 V. ngspice evaluates the voltage of one node
     faster than the voltage between two nodes.
     """
-    inner = inner_nodes(declaration)
+    inner = list_inner_nodes(declaration)
     for name in linkages.current_names if linkages else ():
         inner[name] = name
     return {name: CircuitVariable("v", (node,)) for name, node in inner.items()}
@@ -187,10 +193,10 @@ def _list_laws(declaration: Declaration, linkages: FluxLinkages | None) -> tuple
     UsageError : another expression of the declaration contains a table.
     """
     others = [*declaration.signal_trees.values(), *declaration.state_rates.values()]
-    for b in declaration.stationary_branches:
-        others.append(declaration.direct_flow(b))
+    for b in declaration.branches_without_motion:
+        others.append(declaration.derive_direct_flow(b))
         if not linkages:
-            others.append(declaration.stored_quantity(b))
+            others.append(declaration.derive_stored_quantity(b))
     for tree in others:
         if has_tables(tree, declaration.tables):
             raise UsageError(
@@ -198,7 +204,7 @@ def _list_laws(declaration: Declaration, linkages: FluxLinkages | None) -> tuple
                 where=declaration.name,
                 got=format_tree(tree),
             )
-    forces = map(declaration.delayed_flow, declaration.displacements)
+    forces = map(declaration.direct_force_with_lags, declaration.displacement_branches)
     return (*forces, *(linkages.motion_voltages if linkages else ()))
 
 
@@ -218,23 +224,23 @@ def _write_lookups(lookups: Lookups, nodes: Mapping[str, Tree]) -> Iterator[Line
     )
     yield from _write_node(CELL_NODE, cell, nodes, base)
     at, within = f"V({CELL_NODE})", "V(lookup_t)"
-    yield Element.behaviour("Blookup_t", base, "lookup_t", "I", f"{at}-floor({at})")
-    yield Element.of("Rlookup_t", "lookup_t", base, "1")
-    yield Element.behaviour(
+    yield Element.behavioural_source("Blookup_t", base, "lookup_t", "I", f"{at}-floor({at})")
+    yield Element.from_words("Rlookup_t", "lookup_t", base, "1")
+    yield Element.behavioural_source(
         f"B{WEIGHT_NODE}", base, WEIGHT_NODE, "I", f"{within}-{within}*{within}"
     )
-    yield Element.of(f"R{WEIGHT_NODE}", WEIGHT_NODE, base, "1")
+    yield Element.from_words(f"R{WEIGHT_NODE}", WEIGHT_NODE, base, "1")
     for calls in lookups.repeated:
         yield f"* {lookups.describe_lookup(calls)}"
-        values = lookups.tabulate(weighted_sum(calls))
+        values = lookups.evaluate_tables(make_weighted_sum(calls))
         yield from _write_lookup(lookups.labels[calls], lookups, values)
 
 
 def _write_lookup(name: str, lookups: Lookups, values: np.ndarray) -> Iterator[Line]:
     """Yield the cards of the node ``name``, whose voltage is the value of a lookup."""
-    law = format_tree(lookups.interpolation_expression(values))
-    yield Element.behaviour(f"B{name}", lookups.base, name, "I", law)
-    yield Element.of(f"R{name}", name, lookups.base, "1")
+    law = format_tree(lookups.write_interpolation(values))
+    yield Element.behavioural_source(f"B{name}", lookups.base, name, "I", law)
+    yield Element.from_words(f"R{name}", name, lookups.base, "1")
 
 
 def _write_linkages(
@@ -246,7 +252,7 @@ def _write_linkages(
     of lookups. The means have separate cards, because every lookup is 0 V before the first
     solution of the simulator.
     """
-    henry, inverse = linkages.invert(lookups)
+    henry, inverse = linkages.invert_inductances(lookups)
     mean, count = inverse.mean(axis=0), len(linkages.branches)
     for k, l in combinations_with_replacement(range(count), 2):
         name = _name_inverse_node(k, l)
@@ -259,10 +265,12 @@ def _write_linkages(
         yield _format_comment("current", branch, node=n)
         for l, other in enumerate(linkages.branches):
             linkage = f"l_{other.name}"
-            yield Element.of(f"G{n}_{other.name}", base, n, linkage, base, float(mean[k, l]))
+            yield Element.from_words(
+                f"G{n}_{other.name}", base, n, linkage, base, float(mean[k, l])
+            )
             terms.append(f"V({_name_inverse_node(k, l)})*V({linkage})")
-        yield Element.behaviour(f"B{n}", base, n, "I", "+".join(terms))
-        yield Element.of(f"R{n}", n, base, "1")
+        yield Element.behavioural_source(f"B{n}", base, n, "I", "+".join(terms))
+        yield Element.from_words(f"R{n}", n, base, "1")
 
 
 def _name_inverse_node(k: int, l: int) -> str:
@@ -278,7 +286,7 @@ def _write_linkage(
     The law ``motion`` is the voltage that motion induces. The flux linkage is scaled by ``henry``.
     """
     n, base, inner = b.name, reference_pin_name(declaration), f"rest_{b.name}"
-    drop = declaration.direct_flow(b)
+    drop = declaration.derive_direct_flow(b)
     resistance = differentiate_tree(drop, n)
     varying = find_names(resistance) & declaration.variables
     if varying - {TEMPERATURE}:
@@ -286,25 +294,26 @@ def _write_linkage(
             "the resistance in series with a tabulated inductance is not constant",
             where=declaration.name,
             got=format_tree(drop),
+            expected="a constant resistance, or a resistance that depends on temperature alone",
         )
     yield _format_comment("linkage", b, node=f"l_{n}", scale=f"{henry:.6g}")
     if varying:
         law = divide_trees(CircuitVariable("v", (b.plus, inner)), resistance)
-        yield Element.behaviour(
+        yield Element.behavioural_source(
             f"B{inner}", b.plus, inner, "I", format_tree(substitute_names(law, nodes))
         )
     else:
-        yield Element.of(f"R{inner}", b.plus, inner, f"{{{format_tree(resistance)}}}")
-    yield Element.of(f"G{inner}", inner, b.minus, n, base, "1")
-    yield Element.of(f"Cl_{n}", f"l_{n}", base, henry)
-    yield Element.of(f"Gl_{n}", base, f"l_{n}", inner, b.minus, "1")
-    yield Element.behaviour(f"Bl_{n}", f"l_{n}", base, "I", motion)
+        yield Element.from_words(f"R{inner}", b.plus, inner, f"{{{format_tree(resistance)}}}")
+    yield Element.from_words(f"G{inner}", inner, b.minus, n, base, "1")
+    yield Element.from_words(f"Cl_{n}", f"l_{n}", base, henry)
+    yield Element.from_words(f"Gl_{n}", base, f"l_{n}", inner, b.minus, "1")
+    yield Element.behavioural_source(f"Bl_{n}", f"l_{n}", base, "I", motion)
 
 
 def _write_node(name: str, tree: Tree, nodes: Mapping[str, Tree], base: str) -> Iterator[Line]:
     """Yield the cards of the node ``name``, whose voltage is the value of ``tree``."""
     yield from _write_current(name, (base, name), tree, nodes)
-    yield Element.of(f"R{name}", name, base, "1")
+    yield Element.from_words(f"R{name}", name, base, "1")
 
 
 def _write_current(
@@ -320,19 +329,21 @@ def _write_current(
     voltages = [_find_single_voltage(nodes[item]) for item in dependencies]
     smooth = not find_kinks(tree) and not _list_circuit_variables(tree)
     if not all(voltages) or not smooth or not is_affine(tree, set(dependencies)):
-        yield Element.behaviour(
+        yield Element.behavioural_source(
             f"B{name}", start, end, "I", format_tree(substitute_names(tree, nodes))
         )
         return
     for item, voltage in zip(dependencies, voltages, strict=True):
         card = f"G{name}" if len(dependencies) == 1 else f"G{name}_{item}"
         at = nodes[item]
-        unit = at.left if isinstance(at, Binary) else ONE
+        unit = at.left if isinstance(at, BinaryOperation) else ONE
         gain = f"{{{format_tree(multiply_trees(unit, differentiate_tree(tree, item)))}}}"
-        yield Element.of(card, start, end, *voltage, gain)
+        yield Element.from_words(card, start, end, *voltage, gain)
     rest = add_trees(substitute_names(tree, dict.fromkeys(dependencies, ZERO)))
     if rest != ZERO:
-        yield Element.of(f"I{name}", end, start, f"{{{format_tree(subtract_trees(ZERO, rest))}}}")
+        yield Element.from_words(
+            f"I{name}", end, start, f"{{{format_tree(subtract_trees(ZERO, rest))}}}"
+        )
 
 
 def _list_circuit_variables(tree: Tree) -> list[CircuitVariable]:
@@ -363,36 +374,40 @@ def _write_mass(declaration: Declaration, b: Branch) -> Iterator[Line]:
     start, fast = declaration.starts[n]
     yield _format_comment("mass", b, speed=v, place=place)
     end = base if speed else f"pushed_{n}"
-    yield Element.of(f"Cplace_{n}", place, base, _UNIT_CAPACITANCE, IC=f"{{{start}*1e6}}")
-    yield Element.of(f"Gplace_{n}", base, place, v, base, "1")
-    yield Element.of(
-        f"Cmass_{n}", v, end, f"{{{format_tree(declaration.mass(b))}}}", IC=f"{{{fast}}}"
+    yield Element.from_words(f"Cplace_{n}", place, base, _UNIT_CAPACITANCE, IC=f"{{{start}*1e6}}")
+    yield Element.from_words(f"Gplace_{n}", base, place, v, base, "1")
+    yield Element.from_words(
+        f"Cmass_{n}", v, end, f"{{{format_tree(declaration.get_branch_mass(b))}}}", IC=f"{{{fast}}}"
     )
     frame_branches = [
         other for other in declaration.branches if other.domain.name == b.domain.frame
     ]
-    weight = declaration.direct_flow(b)
+    weight = declaration.derive_direct_flow(b)
     constant_weight = add_trees(
         substitute_names(weight, dict.fromkeys(list_names(frame_branches), ZERO))
     )
     if constant_weight != ZERO:
-        yield Element.of(f"Iweight_{n}", v, base, f"{{{format_tree(constant_weight)}}}")
+        yield Element.from_words(f"Iweight_{n}", v, base, f"{{{format_tree(constant_weight)}}}")
     for other in frame_branches:
         share = format_tree(differentiate_tree(weight, other.name))
         yield _format_comment("shake", other, speed=v)
-        yield Element.of(f"Gshake_{other.name}", v, base, other.plus, other.minus, f"{{{share}}}")
+        yield Element.from_words(
+            f"Gshake_{other.name}", v, base, other.plus, other.minus, f"{{{share}}}"
+        )
     if not speed:
-        yield Element.of(f"Vmass_{n}", end, base, "0")
-        yield _format_comment("held", b, node=force_node(b), place=place)
-        yield Element.of(f"Gheld_{n}", base, force_node(b), b.plus, place, "1")
-        yield Element.of(f"G{force_node(b)}", b.plus, base, force_node(b), base, "1")
-        yield Element.of(f"Gpush_{n}", base, v, force_node(b), base, "1")
+        yield Element.from_words(f"Vmass_{n}", end, base, "0")
+        yield _format_comment("held", b, node=name_force_node(b), place=place)
+        yield Element.from_words(f"Gheld_{n}", base, name_force_node(b), b.plus, place, "1")
+        yield Element.from_words(
+            f"G{name_force_node(b)}", b.plus, base, name_force_node(b), base, "1"
+        )
+        yield Element.from_words(f"Gpush_{n}", base, v, name_force_node(b), base, "1")
         for other in frame_branches:
             share = format_tree(
-                divide_trees(differentiate_tree(weight, other.name), declaration.mass(b))
+                divide_trees(differentiate_tree(weight, other.name), declaration.get_branch_mass(b))
             )
-            yield Element.of(
-                f"Gdraw_{other.name}", other.plus, base, force_node(b), base, f"{{{share}}}"
+            yield Element.from_words(
+                f"Gdraw_{other.name}", other.plus, base, name_force_node(b), base, f"{{{share}}}"
             )
 
 
@@ -404,13 +419,13 @@ def _list_variable_trees(declaration: Declaration) -> Mapping[str, Tree]:
     """
     rest = reference_pin_name(declaration)
     series = declaration.power_series.values()
-    inner = {**dict(zip(series, series, strict=True)), **inner_nodes(declaration)}
+    inner = {**dict(zip(series, series, strict=True)), **list_inner_nodes(declaration)}
     result: dict[str, Tree] = {n: CircuitVariable("v", (node, rest)) for n, node in inner.items()}
     for b in declaration.branches:
-        factor = coordinate_quantity(b).factor
+        factor = find_coordinate_quantity(b).factor
         variable = (
-            CircuitVariable("i", (meter_name(b),))
-            if b.flows
+            CircuitVariable("i", (get_meter_name(b),))
+            if b.is_flow
             else CircuitVariable("v", _find_coordinate_nodes(declaration, b))
         )
         result[b.name] = _scale_to_si(variable, factor)
@@ -433,23 +448,23 @@ def _find_pin_velocity(declaration: Declaration, pin: str) -> Tree:
     return CircuitVariable("v", (speed,)) if speed else ZERO
 
 
-def inner_nodes(declaration: Declaration) -> dict[str, str]:
+def list_inner_nodes(declaration: Declaration) -> dict[str, str]:
     """Return the netlist nodes of signals and states, keyed by signal name or state name."""
     result = dict(zip(declaration.signals, declaration.signals, strict=True))
     for name in declaration.states:
-        result[name] = state_node(name)
+        result[name] = get_state_node(name)
     return result
 
 
-def coordinate_quantity(b: Branch) -> Quantity:
+def find_coordinate_quantity(b: Branch) -> Quantity:
     """Return the physical quantity of a branch's coordinate."""
     domain, side = QUANTITIES[b.kind]
-    return domain.quantity(side)
+    return domain.get_quantity(side)
 
 
 def _scale_to_si(tree: Tree, factor: float) -> Tree:
-    """Return ``factor`` times a voltage or current, without simplification."""
-    return tree if factor == 1 else Binary("*", _format_power_of_ten(factor), tree)
+    """Multiply a voltage or current by ``factor``, without simplification."""
+    return tree if factor == 1 else BinaryOperation("*", _format_power_of_ten(factor), tree)
 
 
 def _format_power_of_ten(value: float) -> Number:
@@ -465,22 +480,22 @@ def _find_coordinate_nodes(declaration: Declaration, b: Branch) -> tuple[str, st
 
 def reference_pin_name(declaration: Declaration) -> str:
     """Return the name of the pin to which the voltages of loops and inner nodes refer."""
-    pins = (b.minus for b in declaration.branches if b.moves)
-    return declaration.base or next(pins, "") or declaration.open_branches[0].minus
+    pins = (b.minus for b in declaration.branches if b.is_motion)
+    return declaration.base or next(pins, "") or declaration.pin_branches[0].minus
 
 
-def meter_name(branch: Branch) -> str:
+def get_meter_name(branch: Branch) -> str:
     """Return the name of the 0 V source that measures the current of a branch."""
     return f"Vmeter_{branch.name}"
 
 
-def state_node(name: str) -> str:
+def get_state_node(name: str) -> str:
     """Return the node whose voltage is a state, in SI units."""
     return f"state_{name}"
 
 
-def force_node(branch: Branch) -> str:
-    """Return the node whose voltage is the force of a displacement branch."""
+def name_force_node(branch: Branch) -> str:
+    """Return the name of the node whose voltage is the force of a displacement branch."""
     return f"f_{branch.name}"
 
 
@@ -502,17 +517,17 @@ def _write_states(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterat
         yield f"*   {name} = {format_tree(tree)}"
         yield from _write_node(name, tree, nodes, base)
     for name, tree in declaration.state_rates.items():
-        node, rate = state_node(name), multiply_trees(Number(_UNIT_CAPACITANCE), tree)
+        node, rate = get_state_node(name), multiply_trees(Number(_UNIT_CAPACITANCE), tree)
         yield f"* {_COMMENT_TEXTS['state'].format(node=node)}"
         yield f"*   d/dt {name} = {format_tree(tree)}"
-        yield Element.of(f"C{node}", node, base, _UNIT_CAPACITANCE)
-        yield Element.of(f"R{node}", node, base, "1e15")
+        yield Element.from_words(f"C{node}", node, base, _UNIT_CAPACITANCE)
+        yield Element.from_words(f"R{node}", node, base, "1e15")
         yield from _write_current(node, (base, node), rate, nodes)
 
 
 def _write_law(declaration: Declaration, tree: Tree, nodes: Mapping[str, Tree]) -> str:
     """Return ``tree`` as text for a card, with node voltages in place of variables."""
-    return format_tree(substitute_names(declaration.name_power_series(tree), nodes))
+    return format_tree(substitute_names(declaration.replace_power_series(tree), nodes))
 
 
 def _write_differentiator(name: str, node: str, minus: str) -> Iterator[Line]:
@@ -521,8 +536,8 @@ def _write_differentiator(name: str, node: str, minus: str) -> Iterator[Line]:
     The current of the source is 1e-6 times the time derivative of the voltage between ``node`` and
     ``minus``.
     """
-    yield Element.of(f"Crate_{name}", node, f"sense_{name}", _UNIT_CAPACITANCE)
-    yield Element.of(f"Vrate_{name}", f"sense_{name}", minus, "0")
+    yield Element.from_words(f"Crate_{name}", node, f"sense_{name}", _UNIT_CAPACITANCE)
+    yield Element.from_words(f"Vrate_{name}", f"sense_{name}", minus, "0")
 
 
 def _find_sensed_pins(declaration: Declaration, b: Branch) -> tuple[str, str]:
@@ -544,7 +559,7 @@ def _write_velocity(declaration: Declaration, b: Branch) -> Iterator[Line]:
     plus, minus = _find_sensed_pins(declaration, b)
     if plus != minus:
         yield _format_comment("rate", replace(b, plus=plus, minus=minus))
-        yield Element.of(f"Ecopy_{b.name}", f"copy_{b.name}", base, plus, minus, "1")
+        yield Element.from_words(f"Ecopy_{b.name}", f"copy_{b.name}", base, plus, minus, "1")
         yield from _write_differentiator(b.name, f"copy_{b.name}", base)
 
 
@@ -560,19 +575,19 @@ def _write_coordinate(declaration: Declaration, b: Branch) -> Iterator[Line]:
     node = f"in_{n}" if lag else f"x_{n}"
     words = f" less {b.less}" * bool(b.less) + f" + {lag} times its rate" * bool(lag)
     yield _format_comment("place", b, node=f"x_{n}", words=words)
-    yield Element.of(f"G{node}", base, node, b.plus, b.minus, "1")
+    yield Element.from_words(f"G{node}", base, node, b.plus, b.minus, "1")
     if b.less:
-        yield Element.of(f"Gless_{n}", node, base, b.less, base, "1")
-    yield Element.of(f"R{node}", node, base, "1")
+        yield Element.from_words(f"Gless_{n}", node, base, b.less, base, "1")
+    yield Element.from_words(f"R{node}", node, base, "1")
     if lag:
         for before, name in ((node, f"first_{n}"), (f"first_{n}", f"second_{n}")):
-            yield Element.of(f"G{name}", base, name, before, base, "1")
-            yield Element.of(f"R{name}", name, base, "1")
-            yield Element.of(f"C{name}", name, base, f"{{{lag}/4}}")
-        yield Element.of(f"Gnow_{n}", base, f"x_{n}", node, base, "9")
-        yield Element.of(f"Gthen_{n}", f"x_{n}", base, f"first_{n}", base, "12")
-        yield Element.of(f"Gbefore_{n}", base, f"x_{n}", f"second_{n}", base, "4")
-        yield Element.of(f"Rx_{n}", f"x_{n}", base, "1")
+            yield Element.from_words(f"G{name}", base, name, before, base, "1")
+            yield Element.from_words(f"R{name}", name, base, "1")
+            yield Element.from_words(f"C{name}", name, base, f"{{{lag}/4}}")
+        yield Element.from_words(f"Gnow_{n}", base, f"x_{n}", node, base, "9")
+        yield Element.from_words(f"Gthen_{n}", f"x_{n}", base, f"first_{n}", base, "12")
+        yield Element.from_words(f"Gbefore_{n}", base, f"x_{n}", f"second_{n}", base, "4")
+        yield Element.from_words(f"Rx_{n}", f"x_{n}", base, "1")
 
 
 def _write_force(
@@ -582,28 +597,28 @@ def _write_force(
     if b in declaration.inertial_branches:
         yield from _write_mass(declaration, b)
         return
-    node, base = force_node(b), declaration.base or b.minus
+    node, base = name_force_node(b), declaration.base or b.minus
     speeds = declaration.speeds
     high, low = speeds.get(b.plus, b.plus), speeds.get(b.minus, b.minus)
-    force = declaration.delayed_flow(b)
+    force = declaration.direct_force_with_lags(b)
     metered = declaration.metered or b.less
     ends = (base, node) if metered else (high, low)
     across, through = b.domain.across, b.domain.through_variable
     factor = "" if across.factor == 1 else f"{format_tree(_format_power_of_ten(across.factor))} "
     words = {"flow": through.name, "unit": through.pin_unit, "word": across.symbol}
     yield _format_comment("force" if metered else "direct", b, node=node, factor=factor, **words)
-    yield f"*   {b.through} = {format_tree(declaration.name_power_series(force))}"
+    yield f"*   {b.through} = {format_tree(declaration.replace_power_series(force))}"
     terms = lookups.split_law(add_trees(force, noise))
     for k, term in enumerate(terms):
-        for label in sorted(find_names(term) & set(lookups.inline_formulas)):
-            yield f"*   the lookup of {lookups.inline_formulas[label]}"
+        for label in sorted(find_names(term) & set(lookups.single_use_formulas)):
+            yield f"*   the lookup of {lookups.single_use_formulas[label]}"
         name = f"B{node}{k + 1 if len(terms) > 1 else ''}"
-        yield Element.behaviour(name, *ends, "I", _write_law(declaration, term, nodes))
+        yield Element.behavioural_source(name, *ends, "I", _write_law(declaration, term, nodes))
     if metered:
-        yield Element.of(f"R{node}", node, base, "1")
-        yield Element.of(f"G{node}", high, low, node, base, "1")
+        yield Element.from_words(f"R{node}", node, base, "1")
+        yield Element.from_words(f"G{node}", high, low, node, base, "1")
     if b.less:
-        yield Element.of(f"Gless_{node}", base, b.less, node, base, "1")
+        yield Element.from_words(f"Gless_{node}", base, b.less, node, base, "1")
 
 
 def _write_stored_quantity(
@@ -613,20 +628,20 @@ def _write_stored_quantity(
 
     The stored quantity is a charge or a flux, for example.
     """
-    scale = declaration.set_to_rest(differentiate_tree(stored, b.name))
-    scale = multiply_trees(_format_power_of_ten(coordinate_quantity(b).factor), scale)
+    scale = declaration.set_variables_to_zero(differentiate_tree(stored, b.name))
+    scale = multiply_trees(_format_power_of_ten(find_coordinate_quantity(b).factor), scale)
     moved = _compute_change_by_motion(declaration, stored) if scale == ZERO else scale
     unit = moved if moved != ZERO else Number("1e-12")
     yield Parameters({f"scale_{b.name}": f"{{{format_tree(unit)}}}"})
-    amount = substitute_names(declaration.name_power_series(stored), nodes)
+    amount = substitute_names(declaration.replace_power_series(stored), nodes)
     # A charge is multiplied by 1/scale, and not divided by scale.
     # In derivatives of quotients, ngspice would add 1e-32 to scale^2.
-    if not b.flows:
+    if not b.is_flow:
         yield Parameters({f"per_{b.name}": f"{{1/scale_{b.name}}}"})
-        amount = Binary("*", Name(f"per_{b.name}"), amount)
+        amount = BinaryOperation("*", Name(f"per_{b.name}"), amount)
     else:
-        amount = Binary("/", amount, Name(f"scale_{b.name}"))
-    yield Element.behaviour(f"B{node}", node, b.minus, "V", format_tree(amount))
+        amount = BinaryOperation("/", amount, Name(f"scale_{b.name}"))
+    yield Element.behavioural_source(f"B{node}", node, b.minus, "V", format_tree(amount))
     yield from _write_differentiator(b.name, node, b.minus)
 
 
@@ -636,71 +651,73 @@ def _compute_change_by_motion(declaration: Declaration, stored: Tree) -> Tree:
     The change is computed with all coordinates at zero, for the first displacement on which the
     quantity depends.
     """
-    for b in declaration.displacements:
-        slope = declaration.set_to_rest(differentiate_tree(stored, b.name))
+    for b in declaration.displacement_branches:
+        slope = declaration.set_variables_to_zero(differentiate_tree(stored, b.name))
         if slope != ZERO:
-            return multiply_trees(_format_power_of_ten(coordinate_quantity(b).factor), slope)
+            return multiply_trees(_format_power_of_ten(find_coordinate_quantity(b).factor), slope)
     return ZERO
 
 
-def _write_charge(
+def _write_voltage_branch(
     declaration: Declaration, b: Branch, nodes: Mapping[str, Tree], noise: Tree
 ) -> Iterator[Line]:
     """Yield the cards of the current through a voltage branch."""
-    motion, charge = declaration.split_motion(declaration.stored_quantity(b))
-    direct, inner = declaration.direct_flow(b), b.plus
+    motion, charge = declaration.split_motion(declaration.derive_stored_quantity(b))
+    direct, inner = declaration.derive_direct_flow(b), b.plus
     if motion != ZERO:
         direct = add_trees(direct, motion)
-    unit = _format_power_of_ten(b.domain.through_variable.per_unit)
+    unit = _format_power_of_ten(b.domain.through_variable.pin_value_per_si_unit)
     times_unit = "" if unit == ONE else f"*{format_tree(unit)}"
     heating = b == declaration.heat_branch
     if declaration.metered or charge != ZERO or heating:
         inner = f"in_{b.name}"
-        yield Element.of(meter_name(b), b.plus, inner, "0")
+        yield Element.from_words(get_meter_name(b), b.plus, inner, "0")
     if charge != ZERO:
         integral, si_unit = _describe_time_integral(b.domain.through_variable)
         words = {"integral": integral, "unit": si_unit, "scale": f"scale_{b.name}"}
         yield _format_comment("charge", b, node=f"q_{b.name}", **words)
-        yield f"*   {integral} = {format_tree(declaration.name_power_series(charge))}"
+        yield f"*   {integral} = {format_tree(declaration.replace_power_series(charge))}"
         yield from _write_stored_quantity(declaration, b, charge, f"q_{b.name}", nodes)
         rate = f"{{scale_{b.name}*1e6{times_unit}}}"
-        yield Element.of(f"Fq_{b.name}", inner, b.minus, f"Vrate_{b.name}", rate)
+        yield Element.from_words(f"Fq_{b.name}", inner, b.minus, f"Vrate_{b.name}", rate)
         yield f"* {_COMMENT_TEXTS['leak'].format(integral=integral, seconds=f'{1 / LEAK_RATE:g}')}"
         leak = f"{{{LEAK_RATE:g}*scale_{b.name}{times_unit}}}"
-        yield Element.of(f"Gleak_{b.name}", b.plus, b.minus, f"q_{b.name}", b.minus, leak)
+        yield Element.from_words(f"Gleak_{b.name}", b.plus, b.minus, f"q_{b.name}", b.minus, leak)
     if heating:
         yield _format_comment("heat", b)
     if direct != ZERO or charge == ZERO:
-        yield f"*   {b.through} = {format_tree(declaration.name_power_series(direct))}"
-        current_law = multiply_trees(unit, declaration.name_power_series(add_trees(direct, noise)))
+        yield f"*   {b.through} = {format_tree(declaration.replace_power_series(direct))}"
+        current_law = multiply_trees(
+            unit, declaration.replace_power_series(add_trees(direct, noise))
+        )
         yield from _write_current(f"i_{b.name}", (inner, b.minus), current_law, nodes)
 
 
-def _write_flux(
+def _write_current_branch(
     declaration: Declaration, b: Branch, nodes: Mapping[str, Tree], noise: Tree
 ) -> Iterator[Line]:
     """Yield the cards of the voltage across a current branch."""
-    motion, flux = declaration.split_motion(declaration.stored_quantity(b))
-    drop, inner = declaration.direct_flow(b), f"in_{b.name}"
+    motion, flux = declaration.split_motion(declaration.derive_stored_quantity(b))
+    drop, inner = declaration.derive_direct_flow(b), f"in_{b.name}"
     if motion != ZERO:
         drop = add_trees(drop, motion)
-    unit = _format_power_of_ten(b.domain.across.per_unit)
+    unit = _format_power_of_ten(b.domain.across.pin_value_per_si_unit)
     across = b.domain.across.name.replace("_", " ")
     integral, si_unit = _describe_time_integral(b.domain.across)
-    yield Element.of(meter_name(b), b.plus, inner, "0")
+    yield Element.from_words(get_meter_name(b), b.plus, inner, "0")
     if flux != ZERO:
         words = {"integral": integral, "unit": si_unit, "scale": f"scale_{b.name}"}
         words |= {"flow": b.kind.replace("_", " "), "across": across}
         yield _format_comment("flux", b, node=f"l_{b.name}", **words)
-        yield f"*   {integral} = {format_tree(declaration.name_power_series(flux))}"
+        yield f"*   {integral} = {format_tree(declaration.replace_power_series(flux))}"
         yield from _write_stored_quantity(declaration, b, flux, f"l_{b.name}", nodes)
-        yield Element.of(
+        yield Element.from_words(
             f"Hl_{b.name}", inner, f"rest_{b.name}", f"Vrate_{b.name}", f"{{scale_{b.name}*1e6}}"
         )
         inner = f"rest_{b.name}"
     yield f"*   {across} without that of the {integral} = {format_tree(drop)}"
     law = _write_law(declaration, multiply_trees(unit, add_trees(drop, noise)), nodes)
-    yield Element.behaviour(f"Bv_{b.name}", inner, b.minus, "V", law)
+    yield Element.behavioural_source(f"Bv_{b.name}", inner, b.minus, "V", law)
 
 
 def _write_kink_switches(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterator[Line]:
@@ -711,10 +728,10 @@ def _write_kink_switches(declaration: Declaration, nodes: Mapping[str, Tree]) ->
     per um of displacement, or 100 V per unit of a function of states. These gains are low enough
     that the steps before a fast crossing of a kink do not become too small.
     """
-    moved = {b.name: b for b in declaration.displacements}
+    moved = {b.name: b for b in declaration.displacement_branches}
     inner = {*declaration.states, *declaration.signals}
-    flows = map(declaration.direct_flow, declaration.stationary_branches)
-    forces = map(declaration.delayed_flow, declaration.displacements)
+    flows = map(declaration.derive_direct_flow, declaration.branches_without_motion)
+    forces = map(declaration.direct_force_with_lags, declaration.displacement_branches)
     laws = (*forces, *flows, *declaration.state_rates.values())
     result = []
     for argument in dict.fromkeys(chain.from_iterable(map(find_kinks, laws))):
@@ -722,15 +739,17 @@ def _write_kink_switches(declaration: Declaration, nodes: Mapping[str, Tree]) ->
         if inputs & inner or (len(inputs) == 1 and inputs <= set(moved)):
             result.append((argument, moved.get(next(iter(inputs)))))
     if declaration.stops:
-        yield from pivot_cards(reference_pin_name(declaration))
+        yield from write_pivot_cards(reference_pin_name(declaration))
     for k, (argument, b) in enumerate(result):
         base = declaration.base or (b.minus if b else reference_pin_name(declaration))
         yield f"* {_COMMENT_TEXTS['edge'].format(argument=format_tree(argument))}"
         yield f"* edge {k + 1}" if k else _KINK_SWITCH
-        watched: Tree = Binary("*", Number("1e10"), substitute_names(argument, nodes))
+        watched: Tree = BinaryOperation("*", Number("1e10"), substitute_names(argument, nodes))
         if declaration.metered and b is not None:
-            yield Element.behaviour(f"Bedge{k}", f"edge{k}", base, "V", format_tree(watched))
+            yield Element.behavioural_source(
+                f"Bedge{k}", f"edge{k}", base, "V", format_tree(watched)
+            )
         else:
             watched = multiply_trees(Number("100" if b is None else "1e10"), argument)
             yield from _write_node(f"edge{k}", watched, nodes, base)
-        yield Element.of(f"Sedge{k}", f"edge{k}", base, f"edge{k}", base, "edge")
+        yield Element.from_words(f"Sedge{k}", f"edge{k}", base, f"edge{k}", base, "edge")

@@ -15,7 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from kc2spice.core.magnets import CURRENT_EXPONENTS, Coenergy, EMTable, PiecewisePolynomial
+from kc2spice.core.magnets import (
+    CURRENT_EXPONENTS,
+    Coenergy,
+    MagnetostaticTable,
+    PiecewisePolynomial,
+)
 from kc2spice.core.quantities import Section
 from kc2spice.netlist.circuit import Param
 from kc2spice.netlist.expression import ExpressionWriter, substitute_names
@@ -134,7 +139,7 @@ def _declare_force(
         "electromagnetic catch actuator",
         Section,
         (_HEIGHT_BRANCH, *branches),
-        forces={"y": ExpressionWriter().write(force)},
+        forces={"y": ExpressionWriter().write_tree(force)},
         ideal_work=True,
         tables=(*_TABLE_NAMES, *(p + SLOPE_SUFFIX for p in _TABLE_NAMES)),
         **_choose_declaration_options(height, names),
@@ -157,10 +162,11 @@ def _choose_declaration_options(height: str, names: tuple[str, ...]) -> dict[str
 
 
 def _make_unset_parameters(*names: str) -> tuple[Param, ...]:
+    """Return netlist parameters with these names and without values or units."""
     return tuple(Param(name, 0.0, "-", "") for name in names)
 
 
-def list_tables(table: EMTable, points: int) -> dict[str, TableFunction]:
+def tabulate_coenergy(table: MagnetostaticTable, points: int) -> dict[str, TableFunction]:
     """Return the tables of the coenergy and of its slopes at ``points`` heights, keyed by name."""
     result = {}
     low, high = float(table.y[0]), float(table.y[-1])
@@ -173,11 +179,16 @@ def list_tables(table: EMTable, points: int) -> dict[str, TableFunction]:
 
 
 def _evaluate_column(functions: PiecewisePolynomial, k: int, y: np.ndarray) -> np.ndarray:
+    """Return column ``k`` of the functions at the positions ``y``."""
     return functions(y)[..., k]
 
 
 def make_law(
-    name: str, declaration: Declaration, table: EMTable, raised: float = 0.0, **given: float
+    name: str,
+    declaration: Declaration,
+    table: MagnetostaticTable,
+    raised: float = 0.0,
+    **given: float,
 ) -> DeclaredLaw:
     """Return the law of the coils, with a ``table`` of finite-element solutions.
 
@@ -205,4 +216,5 @@ def _make_table_functions(coenergy: Coenergy) -> Mapping[str, Callable[[float], 
 
 
 def _evaluate_at_height(values: Callable[[float], Any], k: int, y: float) -> float:
+    """Return the ``k``-th table value at the height ``y`` [m]."""
     return float(values(y)[k])

@@ -18,7 +18,7 @@ from kc2spice.core.quantities import Section, si
 from kc2spice.physics.declaration import COEFFICIENT, REFERENCE
 from kc2spice.scene.model import GROUND, DeclaredScene, Part, Terminal
 
-HEAT_TERMINALS = Terminal.of(HEAT, THERMAL), Terminal.of(AMBIENT, THERMAL, GROUND)
+HEAT_TERMINALS = Terminal.from_domain(HEAT, THERMAL), Terminal.from_domain(AMBIENT, THERMAL, GROUND)
 
 
 class ConductorKeys(Section):
@@ -27,15 +27,15 @@ class ConductorKeys(Section):
     temperature_coefficient: Annotated[float, si("1/K")] | None = Field(
         None,
         description=(
-            "Relative change of the resistance for each kelvin at the pin heat; by default that of "
-            "copper, and zero for a resistor"
+            "Temperature coefficient of the resistance (relative change for each kelvin); by "
+            "default the value of copper, or zero for a resistor"
         ),
     )
     reference_temperature: Annotated[float, si("K")] | None = Field(
         None,
         description=(
-            "Temperature of the pin `heat` relative to the pin `ambient` at which the resistance "
-            "has its stated value; 0 K by default"
+            "Temperature at which the resistance has its stated value, as the temperature of "
+            "the pin `heat` above the pin `ambient`; by default 0 K"
         ),
     )
 

@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 
 from kc2spice.core.quantities import Section
-from kc2spice.netlist.circuit import Param, positive_parameter
+from kc2spice.netlist.circuit import Param, make_positive_parameter
 from kc2spice.netlist.expression import ExpressionWriter, Name, Tree, substitute_names
 from kc2spice.physics.declaration import RATE, Declaration, displacement
 from kc2spice.physics.symbolic import (
@@ -62,23 +62,23 @@ class ContactForce:
     radius: float = 0.0
 
     @property
-    def numbers(self) -> dict[str, float]:
-        """Values in SI units of the names in the expressions of the law: stiffness and curve."""
+    def law_constants(self) -> dict[str, float]:
+        """Constants of the expressions of the law, in SI units: stiffness and curve."""
         result = {f"c{k}": c / self.depth ** (k / 2) for k, c in enumerate(self.curve) if k}
         return {"eps": self.stiffness} | result
 
     @property
-    def _laws(self) -> tuple[Tree, Tree, Tree]:
-        """Expressions of the stored energy, the elastic force, and the force with damping."""
+    def _law_expressions(self) -> tuple[Tree, Tree, Tree]:
+        """Expressions of the stored energy, the elastic force and the damped force."""
         return _make_contact_laws(self.power, len(self.curve), bool(self.damping))
 
     def energy(self, x: np.ndarray) -> np.ndarray:
         """Return the stored energy ``int f dx`` [J] at the overlaps ``x`` [m]; 0 for x < 0."""
-        return np.asarray(evaluate_tree(self._laws[0], self.numbers | {"x": x}))
+        return np.asarray(evaluate_tree(self._law_expressions[0], self.law_constants | {"x": x}))
 
     def force(self, x: np.ndarray) -> np.ndarray:
         """Return the elastic force ``f(x)`` [N] at the overlaps ``x`` [m]; 0 for x < 0."""
-        return np.asarray(evaluate_tree(self._laws[1], self.numbers | {"x": x}))
+        return np.asarray(evaluate_tree(self._law_expressions[1], self.law_constants | {"x": x}))
 
 
 @cache
@@ -135,7 +135,7 @@ def declare_contact(
     multiplied by ``share`` before the pressure is computed.
     """
     high, low = ("a",) if rigid[0] else ports, "bottom" if rigid[1] else "b"
-    constants = {name: repr(value) for name, value in law.numbers.items() if name != "eps"}
+    constants = {name: repr(value) for name, value in law.law_constants.items() if name != "eps"}
     share = "1"
     if law.radius:
         share, constants["share"] = "share", f"radius/{law.radius!r}"
@@ -153,7 +153,7 @@ def declare_contact(
                 "x": parse_simplified(f"{share}*({x} + pace*{x}{RATE} - {gap})"),
                 "x_rate": rate,
             }
-        energy, elastic, force = law._laws
+        energy, elastic, force = law._law_expressions
         energies.append(
             divide_trees(substitute_names(energy, moved), parse_simplified(f"{share}^2"))
         )
@@ -162,7 +162,7 @@ def declare_contact(
             pressed[-1], divide_trees(substitute_names(elastic, moved), parse_simplified(share))
         )
         branches.append(displacement(x, pin, low, f"force.{port}", carried))
-        forces[x] = ExpressionWriter().write(damping)
+        forces[x] = ExpressionWriter().write_tree(damping)
     sides = ("a", "va", rigid[0]), ("bottom", "v", rigid[1])
     lags = dict.fromkeys(forces, "pace") if law.pace else {}
     kind, along, absent = "elastic", "", "friction, "
@@ -174,13 +174,13 @@ def declare_contact(
         rubbed = multiply_trees(
             parse_simplified(f"friction*clip(slide{RATE}/creep)"), add_trees(*pressed)
         )
-        forces["slide"] = ExpressionWriter().write(rubbed)
+        forces["slide"] = ExpressionWriter().write_tree(rubbed)
     return Declaration(
         "contact",
         "penalty contact",
         Section,
         tuple(branches),
-        energy=ExpressionWriter().write(add_trees(*energies)),
+        energy=ExpressionWriter().write_tree(add_trees(*energies)),
         forces=forces,
         given=tuple(_list_parameters(ports, gaps, law, under, groove)),
         constants=constants,
@@ -218,7 +218,9 @@ def _list_parameters(
             f"stiffness along the axis of a groove, 2 s^{1 + law.power:g} times a flank, {s}"
         )
         damping, friction = f"s times the damping of a flank, {s}", f"friction coefficient / s, {s}"
-    yield positive_parameter("eps", law.stiffness, "N/m" if linear else "N/m^1.5", stiffness_text)
+    yield make_positive_parameter(
+        "eps", law.stiffness, "N/m" if linear else "N/m^1.5", stiffness_text
+    )
     if law.radius:
         yield Param("radius", law.radius, "m", "radius of the sphere", law.depth)
         yield Param("pace", law.pace, "s", "time in which the surfaces follow the pressure")
@@ -232,7 +234,7 @@ def _list_parameters(
     for port, gap in zip(ports, gaps, strict=True):
         yield Param(f"gap_{port}", gap, "m", doc.format(port))
     if law.damping:
-        yield positive_parameter("damping", law.damping, "s/m", damping)
+        yield make_positive_parameter("damping", law.damping, "s/m", damping)
     if law.friction:
-        yield positive_parameter("friction", law.friction, "1", friction)
-        yield positive_parameter("creep", law.creep, "m/s", "sliding speed of full friction")
+        yield make_positive_parameter("friction", law.friction, "1", friction)
+        yield make_positive_parameter("creep", law.creep, "m/s", "sliding speed of full friction")

@@ -46,8 +46,8 @@ from kc2spice.core.naming import list_names
 from kc2spice.core.quantities import Section
 from kc2spice.netlist.circuit import Param
 from kc2spice.netlist.expression import (
-    Call,
     ExpressionWriter,
+    FunctionCall,
     Name,
     Tree,
     map_operands,
@@ -109,14 +109,14 @@ class Branch:
         return QUANTITIES[self.kind][0]
 
     @property
-    def flows(self) -> bool:
+    def is_flow(self) -> bool:
         """Whether the coordinate is a flow through the pins, such as a current."""
         return QUANTITIES[self.kind][1] == "through"
 
     @property
-    def moves(self) -> bool:
+    def is_motion(self) -> bool:
         """Whether the coordinate is a displacement or an angle, whose rate is a velocity."""
-        return self.domain.has_position and not self.flows
+        return self.domain.has_position and not self.is_flow
 
     @property
     def rate(self) -> str:
@@ -126,7 +126,7 @@ class Branch:
     @property
     def lossy_variable(self) -> str:
         """Name of the variable on which the losses depend: the velocity or the coordinate."""
-        return self.rate if self.moves else self.name
+        return self.rate if self.is_motion else self.name
 
     @property
     def pins(self) -> tuple[str, ...]:
@@ -139,7 +139,7 @@ class Branch:
 
         The result name is the name of the coordinate, unless the coordinate is a flow.
         """
-        if not self.flows:
+        if not self.is_flow:
             return self.name
         through, word = self.domain.through_variable.symbol, self.domain.across.symbol
         return word if self.name == through else f"{self.name}_{word}"
@@ -165,7 +165,7 @@ def branch(
     if kind not in COORDINATES:
         raise unknown("this coordinate of a branch does not exist", kind, COORDINATES, "branch")
     domain, side = QUANTITIES[kind]
-    name, flow = name or domain.quantity(side).symbol, domain.through_variable.symbol
+    name, flow = name or domain.get_quantity(side).symbol, domain.through_variable.symbol
     return Branch(kind, name, plus, minus, name if side == "through" else through or flow)
 
 
@@ -189,7 +189,7 @@ def current(name: str = "i", plus: str = "plus", minus: str = "minus") -> Branch
     return Branch("current", name, plus, minus, name)
 
 
-def frame_acceleration(name: str, pin: str, base: str) -> Branch:
+def make_frame_branch(name: str, pin: str, base: str) -> Branch:
     """Make a measured branch whose coordinate is the acceleration of a frame of reference.
 
     The acceleration [m/s2] has the name ``name``. In the netlist, the force that accelerates the
@@ -209,12 +209,12 @@ def loop(name: str) -> Branch:
 
 
 def _make_unknown_name_error(
-    part: str, what: str, unknown: Sequence[str], known: Iterable[str], hint: str = ""
+    part: str, field_name: str, unknown: Sequence[str], known: Iterable[str], hint: str = ""
 ) -> UsageError:
-    """Make the error for ``unknown`` names in the expression ``what`` of a part."""
+    """Make the error for ``unknown`` names in the expression ``field_name`` of a part."""
     first, choices = unknown[0], sorted(known)
     return UsageError(
-        f"the {what} contains an unknown name",
+        f"the {field_name} contains an unknown name",
         where=part,
         got=", ".join(unknown),
         expected=f"one of {list_candidates(first, choices)}" if choices else "numbers",
@@ -345,7 +345,7 @@ class Declaration:
                     self.name, what, unknown, known, self._make_coordinate_hint(unknown)
                 )
         self._check_names(
-            "energy", self._parse_field("energy"), set(list_names(self.displacements))
+            "energy", self._parse_field("energy"), set(list_names(self.displacement_branches))
         )
         self._check_names(
             "coenergy", self._parse_field("coenergy"), set(list_names(self.acting_branches))
@@ -356,7 +356,7 @@ class Declaration:
         for name, tree in self.signal_trees.items():
             self._check_names(f"signal {name}", tree, earlier)
             earlier.add(name)
-        self._check_content()
+        self._require_loss_in_content()
 
     def _check_branches(self) -> None:
         """Reject a value of ``branches`` that is not a tuple or list of branches."""
@@ -381,23 +381,24 @@ class Declaration:
                 return f"the coordinate of {b.kind!r} is {b.name}"
         return ""
 
-    def _check_names(self, what: str, tree: Tree, allowed: set[str]) -> None:
-        """Reject variables of the expression ``what`` that are not ``allowed``."""
+    def _check_names(self, field_name: str, tree: Tree, allowed: set[str]) -> None:
+        """Reject variables of the expression ``field_name`` that are not ``allowed``."""
         strange = sorted(find_names(tree) - allowed - set(self.parameters))
         if strange:
-            words = ", ".join(strange)
+            variables = ", ".join(strange)
             rates = {b.rate for b in self.branches}
-            place = "coenergy" if what == "energy" and rates.issuperset(strange) else what
+            energy_of_rates = field_name == "energy" and rates.issuperset(strange)
+            hint = _FIELD_HINTS.get("coenergy" if energy_of_rates else field_name, "")
             raise UsageError(
-                f"the {what} must not depend on {words}",
+                f"the {field_name} must not depend on {variables}",
                 where=self.name,
-                got=words,
+                got=variables,
                 expected=f"keys and {', '.join(sorted(allowed)) or 'numbers'}",
-                hint=_FIELD_HINTS.get(place, "").format(words) or None,
+                hint=hint.format(variables) or None,
             )
 
-    def _check_content(self) -> None:
-        """Reject a content that contains none of the variables that cause losses.
+    def _require_loss_in_content(self) -> None:
+        """Reject a content that depends on no variable that causes losses.
 
         An example is a content that depends on a displacement and not on its rate.
         """
@@ -405,7 +406,7 @@ class Declaration:
         variables = {b.lossy_variable for b in self.acting_branches}
         if tree != ZERO and not find_names(tree) & variables:
             raise UsageError(
-                "the content has no effect",
+                "the content depends on no variable that causes losses",
                 where=self.name,
                 got=self.content,
                 expected=f"an expression of {' or '.join(sorted(variables))}",
@@ -515,7 +516,7 @@ class Declaration:
     @cached_property
     def rates(self) -> tuple[str, ...]:
         """Names of the time derivatives of all displacement coordinates."""
-        return tuple(b.rate for b in self.branches if b.moves)
+        return tuple(b.rate for b in self.branches if b.is_motion)
 
     @cached_property
     def variables(self) -> frozenset[str]:
@@ -528,19 +529,19 @@ class Declaration:
         return tuple(branch for branch in self.branches if branch.through)
 
     @cached_property
-    def displacements(self) -> tuple[Branch, ...]:
+    def displacement_branches(self) -> tuple[Branch, ...]:
         """Acting branches whose coordinate is a displacement."""
-        return tuple(branch for branch in self.acting_branches if branch.moves)
+        return tuple(branch for branch in self.acting_branches if branch.is_motion)
 
     @cached_property
-    def stationary_branches(self) -> tuple[Branch, ...]:
+    def branches_without_motion(self) -> tuple[Branch, ...]:
         """Acting branches whose coordinate is not a displacement, but a voltage or current."""
-        return tuple(b for b in self.acting_branches if not b.moves)
+        return tuple(b for b in self.acting_branches if not b.is_motion)
 
     @cached_property
     def inertial_branches(self) -> tuple[Branch, ...]:
         """Displacement branches with a mass."""
-        return tuple(b for b in self.displacements if self.mass(b) != ZERO)
+        return tuple(b for b in self.displacement_branches if self.get_branch_mass(b) != ZERO)
 
     @cached_property
     def measured_branches(self) -> tuple[Branch, ...]:
@@ -548,8 +549,8 @@ class Declaration:
         return tuple(branch for branch in self.branches if not branch.through)
 
     @cached_property
-    def open_branches(self) -> tuple[Branch, ...]:
-        """Acting branches between pins, without loops."""
+    def pin_branches(self) -> tuple[Branch, ...]:
+        """Acting branches between two pins; closed loops are excluded."""
         return tuple(branch for branch in self.acting_branches if branch.plus)
 
     @cached_property
@@ -575,9 +576,9 @@ class Declaration:
         return "constant temperature; no heating, ageing or failure"
 
     @cached_property
-    def with_loop_pin(self) -> Declaration:
+    def declaration_with_loop_pin(self) -> Declaration:
         """Declaration in which each loop begins and ends at the inner pin ``loops``."""
-        if self.open_branches == self.acting_branches:
+        if self.pin_branches == self.acting_branches:
             return self
         branches = (b if b.plus else replace(b, plus=LOOPS, minus=LOOPS) for b in self.branches)
         return replace(self, branches=tuple(branches))
@@ -587,7 +588,7 @@ class Declaration:
         """Direct flow and stored quantity of each acting branch, in the order of the branches."""
         result: list[Tree] = []
         for branch in self.acting_branches:
-            result += [self.direct_flow(branch), self.stored_quantity(branch)]
+            result += [self.derive_direct_flow(branch), self.derive_stored_quantity(branch)]
         return tuple(result)
 
     @cached_property
@@ -595,14 +596,14 @@ class Declaration:
         """Names of all power series that occur in flows and stored quantities of branches."""
         result: dict[Tree, str] = {}
         for tree in chain.from_iterable(map(walk_tree, self.branch_laws)):
-            if isinstance(tree, Call) and tree.function == "poly":
+            if isinstance(tree, FunctionCall) and tree.function == "poly":
                 result.setdefault(tree, f"poly{len(result) + 1}")
         return result
 
-    def name_power_series(self, tree: Tree) -> Tree:
+    def replace_power_series(self, tree: Tree) -> Tree:
         """Return ``tree`` with the names from :attr:`power_series` in place of power series."""
         name = self.power_series.get(tree)
-        return map_operands(tree, self.name_power_series) if name is None else Name(name)
+        return map_operands(tree, self.replace_power_series) if name is None else Name(name)
 
     @cached_property
     def number_keys(self) -> tuple[str, ...]:
@@ -616,14 +617,14 @@ class Declaration:
         return {param.name: param.default for param in self.given}
 
     @cached_property
-    def numbers(self) -> tuple[str, ...]:
+    def number_names(self) -> tuple[str, ...]:
         """Names of the numeric keys, and of the parameters in ``given``."""
         return (*self.number_keys, *self.defaults)
 
     @cached_property
     def parameters(self) -> tuple[str, ...]:
         """Names of the numeric keys, of the parameters in ``given``, and of the constants."""
-        return (*self.numbers, *self.constants)
+        return (*self.number_names, *self.constants)
 
     # --- expressions ------------------------------------------------------------------------------
 
@@ -659,8 +660,8 @@ class Declaration:
         return self._parse_texts("stop", self.stops)
 
     @cached_property
-    def limit_variables(self) -> dict[str, frozenset[str]]:
-        """Names of the variables on which a limit depends, keyed by description of the limit."""
+    def variables_by_limit(self) -> dict[str, frozenset[str]]:
+        """Names of the variables on which each limit depends, keyed by its description."""
         return {name: self._list_variables(tree) for name, tree in self.limit_trees.items()}
 
     @cached_property
@@ -695,7 +696,7 @@ class Declaration:
             result[name] = substitute_names(tree, result)
         return result
 
-    def without_signals(self, tree: Tree) -> Tree:
+    def substitute_signals(self, tree: Tree) -> Tree:
         """Return ``tree`` with the expression of each signal in place of its name."""
         return add_trees(substitute_names(tree, self._expanded_signals)) if self.signals else tree
 
@@ -704,7 +705,7 @@ class Declaration:
         """Expression trees of the output pins' displacements, keyed by pin."""
         return self._parse_texts("output", self.outputs)
 
-    def direct_flow(self, branch: Branch) -> Tree:
+    def derive_direct_flow(self, branch: Branch) -> Tree:
         """Return the flow of a branch without the rate of its stored quantity.
 
         The direct flow is the force without the rate of the momentum, or the current without the
@@ -713,8 +714,8 @@ class Declaration:
         """
         if branch == self.heat_branch:
             return subtract_trees(ZERO, self.heat_power)
-        dissipative = self._lossy_flow(branch)
-        if not branch.moves:
+        dissipative = self._derive_lossy_flow(branch)
+        if not branch.is_motion:
             return dissipative
         stored = subtract_trees(
             self._differentiate_field("energy", branch.name),
@@ -722,8 +723,8 @@ class Declaration:
         )
         return add_trees(stored, dissipative, self._force_trees.get(branch.name, ZERO))
 
-    def _lossy_flow(self, branch: Branch) -> Tree:
-        """Return the part of a branch's flow that its losses cause.
+    def _derive_lossy_flow(self, branch: Branch) -> Tree:
+        """Return the expression of the flow that the losses of a branch cause.
 
         For a branch whose coordinate is a current, this part is the voltage across its resistance.
         """
@@ -731,18 +732,18 @@ class Declaration:
         if not self.heated or branch.name not in self.conductors:
             return slope
         ratio = parse_simplified(write_resistance_ratio())
-        return (multiply_trees if branch.flows else divide_trees)(slope, ratio)
+        return (multiply_trees if branch.is_flow else divide_trees)(slope, ratio)
 
-    def delayed_flow(self, branch: Branch) -> Tree:
+    def direct_force_with_lags(self, branch: Branch) -> Tree:
         """Return the direct force of a displacement branch for a netlist with lags.
 
         The rates of coordinates with a lag are replaced by zero, because these coordinates already
         contain their rates.
         """
-        tree = self.direct_flow(branch)
+        tree = self.derive_direct_flow(branch)
         return add_trees(substitute_names(tree, {f"{name}{RATE}": ZERO for name in self.lags}))
 
-    def loss_coefficient(self, branch: Branch) -> Tree:
+    def derive_loss_coefficient(self, branch: Branch) -> Tree:
         """Return the small-signal damping, conductance or resistance of a branch.
 
         The coefficient determines the thermal noise of the branch. For a heat flow, which has no
@@ -750,14 +751,14 @@ class Declaration:
         """
         if branch.domain.power == "through":
             return ZERO
-        return differentiate_tree(self._lossy_flow(branch), branch.lossy_variable)
+        return differentiate_tree(self._derive_lossy_flow(branch), branch.lossy_variable)
 
-    def stored_quantity(self, branch: Branch) -> Tree:
+    def derive_stored_quantity(self, branch: Branch) -> Tree:
         """Return the momentum, charge or flux of a branch.
 
-        The flow of the branch is the rate of this quantity plus :meth:`direct_flow`.
+        The flow of the branch is the rate of this quantity plus :meth:`derive_direct_flow`.
         """
-        if branch.moves:
+        if branch.is_motion:
             return self._differentiate_field("kinetic", branch.rate)
         return self._differentiate_field("coenergy", branch.name)
 
@@ -767,23 +768,23 @@ class Declaration:
         Only displacements with a node in ``velocities`` count as motion. The stored quantity must
         be an affine function of these displacements.
         """
-        moving = [b for b in self.displacements if b.name in self.velocities]
+        moving = [b for b in self.displacement_branches if b.name in self.velocities]
         if not moving:
             return ZERO, stored
         rates = [multiply_trees(differentiate_tree(stored, b.name), Name(b.rate)) for b in moving]
         still = add_trees(substitute_names(stored, {b.name: ZERO for b in moving}))
         return add_trees(ZERO, *rates), still
 
-    def mass(self, branch: Branch) -> Tree:
+    def get_branch_mass(self, branch: Branch) -> Tree:
         """Return the mass of a displacement branch."""
-        return differentiate_tree(self.stored_quantity(branch), branch.rate)
+        return differentiate_tree(self.derive_stored_quantity(branch), branch.rate)
 
     @cached_property
     def stored_energy(self) -> Tree:
         """Expression of the energy [J] that the part stores."""
         products = []
-        for b in self.stationary_branches:
-            products.append(multiply_trees(Name(b.name), self.stored_quantity(b)))
+        for b in self.branches_without_motion:
+            products.append(multiply_trees(Name(b.name), self.derive_stored_quantity(b)))
         total = add_trees(self._parse_field("kinetic"), self._parse_field("energy"), *products)
         return subtract_trees(total, self._parse_field("coenergy"))
 
@@ -801,9 +802,9 @@ class Declaration:
         For a branch of the thermal domain, the dissipated power is the product of temperature and
         heat flow.
         """
-        moving = (b for b in self.branches if b.moves)
-        rates = map(self._dissipated_power, moving)
-        powers = map(self._dissipated_power, self.stationary_branches)
+        moving = (b for b in self.branches if b.is_motion)
+        rates = map(self._write_dissipated_power, moving)
+        powers = map(self._write_dissipated_power, self.branches_without_motion)
         return add_trees(*rates, *self._powers_of_forces, *powers)
 
     @cached_property
@@ -811,11 +812,11 @@ class Declaration:
         """Expression of the power [W] of all losses, except losses in the thermal domain."""
         lossy = [b for b in self.acting_branches if not b.domain.is_relaxing]
         forces = () if self.ideal_work else self._powers_of_forces
-        return add_trees(*map(self._dissipated_power, lossy), *forces)
+        return add_trees(*map(self._write_dissipated_power, lossy), *forces)
 
-    def _dissipated_power(self, branch: Branch) -> Tree:
+    def _write_dissipated_power(self, branch: Branch) -> Tree:
         """Return the power [W] that a branch dissipates."""
-        return multiply_trees(Name(branch.lossy_variable), self._lossy_flow(branch))
+        return multiply_trees(Name(branch.lossy_variable), self._derive_lossy_flow(branch))
 
     @cached_property
     def network_loss(self) -> Tree:
@@ -829,7 +830,7 @@ class Declaration:
         if branch is None:
             return self.dissipation
         return add_trees(
-            self.dissipation, multiply_trees(Name(branch.name), self.direct_flow(branch))
+            self.dissipation, multiply_trees(Name(branch.name), self.derive_direct_flow(branch))
         )
 
     @cached_property
@@ -837,21 +838,21 @@ class Declaration:
         """Equations of the part as text: of branch flows, signals and states."""
         result = [*filter(None, map(self._write_equation, self.acting_branches))]
         for name, tree in self.signal_trees.items():
-            result.append(f"{name} = {ExpressionWriter().write(tree)}")
+            result.append(f"{name} = {ExpressionWriter().write_tree(tree)}")
         for name, tree in self.state_rates.items():
-            result.append(f"d/dt {name} = {ExpressionWriter().write(tree)}")
+            result.append(f"d/dt {name} = {ExpressionWriter().write_tree(tree)}")
         return tuple(result)
 
     def _write_equation(self, branch: Branch) -> str:
         """Return the equation of a branch's flow as text; empty if the flow is zero."""
-        direct = self.name_power_series(self.direct_flow(branch))
-        storage = self.name_power_series(self.stored_quantity(branch))
-        terms = [f"d/dt ({ExpressionWriter().write(storage)})"] if storage != ZERO else []
-        terms += [ExpressionWriter().write(direct)] if direct != ZERO else []
-        name = branch.across if branch.flows else branch.through
+        direct = self.replace_power_series(self.derive_direct_flow(branch))
+        storage = self.replace_power_series(self.derive_stored_quantity(branch))
+        terms = [f"d/dt ({ExpressionWriter().write_tree(storage)})"] if storage != ZERO else []
+        terms += [ExpressionWriter().write_tree(direct)] if direct != ZERO else []
+        name = branch.across if branch.is_flow else branch.through
         return f"{name} = {' + '.join(terms)}" if terms else ""
 
-    def set_to_rest(self, tree: Tree, variable: str = "") -> Tree:
+    def set_variables_to_zero(self, tree: Tree, variable: str = "") -> Tree:
         """Return ``tree`` with zero in place of each variable except ``variable``.
 
         Variables are coordinates, rates and states.
@@ -859,9 +860,9 @@ class Declaration:
         still = self.variables - {variable}
         try:
             return add_trees(substitute_names(tree, dict.fromkeys(still, ZERO)))
-        except UsageError as error:
+        except UsageError:
             raise UsageError(
-                f"{error.message} at rest",
+                "the equations of the part contain a division by zero at rest",
                 where=self.name,
                 got="a denominator that is zero if all coordinates and rates are zero",
                 expected="equations that are finite at rest",
@@ -871,7 +872,7 @@ class Declaration:
     @cached_property
     def linear(self) -> bool:
         """Whether all flows are affine functions of coordinates, rates and states."""
-        laws = [*map(self.without_signals, (*self.branch_laws, *self.state_rates.values()))]
+        laws = [*map(self.substitute_signals, (*self.branch_laws, *self.state_rates.values()))]
         if any(map(find_kinks, laws)):
             return False
         return all(is_affine(law, self.variables) for law in laws)

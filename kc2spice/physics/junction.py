@@ -58,7 +58,7 @@ def limit_junction_voltage(v: float, last: float, scale: float, critical: float)
     return last + scale * math.log(ratio) if ratio > 0.0 else critical
 
 
-def _exponential_or_infinity(x: float) -> float:
+def _compute_exponential(x: float) -> float:
     """Return ``exp(x)``; infinity if the result is too large for a float."""
     try:
         return math.exp(x)
@@ -112,7 +112,7 @@ class Junction(Device):
         junction = Flow(self._positive_pin, "cathode")
         return (junction, Flow("anode", "inner")) if self.series_resistance else (junction,)
 
-    charged = (0,)
+    storing_flow_indices = (0,)
 
     @cached_property
     def _emission_voltage(self) -> float:
@@ -130,8 +130,8 @@ class Junction(Device):
         )
 
     @cached_property
-    def _breakdown_start(self) -> float:
-        """Reverse voltage VB [V] beyond which the current rises exponentially.
+    def _breakdown_onset(self) -> float:
+        """Reverse voltage VB [V] above which the current rises exponentially.
 
         The current at the breakdown voltage BV is IBV, or ``IS BV / VT`` if this is larger::
 
@@ -159,9 +159,9 @@ class Junction(Device):
     def _compute_exponential_current(self, v: float) -> tuple[float, float, float]:
         """Return the current [A] without ``gmin``, its slope [S], and its integral from 0 V [W]."""
         current, scale = self.saturation_current, self._emission_voltage
-        first, last = -REVERSE_RANGE * scale, -self._breakdown_start
+        first, last = -REVERSE_RANGE * scale, -self._breakdown_onset
         if v >= first:
-            rise = current * _exponential_or_infinity(v / scale)
+            rise = current * _compute_exponential(v / scale)
             return rise - current, rise / scale, scale * (rise - current) - current * v
         begin = current * (scale * (math.exp(-REVERSE_RANGE) - 1.0) - first)
         width = REVERSE_RANGE * scale / math.e
@@ -173,7 +173,7 @@ class Junction(Device):
         if v >= last:
             decay = (width / v) ** 3
             return -current * (1.0 + decay), 3.0 * current * decay / v, integrate_reverse(v)
-        rise = current * _exponential_or_infinity((last - v) / scale)
+        rise = current * _compute_exponential((last - v) / scale)
         return -rise, rise / scale, integrate_reverse(last) + scale * (rise - current)
 
     def _compute_depletion_charge(self, v: float) -> tuple[float, float, float]:
@@ -207,7 +207,7 @@ class Junction(Device):
         current = self._compute_current(float(e[0]))[0]
         return np.array([current, *(e[1:] / (self.series_resistance or 1.0))])
 
-    def store(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
+    def evaluate_storage(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         """Return the charge [C] of the junction and its derivatives [F] with respect to ``e``."""
         charge, farad, _ = self._compute_charge(float(e[0]))
         return np.array([charge]), np.array([[farad, *np.zeros(len(e) - 1)]])
@@ -239,7 +239,7 @@ class Junction(Device):
         """
         v, before = float(e[0]), float(last[0])
         start, scale, critical = (
-            self._breakdown_start,
+            self._breakdown_onset,
             self._emission_voltage,
             self._critical_voltage,
         )

@@ -37,12 +37,12 @@ def _make_number(value: float) -> Number:
     return Number(f"{value:g}")
 
 
-def _input_name(branch: Branch) -> str:
+def _make_input_name(branch: Branch) -> str:
     """Return the input name of the quantity across a branch.
 
     For a current branch, this quantity is the voltage.
     """
-    return f"{branch.name}_drop" if branch.flows else branch.name
+    return f"{branch.name}_drop" if branch.is_flow else branch.name
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class DeclaredLaw(Device):
     @property
     def _through_branches(self) -> tuple[Branch, ...]:
         """Branches whose coordinate is a flow, such as a current."""
-        return tuple(b for b in self.declaration.branches if b.flows)
+        return tuple(b for b in self.declaration.branches if b.is_flow)
 
     @property
     def pins(self) -> tuple[LawPin, ...]:
@@ -95,10 +95,10 @@ class DeclaredLaw(Device):
     def across_inputs(self) -> tuple[AcrossInput, ...]:
         """Inputs of the law: quantities across pins, and rates of such quantities."""
         d = self.declaration
-        rates = map(partial(self._across_input, rate=True), d.branches_with_rate)
-        return (*map(self._across_input, d.branches), *rates)
+        rates = map(partial(self._make_across_input, rate=True), d.branches_with_rate)
+        return (*map(self._make_across_input, d.branches), *rates)
 
-    def _across_input(self, b: Branch, rate: bool = False) -> AcrossInput:
+    def _make_across_input(self, b: Branch, rate: bool = False) -> AcrossInput:
         """Return the coordinate of a branch, or its rate, as an input of the law."""
         return AcrossInput(b.plus, self._lower_pin(b), rate, b.less)
 
@@ -113,7 +113,7 @@ class DeclaredLaw(Device):
         result = dict.fromkeys(d.domains, "signal")
         for b in (*d.acting_branches, *d.branches_with_rate):
             for pin in b.pins:
-                result[pin] = d.domains[pin].kind_of_law
+                result[pin] = d.domains[pin].law_pin_kind
         return result | dict.fromkeys(d.outputs, "signal")
 
     def _lower_pin(self, b: Branch) -> str:
@@ -126,7 +126,7 @@ class DeclaredLaw(Device):
         return tuple(Flow(b.plus, b.minus, b.less) for b in self.declaration.acting_branches)
 
     @property
-    def charged(self) -> tuple[int, ...]:
+    def storing_flow_indices(self) -> tuple[int, ...]:
         """Indices, among the acting branches, of branches that store a charge or a momentum."""
         return tuple(map(self.declaration.acting_branches.index, self._charged_branches))
 
@@ -135,7 +135,7 @@ class DeclaredLaw(Device):
         """Acting branches that store a charge or a momentum."""
         d = self.declaration
         branches = d.acting_branches
-        return tuple(b for b in branches if not b.flows and d.stored_quantity(b) != ZERO)
+        return tuple(b for b in branches if not b.is_flow and d.derive_stored_quantity(b) != ZERO)
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -144,23 +144,23 @@ class DeclaredLaw(Device):
 
     @property
     def has_stored_quantities(self) -> bool:
-        return bool(self._through_branches or self.charged)
+        return bool(self._through_branches or self.storing_flow_indices)
 
     @cached_property
-    def _inputs(self) -> tuple[str, ...]:
+    def _input_names(self) -> tuple[str, ...]:
         """Names of all inputs: quantities across pins, rates and states."""
         d = self.declaration
         rates = (b.rate for b in d.branches_with_rate)
-        return (*map(_input_name, d.branches), *rates, *self.states)
+        return (*map(_make_input_name, d.branches), *rates, *self.states)
 
     @cached_property
     def is_affine(self) -> bool:
         d = self.declaration
         laws = (*d.state_rates.values(), *d.output_trees.values())
-        trees = (*map(d.direct_flow, d.acting_branches), *laws)
-        for tree, name in product(map(self._substitute_inputs, trees), self._inputs):
+        trees = (*map(d.derive_direct_flow, d.acting_branches), *laws)
+        for tree, name in product(map(self._substitute_inputs, trees), self._input_names):
             slope = replace_kinks(differentiate_tree(tree, name), self._kink_arguments)
-            if not find_names(slope).isdisjoint(self._inputs):
+            if not find_names(slope).isdisjoint(self._input_names):
                 return False
         return not self.has_stored_quantities
 
@@ -186,9 +186,9 @@ class DeclaredLaw(Device):
         for b in self.declaration.measured_branches:
             if self._pin_kinds[b.plus] == "signal":
                 units[b.name] = multiply_trees(_make_number(b.domain.across.factor), Name(b.name))
-        return add_trees(substitute_names(self.declaration.without_signals(tree), units))
+        return add_trees(substitute_names(self.declaration.substitute_signals(tree), units))
 
-    def _compile_declared(self, trees: Iterable[Tree], slopes: bool = False) -> _Compiled:
+    def _compile_expressions(self, trees: Iterable[Tree], slopes: bool = False) -> _Compiled:
         """Return a compiled function of expressions in the variables of the declaration."""
         return self._compile(map(self._substitute_inputs, trees), slopes)
 
@@ -199,78 +199,82 @@ class DeclaredLaw(Device):
         """
         rows = list(trees)
         if slopes:
-            rows += starmap(differentiate_tree, product(rows, self._inputs))
+            rows += starmap(differentiate_tree, product(rows, self._input_names))
         smooth = [replace_kinks(tree, self._kink_arguments) for tree in rows]
         flags = map("flag{}".format, range(len(self._kink_arguments)))
-        arguments = (*self._inputs, *flags, *self.declaration.parameters)
+        arguments = (*self._input_names, *flags, *self.declaration.parameters)
         return compile_function(smooth, arguments, self.tables)
 
     @cached_property
     def _flow_trees(self) -> tuple[Tree, ...]:
         """Expressions of the outputs of the law: flows, rates of states, and signals."""
         d = self.declaration
-        flows = [Name(b.name) if b.flows else d.direct_flow(b) for b in d.acting_branches]
+        flows = [Name(b.name) if b.is_flow else d.derive_direct_flow(b) for b in d.acting_branches]
         rates = [
-            subtract_trees(Name(_input_name(b)), d.direct_flow(b)) for b in self._through_branches
+            subtract_trees(Name(_make_input_name(b)), d.derive_direct_flow(b))
+            for b in self._through_branches
         ]
-        per_metre = _make_number(TRANSLATION.across.per_unit)
+        per_metre = _make_number(TRANSLATION.across.pin_value_per_si_unit)
         outputs = map(partial(multiply_trees, per_metre), d.output_trees.values())
         return (*flows, *rates, *d.state_rates.values(), *outputs)
 
     @cached_property
     def _flow_function(self) -> _Compiled:
         """Compiled function that returns the outputs of the law and their derivatives."""
-        return self._compile_declared(self._flow_trees, slopes=True)
+        return self._compile_expressions(self._flow_trees, slopes=True)
 
     @cached_property
-    def _output_only_function(self) -> _Compiled:
+    def _outputs_function(self) -> _Compiled:
         """Compiled function that returns the outputs of the law without derivatives."""
-        return self._compile_declared(self._flow_trees)
+        return self._compile_expressions(self._flow_trees)
 
     @cached_property
     def _storage_trees(self) -> tuple[Tree, ...]:
         """Expressions of the stored quantities: fluxes, states, and charges or momenta."""
         d = self.declaration
-        fluxes = map(d.stored_quantity, self._through_branches)
-        charges = map(d.stored_quantity, self._charged_branches)
+        fluxes = map(d.derive_stored_quantity, self._through_branches)
+        charges = map(d.derive_stored_quantity, self._charged_branches)
         return (*fluxes, *map(Name, d.states), *charges)
 
     @cached_property
     def _storage_function(self) -> _Compiled:
         """Compiled function that returns the stored quantities and their derivatives."""
-        return self._compile_declared(self._storage_trees, slopes=True)
+        return self._compile_expressions(self._storage_trees, slopes=True)
 
     @cached_property
-    def _storage_only_function(self) -> _Compiled:
+    def _stored_quantities_function(self) -> _Compiled:
         """Compiled function that returns the stored quantities without derivatives."""
-        return self._compile_declared(self._storage_trees)
+        return self._compile_expressions(self._storage_trees)
 
     @cached_property
     def _energy_function(self) -> _Compiled:
-        return self._compile_declared(
+        """Compiled function that returns the stored energy and the network loss."""
+        return self._compile_expressions(
             [self.declaration.stored_energy, self.declaration.network_loss]
         )
 
     @cached_property
     def _guard_function(self) -> _Compiled:
+        """Compiled function that returns the arguments of all kinks."""
         return self._compile(self._kink_arguments)
 
     @cached_property
     def _limit_function(self) -> _Compiled:
-        return self._compile_declared(self.declaration.limit_trees.values())
+        """Compiled function that returns the expressions whose values are limited."""
+        return self._compile_expressions(self.declaration.limit_trees.values())
 
     def _evaluate(self, compiled: _Compiled, e: np.ndarray, mode: Any) -> np.ndarray:
         """Return the values of a compiled function for the inputs ``e`` and a mode."""
         try:
             return np.array(compiled(*e.tolist(), *mode, *self.values), dtype=float)
         except (ZeroDivisionError, OverflowError, ValueError) as error:
-            inputs = zip(self._inputs, e.tolist(), strict=True)
+            inputs = zip(self._input_names, e.tolist(), strict=True)
             raise SimulationError(
                 f"the equations of the part have no value: {error}",
                 where=self.name,
                 got=", ".join(f"{name} = {value:g}" for name, value in inputs),
-                expected="denominators, roots and logarithms of positive expressions",
-                hint="state in the declaration's limits where its expressions are valid",
+                expected="nonzero denominators, and positive arguments of roots and logarithms",
+                hint="state the valid range of the expressions in the limits of the declaration",
             ) from None
 
     def _evaluate_with_slopes(
@@ -285,7 +289,7 @@ class DeclaredLaw(Device):
         """Return the outputs of the law and their derivatives with respect to the inputs ``e``."""
         return self._evaluate_with_slopes(self._flow_function, e, mode)
 
-    def store(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
+    def evaluate_storage(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         """Return the stored quantities and their derivatives with respect to the inputs ``e``.
 
         The stored quantities are fluxes of current branches, states, and charges or momenta of
@@ -295,13 +299,13 @@ class DeclaredLaw(Device):
 
     def evaluate_outputs(self, e: np.ndarray, mode: Any) -> np.ndarray:
         """Return the outputs of the law without derivatives."""
-        return self._evaluate(self._output_only_function, e, mode)
+        return self._evaluate(self._outputs_function, e, mode)
 
     def evaluate_stored_quantities(self, e: np.ndarray, mode: Any) -> np.ndarray:
         """Return the stored quantities without derivatives."""
-        return self._evaluate(self._storage_only_function, e, mode)
+        return self._evaluate(self._stored_quantities_function, e, mode)
 
-    def mode(self, e: np.ndarray) -> tuple[int, ...]:
+    def find_initial_mode(self, e: np.ndarray) -> tuple[int, ...]:
         """Return the mode of the law at the inputs ``e``.
 
         The mode contains 1 for each one-sided function whose argument is positive, otherwise 0.
@@ -312,7 +316,7 @@ class DeclaredLaw(Device):
             flags = (*flags[:k], int(above), *flags[k + 1 :])
         return flags
 
-    def guards(self, e: np.ndarray, mode: Any) -> np.ndarray:
+    def evaluate_guards(self, e: np.ndarray, mode: Any) -> np.ndarray:
         """Return the arguments of one-sided functions, with signs that depend on the mode.
 
         The signs are chosen so that all returned values are positive within the mode.
@@ -321,14 +325,15 @@ class DeclaredLaw(Device):
             np.array(mode) > 0, 1.0, -1.0
         )
 
-    def next_mode(self, mode: Any, guard: int) -> tuple[int, ...]:
+    def find_next_mode(self, mode: Any, guard: int) -> tuple[int, ...]:
         """Return the mode that follows ``mode`` after the guard with this number falls to zero."""
         return (*mode[:guard], 1 - mode[guard], *mode[guard + 1 :])
 
     @cached_property
     def _loss_function(self) -> _Compiled:
-        return self._compile_declared(
-            map(self.declaration.loss_coefficient, self.declaration.acting_branches)
+        """Compiled function that returns the loss coefficients of all branches."""
+        return self._compile_expressions(
+            map(self.declaration.derive_loss_coefficient, self.declaration.acting_branches)
         )
 
     def noise(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray] | None:
@@ -342,17 +347,17 @@ class DeclaredLaw(Device):
         out = np.zeros((rows, len(branches)))
         for k, b in enumerate(branches):
             out[len(branches) + currents.index(b) if b in currents else k, k] = root[k]
-        return out, np.zeros((len(self.states) + len(self.charged), len(branches)))
+        return out, np.zeros((len(self.states) + len(self.storing_flow_indices), len(branches)))
 
     def require_in_range(self, t: float, e: np.ndarray) -> None:
         """Raise an error if the inputs violate a limit of the declaration."""
-        result = self._evaluate(self._limit_function, e, self.mode(e))
-        for what, value in zip(self.declaration.limit_trees, result, strict=True):
+        result = self._evaluate(self._limit_function, e, self.find_initial_mode(e))
+        for limit_name, value in zip(self.declaration.limit_trees, result, strict=True):
             if value <= 0.0:
                 raise SimulationError(
-                    f"{what} is exceeded",
+                    f"{limit_name} is exceeded",
                     where=f"{self.name} at t = {t:.6e} s",
-                    got=f"{self.declaration.limits[what]} = {value:g}",
+                    got=f"{self.declaration.limits[limit_name]} = {value:g}",
                     expected="a value above zero",
                 )
 

@@ -47,7 +47,10 @@ class FluxLinkages:
         ------
         UsageError : an inductance depends on a current.
         """
-        flux, currents = map(self.declaration.stored_quantity, self.branches), self.current_names
+        flux, currents = (
+            map(self.declaration.derive_stored_quantity, self.branches),
+            self.current_names,
+        )
         rows = [tuple(differentiate_tree(tree, name) for name in currents) for tree in flux]
         for tree in chain.from_iterable(rows):
             if saturating := sorted(find_names(tree).intersection(currents)):
@@ -55,6 +58,7 @@ class FluxLinkages:
                     "a tabulated inductance depends on a current",
                     where=self.declaration.name,
                     got=", ".join(saturating),
+                    expected="inductances that depend on no current",
                 )
         return tuple(rows)
 
@@ -69,8 +73,10 @@ class FluxLinkages:
         still = dict.fromkeys(self.current_names, ZERO)
         result = []
         for branch in self.branches:
-            flux = add_trees(substitute_names(self.declaration.stored_quantity(branch), still))
-            moving = self.declaration.displacements
+            flux = add_trees(
+                substitute_names(self.declaration.derive_stored_quantity(branch), still)
+            )
+            moving = self.declaration.displacement_branches
             result.append(
                 add_trees(
                     *(
@@ -81,13 +87,13 @@ class FluxLinkages:
             )
         return tuple(result)
 
-    def invert(self, lookups: Lookups) -> tuple[float, np.ndarray]:
+    def invert_inductances(self, lookups: Lookups) -> tuple[float, np.ndarray]:
         """Return the mean self-inductance [H], and normalised inverse inductance matrices.
 
         The array of shape (points, n, n) contains the mean self-inductance times the inverse of L
         at each point of the lookups.
         """
-        rows = [[lookups.tabulate(tree) for tree in row] for row in self.inductances]
+        rows = [[lookups.evaluate_tables(tree) for tree in row] for row in self.inductances]
         matrix = np.moveaxis(np.array(rows), 2, 0)
         mean = float(np.mean(np.diagonal(matrix, axis1=1, axis2=2)))
         return mean, mean * np.linalg.inv(matrix)
@@ -95,10 +101,10 @@ class FluxLinkages:
 
 def find_flux_linkages(declaration: Declaration) -> FluxLinkages | None:
     """Return the flux linkages of a declaration; None if no flux linkage contains a table."""
-    branches = tuple(b for b in declaration.acting_branches if b.flows)
+    branches = tuple(b for b in declaration.acting_branches if b.is_flow)
     result = FluxLinkages(declaration, branches)
     for branch in branches:
-        flux = declaration.stored_quantity(branch)
+        flux = declaration.derive_stored_quantity(branch)
         if has_tables(flux, declaration.tables):
             return result
     return None

@@ -4,7 +4,7 @@ A lookup interpolates the values of a table at equally spaced arguments. The int
 neighbouring arguments is a cell. The variable ``s`` is the argument, relative to the first argument
 and in units of the cell size. The variable ``t`` is the position within a cell from 0 to 1, and ``w
 = t (1 - t)`` is a weight. Each lookup is ``f(s) - w b(s)`` with two piecewise linear functions
-``f`` and ``b``, see :func:`smooth_lookup`.
+``f`` and ``b``, see :func:`compute_smooth_lookup`.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ import numpy as np
 
 from kc2spice.core.errors import UsageError
 from kc2spice.netlist.expression import (
-    Binary,
-    Call,
+    BinaryOperation,
     CircuitVariable,
+    FunctionCall,
     Name,
     Number,
     Tree,
@@ -34,9 +34,9 @@ from kc2spice.physics.symbolic import (
     add_trees,
     evaluate_tree,
     format_tree,
+    make_weighted_sum,
     multiply_trees,
     split_calls,
-    weighted_sum,
 )
 
 # names of the nodes whose voltages are ``s`` and ``w``
@@ -64,7 +64,7 @@ class TableFunction:
         return np.asarray(self.function(np.linspace(self.low, self.high, self.points)))
 
     @property
-    def range(self) -> tuple[float, float, int]:
+    def argument_range(self) -> tuple[float, float, int]:
         """First argument, last argument, and number of points of the table."""
         return self.low, self.high, self.points
 
@@ -99,7 +99,7 @@ class Lookups:
     def _require_common_argument(self, uses: Iterable[WeightedCalls]) -> None:
         """Reject tables with different arguments or ranges, because all tables share one cell."""
         self.argument: Tree | None = None
-        ranges = {table.range for table in self.tables.values()}
+        ranges = {table.argument_range for table in self.tables.values()}
         arguments = {call.arguments[0] for calls in uses for call, _ in calls}
         if len(arguments) > 1 or (arguments and len(ranges) > 1):
             raise UsageError(
@@ -112,7 +112,7 @@ class Lookups:
             self.low, high, self.points = next(iter(ranges))
             self.step = (high - self.low) / (self.points - 1)
 
-    def tabulate(self, tree: Tree) -> np.ndarray:
+    def evaluate_tables(self, tree: Tree) -> np.ndarray:
         """Return an array (points,) with the values of an expression that contains only tables."""
         known = {name: table.values for name, table in self.tables.items()}
         return np.asarray(evaluate_tree(_replace_calls_by_names(tree, self.tables), known))
@@ -120,32 +120,31 @@ class Lookups:
     def describe_lookup(self, calls: WeightedCalls) -> str:
         """Return the formula and the unit of a lookup, as text for a netlist comment."""
         units = dict.fromkeys(self.tables[call.function].unit for call, _ in calls)
-        return f"{format_tree(weighted_sum(calls))}: {', '.join(filter(None, units))}".removesuffix(
-            ": "
-        )
+        formula, unit = format_tree(make_weighted_sum(calls)), ", ".join(filter(None, units))
+        return f"{formula}: {unit}" if unit else formula
 
     @property
-    def inline_formulas(self) -> dict[str, str]:
-        """Descriptions of the lookups that occur only once, keyed by label."""
+    def single_use_formulas(self) -> dict[str, str]:
+        """Formulas of the lookups that occur only once, keyed by label."""
         once = (calls for calls in self.labels if calls not in self.repeated)
         return {self.labels[calls]: self.describe_lookup(calls) for calls in once}
 
-    def node_trees(self) -> dict[str, Tree]:
+    def list_lookup_trees(self) -> dict[str, Tree]:
         """Return each lookup as an expression in node voltages, keyed by label."""
         result: dict[str, Tree] = {}
         for calls, label in self.labels.items():
             result[label] = (
                 CircuitVariable("v", (label,))
                 if calls in self.repeated
-                else self.interpolation_expression(self.tabulate(weighted_sum(calls)))
+                else self.write_interpolation(self.evaluate_tables(make_weighted_sum(calls)))
             )
         return result
 
-    def interpolation_expression(self, values: np.ndarray) -> Tree:
+    def write_interpolation(self, values: np.ndarray) -> Tree:
         """Return the expression of node voltages that interpolates ``values`` (points,)."""
         cell, weight = (CircuitVariable("v", (node,)) for node in (CELL_NODE, WEIGHT_NODE))
-        f, b = (Call("pwl", (cell, *points)) for points in smooth_lookup(values))
-        return Binary("-", f, Binary("*", weight, b))
+        f, b = (FunctionCall("pwl", (cell, *points)) for points in compute_smooth_lookup(values))
+        return BinaryOperation("-", f, BinaryOperation("*", weight, b))
 
     def split_law(self, law: Tree) -> list[Tree]:
         """Split a law into terms that contain the labels of lookups in place of tables.
@@ -165,7 +164,7 @@ class Lookups:
 
 def _replace_calls_by_names(tree: Tree, tables: Mapping[str, TableFunction]) -> Tree:
     """Replace each call of a table in ``tree`` by the name of the table."""
-    if isinstance(tree, Call) and tree.function in tables:
+    if isinstance(tree, FunctionCall) and tree.function in tables:
         return Name(tree.function)
     return map_operands(tree, lambda node: _replace_calls_by_names(node, tables))
 
@@ -173,11 +172,13 @@ def _replace_calls_by_names(tree: Tree, tables: Mapping[str, TableFunction]) -> 
 def has_tables(tree: Tree, tables: Iterable[str]) -> bool:
     """Return whether ``tree`` calls a table."""
     known = set(tables)
-    return any(isinstance(node, Call) and node.function in known for node in walk_tree(tree))
+    return any(
+        isinstance(node, FunctionCall) and node.function in known for node in walk_tree(tree)
+    )
 
 
-def smooth_lookup(values: np.ndarray) -> tuple[tuple[Number, ...], tuple[Number, ...]]:
-    """Return the points of two piecewise linear functions ``f`` and ``b`` for a smooth lookup.
+def compute_smooth_lookup(values: np.ndarray) -> tuple[tuple[Number, ...], tuple[Number, ...]]:
+    """Return two piecewise linear functions, as points, whose combination is smooth.
 
     ``f`` interpolates the equally spaced ``values``, and ``b`` interpolates half of their second
     differences. The position within a cell is t from 0 to 1, and ``w = t (1 - t)``. Then ``f - w

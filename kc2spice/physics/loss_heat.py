@@ -15,8 +15,8 @@ from kc2spice.core import laws
 from kc2spice.core.domains import AMBIENT, HEAT, THERMAL, TRANSLATION
 from kc2spice.netlist.spelling import format_voltage
 from kc2spice.physics.declaration import TEMPERATURE
-from kc2spice.scene.model import Build, Part
-from kc2spice.scene.part_records import Vector
+from kc2spice.scene.model import BuiltScene, Part
+from kc2spice.scene.part_records import PartResult
 
 
 @dataclass(frozen=True)
@@ -116,14 +116,14 @@ def add_loss_heat(equations: laws.Equations, body: laws.SecondOrderBody) -> laws
     )
 
 
-def heat_vectors(part: Part, build: Build, meter: str) -> Mapping[str, Vector]:
+def list_heat_vectors(part: Part, build: BuiltScene, meter: str) -> Mapping[str, PartResult]:
     """Return the ngspice vectors of temperature and heat flow at the pin ``heat``.
 
     The dictionary is keyed by result name. ``meter`` is the source that measures the heat flow.
     """
     flow = f"i(v.x{part.name}.{meter})".lower()
-    result = {f"{part.name}.{HEAT}": Vector(flow, 1.0, THERMAL.flow, (AMBIENT,), (HEAT,))}
-    across = format_voltage(build.net(part, HEAT), build.net(part, AMBIENT))
+    result = {f"{part.name}.{HEAT}": PartResult(flow, 1.0, THERMAL.flow_unit, (AMBIENT,), (HEAT,))}
+    across = format_voltage(build.get_net(part, HEAT), build.get_net(part, AMBIENT))
     if across:
-        result[f"{part.name}.{TEMPERATURE}"] = Vector(across, 1.0, THERMAL.across.unit)
+        result[f"{part.name}.{TEMPERATURE}"] = PartResult(across, 1.0, THERMAL.across.unit)
     return result

@@ -23,12 +23,12 @@ from kc2spice.netlist.spelling import format_comment, format_voltage, require_di
 from kc2spice.netlist.spelling import require_name as checked
 from kc2spice.physics.cards import (
     NO_TABLES,
-    force_node,
+    get_meter_name,
     has_losses,
-    inner_nodes,
-    meter_name,
+    list_inner_nodes,
+    name_force_node,
     reference_pin_name,
-    subcircuit_items,
+    write_subcircuit_items,
 )
 from kc2spice.physics.conductors import get_conductor_values, is_heated, list_useless_key_errors
 from kc2spice.physics.declaration import Branch, Declaration
@@ -36,10 +36,10 @@ from kc2spice.physics.law import DeclaredLaw
 from kc2spice.physics.linkages import find_flux_linkages
 from kc2spice.physics.lookups import TableFunction
 from kc2spice.physics.symbolic import differentiate_tree, evaluate_tree, find_kinks, find_names
-from kc2spice.scene.checks import Balance, Check
+from kc2spice.scene.checks import Check, RunEnergyBalance
 from kc2spice.scene.keys import list_schema_keys
 from kc2spice.scene.model import (
-    Build,
+    BuiltScene,
     DeclaredScene,
     GovernedScene,
     JoinedScene,
@@ -50,7 +50,12 @@ from kc2spice.scene.model import (
     Terminal,
     WiredScene,
 )
-from kc2spice.scene.part_records import EquilibriumConditions, Neglected, Numerics, Vector
+from kc2spice.scene.part_records import (
+    EquilibriumConditions,
+    NeglectedEffect,
+    NumericalRequirements,
+    PartResult,
+)
 
 if TYPE_CHECKING:
     from kc2spice.netlist.library import Header
@@ -66,11 +71,11 @@ _INNER_NODE_PATTERN = rf"(?:{_INNER_PREFIXES})_.+|(?:edge|poly)\d+|tick"  # name
 _MAX_UNEXPLAINED_SHARE = 1e-3  # largest accepted relative error of the energy balance
 
 
-def list_sweep_numerics(part: Part, scene: DeclaredScene) -> Iterator[Numerics]:
-    """Yield a smaller tolerance of Newton's method if the analysis is ``dc`` or ``op``."""
+def list_newton_numerics(part: Part, scene: DeclaredScene) -> Iterator[NumericalRequirements]:
+    """Yield a smaller Newton tolerance if the analysis is ``dc`` or ``op``."""
     if scene.analysis.type in ("dc", "op"):
         change = "1e-6", "change at which Newton's method stops: nonlinear parts"
-        yield Numerics(part.name, options={"reltol": change})
+        yield NumericalRequirements(part.name, options={"reltol": change})
 
 
 class DeclaredPart(PartType[KeysT]):
@@ -97,7 +102,7 @@ class DeclaredPart(PartType[KeysT]):
         """Return the declaration of a part, by default the declaration of its type."""
         return self.declaration
 
-    def built_declaration(self, part: Part[KeysT], build: Build) -> Declaration:
+    def declare_after_build(self, part: Part[KeysT], build: BuiltScene) -> Declaration:
         """Return the declaration of a part, which may depend on the part's built model."""
         return self.make_declaration(part, build.scene)
 
@@ -108,18 +113,19 @@ class DeclaredPart(PartType[KeysT]):
         """
         return self._with_heat_pin(self.make_declaration(part, scene), part, scene)
 
-    def declare_built_part(self, part: Part[KeysT], build: Build) -> Declaration:
+    def declare_built_part(self, part: Part[KeysT], build: BuiltScene) -> Declaration:
         """Return the declaration of a part after its model is built.
 
         The declaration has a heat pin if the scene connects the pin ``heat``.
         """
-        declaration = self.built_declaration(part, build)
+        declaration = self.declare_after_build(part, build)
         heated = (part.name, HEAT) in build.scene.terminals
         return _attach_heat_pin(declaration, part) if heated else declaration
 
     def _with_heat_pin(
         self, declaration: Declaration, part: Part[KeysT], scene: DeclaredScene
     ) -> Declaration:
+        """Add a heat pin to the declaration if the scene connects the pin."""
         return _attach_heat_pin(declaration, part) if is_heated(part, scene) else declaration
 
     def problems(self, part: Part[KeysT], scene: GovernedScene) -> Iterator[UsageError]:
@@ -136,7 +142,7 @@ class DeclaredPart(PartType[KeysT]):
             result.append(Terminal(p.name, p.unit, p.flow, default, required=required))
         return tuple(result)
 
-    def inertial(self, part: Part[KeysT], scene: JoinedScene) -> tuple[str, ...]:
+    def pins_with_mass(self, part: Part[KeysT], scene: JoinedScene) -> tuple[str, ...]:
         """Return the names of the pins at which a branch has a mass or an inertance."""
         d = self.declare_part(part, scene)
         return tuple(d.speeds.get(b.plus, b.plus) for b in d.inertial_branches)
@@ -151,62 +157,64 @@ class DeclaredPart(PartType[KeysT]):
         values = d.values(part.keys)
         stiff, flowing = [], []
         for b in d.branches:
-            if b.domain.path_to_reference and b.flows:
+            if b.domain.path_to_reference and b.is_flow:
                 flowing.append((b.plus, b.minus))
             elif b.domain.path_to_reference:
                 # zeros in place of all other variables keep the differentiated expression short
-                slope = differentiate_tree(d.set_to_rest(d.direct_flow(b), b.name), b.name)
-                if evaluate_tree(d.set_to_rest(slope), values):
+                slope = differentiate_tree(
+                    d.set_variables_to_zero(d.derive_direct_flow(b), b.name), b.name
+                )
+                if evaluate_tree(d.set_variables_to_zero(slope), values):
                     stiff.append((b.plus, b.minus))
         paths = (*stiff, *flowing)
         return EquilibriumConditions(_merge_inner_paths(paths, d.inner) if d.inner else paths)
 
     def subcircuits(
-        self, part: Part[KeysT], build: Build, header: Header
+        self, part: Part[KeysT], build: BuiltScene, header: Header
     ) -> tuple[Subcircuit, ...]:
         """Return a tuple with the only subcircuit of the part."""
         d, name = self.declare_built_part(part, build), build.libraries[part.name]
-        return (declared_subcircuit(header, name, d, d.values(part.keys), build.has_noise),)
+        return (make_declared_subcircuit(header, name, d, d.values(part.keys), build.has_noise),)
 
-    def numerics(self, part: Part[KeysT], scene: WiredScene) -> Iterator[Numerics]:
+    def numerics(self, part: Part[KeysT], scene: WiredScene) -> Iterator[NumericalRequirements]:
         """Yield a smaller tolerance for dc sweeps if the declaration is nonlinear."""
         if not self.declare_part(part, scene).linear:
-            yield from list_sweep_numerics(part, scene)
+            yield from list_newton_numerics(part, scene)
 
     # --- results ----------------------------------------------------------------------------------
 
-    def vectors(self, part: Part[KeysT], build: Build) -> Mapping[str, Vector]:
+    def vectors(self, part: Part[KeysT], build: BuiltScene) -> Mapping[str, PartResult]:
         """Return the ngspice vectors of the part's results, keyed by result name."""
         result, d = {}, self.declare_built_part(part, build)
         for b in d.branches:
-            if b.plus and {_node_name(build, part, pin) for pin in (b.plus, b.minus)} != {"0"}:
-                result[f"{part.name}.{b.across}"] = across_vector(build, part, b)
-            if not b.through or (b.plus in d.inner and not b.flows):
+            if b.plus and {_get_node_name(build, part, pin) for pin in (b.plus, b.minus)} != {"0"}:
+                result[f"{part.name}.{b.across}"] = get_across_vector(build, part, b)
+            if not b.through or (b.plus in d.inner and not b.is_flow):
                 continue
-            result[f"{part.name}.{b.through}"] = flow_vector(build, part, b)
+            result[f"{part.name}.{b.through}"] = get_flow_vector(build, part, b)
             if b in d.inertial_branches:
                 speed = f"v(x{part.name}.speed_{b.name})".lower()
-                result[f"{part.name}.v"] = Vector(speed, VELOCITY.factor, VELOCITY.unit)
-        for name, node in inner_nodes(d).items():
-            value = _inner_voltage(build, part, node, reference_pin_name(d)).lower()
-            result[f"{part.name}.{name}"] = Vector(value, 1.0, "SI")
+                result[f"{part.name}.v"] = PartResult(speed, VELOCITY.factor, VELOCITY.unit)
+        for name, node in list_inner_nodes(d).items():
+            value = _write_inner_voltage(build, part, node, reference_pin_name(d)).lower()
+            result[f"{part.name}.{name}"] = PartResult(value, 1.0, "SI")
         return result
 
-    def initial_motion(self, part: Part[KeysT], build: Build) -> tuple[float, float] | None:
+    def initial_motion(self, part: Part[KeysT], build: BuiltScene) -> tuple[float, float] | None:
         """Return displacement [m] and velocity [m/s] of the part's mass at t = 0.
 
         None means that the run starts at an equilibrium.
         """
         return None
 
-    def law(self, part: Part[KeysT], build: Build) -> laws.Equations:
+    def law(self, part: Part[KeysT], build: BuiltScene) -> laws.Equations:
         """Return the equations of the part for the independent integrator."""
         n, d = part.name, self.declare_built_part(part, build)
         results = {}
-        for b in d.open_branches:  # loops are omitted, because the loops of a full model differ
+        for b in d.pin_branches:  # loops are omitted, because the loops of a full model differ
             if b.plus not in d.inner:
                 results[f"{n}.{b.through}"] = laws.scale_wave(f"{n}.{b.plus}.through")
-            elif b.flows:
+            elif b.is_flow:
                 results[f"{n}.{b.through}"] = laws.scale_wave(f"{n}.{b.name}")
             if d.metered:
                 results[f"{n}.{b.across}"] = laws.subtract_waves(f"{n}.{b.plus}", f"{n}.{b.minus}")
@@ -215,22 +223,22 @@ class DeclaredPart(PartType[KeysT]):
         for state in d.states:
             results[f"{n}.{state}"] = laws.scale_wave(f"{n}.{state}")
         values = tuple(d.values(part.keys).values())
-        law = DeclaredLaw(n, d.with_loop_pin, values, self.initial_motion(part, build))
+        law = DeclaredLaw(n, d.declaration_with_loop_pin, values, self.initial_motion(part, build))
         return laws.Equations((law,), law.pin_pairs, results)
 
     # --- checks of a run --------------------------------------------------------------------------
 
-    def checks(self, part: Part[KeysT], build: Build, waves: Waveforms) -> Iterator[Any]:
+    def checks(self, part: Part[KeysT], build: BuiltScene, waves: Waveforms) -> Iterator[Any]:
         """Yield checks of limits and of the number of impacts, and the energy balance."""
         d = self.declare_built_part(part, build)
-        known = {} if "frequency" in waves else self._recorded_variables(part, build, waves)
+        known = {} if "frequency" in waves else self._list_recorded_waves(part, build, waves)
         yield from _check_limits(d, part, known)
         if build.scene.analysis.type == "op":
             yield from self.check_operating_point(part, build, waves)
         if "time" in waves:
             yield from balance_energy(d, part, known, waves)
-            positions = known.keys() & set(list_names(d.displacements))
-            forces = map(d.direct_flow, d.acting_branches)
+            positions = known.keys() & set(list_names(d.displacement_branches))
+            forces = map(d.derive_direct_flow, d.acting_branches)
             for tree in dict.fromkeys(chain.from_iterable(map(find_kinks, forces))):
                 if positions.isdisjoint(find_names(tree)):  # a kink without position is no impact
                     continue
@@ -241,12 +249,12 @@ class DeclaredPart(PartType[KeysT]):
                 )
 
     def check_operating_point(
-        self, part: Part[KeysT], build: Build, point: Waveforms
+        self, part: Part[KeysT], build: BuiltScene, point: Waveforms
     ) -> Iterator[Check]:
         """Yield checks that the operating point is not on a stop and is within the limits."""
         d, known = (
             self.declare_built_part(part, build),
-            self._recorded_variables(part, build, point),
+            self._list_recorded_waves(part, build, point),
         )
         small = build.scene.analysis.is_small_signal
         if small:
@@ -255,11 +263,11 @@ class DeclaredPart(PartType[KeysT]):
             if d.stop_variables[what] <= known.keys():
                 depth = float(np.max(evaluate_tree(tree, d.values(part.keys) | known)))
                 name = f"{part.name} beyond {what} at its operating point"
-                advice = "it has pulled in: lower the bias, or stiffen what holds it"
+                advice = "the part has pulled in: lower the bias, or use stiffer springs"
                 yield Check(name, max(depth, 0.0), 0.0, "m", advice, "fail" if small else "warn")
 
-    def _recorded_variables(
-        self, part: Part[KeysT], build: Build, waves: Waveforms
+    def _list_recorded_waves(
+        self, part: Part[KeysT], build: BuiltScene, waves: Waveforms
     ) -> dict[str, np.ndarray]:
         """Return the recorded waves of coordinates, states and signals, keyed by name."""
         d = self.declare_built_part(part, build)
@@ -271,14 +279,14 @@ class DeclaredPart(PartType[KeysT]):
 
     # --- notes of explain -------------------------------------------------------------------------
 
-    def notes(self, part: Part[KeysT], scene: Scene) -> Iterator[str | Neglected]:
+    def notes(self, part: Part[KeysT], scene: Scene) -> Iterator[str | NeglectedEffect]:
         """Yield the equations of the part and the effects that they neglect."""
         yield "; ".join(self.declare_part(part, scene).equations)
         yield from self.list_neglected_effects(part, scene)
 
-    def list_neglected_effects(self, part: Part[KeysT], scene: Scene) -> Iterator[Neglected]:
+    def list_neglected_effects(self, part: Part[KeysT], scene: Scene) -> Iterator[NeglectedEffect]:
         """Yield the effects that the declaration of a part neglects."""
-        yield from starmap(Neglected, self.declare_part(part, scene).neglected)
+        yield from starmap(NeglectedEffect, self.declare_part(part, scene).neglected)
 
 
 def _attach_heat_pin(declaration: Declaration, part: Part) -> Declaration:
@@ -294,22 +302,22 @@ def _check_limits(
 ) -> Iterator[Check]:
     """Yield a check of each limit that depends only on the ``known`` variables."""
     for what, tree in d.limit_trees.items():
-        if d.limit_variables[what] <= known.keys():
+        if d.variables_by_limit[what] <= known.keys():
             value = float(np.min(evaluate_tree(tree, d.values(part.keys) | known)))
             advice = f"{d.limits[what]} must stay above zero"
             beyond = max(-value, 0.0)
             yield Check(f"{what} of {part.name}{where}", beyond, 0.0, "beyond the limit", advice)
 
 
-def _node_name(build: Build, part: Part, pin: str) -> str:
+def _get_node_name(build: BuiltScene, part: Part, pin: str) -> str:
     """Return the ngspice name of the node of a pin; for an inner node, with the instance name."""
     inner = f"x{part.name}.{pin}".lower()
     return build.scene.nets.get((part.name, pin), inner)
 
 
-def _inner_voltage(build: Build, part: Part, node: str, pin: str) -> str:
+def _write_inner_voltage(build: BuiltScene, part: Part, node: str, pin: str) -> str:
     """Return the ngspice expression of the voltage from an inner node to a pin."""
-    low = _node_name(build, part, pin)
+    low = _get_node_name(build, part, pin)
     return f"v(x{part.name}.{node})" + f"-v({low})" * (low != "0")
 
 
@@ -340,7 +348,7 @@ def make_pins(declaration: Declaration) -> tuple[Pin, ...]:
         unit, flow = d.domains[pin].units
         if speed := d.speeds.get(pin):
             result.setdefault(checked(speed), Pin(speed, VELOCITY.pin_unit, flow))
-        quiet = speed or (pin not in loaded and d.domains[pin].kind_of_law != SIGNALS.name)
+        quiet = speed or (pin not in loaded and d.domains[pin].law_pin_kind != SIGNALS.name)
         result.setdefault(checked(pin), Pin(pin, unit, "-" if quiet else flow))
     for node in d.inner:
         result.pop(checked(node), None)
@@ -352,7 +360,7 @@ def make_pins(declaration: Declaration) -> tuple[Pin, ...]:
     return tuple(result.values())
 
 
-def declared_subcircuit(
+def make_declared_subcircuit(
     header: Header,
     name: str,
     declaration: Declaration,
@@ -398,10 +406,13 @@ def declared_subcircuit(
     >>> from kc2spice.parts.electronics.two_terminal_types import declare_element as declared
     >>> from kc2spice.netlist.library import Header
     >>> spring = declared(next(row for row in TABLE if row.name == "spring"))
-    >>> declared_subcircuit(Header("demo", "0"), "leaf", spring, {"stiffness": 100.0})
+    >>> make_declared_subcircuit(Header("demo", "0"), "leaf", spring, {"stiffness": 100.0})
     <Subcircuit leaf: pins a[um/N] b[um/N]; stiffness=100>
     """
-    from kc2spice.synthesis.header import parameter_defaults_of, part_header  # loads scipy
+    from kc2spice.synthesis.header import (
+        format_parameter_defaults,
+        write_part_header,
+    )  # loads scipy
 
     d, pins = declaration, tuple(pins) or make_pins(declaration)
     ends = tuple(list_names(pins))
@@ -421,41 +432,41 @@ def declared_subcircuit(
     params = (*keys, *d.given)
     words: dict[str, Any] = {"rating": d.rating, "validity": d.valid_range, "mesh": d.mesh}
     words |= {"heat": HEAT_PINS} if d.heated else {}
-    head = part_header(header, f"{name}: {d.title}", pins, params, sign=d.sign, **words)
-    items = (*subcircuit_items(d, noise, tables), *more)
-    circuit = Circuit(name, ends, parameter_defaults_of(params), items, notes=head)
+    head = write_part_header(header, f"{name}: {d.title}", pins, params, sign=d.sign, **words)
+    items = (*write_subcircuit_items(d, noise, tables), *more)
+    circuit = Circuit(name, ends, format_parameter_defaults(params), items, notes=head)
     title = format_comment(f"{name}: {d.title}")
     tree = Circuit(items=(circuit,))
     facts: dict[str, Any] = {"no_module": d.no_module, "header_lines": len(head)}
     return Subcircuit(name, pins, params, tree, title=title, **facts)
 
 
-def across_vector(build: Build, part: Part, branch: Branch) -> Vector:
+def get_across_vector(build: BuiltScene, part: Part, branch: Branch) -> PartResult:
     """Return the ngspice vector of the quantity across a branch."""
     quantity = branch.domain.across
-    return Vector(branch_voltage(build, part, branch), quantity.factor, quantity.unit)
+    return PartResult(branch_voltage(build, part, branch), quantity.factor, quantity.unit)
 
 
-def flow_vector(build: Build, part: Part, branch: Branch) -> Vector:
+def get_flow_vector(build: BuiltScene, part: Part, branch: Branch) -> PartResult:
     """Return the ngspice vector of the flow into the upper pin of a branch."""
-    flow, quantity = f"i(v.x{part.name}.{meter_name(branch)})", branch.domain.through_variable
-    if branch.moves:
-        flow = _inner_voltage(build, part, force_node(branch), branch.minus)
+    flow, quantity = f"i(v.x{part.name}.{get_meter_name(branch)})", branch.domain.through_variable
+    if branch.is_motion:
+        flow = _write_inner_voltage(build, part, name_force_node(branch), branch.minus)
     known, ends = build.scene.nets, []
     for pin in (branch.minus, branch.plus):
         ends.append((pin,) if (part.name, pin) in known else ())
-    return Vector(flow.lower(), quantity.factor, quantity.unit, *ends)
+    return PartResult(flow.lower(), quantity.factor, quantity.unit, *ends)
 
 
-def branch_voltage(build: Build, part: Part, branch: Branch) -> str:
+def branch_voltage(build: BuiltScene, part: Part, branch: Branch) -> str:
     """Return the ngspice expression of the voltage from ``plus`` to ``minus`` of a branch."""
-    plus, minus = (_node_name(build, part, pin) for pin in (branch.plus, branch.minus))
+    plus, minus = (_get_node_name(build, part, pin) for pin in (branch.plus, branch.minus))
     return format_voltage(plus, minus) or "v(0)"
 
 
 def balance_energy(
     declaration: Declaration, part: Part, recorded: Mapping[str, np.ndarray], waves: Waveforms
-) -> Iterator[Balance]:
+) -> Iterator[RunEnergyBalance]:
     """Yield the energy balance of a part in a transient, if all variables were recorded.
 
     A part that has neither displacement branches nor a heat pin has no energy balance.
@@ -467,7 +478,7 @@ def balance_energy(
     part through this pin, and their energy is the integral of the heat flow.
     """
     d, time = declaration, waves["time"]
-    if not (d.displacements or d.heated) or set(recorded) != {
+    if not (d.displacement_branches or d.heated) or set(recorded) != {
         *d.coordinates,
         *d.states,
         *d.signals,
@@ -484,6 +495,7 @@ def balance_energy(
     known = d.values(part.keys) | dict(recorded) | speeds | slopes
 
     def evaluate_over_time(tree: Tree) -> np.ndarray:
+        """Return the values of ``tree`` at all times, an array of shape (nt,)."""
         return np.asarray(evaluate_tree(tree, known) * np.ones_like(time))
 
     stored = evaluate_over_time(d.stored_energy)
@@ -491,17 +503,17 @@ def balance_energy(
     heat, brought, forces = dissipated, np.zeros_like(dissipated), []
     converted = 0.0  # sum of the absolute work at all pins except displacement pins
     given_off = None
-    for b in d.open_branches:
-        known_as = f"{part.name}.{b.across if b.flows else b.through}"
+    for b in d.pin_branches:
+        known_as = f"{part.name}.{b.across if b.is_flow else b.through}"
         pins = waves.data.get(known_as, np.zeros_like(time))
         if b == d.heat_branch:
             heat = given_off = _integrate_steps(-pins, time, dissipated)
             continue
-        if b.moves:
+        if b.is_motion:
             forces.append((pins, np.diff(recorded[b.name])))
             continue
-        increase = np.diff(evaluate_over_time(d.stored_quantity(b))) + np.diff(
-            integrate_cumulatively(evaluate_over_time(d.direct_flow(b)), time)
+        increase = np.diff(evaluate_over_time(d.derive_stored_quantity(b))) + np.diff(
+            integrate_cumulatively(evaluate_over_time(d.derive_direct_flow(b)), time)
         )
         middle = (recorded[b.name][1:] + recorded[b.name][:-1]) / 2
         work = middle * _integrate_steps(pins, time, increase)
@@ -518,7 +530,9 @@ def balance_energy(
     turned = float(np.abs(brought).sum() + np.abs(heat.sum()))
     if not stored.any() and not heat.any():  # the total work at an ideal transformer's pins is zero
         turned = converted
-    yield Balance(entries, float(np.abs(missing).max(initial=0.0)), turned, _MAX_UNEXPLAINED_SHARE)
+    yield RunEnergyBalance(
+        entries, float(np.abs(missing).max(initial=0.0)), turned, _MAX_UNEXPLAINED_SHARE
+    )
 
 
 def _compute_step_heat(

@@ -12,11 +12,11 @@ from dataclasses import replace
 
 from kc2spice.core import laws
 from kc2spice.netlist.library import Header, Subcircuit
-from kc2spice.physics.cards import subcircuit_items
+from kc2spice.physics.cards import write_subcircuit_items
 from kc2spice.physics.declaration import Declaration
 from kc2spice.physics.law import DeclaredLaw
-from kc2spice.physics.part import DeclaredPart, declared_subcircuit
-from kc2spice.scene.model import Build, JoinedScene, KeysT, Part, WiredScene
+from kc2spice.physics.part import DeclaredPart, make_declared_subcircuit
+from kc2spice.scene.model import BuiltScene, JoinedScene, KeysT, Part, WiredScene
 from kc2spice.scene.part_records import EquilibriumConditions
 
 
@@ -26,10 +26,10 @@ class DeclaredPartWithMass(DeclaredPart[KeysT]):
     moving_pins: tuple[str, str]  # pin with the mass, and pin relative to which the mass moves
 
     @abstractmethod
-    def mass_declaration(self, part: Part[KeysT], scene: WiredScene) -> Declaration:
+    def declare_mass(self, part: Part[KeysT], scene: WiredScene) -> Declaration:
         """Return the declaration of the mass between :attr:`moving_pins`."""
 
-    def inertial(self, part: Part[KeysT], scene: JoinedScene) -> tuple[str, ...]:
+    def pins_with_mass(self, part: Part[KeysT], scene: JoinedScene) -> tuple[str, ...]:
         """Return the name of the pin that has the mass."""
         return self.moving_pins[:1]
 
@@ -40,20 +40,20 @@ class DeclaredPartWithMass(DeclaredPart[KeysT]):
         )
 
     def subcircuits(
-        self, part: Part[KeysT], build: Build, header: Header
+        self, part: Part[KeysT], build: BuiltScene, header: Header
     ) -> tuple[Subcircuit, ...]:
         """Return the subcircuit of the part, which includes the cards of the mass."""
         d, name = self.declare_built_part(part, build), build.libraries[part.name]
-        mass = self.mass_declaration(part, build.scene)
+        mass = self.declare_mass(part, build.scene)
         known = {param.name for param in d.given}
         d = replace(d, given=(*d.given, *(p for p in mass.given if p.name not in known)))
-        cards, values = subcircuit_items(mass), d.values(part.keys)
-        return (declared_subcircuit(header, name, d, values, build.has_noise, cards),)
+        cards, values = write_subcircuit_items(mass), d.values(part.keys)
+        return (make_declared_subcircuit(header, name, d, values, build.has_noise, cards),)
 
-    def law(self, part: Part[KeysT], build: Build) -> laws.Equations:
+    def law(self, part: Part[KeysT], build: BuiltScene) -> laws.Equations:
         """Return the equations of the part: the laws of its declaration and of the mass."""
         equations, name = super().law(part, build), part.name
-        mass = self.mass_declaration(part, build.scene)
+        mass = self.declare_mass(part, build.scene)
         mass_law = DeclaredLaw(f"{name}_mass", mass, tuple(mass.defaults.values()))
         nets = tuple((f"{name}.{pin}", f"{name}_mass.{pin}") for pin in self.moving_pins)
         return replace(equations, laws=(*equations.laws, mass_law), nets=nets)

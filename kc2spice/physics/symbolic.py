@@ -26,15 +26,15 @@ import numpy as np
 
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates
 from kc2spice.netlist.expression import (
-    Binary,
-    Call,
-    Choice,
+    BinaryOperation,
     CircuitVariable,
+    ConditionalExpression,
     ExpressionWriter,
+    FunctionCall,
     Name,
     Number,
     Tree,
-    Unary,
+    UnaryOperation,
     list_operands,
     map_operands,
     parse_expression,
@@ -84,15 +84,15 @@ def parse_simplified(text: str, where: str = "expression", tables: tuple[str, ..
     tree = parse_expression(text, where=where)
     for node in walk_tree(tree):
         match node:
-            case Call("max", (first, _)) if simplify(first) == ZERO:
+            case FunctionCall("max", (first, _)) if simplify(first) == ZERO:
                 continue
-            case Call("integral", (_, Name(_))) | Call("clip" | "above", (_,)):
+            case FunctionCall("integral", (_, Name(_))) | FunctionCall("clip" | "above", (_,)):
                 continue
-            case Call("poly", (_, *series)) if series and not any(map(find_names, series)):
+            case FunctionCall("poly", (_, *series)) if series and not any(map(find_names, series)):
                 continue
-            case Call(name, (_,)) if name in _FUNCTION_DERIVATIVES or name in tables:
+            case FunctionCall(name, (_,)) if name in _FUNCTION_DERIVATIVES or name in tables:
                 continue
-            case Call(name, _):
+            case FunctionCall(name, _):
                 functions = (*_RESTRICTED_FUNCTIONS, *_FUNCTION_DERIVATIVES, *tables)
                 raise UsageError(
                     "declarations do not support this function",
@@ -102,7 +102,7 @@ def parse_simplified(text: str, where: str = "expression", tables: tuple[str, ..
                     hint=_REPLACEMENTS.get(name)
                     or did_you_mean(name, [*_FUNCTION_DERIVATIVES, *tables]),
                 )
-            case Choice() | CircuitVariable():
+            case ConditionalExpression() | CircuitVariable():
                 raise UsageError(
                     "this text is not an expression of names, numbers and functions",
                     where=where,
@@ -119,7 +119,7 @@ def parse_simplified(text: str, where: str = "expression", tables: tuple[str, ..
 def _replace_above(tree: Tree) -> Tree:
     """Return ``tree`` with the condition ``e > 0 ? 1 : 0`` in place of each ``above(e)``."""
     match tree:
-        case Call("above", (value,)):
+        case FunctionCall("above", (value,)):
             return _step_function(simplify(_replace_above(value)))
     return map_operands(tree, _replace_above)
 
@@ -127,16 +127,18 @@ def _replace_above(tree: Tree) -> Tree:
 class _CardWriter(ExpressionWriter):
     """Writer that formats expression trees for netlist cards."""
 
-    def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
+    def write_call(self, function: str, arguments: tuple[Tree, ...]) -> str:
         """Return the text of a function call in the syntax of netlist cards."""
         match function, arguments:
-            case "sqrt", (Call("max", (_, value)),):  # this text has a finite derivative at zero
-                return f"sqrt(max(1e-18, {self.write(value)}))"
+            case "sqrt", (
+                FunctionCall("max", (_, value)),
+            ):  # this text has a finite derivative at zero
+                return f"sqrt(max(1e-18, {self.write_tree(value)}))"
             case "clip", (value,):
-                return f"max(-1, min(1, {self.write(value)}))"
+                return f"max(-1, min(1, {self.write_tree(value)}))"
             case "poly", (value, *series):
-                return f"({self.write(write_horner(value, series))})"
-        return super().call(function, arguments)
+                return f"({self.write_tree(write_horner(value, series))})"
+        return super().write_call(function, arguments)
 
 
 def format_tree(tree: Tree) -> str:
@@ -149,13 +151,13 @@ def format_tree(tree: Tree) -> str:
     UsageError : the tree contains an integral, which a netlist cannot express.
     """
     for node in walk_tree(tree):
-        if isinstance(node, Call) and node.function == "integral":
+        if isinstance(node, FunctionCall) and node.function == "integral":
             raise UsageError(
                 "an integral cannot be written to a netlist",
-                got=ExpressionWriter().write(node),
+                got=ExpressionWriter().write_tree(node),
                 hint="write the closed form of the integral",
             )
-    return _CardWriter().write(tree)
+    return _CardWriter().write_tree(tree)
 
 
 def find_names(tree: Tree) -> frozenset[str]:
@@ -177,7 +179,7 @@ def add_trees(*trees: Tree) -> Tree:
 
 def subtract_trees(first: Tree, second: Tree) -> Tree:
     """Return the simplified difference of two expressions."""
-    return simplify(Binary("-", first, second))
+    return simplify(BinaryOperation("-", first, second))
 
 
 def multiply_trees(*trees: Tree) -> Tree:
@@ -187,14 +189,14 @@ def multiply_trees(*trees: Tree) -> Tree:
 
 def divide_trees(first: Tree, second: Tree) -> Tree:
     """Return the simplified quotient of two expressions."""
-    return simplify(Binary("/", first, second))
+    return simplify(BinaryOperation("/", first, second))
 
 
 def _chain_operator(op: str, trees: Iterable[Tree]) -> Tree:
     """Return the expressions joined by the operator ``op``, from left to right."""
     first, *rest = trees
     for tree in rest:
-        first = Binary(op, first, tree)
+        first = BinaryOperation(op, first, tree)
     return first
 
 
@@ -212,35 +214,41 @@ def _differentiate(tree: Tree, name: str) -> Tree:
     match tree:
         case Name(found):
             return ONE if found == name else ZERO
-        case Unary(op, value):
-            return Unary(op, _differentiate(value, name))
-        case Binary("+" | "-" as op, left, right):
+        case UnaryOperation(op, value):
+            return UnaryOperation(op, _differentiate(value, name))
+        case BinaryOperation("+" | "-" as op, left, right):
             return _make_sum(op, _differentiate(left, name), _differentiate(right, name))
-        case Binary("*", left, right):
+        case BinaryOperation("*", left, right):
             first = _make_product(_differentiate(left, name), right)
             return _make_sum("+", first, _make_product(left, _differentiate(right, name)))
-        case Binary("/", above, below):
+        case BinaryOperation("/", above, below):
             slope = _make_product(above, _differentiate(below, name))
-            fall = slope if slope == ZERO else Binary("/", slope, Binary("*", below, below))
-            return _make_sum("-", Binary("/", _differentiate(above, name), below), fall)
-        case Call("integral", (f, Name(x))):
-            inner = Call("integral", (differentiate_tree(f, name), Name(x)))
+            fall = (
+                slope
+                if slope == ZERO
+                else BinaryOperation("/", slope, BinaryOperation("*", below, below))
+            )
+            return _make_sum("-", BinaryOperation("/", _differentiate(above, name), below), fall)
+        case FunctionCall("integral", (f, Name(x))):
+            inner = FunctionCall("integral", (differentiate_tree(f, name), Name(x)))
             return f if x == name else inner if name in find_names(f) else ZERO
-        case Call("max", (_, value)):
-            return Binary("*", _step_function(value), _differentiate(value, name))
-        case Call("poly", (value, _, *higher)):
+        case FunctionCall("max", (_, value)):
+            return BinaryOperation("*", _step_function(value), _differentiate(value, name))
+        case FunctionCall("poly", (value, _, *higher)):
             series = []
             for k, coefficient in enumerate(higher, 1):
                 series.append(_make_number(k * float(evaluate_tree(coefficient, {}))))
-            slope = Call("poly", (value, *series)) if series else ZERO
-            return Binary("*", slope, _differentiate(value, name))
-        case Call("clip", (value,)):
-            free = Binary("-", ONE, Binary("+", *map(_step_function, _clip_excesses(value))))
-            return Binary("*", free, _differentiate(value, name))
-        case Call(function, (value,)):
+            slope = FunctionCall("poly", (value, *series)) if series else ZERO
+            return BinaryOperation("*", slope, _differentiate(value, name))
+        case FunctionCall("clip", (value,)):
+            free = BinaryOperation(
+                "-", ONE, BinaryOperation("+", *map(_step_function, _clip_excesses(value)))
+            )
+            return BinaryOperation("*", free, _differentiate(value, name))
+        case FunctionCall(function, (value,)):
             table = function not in _FUNCTION_DERIVATIVES
             outer = (
-                Call(function + SLOPE_SUFFIX, (value,))
+                FunctionCall(function + SLOPE_SUFFIX, (value,))
                 if table
                 else _differentiate_function(function, value)
             )
@@ -255,12 +263,12 @@ def _differentiate_function(function: str, value: Tree) -> Tree:
 
 def _make_product(left: Tree, right: Tree) -> Tree:
     """Return the product of two trees, or zero if one of them is zero."""
-    return ZERO if ZERO in (left, right) else Binary("*", left, right)
+    return ZERO if ZERO in (left, right) else BinaryOperation("*", left, right)
 
 
 def _make_sum(op: str, left: Tree, right: Tree) -> Tree:
     """Return the sum or difference of two trees; the right tree is omitted if it is zero."""
-    return left if right == ZERO else Binary(op, left, right)
+    return left if right == ZERO else BinaryOperation(op, left, right)
 
 
 def write_horner(value: Tree, series: Iterable[Tree]) -> Tree:
@@ -270,13 +278,13 @@ def write_horner(value: Tree, series: Iterable[Tree]) -> Tree:
     """
     *lower, result = series
     for item in reversed(lower):
-        result = Binary("+", item, Binary("*", value, result))
+        result = BinaryOperation("+", item, BinaryOperation("*", value, result))
     return result
 
 
 def _step_function(value: Tree) -> Tree:
     """Return an expression that is 1 if ``value`` is above zero, otherwise 0."""
-    return Choice(Binary(">", value, ZERO), ONE, ZERO)
+    return ConditionalExpression(BinaryOperation(">", value, ZERO), ONE, ZERO)
 
 
 def _clip_excesses(value: Tree) -> tuple[Tree, Tree]:
@@ -285,7 +293,7 @@ def _clip_excesses(value: Tree) -> tuple[Tree, Tree]:
     Where ``clip(value)`` limits the value from above, the first expression is positive. Where
     ``clip(value)`` limits the value from below, the second expression is positive.
     """
-    return subtract_trees(value, ONE), subtract_trees(Unary("-", value), ONE)
+    return subtract_trees(value, ONE), subtract_trees(UnaryOperation("-", value), ONE)
 
 
 # --- sums of products with rational coefficients --------------------------------------------------
@@ -299,7 +307,7 @@ class _Product:
     numerator: tuple[Tree, ...] = ()
     denominator: tuple[Tree, ...] = ()
 
-    def times(self, other: _Product) -> _Product:
+    def multiply_by(self, other: _Product) -> _Product:
         """Return this product multiplied by the product ``other``."""
         both = (
             Counter(self.numerator + other.numerator),
@@ -308,7 +316,7 @@ class _Product:
         above, below = both[0] - both[1], both[1] - both[0]
         for root in list(below):
             match root:
-                case Call("sqrt", (value,)) if value in above:  # a / sqrt(a) is sqrt(a)
+                case FunctionCall("sqrt", (value,)) if value in above:  # a / sqrt(a) is sqrt(a)
                     above = above - Counter([value]) + Counter([root])
                     below = below - Counter([root])
         return _Product(
@@ -317,7 +325,7 @@ class _Product:
             _remove_redundant_steps(below),
         )
 
-    def inverse(self) -> _Product:
+    def invert_product(self) -> _Product:
         """Return the reciprocal of the product."""
         if not self.coefficient:
             raise UsageError("the equations of the part contain a division by zero")
@@ -334,7 +342,7 @@ class _Product:
             else self.numerator
         )
         numerator = _chain_operator("*", above)
-        return Binary("/", numerator, _chain_operator("*", below)) if below else numerator
+        return BinaryOperation("/", numerator, _chain_operator("*", below)) if below else numerator
 
 
 def _make_number(value: Fraction | float) -> Number:
@@ -352,9 +360,9 @@ def _remove_redundant_steps(counts: Counter[Tree]) -> tuple[Tree, ...]:
     factors: list[Tree] = []
     for factor in counts.elements():
         match factor:
-            case Choice(Binary(">", value, _), _, _):
-                closed = Call("max", (ZERO, value))
-                if not {closed, Call("sqrt", (closed,))} & {*counts, *factors}:
+            case ConditionalExpression(BinaryOperation(">", value, _), _, _):
+                closed = FunctionCall("max", (ZERO, value))
+                if not {closed, FunctionCall("sqrt", (closed,))} & {*counts, *factors}:
                     factors += [factor] * (factor not in factors)
             case _:
                 factors.append(factor)
@@ -367,10 +375,10 @@ def simplify(tree: Tree) -> Tree:
 
     Numbers are calculated as exact fractions.
     """
-    return _build_sum(_nonzero_terms(tree))
+    return _build_sum(_list_nonzero_terms(tree))
 
 
-def _nonzero_terms(tree: Tree) -> list[_Product]:
+def _list_nonzero_terms(tree: Tree) -> list[_Product]:
     """Return the terms of an expression whose coefficient is not zero."""
     return [term for term in _list_terms(tree) if term.coefficient]
 
@@ -380,9 +388,9 @@ def _build_sum(terms: list[_Product]) -> Tree:
     if not terms:
         return ZERO
     first, *rest = sorted(terms, key=lambda term: term.coefficient < 0)
-    total: Tree = first.tree() if first.coefficient > 0 else Unary("-", first.tree())
+    total: Tree = first.tree() if first.coefficient > 0 else UnaryOperation("-", first.tree())
     for term in rest:
-        total = Binary("+" if term.coefficient > 0 else "-", total, term.tree())
+        total = BinaryOperation("+" if term.coefficient > 0 else "-", total, term.tree())
     return total
 
 
@@ -391,22 +399,24 @@ def _list_terms(tree: Tree) -> list[_Product]:
     match tree:
         case Number(value):
             return [_Product(Fraction(value))]
-        case Unary("-" | "+", _) | Binary("+" | "-", _, _):
-            return _merge_terms(_sum_terms(tree))
-        case Binary("*", left, right):
-            return [_factor_into_product(left).times(_factor_into_product(right))]
-        case Binary("/", left, right):
-            return [_factor_into_product(left).times(_factor_into_product(right).inverse())]
-        case Binary("^", base, Number(power)) if float(power).is_integer():
+        case UnaryOperation("-" | "+", _) | BinaryOperation("+" | "-", _, _):
+            return _merge_terms(_list_sum_terms(tree))
+        case BinaryOperation("*", left, right):
+            return [_factor_into_product(left).multiply_by(_factor_into_product(right))]
+        case BinaryOperation("/", left, right):
+            return [
+                _factor_into_product(left).multiply_by(_factor_into_product(right).invert_product())
+            ]
+        case BinaryOperation("^", base, Number(power)) if float(power).is_integer():
             factors = [_factor_into_product(base)] * int(float(power))
-            return [reduce(_Product.times, factors, _Product(Fraction(1)))]
-        case Binary("^", base, Unary("-", power)):
-            return [_factor_into_product(Binary("^", base, power)).inverse()]
-        case Binary("^", base, power):
-            text = ExpressionWriter().write(_make_exponential(base, power))
+            return [reduce(_Product.multiply_by, factors, _Product(Fraction(1)))]
+        case BinaryOperation("^", base, UnaryOperation("-", power)):
+            return [_factor_into_product(BinaryOperation("^", base, power)).invert_product()]
+        case BinaryOperation("^", base, power):
+            text = ExpressionWriter().write_tree(_make_exponential(base, power))
             raise UsageError(
                 "the exponent is not a whole number",
-                got=ExpressionWriter().write(tree),
+                got=ExpressionWriter().write_tree(tree),
                 expected="a whole number after ^",
                 hint=f"write {text} for a positive base",
             )
@@ -416,20 +426,21 @@ def _list_terms(tree: Tree) -> list[_Product]:
 
 
 def _make_exponential(base: Tree, power: Tree) -> Tree:
-    return Call("exp", (Binary("*", power, Call("ln", (base,))),))
+    """Write ``base^power`` as ``exp(power ln(base))``."""
+    return FunctionCall("exp", (BinaryOperation("*", power, FunctionCall("ln", (base,))),))
 
 
-def _sum_terms(tree: Tree, sign: int = 1) -> Iterator[_Product]:
+def _list_sum_terms(tree: Tree, sign: int = 1) -> Iterator[_Product]:
     """Yield the terms of nested sums, multiplied by ``sign``.
 
     Nested sums are flattened, so that equal terms are searched for only once.
     """
     match tree:
-        case Unary("-" | "+" as op, value):
-            yield from _sum_terms(value, -sign if op == "-" else sign)
-        case Binary("+" | "-" as op, left, right):
-            yield from _sum_terms(left, sign)
-            yield from _sum_terms(right, -sign if op == "-" else sign)
+        case UnaryOperation("-" | "+" as op, value):
+            yield from _list_sum_terms(value, -sign if op == "-" else sign)
+        case BinaryOperation("+" | "-" as op, left, right):
+            yield from _list_sum_terms(left, sign)
+            yield from _list_sum_terms(right, -sign if op == "-" else sign)
         case _:
             yield from (
                 _Product(sign * t.coefficient, t.numerator, t.denominator)
@@ -440,14 +451,16 @@ def _sum_terms(tree: Tree, sign: int = 1) -> Iterator[_Product]:
 def _may_differ_from_zero(tree: Tree) -> bool:
     """Return False if a tree is ``max(0, e)`` with an expression e that is zero."""
     return not (
-        isinstance(tree, Call) and tree.function == "max" and simplify(tree.arguments[1]) == ZERO
+        isinstance(tree, FunctionCall)
+        and tree.function == "max"
+        and simplify(tree.arguments[1]) == ZERO
     )
 
 
 @cache  # the derivative of a product contains the same sums many times
 def _factor_into_product(tree: Tree) -> _Product:
     """Return ``tree`` as a product; a sum of several terms becomes one factor."""
-    result = _nonzero_terms(tree)
+    result = _list_nonzero_terms(tree)
     if len(result) == 1:
         return result[0]
     return _Product(Fraction(1), (_build_sum(result),)) if result else _Product(Fraction(0))
@@ -468,7 +481,7 @@ def _merge_terms(terms: Iterable[_Product]) -> list[_Product]:
 
 # --- tables ---------------------------------------------------------------------------------------
 
-WeightedCalls = tuple[tuple[Call, Fraction], ...]
+WeightedCalls = tuple[tuple[FunctionCall, Fraction], ...]
 
 
 def split_calls(
@@ -483,18 +496,20 @@ def split_calls(
     ------
     UsageError : a call is inside another function, or calls are multiplied.
     """
-    weights: dict[Tree, dict[Call, Fraction]] = {}
+    weights: dict[Tree, dict[FunctionCall, Fraction]] = {}
     rest = []
-    for term in _nonzero_terms(tree):
-        calls = [f for f in term.numerator if isinstance(f, Call) and f.function in functions]
+    for term in _list_nonzero_terms(tree):
+        calls = [
+            f for f in term.numerator if isinstance(f, FunctionCall) and f.function in functions
+        ]
         others = tuple((Counter(term.numerator) - Counter(calls)).elements())
         factor = _Product(Fraction(1), others, term.denominator).tree()
-        inner = (node.function for node in walk_tree(factor) if isinstance(node, Call))
+        inner = (node.function for node in walk_tree(factor) if isinstance(node, FunctionCall))
         if len(calls) > 1 or any(name in functions for name in inner):
             raise UsageError(
-                "a netlist cannot contain a function or product of tables",
-                got=ExpressionWriter().write(term.tree()),
-                expected="each table as a factor of a term",
+                "a netlist cannot contain functions or products of tables",
+                got=ExpressionWriter().write_tree(term.tree()),
+                expected="a sum of terms, each with at most one table as a factor",
             )
         if calls:
             sums = weights.setdefault(factor, {})
@@ -509,7 +524,7 @@ def split_calls(
     return result, _build_sum(rest)
 
 
-def weighted_sum(calls: WeightedCalls) -> Tree:
+def make_weighted_sum(calls: WeightedCalls) -> Tree:
     """Return the expression ``sum_k weight_k call_k`` of calls and their weights."""
     return add_trees(*(multiply_trees(_make_number(weight), call) for call, weight in calls))
 
@@ -524,9 +539,11 @@ def find_kinks(tree: Tree) -> tuple[Tree, ...]:
     """
     result = [*chain.from_iterable(map(find_kinks, list_operands(tree)))]
     match tree:
-        case Call("clip", (value,)):
+        case FunctionCall("clip", (value,)):
             result += _clip_excesses(value)
-        case Call("max", (_, value)) | Choice(Binary(">", value, _), _, _):
+        case FunctionCall("max", (_, value)) | ConditionalExpression(
+            BinaryOperation(">", value, _), _, _
+        ):
             result.append(value)
     return tuple(dict.fromkeys(result))
 
@@ -539,21 +556,28 @@ def replace_kinks(tree: Tree, corners: tuple[Tree, ...]) -> Tree:
     """
     match tree:
         # If the argument is negative after a step, the root must be zero, not a complex number.
-        case Call("sqrt", (Call("max", (_, value)),)):
-            return Call("sqrt", (Call("max", (ZERO, replace_kinks(value, corners))),))
-        case Call("max", (_, value)):
-            return Binary("*", _flag_name(value, corners), replace_kinks(value, corners))
-        case Call("clip", (value,)):
+        case FunctionCall("sqrt", (FunctionCall("max", (_, value)),)):
+            return FunctionCall(
+                "sqrt", (FunctionCall("max", (ZERO, replace_kinks(value, corners))),)
+            )
+        case FunctionCall("max", (_, value)):
+            return BinaryOperation("*", _name_flag(value, corners), replace_kinks(value, corners))
+        case FunctionCall("clip", (value,)):
             over_one, under_one = _clip_excesses(value)
-            above, below = _flag_name(over_one, corners), _flag_name(under_one, corners)
-            free, ends = Binary("-", ONE, Binary("+", above, below)), Binary("-", above, below)
-            return Binary("+", Binary("*", free, replace_kinks(value, corners)), ends)
-        case Choice(Binary(">", value, _), _, _):
-            return _flag_name(value, corners)
+            above, below = _name_flag(over_one, corners), _name_flag(under_one, corners)
+            free, ends = (
+                BinaryOperation("-", ONE, BinaryOperation("+", above, below)),
+                BinaryOperation("-", above, below),
+            )
+            return BinaryOperation(
+                "+", BinaryOperation("*", free, replace_kinks(value, corners)), ends
+            )
+        case ConditionalExpression(BinaryOperation(">", value, _), _, _):
+            return _name_flag(value, corners)
     return map_operands(tree, lambda node: replace_kinks(node, corners))
 
 
-def _flag_name(argument: Tree, corners: tuple[Tree, ...]) -> Name:
+def _name_flag(argument: Tree, corners: tuple[Tree, ...]) -> Name:
     """Return the name of the flag of ``argument``, which is one of the ``corners``."""
     return Name(f"flag{corners.index(argument)}")
 
@@ -561,29 +585,32 @@ def _flag_name(argument: Tree, corners: tuple[Tree, ...]) -> Name:
 class _PythonWriter(ExpressionWriter):
     """Writer that formats expression trees in Python syntax."""
 
-    def name(self, text: str) -> str:
+    def format_name(self, text: str) -> str:
         """Return the Python name of a variable."""
         return f"_{text}"  # the underscore allows keys with the name of a Python keyword
 
-    def write(self, tree: Tree, level: int = 0) -> str:
-        """Return the text of an expression tree in Python syntax."""
-        if isinstance(tree, Choice):
-            return f"where({self.write(tree.test)}, {self.write(tree.yes)}, {self.write(tree.no)})"
-        return super().write(tree, level)
+    def write_tree(self, tree: Tree, level: int = 0) -> str:
+        """Write an expression tree as Python text."""
+        if isinstance(tree, ConditionalExpression):
+            test, yes, no = map(self.write_tree, (tree.test, tree.yes, tree.no))
+            return f"where({test}, {yes}, {no})"
+        return super().write_tree(tree, level)
 
-    def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
+    def write_call(self, function: str, arguments: tuple[Tree, ...]) -> str:
         """Return the text of a function call in Python syntax."""
         if function == "integral":
             f, x = arguments
-            return f"integral(lambda {self.write(x)}: {self.write(f)}, {self.write(x)})"
+            return (
+                f"integral(lambda {self.write_tree(x)}: {self.write_tree(f)}, {self.write_tree(x)})"
+            )
         if function == "poly":
-            return f"({self.write(write_horner(arguments[0], arguments[1:]))})"
+            return f"({self.write_tree(write_horner(arguments[0], arguments[1:]))})"
         if function == "clip":
-            return f"clip({self.write(arguments[0])}, -1, 1)"
-        return super().call(_python_name(function), arguments)
+            return f"clip({self.write_tree(arguments[0])}, -1, 1)"
+        return super().write_call(_get_python_name(function), arguments)
 
 
-def _python_name(function: str) -> str:
+def _get_python_name(function: str) -> str:
     """Return the Python name of a function; for a table, a name that no key can have."""
     known = function in _FUNCTION_SCOPE or function in _NUMPY_NAMES
     return _NUMPY_NAMES.get(function, function) if known else f"table_{function}"
@@ -618,10 +645,10 @@ def compile_function(
     keyed by name.
     """
     heads = ", ".join(map("_{}".format, arguments))
-    values = "".join(map("{}, ".format, map(_PythonWriter().write, trees)))
+    values = "".join(map("{}, ".format, map(_PythonWriter().write_tree, trees)))
     scope = dict(_FUNCTION_SCOPE)
     for name, table in (tables or {}).items():
-        scope[_python_name(name)] = table
+        scope[_get_python_name(name)] = table
     compiled: Callable[..., tuple[Any, ...]] = eval(f"lambda {heads}: ({values})", scope)
     return compiled
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.laws import AcrossInput, Device, LawPin
-from kc2spice.core.waveforms import constant_waveform
+from kc2spice.core.waveforms import make_constant_waveform
 from kc2spice.reference.system import PlacedDevice, System
 
 
@@ -48,7 +48,7 @@ class Interval:
         """
         return np.concatenate((z, self.system.evaluate_source_derivatives(t, self.within)))
 
-    def waves(self, t: np.ndarray, z: np.ndarray, r: np.ndarray) -> dict[str, np.ndarray]:
+    def compute_waves(self, t: np.ndarray, z: np.ndarray, r: np.ndarray) -> dict[str, np.ndarray]:
         """Compute all waves at the times ``t``, keyed by name.
 
         ``z`` and ``r`` are the states and their rates, arrays of shape (n, nt). Each wave has the
@@ -68,7 +68,7 @@ class Interval:
         """Compute the stored energy [J] of all laws at the time ``t``."""
         X = self.append_sources(t, z)
         devices_with_inputs = zip(
-            self.system.devices, self.device_inputs(t, z), self.modes, strict=True
+            self.system.devices, self.compute_device_inputs(t, z), self.modes, strict=True
         )
         device_energy = sum(device.law.energy(e, mode) for device, e, mode in devices_with_inputs)
         return float(X @ self.system.stored @ X + self.system.lifted @ X + device_energy)
@@ -103,7 +103,9 @@ class Interval:
             points = list(zip((device.inputs @ X).T, terms.T, strict=True))
             f += np.abs(device.into) @ _sum_absolute_terms(device.law.evaluate, points, mode)
             if device.stores is not None:
-                g += np.abs(device.stores) @ _sum_absolute_terms(device.law.store, points, mode)
+                g += np.abs(device.stores) @ _sum_absolute_terms(
+                    device.law.evaluate_storage, points, mode
+                )
         return f, g
 
     def compute_slopes(self, t: float, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -114,15 +116,15 @@ class Interval:
             e, by = device.inputs @ X, device.inputs[:, :n]
             J = J + device.into @ device.law.evaluate(e, mode)[1] @ by
             if device.stores is not None:
-                M = M + device.stores @ device.law.store(e, mode)[1] @ by
+                M = M + device.stores @ device.law.evaluate_storage(e, mode)[1] @ by
         return M, J
 
-    def at(self, t: float, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def evaluate_equations(self, t: float, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return ``g`` and ``f``, two arrays of shape (n,), at one time."""
         X = self.append_sources(t, z)[:, None]
         return self.compute_stored_quantities(X)[:, 0], self.compute_right_sides(X)[:, 0]
 
-    def device_inputs(self, t: float, z: np.ndarray) -> list[np.ndarray]:
+    def compute_device_inputs(self, t: float, z: np.ndarray) -> list[np.ndarray]:
         """Return the inputs of every device at the time ``t``, one array for each device."""
         X = self.append_sources(t, z)
         return [device.inputs @ X for device in self.system.devices]
@@ -130,10 +132,10 @@ class Interval:
     def compute_guards(self, t: float, z: np.ndarray) -> np.ndarray:
         """Return the guards of all devices in one array, in the sequence of the devices."""
         devices_with_inputs = zip(
-            self.system.devices, self.device_inputs(t, z), self.modes, strict=True
+            self.system.devices, self.compute_device_inputs(t, z), self.modes, strict=True
         )
         return np.concatenate(
-            [np.empty(0), *(d.law.guards(e, mode) for d, e, mode in devices_with_inputs)]
+            [np.empty(0), *(d.law.evaluate_guards(e, mode) for d, e, mode in devices_with_inputs)]
         )
 
     def solve_algebraic(self, t: float, z: np.ndarray) -> np.ndarray:
@@ -141,9 +143,9 @@ class Interval:
         algebraic, rows = ~self.system.differential, ~self.rows
         z, tangents = z.copy(), LimitedTangents()
         for _ in range(30 if algebraic.any() else 0):
-            now, limited = tangents.linearise(self, t, z)
+            now, limited = tangents.linearise_limited_laws(self, t, z)
             J = now.compute_slopes(t, z)[1][np.ix_(rows, algebraic)]
-            change = np.linalg.lstsq(J, -now.at(t, z)[1][rows], rcond=1e-14)[0]
+            change = np.linalg.lstsq(J, -now.evaluate_equations(t, z)[1][rows], rcond=1e-14)[0]
             z[algebraic] += change
             small = np.abs(change).max() < 1e-12 * (1 + np.abs(z[algebraic]).max())
             if self.linear or (small and not limited):
@@ -173,9 +175,9 @@ class _LinearisedLaw(Device):
         out, slope = self.law.evaluate(self.point, mode)
         return out + slope @ (e - self.point), slope
 
-    def store(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
+    def evaluate_storage(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         """Return the linearised stored quantities, and their derivatives with respect to inputs."""
-        stored, slope = self.law.store(self.point, mode)
+        stored, slope = self.law.evaluate_storage(self.point, mode)
         return stored + slope @ (e - self.point), slope
 
 
@@ -191,8 +193,10 @@ class LimitedTangents:
 
     points: dict[PlacedDevice, np.ndarray] = field(default_factory=dict)
 
-    def linearise(self, interval: Interval, t: float, z: np.ndarray) -> tuple[Interval, bool]:
-        """Linearise, near ``z``, the laws that limit Newton steps.
+    def linearise_limited_laws(
+        self, interval: Interval, t: float, z: np.ndarray
+    ) -> tuple[Interval, bool]:
+        """Linearise, near ``z``, each law whose Newton steps are limited.
 
         Return the equations with the linearised laws. Also return whether the inputs at which a
         law is linearised differ from its inputs at ``z``.
@@ -288,13 +292,14 @@ def _fix_sources(system: System, values: dict[str, float]) -> System:
     sources = []
     for source in system.sources:
         value = values.get(source.name, float(source.wave(0.0)))
-        sources.append(replace(source, wave=constant_waveform(value)))
+        sources.append(replace(source, wave=make_constant_waveform(value)))
     return replace(system, sources=tuple(sources))
 
 
 def _compute_waves(system: System, z: np.ndarray, modes: list[Any]) -> dict[str, float]:
+    """Compute the values of all waves in the equilibrium ``z``, keyed by name."""
     interval, t = Interval(_fix_sources(system, {}), modes, 0.0), np.zeros(1)
-    waves = interval.waves(t, z[:, None], np.zeros((z.size, 1)))
+    waves = interval.compute_waves(t, z[:, None], np.zeros((z.size, 1)))
     return {name: float(wave[0]) for name, wave in waves.items()}
 
 
@@ -312,7 +317,7 @@ class _StaticEquations:
     def make_interval(self, z: np.ndarray) -> Interval:
         """Return the equations for the modes that the devices have at ``z``."""
         X = np.concatenate((z, self.evaluate_source_derivatives))
-        modes = [device.law.mode(device.inputs @ X) for device in self.system.devices]
+        modes = [device.law.find_initial_mode(device.inputs @ X) for device in self.system.devices]
         return Interval(self.system, modes, 0.0)
 
     def equations(self, interval: Interval, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -321,7 +326,7 @@ class _StaticEquations:
         The residual has the shape (n,), and the Jacobian the shape (n, n). The forces that enforce
         initial values are not included.
         """
-        return interval.at(0.0, z)[1], interval.compute_slopes(0.0, z)[1]
+        return interval.evaluate_equations(0.0, z)[1], interval.compute_slopes(0.0, z)[1]
 
 
 def find_equilibrium(
@@ -349,7 +354,9 @@ def find_equilibrium(
     for count in range(_MAX_ITERATIONS):
         if direct and count == direct:
             z, pseudo_time_step, tangents = start, 1e-6, LimitedTangents()
-        interval, limited = tangents.linearise(static_equations.make_interval(z), 0.0, z)
+        interval, limited = tangents.linearise_limited_laws(
+            static_equations.make_interval(z), 0.0, z
+        )
         f, J = static_equations.equations(interval, z)
         step = _compute_newton_step(
             static_equations,
@@ -403,7 +410,7 @@ def _compute_newton_step(
         null_vectors = u[:, rank:]
         conserved = (null_vectors[:n] / size[:n, None]).T
         inconsistent = np.abs(null_vectors.T @ right) > 1e-9 * np.abs(right).max(initial=1e-300)
-        stored, slope = interval.at(0.0, z)[0], interval.compute_slopes(0.0, z)[0]
+        stored, slope = interval.evaluate_equations(0.0, z)[0], interval.compute_slopes(0.0, z)[0]
         charge_rows = np.hstack((conserved @ slope, np.zeros((len(conserved), m))))
         charge_residual = -conserved @ stored
         level = np.maximum(np.abs(charge_rows).max(axis=1), 1e-300)

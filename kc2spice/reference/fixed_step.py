@@ -1,14 +1,14 @@
-"""Transient of laws and of bodies, represented by ports (`PortBody`), with equal time steps.
+"""Transient with equal time steps, of parts and of bodies that ports represent.
 
-A body with n unknowns is joined to other parts at p ports. Within a stage of an implicit method,
-the unknowns of the body are ``x = P(s)^-1 (r + B a)``. Here ``P(s)`` is the matrix of the body's
-equations at the rate ``s`` of the stage. The vector ``a`` contains the inputs of the ports, and
-``r`` is the effect of earlier steps. The outputs are ``y = H(s) a + C P(s)^-1 r``, where ``H(s)``
-is the transfer matrix of the ports.
+A body with n unknowns is connected to other parts at p ports (`PortBody`). In each stage of the
+implicit method, the unknowns of the body are ``x = P(s)^-1 (r + B a)``. Here ``P(s)`` is the matrix
+of the body's equations at the rate ``s`` of the stage. The vector ``a`` contains the inputs of the
+ports, and ``r`` contains the effect of earlier time steps. The outputs are ``y = H(s) a + C P(s)^-1
+r``, where ``H(s)`` is the transfer matrix of the ports.
 
-The matrix ``P(s)`` is factorised only once for all steps. Each stage needs one back substitution.
-Each stage also solves a small nonlinear system of all other laws. In this system, p linear
-relations represent the body.
+The matrix ``P(s)`` is factorised only once for all steps. Each stage then needs one back
+substitution, and the solution of a small nonlinear system. In this system, p linear relations
+represent the body, and the other equations are the laws of all other parts.
 
 The method of Alexander (SIAM J. Numer. Anal. 14, 1006, 1977) has two stages and second-order
 accuracy. The method is L-stable: motions too fast for the time step decay instead of ringing::
@@ -34,19 +34,20 @@ from kc2spice.reference.equilibrium import Interval, LimitedTangents, find_equil
 from kc2spice.reference.system import System
 
 GAMMA = 1.0 - np.sqrt(0.5)
-MAX_ITERATIONS = 60  # largest number of iterations of a stage, including changes of device modes
-# number of the iteration from which only one device at a time changes its mode
+MAX_ITERATIONS = 60  # largest number of iterations in a stage, including changes of device modes
+# iteration number from which only one device at a time changes its mode
 SINGLE_SWITCH_ITERATION = 30
 GUARD_ROUNDING = 1e-15  # largest magnitude of a negative guard that counts as a rounding error
 ZERO_LOAD = 1e-100  # largest load that counts as zero, because no solver resolves it
-# rate at which an unsupported body moves only as a rigid body, relative to the body's fastest rate
+# rate at which an unsupported body moves only as a rigid body, divided by the body's fastest rate
 DRIFT_RATE_RATIO = 3e-8
 
 
 class _BodyIntegrator:
-    """Integrator of a body ``sum_k P_k d^k x/dt^k = B a`` with time steps of fixed length.
+    """Integrator of a body with time steps of fixed length.
 
-    The body starts at rest, in equilibrium with the initial inputs ``a`` of its ports.
+    The equations of the body are ``sum_k P_k d^k x/dt^k = B a``. The body starts at rest, in
+    equilibrium with the initial inputs ``a`` of its ports.
 
     Raises
     ------
@@ -59,14 +60,14 @@ class _BodyIntegrator:
         self.solve = _make_solver(self.pencil, self.rate)
         self.answers = self.solve(self.pencil.B)
         H = self.pencil.C @ self.answers + self.pencil.D
-        self.H = 0.5 * (H + H.T) if self.pencil.symmetric and self.pencil.collocated else H
+        self.H = 0.5 * (H + H.T) if self.pencil.is_symmetric and self.pencil.is_collocated else H
         self.x, self.v, self._v, self._a = np.zeros((4, self.pencil.size))
-        a = law.loads(e)
+        a = law.compute_loads(e)
         if np.abs(a).max(initial=0.0) > ZERO_LOAD:
             self.x = make_static_solver(self.pencil)(self.pencil.B @ a)
 
     def begin_stage(self, second: bool) -> Relation:
-        """Compute the linear relation between inputs and outputs of the body in the next stage."""
+        """Return the linear relation of the body between inputs and outputs in a stage."""
         P, s = self.pencil.coefficients, self.rate
         x, v = self.x, self.v
         if second:
@@ -79,9 +80,12 @@ class _BodyIntegrator:
         return Relation(self.H, self.pencil.C @ self._free)
 
     def finish_stage(self, e: np.ndarray, second: bool) -> None:
-        """Update the states of the body for the device inputs ``e`` at the end of the stage."""
+        """Update the states of the body at the end of a stage.
+
+        ``e`` contains the inputs of the body.
+        """
         x, v = self._past
-        displacement = self._free + self.answers @ self.law.loads(e)
+        displacement = self._free + self.answers @ self.law.compute_loads(e)
         self._v = self.rate * (displacement - x)
         self._a = self.rate * (self._v - v)
         if second:
@@ -89,12 +93,12 @@ class _BodyIntegrator:
 
 
 def _make_solver(pencil: Any, s: float) -> Callable[[np.ndarray], np.ndarray]:
-    """Return a function that multiplies a vector by ``P(s)^-1`` for a real rate ``s``.
+    """Return a function that solves ``P(s) x = b`` for a real rate ``s``.
 
     The function uses a Cholesky factor if ``P(s)`` is positive definite.
     """
-    if pencil.symmetric:
-        matrix = sparse.csc_array(pencil.at(s))
+    if pencil.is_symmetric:
+        matrix = sparse.csc_array(pencil.evaluate_polynomial(s))
         if matrix.shape[0] == pencil.size:
             try:
                 return factorise(matrix, definite=True).solve
@@ -105,10 +109,11 @@ def _make_solver(pencil: Any, s: float) -> Callable[[np.ndarray], np.ndarray]:
 
 
 def make_static_solver(pencil: Any) -> Callable[[np.ndarray], np.ndarray]:
-    """Return a function that multiplies a vector by the inverse of a body's static matrix.
+    """Return a function that computes the static solution of a body for a load.
 
-    The static matrix is ``P(0)``. For an unsupported body, ``P(0)`` is singular. The function then
-    uses ``P(s)`` at a rate ``s`` far below the natural frequencies of the body.
+    The function multiplies the load by the inverse of the static matrix ``P(0)``. For an
+    unsupported body, ``P(0)`` is singular. The function then uses ``P(s)`` at a rate ``s`` far
+    below the natural frequencies of the body.
 
     Raises
     ------
@@ -123,10 +128,10 @@ def make_static_solver(pencil: Any) -> Callable[[np.ndarray], np.ndarray]:
 
 @dataclass(frozen=True, eq=False)
 class FixedStepResult:
-    """Waves, keyed by name, and modes of the devices at the times ``time``.
+    """Waveforms, keyed by name, and device modes at the times ``time``.
 
-    ``time`` and each wave have the shape (nt,). Currents that charge a device are not among the
-    waves. Bodies have no modes.
+    ``time`` and each waveform have the shape (nt,). Currents that charge a device are not among the
+    waveforms. Bodies have no modes.
     """
 
     time: np.ndarray
@@ -144,25 +149,23 @@ def integrate_steps(
 ) -> FixedStepResult:
     """Integrate a system over ``count`` equal time steps from the time ``first`` [s].
 
-    The laws begin in equilibrium at t = 0, and bodies stay in this equilibrium until ``first``.
-    If other laws move before ``first``, ``start_from`` converts the unknowns of the equilibrium to
-    the unknowns at ``first``.
+    The laws start in equilibrium at t = 0, and bodies stay in this equilibrium until ``first``. If
+    other laws move before ``first``, ``start_from`` converts the unknowns of the equilibrium to the
+    unknowns at ``first``.
 
-    Raises
-    ------
     SimulationError : there is no equilibrium, a stage does not converge, or the inputs of a law
-    leave its valid range.
+    leave the valid range.
     """
     z, modes = find_equilibrium(system)
     march = _StepIntegrator(system, modes, step)
-    es = march.make_interval(0.0).device_inputs(0.0, z)
+    es = march.make_interval(0.0).compute_device_inputs(0.0, z)
     for k, ported in march.ported:
         march.bodies[k] = _BodyIntegrator(ported, step, es[k])
     if start_from is not None:
         z = start_from(system, z)
-    es = march.make_interval(first).device_inputs(first, z)
+    es = march.make_interval(first).compute_device_inputs(first, z)
     for k, law in march.others:
-        march.modes[k] = law.mode(es[k])
+        march.modes[k] = law.find_initial_mode(es[k])
     times, states, intervals = [first], [z], [march.make_interval(first)]
     for k in range(count):
         z = march.step(first + k * step, z)
@@ -175,11 +178,13 @@ def integrate_steps(
     unknowns = np.array(states)
     rates = np.gradient(unknowns.T, time, axis=1).T
     points = zip(intervals, time[:, None], unknowns[:, :, None], rates[:, :, None], strict=True)
-    waves = join_waves(list(starmap(Interval.waves, points)))
+    waves = join_waves(list(starmap(Interval.compute_waves, points)))
     for _, law in march.others:
-        for k in law.charged:
+        for k in law.storing_flow_indices:
             waves.pop(f"{law.name}.{law.flows[k].pin}.through", None)
-    return FixedStepResult(time, {"time": time} | waves, list(map(march.device_modes, intervals)))
+    return FixedStepResult(
+        time, {"time": time} | waves, list(map(march.get_device_modes, intervals))
+    )
 
 
 class _StepIntegrator:
@@ -204,7 +209,7 @@ class _StepIntegrator:
         """Return the equations at the time ``t`` for the present modes of the devices."""
         return Interval(self.system, list(self.modes), t)
 
-    def device_modes(self, interval: Interval) -> tuple[Any, ...]:
+    def get_device_modes(self, interval: Interval) -> tuple[Any, ...]:
         """Return the modes of all devices of an interval. Bodies are omitted."""
         return tuple(interval.modes[k] for k, _ in self.others)
 
@@ -213,14 +218,14 @@ class _StepIntegrator:
 
         The integrator then stores the device modes at the end of this step.
         """
-        stored = self.make_interval(t).at(t, z)[0]
+        stored = self.make_interval(t).evaluate_equations(t, z)[0]
         stage_time = t + GAMMA * self.h
         first = self._solve_stage(stage_time, z, stored, False)
-        inner = self.make_interval(stage_time).at(stage_time, first)[0]
+        inner = self.make_interval(stage_time).evaluate_equations(stage_time, first)[0]
         last = self._solve_stage(
             t + self.h, first, stored + (1 - GAMMA) / GAMMA * (inner - stored), True
         )
-        es = self.make_interval(t + self.h).device_inputs(t + self.h, last)
+        es = self.make_interval(t + self.h).compute_device_inputs(t + self.h, last)
         for k, law in self.others:
             law.require_in_range(t + self.h, es[k])
         return last
@@ -232,19 +237,19 @@ class _StepIntegrator:
         """
         for k, body in self.bodies.items():
             self.modes[k] = body.begin_stage(second)
-        es = self.make_interval(t).device_inputs(t, z)
+        es = self.make_interval(t).compute_device_inputs(t, z)
         self._switch_devices(es, 0)
         tangents = LimitedTangents()
         for count in range(MAX_ITERATIONS):
-            interval, limited = tangents.linearise(self.make_interval(t), t, z)
-            g, f = interval.at(t, z)
+            interval, limited = tangents.linearise_limited_laws(self.make_interval(t), t, z)
+            g, f = interval.evaluate_equations(t, z)
             M, J = interval.compute_slopes(t, z)
             J = J - self.rate * M
             size = np.abs(J).max(axis=1)
             right = self.rate * (g - stored) - f
             change = np.linalg.solve(J / size[:, None], right / size)
             z = z + change
-            es = interval.device_inputs(t, z)
+            es = interval.compute_device_inputs(t, z)
             small = np.abs(change).max() <= 1e-10 * (1e-3 + np.abs(z).max())
             if not self._switch_devices(es, count) and (self.is_affine or (small and not limited)):
                 for k, body in self.bodies.items():
@@ -255,14 +260,17 @@ class _StepIntegrator:
         )
 
     def _switch_devices(self, es: list[np.ndarray], count: int) -> bool:
-        """Change the modes of devices with a negative guard; return whether a mode changed."""
+        """Change the modes of devices with a negative guard.
+
+        Return whether a mode changed.
+        """
         changed = False
         for k, law in self.others:
-            guards = law.guards(es[k], self.modes[k])
+            guards = law.evaluate_guards(es[k], self.modes[k])
             if guards.size and guards.min() < -GUARD_ROUNDING:
                 changed = True
                 if count >= SINGLE_SWITCH_ITERATION:
-                    self.modes[k] = law.next_mode(self.modes[k], int(guards.argmin()))
+                    self.modes[k] = law.find_next_mode(self.modes[k], int(guards.argmin()))
                     break
-                self.modes[k] = law.mode(es[k])
+                self.modes[k] = law.find_initial_mode(es[k])
         return changed

@@ -1,12 +1,14 @@
-"""Transient of a `System` by an implicit method, restarted at every corner and event.
+"""Transient solution of a `System` by an implicit Runge-Kutta method.
 
-A corner is a jump in the slope of a source, and an event is a change of a device's mode.
+The method restarts at every corner and event. A corner is a jump in the slope of a source. An event
+is a change of the mode of a device, which happens when a guard function of the device falls to
+zero.
 
 Each step solves ``d/dt g(t, z) = f(t, z)`` by the method Radau IIA of order five (Hairer and Wanner
-1996, IV.8). ``scipy.integrate.Radau`` accepts no mass matrix, so it would require the elimination
-of algebraic unknowns. Algebraic unknowns can be eliminated from equations of index 1 only. Two
-inductors in series, or an inductor in series with a current source, have equations of index 2. This
-module eliminates no unknowns. The integrated quantities are the stored quantities ``g``, so that
+1996, IV.8). This module eliminates no unknowns. In contrast, ``scipy.integrate.Radau`` accepts no
+mass matrix, so that algebraic unknowns would have to be eliminated. This elimination is possible
+only for equations of index 1. The equations of two inductors in series, or of an inductor in series
+with a current source, have index 2. The method integrates the stored quantities ``g``, so that
 charge, flux and momentum are conserved.
 """
 
@@ -43,10 +45,10 @@ _PAIR_INDEX = int(np.argmax(_values.imag))
 _ERROR_COEFFICIENTS = np.array([-13 - 7 * _S6, -13 + 7 * _S6, -1.0]) / 3.0
 _MAX_NEWTON_STEPS = 8
 # Largest acceptable rounding error of a Newton correction, relative to the tolerance.
-# A controller that differentiates its input amplifies rounding errors to 100 nV.
+# A controller with a derivative term amplifies rounding errors to 100 nV.
 _MAX_ROUNDING = 0.1
 _MACHINE_EPSILON = float(np.finfo(float).eps)
-# safety factor for rounding errors that are estimated from only one set of random signs
+# safety factor, because one set of random signs gives only a rough estimate of rounding errors
 _ROUNDING_FACTOR = 3.0
 # The matrices below convert values at the stages of a step to the coefficients of a polynomial.
 # The cubic polynomial passes through the values at the start and at the stages.
@@ -57,11 +59,11 @@ _SQUARE_MATRIX = np.linalg.inv(RADAU_NODES[:, None] ** (_POWERS - 1))
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """Accepted time step, with the changes of the unknowns from its start to its stages.
+    """Time step, with the changes of the unknowns from the start to each stage.
 
     The changes are an array of shape (n, 3). ``start`` and ``length`` are in seconds. ``first``
-    contains the unknowns at the start, and ``differential`` is true for the unknowns that have a
-    time derivative.
+    contains the unknowns at the start, and ``differential`` is true for each unknown that has a
+    time derivative in the equations.
     """
 
     start: float
@@ -71,12 +73,12 @@ class Step:
     differential: np.ndarray
 
     @property
-    def end(self) -> float:
+    def end_time(self) -> float:
         """Time at the end of the step."""
         return self.start + self.length
 
     @property
-    def last(self) -> np.ndarray:
+    def end_unknowns(self) -> np.ndarray:
         """Unknowns at the end of the step."""
         return self.first + self.increments[:, 2]
 
@@ -85,61 +87,71 @@ class Step:
         """Times of the three stages of the step."""
         return self.start + self.length * RADAU_NODES
 
-    def at(self, t: np.ndarray | float) -> np.ndarray:
-        """Return the states on the collocation polynomial at times ``t``, an array (n, nt)."""
+    def interpolate_states(self, t: np.ndarray | float) -> np.ndarray:
+        """Interpolate the states at times ``t`` by the collocation polynomial.
+
+        Return an array of shape (n, nt) for ``nt`` times.
+        """
         x = (np.atleast_1d(t) - self.start) / self.length
         powers = x ** np.arange(4)[:, None]
         return self.first[:, None] + self._evaluate_polynomials(powers[1:], powers[:3])
 
-    def rate(self, t: np.ndarray | float) -> np.ndarray:
-        """Return the time derivatives of the states at ``nt`` times ``t``, an array (n, nt).
+    def compute_derivatives(self, t: np.ndarray | float) -> np.ndarray:
+        """Compute the time derivatives of the states at ``nt`` times ``t``.
 
-        The derivatives of algebraic unknowns are less accurate.
+        Return an array of shape (n, nt).
+
+        The derivatives of algebraic unknowns are less accurate than the derivatives of other
+        unknowns.
         """
         x = (np.atleast_1d(t) - self.start) / self.length
         square = np.array([0.0 * x, x**0, 2 * x])
         return self._evaluate_polynomials(np.array([x**0, 2 * x, 3 * x**2]), square) / self.length
 
     def _evaluate_polynomials(self, cubic: np.ndarray, square: np.ndarray) -> np.ndarray:
+        """Evaluate the collocation polynomials of all unknowns.
+
+        ``cubic`` and ``square`` are powers of the time, relative to the step.
+        """
         through_start = self.increments @ _CUBIC_MATRIX.T @ cubic
         alone = self.increments @ _SQUARE_MATRIX.T @ square
         return np.where(self.differential[:, None], through_start, alone)
 
     def evaluate_stages(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the unknowns and their rates at the stages of the step, two arrays (n, 3).
+        """Return the unknowns and their rates at the stages, as two arrays (n, 3).
 
-        The stages are the nodes for numerical integration over the step.
+        The stages are also the nodes of a numerical integration over the step.
         """
-        return self.first[:, None] + self.increments, self.rate(self.stage_times)
+        return self.first[:, None] + self.increments, self.compute_derivatives(self.stage_times)
 
 
 class Radau:
     """Radau IIA integrator of the equations of one interval.
 
-    ``find_step`` chooses the length of a step from its error, and ``take_step`` computes a step of
-    prescribed length.
+    ``find_step`` chooses the step length from the error of the step. ``take_step`` computes a step
+    of prescribed length.
     """
 
     def __init__(self, interval: Interval, t: float, z: np.ndarray, rtol: float) -> None:
         self.rtol = rtol
         self.newton_tol = max(10 * np.finfo(float).eps / rtol, min(0.03, rtol**0.5))
         self.interval, self.rows = interval, interval.rows
-        self.active = interval.system.differential  # mask of the unknowns whose error is controlled
+        self.active = interval.system.differential  # mask of unknowns whose error is controlled
         self.before: Step | None = None
         self._start_step(t, z)
         self._linearise()
 
     def _start_step(self, t: float, z: np.ndarray) -> None:
-        """Set the time and the unknowns from which the next step begins."""
+        """Set the time and the unknowns at the start of the next step."""
         self.t, self.z = t, z
-        self.g, f = self.interval.at(t, z)
+        self.g, f = self.interval.evaluate_equations(t, z)
         self.f = np.where(self.rows, f, 0.0)
 
     def _linearise(self) -> None:
-        """Compute the Jacobians of ``g`` and ``f`` at the present unknowns."""
+        """Compute the Jacobians of ``g`` and ``f`` at the current time and unknowns."""
         self.M, self.J = self.interval.compute_slopes(self.t, self.z)
         self.h_lu, self.lu = 0.0, tuple[Any, ...]()
-        # rounding error of a correction by Newton's method, relative to the tolerance
+        # rounding error of a Newton correction, relative to the tolerance
         self.rounding = 0.0
 
     def choose_first_step(self, end: float) -> float:
@@ -161,7 +173,7 @@ class Radau:
         return np.asarray(lapack.dgetrs(*self.lu[which][:2], right)[0])
 
     def _compute_newton_change(self, r: np.ndarray) -> np.ndarray:
-        """Compute the Newton correction, an array (n, 3), of the stages for a residual ``r``."""
+        """Compute the Newton correction (n, 3) of the stages for a residual ``r``."""
         real = np.outer(
             self._solve_system(r @ _EIGENVECTORS_INVERSE[_REAL_INDEX].real, 0),
             _vectors[:, _REAL_INDEX].real,
@@ -174,8 +186,8 @@ class Radau:
     def _estimate_rounding(self, X: np.ndarray, h: float) -> np.ndarray:
         """Estimate the change of the stages due to the rounding error of the residual.
 
-        The rounding error of each equation is proportional to the sum of the magnitudes of its
-        terms. The change is an array of shape (n, 3).
+        The rounding error of each equation is proportional to the sum of the magnitudes of the
+        equation's terms. The change is an array of shape (n, 3).
         """
         flow, stored = self.interval.sum_term_sizes(X)
         sizes = flow + (stored + np.abs(self.g)[:, None]) @ np.abs(_RADAU_INVERSE.T) / h
@@ -183,7 +195,7 @@ class Radau:
         return self._compute_newton_change(_MACHINE_EPSILON * sizes * signs)
 
     def _factorise(self, h: float) -> None:
-        """Factorise the real and the complex matrix of Newton's method for a step length ``h``."""
+        """Factorise both matrices of Newton's method for the step length ``h``."""
         if h == self.h_lu:
             return
         self.lu = (
@@ -200,27 +212,28 @@ class Radau:
             )
 
     def take_step(self, h: float) -> Step | None:
-        """Return a step of length ``h``, or None if Newton's method diverges or overflows."""
+        """Compute a step of length ``h``; return None if Newton's method fails."""
         self._factorise(h)
         zero_increments = np.zeros((self.z.size, 3))
         if self.before is None:
             return self._solve_stages(h, zero_increments)
-        # After a much shorter step, the extrapolation of its polynomial amplifies rounding errors.
-        # With these amplified errors, an exponential law overflows.
-        # The unknowns at the start of the new step are then a better initial guess.
-        predicted = self.before.at(self.t + h * RADAU_NODES) - self.z[:, None]
+        # Extrapolation from a much shorter step amplifies rounding errors of the first guess.
+        # With amplified rounding errors, an exponential law can overflow.
+        # If the first guess fails, the unknowns at the start of the step are the second guess.
+        predicted = self.before.interpolate_states(self.t + h * RADAU_NODES) - self.z[:, None]
         return self._solve_stages(h, predicted) or self._solve_stages(h, zero_increments)
 
     @np.errstate(over="ignore", invalid="ignore")
     def _solve_stages(self, h: float, Z: np.ndarray) -> Step | None:
         """Solve the stages of a step by Newton's method.
 
-        ``Z``, an array of shape (n, 3), is the initial guess for the changes of the unknowns.
+        ``Z`` (n, 3) is the initial guess for the changes of the unknowns. The result is None if
+        Newton's method diverges or overflows.
         """
         p, t = self.interval, self.t + h * RADAU_NODES
         sources = p.system.evaluate_source_derivatives(t, p.within)
         scale = self.rtol * (1.0 + np.abs(self.z))
-        # errors of unknowns that are not active do not propagate
+        # errors of algebraic unknowns do not propagate to the next step
         scale = np.where(self.active, scale, 1e3 * scale)
         last = 0.0
         for k in range(_MAX_NEWTON_STEPS):
@@ -252,16 +265,16 @@ class Radau:
         return None
 
     def accept_step(self, step: Step) -> None:
-        """Accept a step, so that the next step starts at the end of this step."""
+        """Accept a step: the next step will start at the end of this step."""
         self.before = step
-        self._start_step(step.end, step.last)
+        self._start_step(step.end_time, step.end_unknowns)
         if not self.interval.linear and self.iterations > 2:
             self._linearise()
 
     def find_step(self, h: float, end: float) -> tuple[Step, float]:
         """Return a step with an error below the tolerance, and the length of the next step.
 
-        The caller must pass the step to :meth:`accept_step`.
+        The caller must pass the returned step to :meth:`accept_step`.
         """
         rejected = False
         while True:
@@ -286,20 +299,20 @@ class Radau:
         p, t, h = self.interval, step.stage_times, step.length
         sources = p.system.evaluate_source_derivatives(t, p.within)
         # The error is computed from the stored quantities ``g``.
-        # The derivative ``M`` of ``g`` is not used, because it was computed at an earlier state.
+        # The derivative ``M`` of ``g`` may be outdated, because ``M`` is not updated in every step.
         stage_stores = p.compute_stored_quantities(
             np.concatenate((step.first[:, None] + step.increments, sources))
         )
         stored_error = np.where(
             self.rows, (stage_stores - self.g[:, None]) @ _ERROR_COEFFICIENTS / h, 0.0
         )
-        scale = self.rtol * (1.0 + np.maximum(np.abs(self.z), np.abs(step.last)))
+        scale = self.rtol * (1.0 + np.maximum(np.abs(self.z), np.abs(step.end_unknowns)))
         error = self._solve_system(self.f + stored_error, 0)
         return _compute_rms((error / scale)[self.active])
 
 
 def _compute_rms(x: np.ndarray) -> float:
-    """Return the root mean square of the entries of ``x``, and zero for an empty array."""
+    """Return the root mean square of the entries of ``x``, or 0 for an empty array."""
     return float(np.sqrt(np.mean(x * x))) if x.size else 0.0
 
 
@@ -310,7 +323,7 @@ _MAX_SEGMENTS = 20_000
 
 @dataclass(frozen=True)
 class Segment:
-    """Accepted steps between two corners or events, and the equations of this interval."""
+    """Interval between two corners or events: equations and accepted steps."""
 
     interval: Interval
     steps: tuple[Step, ...]
@@ -318,9 +331,11 @@ class Segment:
 
 @dataclass(frozen=True)
 class EnergyBalance:
-    """Energy error of a run: the supplied energy [J] that is neither stored nor lost.
+    """Energy balance of a run.
 
-    The error is judged relative to the ``turnover`` [J]: the sum of the supplied energy, the lost
+    The ``residual`` [J] is the supplied energy that is neither stored nor lost.
+
+    The residual is compared with the ``turnover`` [J]: the sum of the supplied energy, the lost
     energy and the energy stored at the start.
     """
 
@@ -330,7 +345,7 @@ class EnergyBalance:
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Segments of a transient run, its output times [s], and the times of its events [s].
+    """Segments, output times [s] and event times [s] of a transient run.
 
     The output times are an array of shape (nt,). An event is a change of the mode of a device.
     """
@@ -347,9 +362,9 @@ class Trajectory:
         The names are ``time``, ``NAME.pin``, ``NAME.pin.through``, ``NAME.pin.rate``,
         ``NAME.state``, and the names of additional waves of devices. Each wave has the shape (nt,).
         """
-        # The times may come from ngspice, which may round the time of a corner differently.
+        # The output times may come from ngspice, which may round the times of corners.
         # A corner with a rounded time still belongs to the segment that ends at this corner.
-        ends = np.array([s.steps[-1].end for s in self.segments[:-1]])
+        ends = np.array([s.steps[-1].end_time for s in self.segments[:-1]])
         owner = np.searchsorted(ends + 4 * np.spacing(self.time[-1]), self.time, side="left")
         result = []
         for k in np.unique(owner):
@@ -359,15 +374,15 @@ class Trajectory:
             states, rates = [], []
             for j in np.unique(at):
                 step, times = segment.steps[j], t[at == j]
-                states.append(step.at(times))
-                rates.append(step.rate(times))
-            result.append(segment.interval.waves(t, np.hstack(states), np.hstack(rates)))
+                states.append(step.interpolate_states(times))
+                rates.append(step.compute_derivatives(times))
+            result.append(segment.interval.compute_waves(t, np.hstack(states), np.hstack(rates)))
         return {"time": self.time, **join_waves(result)}
 
     @cached_property
     def energy(self) -> EnergyBalance:
-        """Energy balance of the run, from energies at its start and end, and integrated powers."""
-        # sum, and sum of magnitudes, of the supplied energies and of the lost energies
+        """Energy balance of the run: stored energies and integrated powers."""
+        # each array contains the sum of the energies, and the sum of their magnitudes
         supplied, lost = np.zeros(2), np.zeros(2)
         for segment in self.segments:
             for sums, energies in zip(
@@ -376,7 +391,7 @@ class Trajectory:
                 sums += np.sum(energies), np.abs(energies).sum()
         begin, end = self.segments[0], self.segments[-1]
         before = begin.interval.compute_energy(begin.steps[0].start, begin.steps[0].first)
-        after = end.interval.compute_energy(end.steps[-1].end, end.steps[-1].last)
+        after = end.interval.compute_energy(end.steps[-1].end_time, end.steps[-1].end_unknowns)
         residual = supplied[0] - lost[0] + before - after
         return EnergyBalance(float(residual), float(supplied[1] + lost[1] + abs(before)))
 
@@ -390,7 +405,7 @@ def solve_transient(
 ) -> Trajectory:
     """Integrate a system from its equilibrium at t = 0 to the time ``stop`` [s].
 
-    A segment ends at each corner of a source, and when the guard of a device falls to zero.
+    A segment ends at a corner of a source, or when a guard function of a device falls to zero.
     ``times`` are the output times [s], by default the ends of the accepted steps. ``progress`` is
     called with the completed share of the run, from 0 to 1.
 
@@ -400,19 +415,21 @@ def solve_transient(
     events.
     """
     z, modes = find_equilibrium(system)
-    driven = [p.wave.corners(stop) for p in system.sources]
+    driven = [p.wave.find_corner_times(stop) for p in system.sources]
     corners = np.unique(np.concatenate([[0.0, stop], *driven]))
     segments: list[Segment] = []
     events: list[float] = []
-    # Guards at the end of the previous interval.
-    # All guards are infinite at first, because no device must change its mode in equilibrium.
+    # Values of all guard functions at the end of the previous interval.
+    # The initial values are not finite, so that no device changes its mode in equilibrium.
     left = np.full_like(Interval(system, modes, 0.0).compute_guards(0.0, z), np.inf)
     for begin, end in pairwise(corners):
         t, within = begin, 0.5 * (begin + end)
         while t < end:
             if len(segments) > _MAX_SEGMENTS:
                 raise SimulationError(
-                    "a contact opens and closes infinitely often", where=f"t = {t:.9e} s"
+                    "a contact opens and closes too often",
+                    where=f"t = {t:.9e} s",
+                    expected=f"at most {_MAX_SEGMENTS} intervals between contact events",
                 )
             interval = Interval(system, modes, within)
             if (jumped := _find_triggered_guard(interval, t, z, left)) is not None:
@@ -423,7 +440,7 @@ def solve_transient(
             )
             if steps:
                 segments.append(Segment(interval, tuple(steps)))
-                t, z = steps[-1].end, steps[-1].last
+                t, z = steps[-1].end_time, steps[-1].end_unknowns
             left = interval.compute_guards(t, z)
             if fired is None:
                 t = end
@@ -440,10 +457,11 @@ def solve_transient(
 def _find_triggered_guard(
     interval: Interval, t: float, z: np.ndarray, left: np.ndarray
 ) -> int | None:
-    """Return the index of a guard that turns negative at a jump of algebraic unknowns.
+    """Find a guard function that a jump of algebraic unknowns makes negative.
 
-    ``left`` contains the guards before the jump. A guard that has just changed the mode of its
-    device has the entry nan. The result is None if no guard turns negative.
+    ``left`` contains the values of the guard functions before the jump. The value is nan if the
+    guard function has just changed the mode of a device. Return the index of the guard function, or
+    None if no guard function becomes negative.
     """
     guards = interval.compute_guards(t, interval.solve_algebraic(t, z))
     if guards.shape != left.shape:
@@ -453,11 +471,13 @@ def _find_triggered_guard(
 
 
 def _switch_mode(system: System, modes: list[Any], fired: int) -> list[Any]:
-    """Return the device modes after the guard with the index ``fired`` fell to zero."""
+    """Return the modes of all devices after guard ``fired`` has fallen to zero."""
     devices_with_modes = zip(system.devices, modes, strict=True)
-    counts = [len(d.law.guards(np.zeros(len(d.inputs)), mode)) for d, mode in devices_with_modes]
+    counts = [
+        len(d.law.evaluate_guards(np.zeros(len(d.inputs)), mode)) for d, mode in devices_with_modes
+    ]
     k = int(np.searchsorted(np.cumsum(counts), fired, side="right"))
-    next_mode = system.devices[k].law.next_mode(modes[k], fired - sum(counts[:k]))
+    next_mode = system.devices[k].law.find_next_mode(modes[k], fired - sum(counts[:k]))
     return [*modes[:k], next_mode, *modes[k + 1 :]]
 
 
@@ -469,9 +489,10 @@ def _integrate_interval(
     rtol: float,
     report_progress: Callable[[float], None],
 ) -> tuple[list[Step], int | None]:
-    """Integrate one interval until the time ``end``, or until a guard falls to zero.
+    """Integrate one interval to the time ``end``, or until a guard falls to zero.
 
-    Return the steps and the index of this guard. The index is None if no guard falls to zero.
+    Return the steps and the index of the guard function that falls to zero, or None without an
+    event.
     """
     z = interval.solve_algebraic(t, z)
     before = interval.compute_guards(t, z)
@@ -482,20 +503,20 @@ def _integrate_interval(
     h = 0.0
     while solver.t < end * (1 - 1e-16):
         step, h_next = solver.find_step(min(h or solver.choose_first_step(end), limit), end)
-        after = interval.compute_guards(step.end, step.last)
+        after = interval.compute_guards(step.end_time, step.end_unknowns)
         still_falling = np.flatnonzero((before < 0.0) & (after < before))
         if still_falling.size:
             return steps, int(still_falling[0])
         fell = np.flatnonzero((after < 0.0) & (before >= 0.0))
         step, fired = _locate_zero(interval, solver, step, fell) if fell.size else (step, None)
-        inputs = interval.device_inputs(step.end, step.last)
+        inputs = interval.compute_device_inputs(step.end_time, step.end_unknowns)
         for device, e in zip(interval.system.devices, inputs, strict=True):
-            device.law.require_in_range(step.end, e)
+            device.law.require_in_range(step.end_time, e)
         steps.append(step)
         if fired is not None:
             return steps, fired
         solver.accept_step(step)
-        report_progress(step.end)
+        report_progress(step.end_time)
         before, h = after, h_next
     return steps, None
 
@@ -503,38 +524,39 @@ def _integrate_interval(
 def _locate_zero(
     interval: Interval, solver: Radau, step: Step, fell: np.ndarray
 ) -> tuple[Step, int]:
-    """Shorten a step so that it ends at the first zero of a guard, and solve the step again.
+    """Solve a step again that ends at the first zero of a guard function.
 
-    ``fell`` contains the indices of the guards that turn negative during the step. Return the
-    shorter step and the index of the guard that is zero at its end.
+    ``fell`` contains the indices of the guard functions that become negative during the step.
+    Return the shorter step, and the index of the guard function that is zero at the end of the
+    shorter step.
     """
 
-    def guard_value(t: float, k: int) -> float:
-        """Return the value of guard ``k`` at the time ``t``."""
-        return float(interval.compute_guards(t, step.at(t)[:, 0])[k])
+    def compute_guard(t: float, k: int) -> float:
+        """Return the value of guard function ``k`` at the time ``t``."""
+        return float(interval.compute_guards(t, step.interpolate_states(t)[:, 0])[k])
 
-    t0, t1 = step.start, step.end
+    t0, t1 = step.start, step.end_time
     low = t0 + 1e-12 * step.length
 
     def find_root(k: int) -> float:
-        """Return the time of the first zero of guard ``k``."""
-        if guard_value(low, k) <= 0.0:
+        """Return the time of the first zero of guard function ``k``."""
+        if compute_guard(low, k) <= 0.0:
             return low
-        crosses = guard_value(t1, k) < 0.0
-        return brentq(guard_value, low, t1, args=(k,), xtol=1e-18, rtol=1e-15) if crosses else t1
+        crosses = compute_guard(t1, k) < 0.0
+        return brentq(compute_guard, low, t1, args=(k,), xtol=1e-18, rtol=1e-15) if crosses else t1
 
     def shorten_step(h: float) -> Step:
-        """Solve a step of length ``h``, or interpolate the longer step if Newton's method fails."""
-        stages = step.at(t0 + h * RADAU_NODES) - step.first[:, None]
+        """Solve a step of length ``h``; if Newton's method fails, interpolate ``step``."""
+        stages = step.interpolate_states(t0 + h * RADAU_NODES) - step.first[:, None]
         rough = Step(t0, h, step.first, stages, step.differential)
         return solver.take_step(h) or rough
 
     zero_time, guard = min((find_root(int(k)), int(k)) for k in fell)
-    h = max(zero_time - t0, 1e-12 * step.length)  # h is positive, even if zero_time rounds to t0
+    h = max(zero_time - t0, 1e-12 * step.length)  # h > 0, even if zero_time rounds to t0
     result = shorten_step(h)
-    for _ in range(2):  # the polynomial is less accurate than the end of a step
-        guard_at_end = float(interval.compute_guards(t0 + h, result.last)[guard])
-        rate = (guard_value(t0 + h, guard) - guard_value(t0 + 0.999 * h, guard)) / (0.001 * h)
+    for _ in range(2):  # the interpolated zero is inaccurate
+        guard_at_end = float(interval.compute_guards(t0 + h, result.end_unknowns)[guard])
+        rate = (compute_guard(t0 + h, guard) - compute_guard(t0 + 0.999 * h, guard)) / (0.001 * h)
         if rate >= 0.0 or not 1e-17 <= abs(guard_at_end / rate) <= 0.01 * h:
             break
         h -= guard_at_end / rate
@@ -543,10 +565,10 @@ def _locate_zero(
 
 
 def _sum_energies(system: System, segment: Segment) -> tuple[list[float], list[float]]:
-    """Return the supplied energies [J] and the lost energies [J] of a segment.
+    """Return lists of the supplied energies [J] and lost energies [J] of a segment.
 
-    The supplied energies come from sources and from devices with a negative loss. There is one lost
-    energy for all linear laws together, and one lost energy for each device.
+    The supplied energies come from sources and from devices with a negative loss. One lost energy
+    is the sum of all linear laws; each nonlinear device has a separate lost energy.
     """
     interval, steps = segment.interval, segment.steps
     t = np.concatenate([*map(attrgetter("stage_times"), steps)])
@@ -554,7 +576,7 @@ def _sum_energies(system: System, segment: Segment) -> tuple[list[float], list[f
     z, r = map(np.hstack, zip(*map(Step.evaluate_stages, steps), strict=True))
     X = interval.append_sources(t, z)
     supplied, lost = [], []
-    waves = interval.waves(t, z, r) if system.sources else {}
+    waves = interval.compute_waves(t, z, r) if system.sources else {}
     for source in system.sources:
         if not source.sets_signal:
             name, suffix = source.name, ".rate" if source.domain.has_position else ""

@@ -69,12 +69,15 @@ class LinearisedSystem:
         self.G, self.F = system.G, system.F
         slopes, charges = [np.zeros((0, self.F.shape[1]))], [np.zeros((0, self.F.shape[1]))]
         devices = zip(
-            system.devices, interval.device_inputs(0.0, self.z0), self.device_modes, strict=True
+            system.devices,
+            interval.compute_device_inputs(0.0, self.z0),
+            self.device_modes,
+            strict=True,
         )
         for device, e, mode in devices:
             slope, charge_slope = device.law.small_signal_derivatives(at, e, mode)
             rated = np.zeros_like(slope)
-            rated[list(device.law.charged)] = charge_slope[len(device.law.states) :]
+            rated[list(device.law.storing_flow_indices)] = charge_slope[len(device.law.states) :]
             slopes.append(slope @ device.inputs)
             charges.append(rated @ device.inputs)
             self.F = self.F + device.into @ slopes[-1]
@@ -118,7 +121,7 @@ class LinearisedSystem:
         return np.asarray(now[:, columns] @ np.abs(X) + rated[:, columns] @ np.abs(X * rates))
 
     @cached_property
-    def _free_motion(self) -> _FreeMotion | None:
+    def _homogeneous_equations(self) -> _FreeMotion | None:
         """Homogeneous equations of the states; None if they do not determine all unknowns."""
         n, rows, cols = self.system.size, self.rows, self.system.differential
         if rows.sum() != cols.sum() or not cols.any():
@@ -141,7 +144,7 @@ class LinearisedSystem:
         If the states do not determine the algebraic unknowns, the natural frequencies are the
         finite eigenvalues of ``F X = a G X``.
         """
-        motion = self._free_motion
+        motion = self._homogeneous_equations
         if motion is not None:
             return np.linalg.eigvals(motion.rates)
         n = self.system.size
@@ -189,7 +192,7 @@ class LinearisedSystem:
         """
         n, k = self.system.size, len(self.system.sources)
         rows, cols = self.rows, self.system.differential
-        motion = self._free_motion
+        motion = self._homogeneous_equations
         if motion is None:
             return None
         J, algebraic = self.F[:, :n], ~cols
@@ -322,10 +325,10 @@ def _decompose_motion(F: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.nd
 
 
 def _sort_by_rate(F: np.ndarray, limit: float) -> tuple[np.ndarray, np.ndarray, int]:
-    """Return the ordered Schur form of ``F``, the Schur vectors, and the number of fast rates.
+    """Return the ordered Schur form and vectors of ``F``, and the number of fast rates.
 
-    The fast rates are the eigenvalues of ``F`` with magnitudes above ``limit``. In the Schur form,
-    the fast rates come first.
+    The fast rates are the eigenvalues of ``F`` with magnitudes above ``limit``. In the
+    Schur form, the fast rates come first.
     """
     T, Q, k = sla.schur(F.astype(complex), "complex", sort=lambda rate: abs(rate) > limit)
     return T, Q, k
@@ -334,9 +337,10 @@ def _sort_by_rate(F: np.ndarray, limit: float) -> tuple[np.ndarray, np.ndarray, 
 def _estimate_rigid_rate(T: np.ndarray, size: float) -> float:
     """Estimate the largest rate [1/s] of rigid-body modes due to rounding errors.
 
-    ``T`` is the Schur form of the slow modes. The rounding error of ``F`` is ``e = eps size``. This
-    error shifts a simple rate of zero by ``e``. The error shifts the two rates of a rigid-body mode
-    ``x' = c v, v' = 0`` by ``sqrt(c e)``. Even the slow relaxations of a circuit have larger rates.
+    ``T`` is the Schur form of the slow modes. The rounding error of ``F`` is ``e = eps
+    size``. This error shifts a simple rate of zero by ``e``. The error shifts the two rates of a
+    rigid-body mode ``x' = c v, v' = 0`` by ``sqrt(c e)``. Even the slow relaxations of a circuit
+    have larger rates.
     """
     e = float(np.finfo(float).eps) * size
     c = float(np.linalg.norm(np.triu(T, 1)))
@@ -349,7 +353,7 @@ def _find_kinks(k: int, wave: Waveform, stop: float) -> list[tuple[float, int, f
     Each item of the result contains a time [s], the index ``k`` of the source, and the jump of the
     slope.
     """
-    times, values = wave.knots(stop)
+    times, values = wave.list_points(stop)
     slopes = np.diff(values) / np.diff(times)
     jumps = np.diff(np.concatenate([[0.0], slopes, [0.0]]))
     before = times < 0
@@ -418,7 +422,7 @@ class ExponentialSolution:
     stop: float
 
     @property
-    def corners(self) -> np.ndarray:
+    def corner_times(self) -> np.ndarray:
         """Times [s] at which a source excites modes: its start, or a jump of its slope."""
         starts = map(attrgetter("start"), map(itemgetter(1), self.sines))
         return np.unique([0.0, *map(itemgetter(0), self.kinks), *starts])
@@ -428,7 +432,7 @@ class ExponentialSolution:
         """Whether the solution changes with time."""
         return bool(self.kinks or self.sines or self.modes.start.any())
 
-    def at(
+    def evaluate_waves(
         self,
         t: np.ndarray,
         outputs: np.ndarray,
@@ -448,7 +452,7 @@ class ExponentialSolution:
         for k, wave in enumerate(self.waves):
             if wave.is_piecewise_linear:
                 y += np.outer(wave(t) - wave(0.0), self.modes.static_gains[k][outputs])
-                y += np.outer(wave.rate(t, t), self.modes.slope_responses[k][outputs])
+                y += np.outer(wave.compute_derivative(t, t), self.modes.slope_responses[k][outputs])
         unit = np.eye(len(self.waves))
         for k, wave in self.sines:
             jw = np.array([2j * np.pi * wave.frequency])
@@ -487,7 +491,7 @@ class ExponentialSolution:
 
     def find_peak_amplitudes(self) -> np.ndarray:
         """Return the largest amplitude of each mode in each wave, an array of shape (m, ny)."""
-        return np.asarray(self._amplitudes[:, None] * np.abs(self.modes.out.T))
+        return np.asarray(self._largest_amplitudes[:, None] * np.abs(self.modes.out.T))
 
     def estimate_rounding(self) -> np.ndarray:
         """Estimate the rounding error of each wave, whose terms may cancel each other.
@@ -497,7 +501,7 @@ class ExponentialSolution:
         estimate is :data:`CANCELLATION_ROUNDING` times the absolute values of the terms of all
         modes and sines.
         """
-        result = self.modes.terms @ self._amplitudes
+        result = self.modes.terms @ self._largest_amplitudes
         unit = np.eye(len(self.waves))
         for k, wave in self.sines:
             w = 2j * np.pi * wave.frequency
@@ -505,7 +509,7 @@ class ExponentialSolution:
         return np.asarray(CANCELLATION_ROUNDING * result)
 
     @cached_property
-    def _amplitudes(self) -> np.ndarray:
+    def _largest_amplitudes(self) -> np.ndarray:
         """Largest magnitude of each mode's amplitude at the starts of all intervals, an array."""
         amplitudes = np.array([*map(itemgetter(2), self._list_intervals(self.modes.rates))])
         return np.asarray(np.abs(amplitudes).max(axis=0))
@@ -516,7 +520,7 @@ class ExponentialSolution:
         The outer corners are the first eight and the last eight corners of the sources.
         """
         spread = np.random.default_rng(0).uniform(0.0, self.stop, count)
-        corners = self.corners
+        corners = self.corner_times
         outer = np.unique(np.concatenate([corners[:8], corners[-8:]]))
         delays = np.geomspace(0.1 / np.abs(self.modes.rates).max(), self.stop, 120)
         times_after_corners = (outer[:, None] + delays).ravel()

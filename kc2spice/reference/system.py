@@ -45,9 +45,11 @@ class PlacedDevice:
         The outputs include the currents that change stored charges.
         """
         law, result = self.law, self.law.evaluate_outputs(e, mode)
-        if law.charged:
+        if law.storing_flow_indices:
             result = result.copy()
-            result[list(law.charged)] += law.store(e, mode)[1][len(law.states) :] @ rate
+            result[list(law.storing_flow_indices)] += (
+                law.evaluate_storage(e, mode)[1][len(law.states) :] @ rate
+            )
         return result
 
 
@@ -110,7 +112,7 @@ class System:
         result = []
         for k in (order, order + 1):
             for source in self.sources:
-                result.append(source.wave.rate(t, within, k) if k else source.wave(t))
+                result.append(source.wave.compute_derivative(t, within, k) if k else source.wave(t))
         return np.array(result, dtype=float).reshape(len(result), *np.shape(t))
 
 
@@ -223,7 +225,7 @@ class _Assembly:
         extra = [1.0] * (at - 2 * self.nq)
         for law in self.laws:
             if isinstance(law, L.Device | L.SecondOrderBody):
-                extra += law.scales
+                extra += law.state_scales
                 self.state_index |= {
                     f"{law.name}.{state}": k for k, state in enumerate(law.states, at)
                 }
@@ -254,7 +256,7 @@ class _Assembly:
 
     # --- linear forms of the unknowns, for the equations of the laws ---
 
-    def find_form(self, law: L.Law, pin: str) -> np.ndarray:
+    def find_linear_form(self, law: L.Law, pin: str) -> np.ndarray:
         """Return the displacement, voltage or signal of a pin as a linear form of the unknowns."""
         net, row = self.nets[f"{law.name}.{pin}"], np.zeros(self.size)
         if net == L.GROUND:
@@ -269,7 +271,9 @@ class _Assembly:
         """Subtract the linear forms of the pins ``others`` from the linear form of the pin ``a``.
 
         Empty names in ``others`` are ignored."""
-        return np.asarray(self.find_form(law, a) - sum(self.find_form(law, b) for b in others if b))
+        return np.asarray(
+            self.find_linear_form(law, a) - sum(self.find_linear_form(law, b) for b in others if b)
+        )
 
     def convert_to_velocity(self, form: np.ndarray, needed: bool = True) -> np.ndarray:
         """Convert a linear form of displacements to the same form of velocities.
@@ -310,7 +314,10 @@ class _Assembly:
         device.
         """
         return np.hstack(
-            [np.eye(self.size)[:, self.find_states(law)], -outputs[:, list(law.charged)]]
+            [
+                np.eye(self.size)[:, self.find_states(law)],
+                -outputs[:, list(law.storing_flow_indices)],
+            ]
         )
 
     # --- reduction --------------------------------------------------------------------------------
@@ -429,10 +436,10 @@ class _Assembly:
             ),
             lifted=self.lifted @ expansion,
             **{kind: expansion.T @ form @ expansion for kind, form in self.forms.items()},
-            **self._compute_waves(expansion, devices, first),
+            **self._make_wave_matrices(expansion, devices, first),
         )
 
-    def _compute_waves(
+    def _make_wave_matrices(
         self, expansion: np.ndarray, devices: list[PlacedDevice], outputs: int
     ) -> dict[str, Any]:
         """Return the matrices that give all waves: across quantities, through quantities, states.
@@ -445,7 +452,7 @@ class _Assembly:
         rows: dict[str, tuple[Any, Any, Any, float]] = {}
         for law in self.laws:
             for pin in law.pins:
-                name, form = f"{law.name}.{pin.name}", self.find_form(law, pin.name)
+                name, form = f"{law.name}.{pin.name}", self.find_linear_form(law, pin.name)
                 rows[name] = (form @ expansion, 0.0, 0.0, 0.0)
                 if pin.kind in L.MECHANICAL:
                     rows[f"{name}.rate"] = (
@@ -531,22 +538,22 @@ def _add_body(law: L.SecondOrderBody, into: _Assembly) -> None:
         if port.kind in L.CHARGE_OUTPUTS:
             voltage_forms[k] = into.subtract_pins(law, port.name, port.ret)
         elif port.kind == ACCELERATION.name:
-            acceleration_forms[k] = into.find_form(law, port.name)
+            acceleration_forms[k] = into.find_linear_form(law, port.name)
 
-    def direct_form(k: int, forms: Mapping[int, np.ndarray]) -> np.ndarray:
+    def sum_direct_terms(k: int, forms: Mapping[int, np.ndarray]) -> np.ndarray:
         """Return the contribution of the matrix D to output ``k``."""
         return sum((D[k, j] * form for j, form in forms.items()), np.zeros(n))
 
     for k, port in enumerate(law.ports):
         if port.kind == ACCELERATION.name:
-            into.A[x] += np.outer(B[:, k], into.find_form(law, port.name))
+            into.A[x] += np.outer(B[:, k], into.find_linear_form(law, port.name))
             into.flows[f"{law.name}.{port.name}"] = (C[k] @ displacement_forms, np.zeros(n), 0.0)
         elif port.kind in L.CHARGE_OUTPUTS:
             into.A[x] += np.outer(B[:, k], voltage_forms[k])
             charge = (
                 C[k] @ displacement_forms
-                + direct_form(k, voltage_forms)
-                + direct_form(k, acceleration_forms)
+                + sum_direct_terms(k, voltage_forms)
+                + sum_direct_terms(k, acceleration_forms)
             )
             into.M += np.outer(voltage_forms[k], charge)
             into.flows[f"{law.name}.{port.name}"] = (np.zeros(n), charge, 0.0)
@@ -577,7 +584,9 @@ def _add_body(law: L.SecondOrderBody, into: _Assembly) -> None:
             work = np.zeros((C.shape[1] + 1,) * 2)
             work[-1, :-1] = work[:-1, -1] = -0.5 * B[:, k]
             into.add_energy(
-                "dissipated", np.vstack([velocity_forms, into.find_form(law, port.name)]), work
+                "dissipated",
+                np.vstack([velocity_forms, into.find_linear_form(law, port.name)]),
+                work,
             )
     if is_thermal:
         into.add_energy("stored", displacement_forms, 0.5 * E)
@@ -597,7 +606,7 @@ def _add_source(law: L.IdealSource, into: _Assembly) -> None:
     """Add an ideal source to the equations, as a constraint or as a prescribed flow."""
     k = into.sources.index(law)
     if law.sets_signal:
-        into.S[:, k] += into.find_form(law, "out")
+        into.S[:, k] += into.find_linear_form(law, "out")
         return
     form = into.subtract_pins(law, "out", "ret")
     if law.prescribes_flow:
@@ -619,7 +628,7 @@ def _add_device(law: L.Device, into: _Assembly) -> None:
         )
     states = np.eye(into.size)[into.find_states(law)]
     through = [-into.subtract_pins(law, f.pin, f.minus, f.less) for f in law.flows]
-    driven = map(partial(into.find_form, law), law.prescribed_signals)
+    driven = map(partial(into.find_linear_form, law), law.prescribed_signals)
     inputs = np.array([*forms, *states]).reshape(-1, into.size)
     outputs = np.array([*through, *states, *driven]).reshape(-1, into.size).T
     if law.linear:
@@ -627,7 +636,7 @@ def _add_device(law: L.Device, into: _Assembly) -> None:
         return
     if not law.has_stored_quantities:
         into.M += states.T @ states
-    for k in law.charged:
+    for k in law.storing_flow_indices:
         into.charged += np.outer(through[k], through[k])
     into.attached.append((law, inputs, outputs))
 
@@ -637,12 +646,17 @@ def _add_linear_device(
 ) -> None:
     """Add the constant matrices, the energy and the loss of a linear device to the equations."""
     zero_inputs = np.zeros(len(inputs))
-    mode = law.mode(zero_inputs)
-    (out, slope), (_, stored_slope) = law.evaluate(zero_inputs, mode), law.store(zero_inputs, mode)
+    mode = law.find_initial_mode(zero_inputs)
+    (out, slope), (_, stored_slope) = (
+        law.evaluate(zero_inputs, mode),
+        law.evaluate_storage(zero_inputs, mode),
+    )
     into.A += outputs @ slope @ inputs
     into.const += outputs @ out
     into.M += into.find_store_rows(law, outputs) @ stored_slope @ inputs
-    rated = dict(zip(law.charged, stored_slope[len(law.states) :] @ inputs, strict=True))
+    rated = dict(
+        zip(law.storing_flow_indices, stored_slope[len(law.states) :] @ inputs, strict=True)
+    )
     for k, flow in enumerate(law.flows):
         rate = rated.get(k, 0.0 * inputs[0])
         into.flows[f"{law.name}.{flow.pin}"] = slope[k] @ inputs, rate, float(out[k])

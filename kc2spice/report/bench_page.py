@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core.figure import Curve, Figure, Panel
-from kc2spice.core.prefix import format_quantity
+from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.report.html import PageSection, write_page
 
 SMALLEST_ERROR = 1e-16  # value that replaces a zero error on the logarithmic axis

@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 from jinja2.utils import htmlsafe_json_dumps
 
-from kc2spice.core.figure import Curve, Figure, Map, Panel
-from kc2spice.core.prefix import PREFIXES, prefix_power
+from kc2spice.core.figure import ColourMap, Curve, Figure, Panel
+from kc2spice.core.si_prefix_format import PREFIXES, get_prefix_exponent
 
 # approximate number of points of a panel, two points for each horizontal pixel of a wide screen
 PANEL_POINTS = 4000
@@ -88,6 +88,7 @@ def _sort_curves(panel: Panel) -> Panel:
 
 
 def _is_reference(curve: Curve) -> bool:
+    """Return whether a curve shows reference values."""
     return curve.style == "reference"
 
 
@@ -127,7 +128,7 @@ def _scale_y(panel: Panel) -> Panel:
         label, scale = _choose_prefix(panel.map.label, panel.map.z)
         return replace(panel, map=replace(panel.map, label=label, z=scale * panel.map.z))
     levels = list(map(itemgetter(0), panel.levels))
-    label, scale = _choose_prefix(panel.y, np.append(_collect_y(panel), levels))
+    label, scale = _choose_prefix(panel.y, np.append(_collect_y_values(panel), levels))
     if scale == 1.0 or (panel.log_y and _spans_decade(panel)):
         return panel  # the axis shows powers of ten
     return replace(
@@ -147,7 +148,7 @@ def _scale_labelled_numbers(rows: Iterable[Sequence[Any]], scale: float) -> Iter
 
 def _spans_decade(panel: Panel) -> bool:
     """Return whether the largest positive y is at least ten times the smallest positive y."""
-    y = _collect_y(panel)
+    y = _collect_y_values(panel)
     y = y[np.isfinite(y) & (y > 0.0)]
     return bool(y.size) and bool(y.max() >= 10.0 * y.min())
 
@@ -157,7 +158,7 @@ def _scale_x(panels: Sequence[Panel], label: str) -> list[Panel]:
 
     ``label`` is the label of the x axis.
     """
-    values = np.concatenate(list(map(_collect_x, panels)))
+    values = np.concatenate(list(map(_collect_x_values, panels)))
     name, scale = _choose_prefix(label, values)
     if scale == 1.0 or any(panel.log_x or panel.equal for panel in panels):
         return [replace(panel, x=panel.x or label) for panel in panels]
@@ -188,7 +189,7 @@ def _choose_prefix(label: str, values: np.ndarray) -> tuple[str, float]:
     largest = float(np.abs(finite[np.isfinite(finite)]).max(initial=0.0))
     if not quantity or unit not in _PREFIXABLE_UNITS or largest == 0.0:
         return label, 1.0
-    power = prefix_power(largest * factor)
+    power = get_prefix_exponent(largest * factor)
     scale = factor / 10.0**power
     if abs(scale - 1.0) < 1e-9:
         return label, 1.0
@@ -264,7 +265,9 @@ def _round_outwards(span: Range) -> Range:
 
 def _describe_panel(title: str, panel: Panel, span: Range) -> str:
     """Return the alternative text of a panel: quantities, their ranges, and names of curves."""
-    low, high = _find_finite_range(panel.map.z if panel.map is not None else _collect_y(panel))
+    low, high = _find_finite_range(
+        panel.map.z if panel.map is not None else _collect_y_values(panel)
+    )
     quantity = panel.map.label if panel.map is not None else panel.y
     names = ", ".join(filter(None, map(attrgetter("label"), panel.curves)))
     text = f"{title}: {quantity} from {low:.4g} to {high:.4g}"
@@ -272,14 +275,14 @@ def _describe_panel(title: str, panel: Panel, span: Range) -> str:
     return f"{text}; {names}" if names else text
 
 
-def _collect_x(panel: Panel) -> np.ndarray:
-    """Return the values of x of all curves and of the map in a panel as one array."""
+def _collect_x_values(panel: Panel) -> np.ndarray:
+    """Return the x values of all curves and of the map of a panel as one array."""
     maps = [panel.map.x] if panel.map is not None else []
     return np.concatenate([np.zeros(0), *map(attrgetter("x"), panel.curves), *maps])
 
 
-def _collect_y(panel: Panel) -> np.ndarray:
-    """Return the values of y of all curves in a panel as one array."""
+def _collect_y_values(panel: Panel) -> np.ndarray:
+    """Return the y values of all curves of a panel as one array."""
     return np.concatenate([np.zeros(0), *map(attrgetter("y"), panel.curves)])
 
 
@@ -303,7 +306,7 @@ def _find_y_range(panel: Panel) -> Range:
     """Return the range of the y axis of a panel."""
     if panel.map is not None:
         return _widen_range(_find_cell_edges(panel.map.y, panel.log_y))
-    return _widen_range(_find_finite_range(_collect_y(panel)))
+    return _widen_range(_find_finite_range(_collect_y_values(panel)))
 
 
 def _find_cell_edges(centres: np.ndarray, log: bool) -> Range:
@@ -351,7 +354,7 @@ def _encode_curve(curve: Curve, indices: np.ndarray, ascending: bool) -> dict[st
     }
 
 
-def _encode_map(field: Map, low: float, high: float) -> dict[str, str]:
+def _encode_map(field: ColourMap, low: float, high: float) -> dict[str, str]:
     """Encode a map as the centres of its cells and the colour number of each cell.
 
     The colour number is 0 for the value ``low``, 65534 for ``high``, and 65535 for a missing value.

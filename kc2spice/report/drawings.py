@@ -69,7 +69,7 @@ def draw_devices(scene: Scene) -> str:
     )
 
 
-def describe_devices(scene: Scene) -> str:
+def write_side_view_caption(scene: Scene) -> str:
     """Return the caption of the side view, which contains all labels.
 
     In the drawing, labels may be cut off.
@@ -87,7 +87,7 @@ def _place_shapes(scene: Scene) -> list[Shape]:
     end = None
     for part in scene.parts.values():
         shapes, move = list(part.type.outline(part, scene)), 0.0
-        if part.reduced and shapes:
+        if part.is_body and shapes:
             half = max(map(attrgetter("width"), shapes)) / 2
             move = 0.0 if end is None else end + 1.5 * half
             end = move + half
@@ -112,7 +112,7 @@ def draw_circuit(scene: Scene) -> str:
         at = x + (width - sum(steps)) / 2
         for pin, step in zip(pins, steps, strict=True):
             end = (at + step / 2, pin.name, FLOW_COLOURS.get(pin.flow, GREY))
-            ends.setdefault(scene.net(part.name, pin.name), []).append(end)
+            ends.setdefault(scene.get_net(part.name, pin.name), []).append(end)
             at += step
         x += width + 22
     spans = {net: (min(rows)[0], max(rows)[0]) for net, rows in ends.items()}

@@ -87,6 +87,7 @@ def _make_number_row(numbers: Mapping[str, float | None]) -> tuple[str, ...]:
 
 
 def _make_correlation_row(key: str, coefficients: Sequence[float]) -> tuple[str, ...]:
+    """Return the table row with the correlations of a fitted key."""
     return key, *map("{:+.3f}".format, coefficients)
 
 

@@ -18,8 +18,8 @@ from typing import Any
 
 from kc2spice.core import __version__
 from kc2spice.core.figure import Figure
-from kc2spice.core.prefix import format_quantity
-from kc2spice.netlist.spelling import template_renderer
+from kc2spice.core.si_prefix_format import format_quantity
+from kc2spice.netlist.spelling import get_template_environment
 from kc2spice.report.charts import render_figure
 
 # Words in labels that replace words in keys of `result.json`.
@@ -176,6 +176,6 @@ def render_page(template: str, **values: object) -> str:
 
     Markup in ``values`` is escaped.
     """
-    pages = template_renderer(autoescape=True)
+    pages = get_template_environment(autoescape=True)
     pages.filters.update(figure=render_figure, px="{:.1f}".format)
     return str(pages.get_template(template).render(**values))

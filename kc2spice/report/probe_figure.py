@@ -12,11 +12,11 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from kc2spice.core.figure import Curve, Figure, Panel, format_axis_label, get_axis_label_and_factor
-from kc2spice.core.prefix import format_quantity
+from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.core.sound_level import LEVEL_UNIT, SoundLevel, compute_level
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.report.html import label_key
-from kc2spice.scene.settings import Probe
+from kc2spice.scene.settings import ProbeKeys
 
 # ratio of the highest to the lowest frequency above which the frequency axis is logarithmic
 WIDE_RANGE = 20.0
@@ -24,7 +24,7 @@ PROBES_CAPTION = "Results that the probes of the scene select, over the whole ru
 
 
 def plot_probes(
-    probes: Mapping[str, Probe],
+    probes: Mapping[str, ProbeKeys],
     waves: Waveforms,
     units: Mapping[str, str],
     levels: Mapping[str, SoundLevel] | None = None,
@@ -38,7 +38,7 @@ def plot_probes(
     if not probes or waves[scale].size < 2:
         return
     sounds = levels or {}
-    by_unit: dict[str, dict[str, Probe]] = {}
+    by_unit: dict[str, dict[str, ProbeKeys]] = {}
     for name, probe in probes.items():
         unit = units.get(probe.of, "")
         if name in sounds and _is_response(probe, waves):
@@ -46,7 +46,9 @@ def plot_probes(
         group = by_unit.setdefault(unit, {})
         if probe.of in waves:
             group[name] = probe
-    panels = tuple(_plot_unit(unit, group, waves, sounds) for unit, group in by_unit.items())
+    panels = tuple(
+        _plot_results_with_unit(unit, group, waves, sounds) for unit, group in by_unit.items()
+    )
     title, caption = "Probed results", PROBES_CAPTION
     if texts := list(map(_describe_level, sounds, sounds.values())):
         references = " or ".join(dict.fromkeys(level.reference_text for level in sounds.values()))
@@ -55,7 +57,7 @@ def plot_probes(
     yield Figure("probes", title, caption, panels, main=True)
 
 
-def _is_response(probe: Probe, waves: Waveforms) -> bool:
+def _is_response(probe: ProbeKeys, waves: Waveforms) -> bool:
     """Return whether a probe reads a complex small-signal response."""
     return probe.of in waves and np.iscomplexobj(waves[probe.of])
 
@@ -68,8 +70,8 @@ def _describe_level(name: str, level: SoundLevel) -> str:
     return f"{label} {format_quantity(level.decibels, LEVEL_UNIT)}"
 
 
-def _plot_unit(
-    unit: str, probes: Mapping[str, Probe], waves: Waveforms, sounds: Mapping[str, SoundLevel]
+def _plot_results_with_unit(
+    unit: str, probes: Mapping[str, ProbeKeys], waves: Waveforms, sounds: Mapping[str, SoundLevel]
 ) -> Panel:
     """Plot the probed results that have the same unit, as one panel.
 

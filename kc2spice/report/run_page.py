@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from kc2spice.core.figure import Figure
-from kc2spice.core.prefix import ROUNDING_NOISE, format_quantity, format_value_and_limit
-from kc2spice.report.drawings import describe_devices, draw_circuit, draw_devices
+from kc2spice.core.si_prefix_format import ROUNDING_NOISE, format_quantity, format_value_and_limit
+from kc2spice.report.drawings import draw_circuit, draw_devices, write_side_view_caption
 from kc2spice.report.html import (
     MAX_ROW_VALUES,
     PageSection,
@@ -25,7 +25,7 @@ from kc2spice.report.html import (
     format_value,
     write_page,
 )
-from kc2spice.scene.model import Scene, scene_hash
+from kc2spice.scene.model import Scene, compute_scene_hash
 
 MIN_METRICS = 4  # smallest number of metrics in a summary with rows of assumptions
 OPERATING_RESULTS = 6  # largest number of listed results at an operating point in a summary
@@ -68,7 +68,7 @@ def write_run(
     energies, modes = result.get("energy_j", {}), result.get("modes", {})
     sections = [
         format_summary(result),
-        PageSection("Device", drawing=draw_devices(scene), note=describe_devices(scene)),
+        PageSection("Device", drawing=draw_devices(scene), note=write_side_view_caption(scene)),
         PageSection("Main result", figures=figures[:1], note=FIGURES_NOTE),
         PageSection("Circuit", drawing=draw_circuit(scene), note=NETS_NOTE),
         PageSection("Further figures", figures=figures[1:]),
@@ -80,7 +80,9 @@ def write_run(
         PageSection("Files", links=result.get("files", ())),
     ]
     title = f"{scene.name}: {scene.title}" if scene.title else scene.name
-    return write_page(path, title, LEAD_TEXT, sections, origin=(f"scene {scene_hash(scene)}",))
+    return write_page(
+        path, title, LEAD_TEXT, sections, origin=(f"scene {compute_scene_hash(scene)}",)
+    )
 
 
 def format_results(result: Mapping[str, Any]) -> list[PageSection]:
@@ -392,5 +394,5 @@ def _make_simulator_rows(result: Mapping[str, Any], scene: Scene) -> Rows:
         ("reltol", f"{solver.reltol:g}"),
         ("method", solver.method),
         ("largest step", largest),
-        ("stop", format_quantity(scene.stop, "s")),
+        ("stop", format_quantity(scene.stop_time, "s")),
     ]

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import binomtest
 
-from kc2spice.core.figure import Curve, Figure, Map, Panel, format_axis_label
-from kc2spice.core.prefix import format_quantity
+from kc2spice.core.figure import ColourMap, Curve, Figure, Panel, format_axis_label
+from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.report.html import PageSection, format_value, label_key, write_page
 from kc2spice.scene.model import Scene
 
@@ -30,8 +30,8 @@ Table = Mapping[str, Sequence[Any]]
 Axis = tuple[str, np.ndarray]  # label with unit, and values along the axis
 
 
-def _has_types(column: Sequence[Any], *kinds: type) -> bool:
-    """Return whether all values in a column, except None, have one and the same of the types."""
+def _has_common_type(column: Sequence[Any], *kinds: type) -> bool:
+    """Return whether all values except None have the same type, one of ``kinds``."""
     present = set(map(type, column)) - {type(None)}
     return len(present) == 1 and present <= set(kinds)
 
@@ -51,7 +51,7 @@ def compute_yields(table: Table, keys: Sequence[str]) -> dict[str, dict[str, flo
     """
     result = {}
     for name, column in table.items():
-        if name not in keys and _has_types(column, bool):
+        if name not in keys and _has_common_type(column, bool):
             count, total = sum(map(bool, column)), len(column)
             interval = binomtest(count, total).proportion_ci(CONFIDENCE_LEVEL, method="exact")
             ends = {"low": float(interval.low), "high": float(interval.high)}
@@ -78,9 +78,9 @@ def write_sweep(
     metrics = []
     spread = []
     for name, column in table.items():
-        if name not in units and _has_types(column, *NUMBER_TYPES):
+        if name not in units and _has_common_type(column, *NUMBER_TYPES):
             metrics.append(name)
-            if not _has_types(column, bool):
+            if not _has_common_type(column, bool):
                 spread.append(_make_quantile_row(name, column, metric_units.get(name, "")))
     head = ("metric", "points", "least", "5 %", "median", "95 %", "largest")
     note = "Of all points; a point that failed counts as a miss."
@@ -90,13 +90,13 @@ def write_sweep(
         PageSection("Plan", plan_rows),
         PageSection("Yield", list(map(_make_yield_row, shares, shares.values())), note=note),
         PageSection("Metrics", spread, head),
-        PageSection("Points that failed", _count_failures(table["status"]), ("points", "why")),
+        PageSection("Points that failed", _make_failure_rows(table["status"]), ("points", "why")),
         PageSection("Figures", figures=figures),
     ]
     write_page(path, f"Sweep of {scene.name}", scene.title, sections)
 
 
-def _count_failures(status: Sequence[str]) -> list[tuple[str, str]]:
+def _make_failure_rows(status: Sequence[str]) -> list[tuple[str, str]]:
     """Return table rows of the most frequent reasons why points failed, with their numbers."""
     counts = Counter(status)
     del counts["ok"]
@@ -114,7 +114,7 @@ def _make_key_row(key: str, column: Sequence[Any], units: Mapping[str, str]) -> 
     """Return the table row of a swept key: number of different values, and their range or list."""
     distinct = list(dict(zip(map(repr, column), column, strict=True)).values())
     text = ", ".join(map(str, distinct[:MAX_LISTED_VALUES]))
-    if _has_types(column, *NUMBER_TYPES):
+    if _has_common_type(column, *NUMBER_TYPES):
         text = " … ".join(format_quantity(end(distinct), units[key]) for end in (min, max))
     return key, f"{len(distinct)} values, {text}"
 
@@ -143,7 +143,7 @@ def plot_sweep(
     words: dict[str, Sequence[Any]] = {}
     crossed = 1
     for key, unit in units.items():
-        if _has_types(table[key], *NUMBER_TYPES):
+        if _has_common_type(table[key], *NUMBER_TYPES):
             values = _convert_to_numbers(table[key])
             x[key] = format_axis_label(key.replace("_", " "), unit), values
             crossed *= np.unique(values).size
@@ -201,7 +201,9 @@ def _plot_map(x: Axis, y: Axis, z: Axis) -> Panel:
     field = np.full((rows.size, columns.size), np.nan)
     field[j, i] = z[1]
     log_x, log_y = _is_logarithmic(columns), _is_logarithmic(rows)
-    return Panel(x[0], y[0], (), log_x=log_x, log_y=log_y, map=Map(columns, rows, field, z[0]))
+    return Panel(
+        x[0], y[0], (), log_x=log_x, log_y=log_y, map=ColourMap(columns, rows, field, z[0])
+    )
 
 
 def _plot_histogram(axis: Axis) -> Panel:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core.figure import Curve, Figure, Panel, format_axis_label, get_axis_label_and_factor
-from kc2spice.core.prefix import format_quantity, format_ratio, format_value_and_limit
+from kc2spice.core.si_prefix_format import format_quantity, format_ratio, format_value_and_limit
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.report.html import PageSection, format_metric, format_times, write_page
 from kc2spice.scene.checks import SOLUTION_PAIRS, Check
@@ -24,8 +24,8 @@ Solutions = Mapping[str, Waveforms]
 
 
 @dataclass
-class Findings:
-    """Results of the verification of a scene.
+class VerificationResult:
+    """Checks, errors, metrics and figures of the verification of a scene.
 
     ``errors`` contains the largest relative difference between the solutions of each pair in
     :data:`kc2spice.scene.checks.SOLUTION_PAIRS`. ``wall_s`` contains the wall time of each stage.
@@ -50,16 +50,16 @@ class Findings:
         """Whether all checks of the scene passed."""
         return all(map(attrgetter("passed"), self.checks))
 
-    def record(self) -> dict[str, Any]:
+    def make_record(self) -> dict[str, Any]:
         """Return the content of ``verify.json``."""
         result = {"passed": self.passed, **vars(self)}
         del result["figures"], result["units"]
-        result["checks"] = list(map(Check.record, self.checks))
+        result["checks"] = list(map(Check.make_record, self.checks))
         result["outputs"] = list(map(asdict, self.outputs))
         return result
 
 
-def write_verify(path: Path, findings_by_scene: Mapping[str, Findings]) -> Path:
+def write_verify(path: Path, findings_by_scene: Mapping[str, VerificationResult]) -> Path:
     """Write the page of the verification results to ``path``; return the path.
 
     ``findings_by_scene`` contains the results of each scene, keyed by its name.
@@ -68,13 +68,13 @@ def write_verify(path: Path, findings_by_scene: Mapping[str, Findings]) -> Path:
     head = ("scene", "gates", "reduced − full", "ngspice − reduced", "ngspice − full")
     sections = [PageSection("Summary", rows, head, "Errors are the largest relative ones.")]
     for scene, findings in findings_by_scene.items():
-        sections += format_verification(scene, findings.record())
+        sections += format_verification(scene, findings.make_record())
         sections += _format_details(scene, findings)
     lead = "Full model, reduced model and ngspice on the emitted netlist, against each other."
     return write_page(path, "Verification", lead, sections)
 
 
-def _make_summary_row(scene: str, findings: Findings) -> tuple[str, ...]:
+def _make_summary_row(scene: str, findings: VerificationResult) -> tuple[str, ...]:
     """Return the table row of a scene: verdict, and differences between the solutions."""
     errors = map(format_ratio, map(findings.errors.get, SOLUTION_PAIRS))
     return scene, VERDICT_WORDS[findings.passed], *errors
@@ -112,7 +112,7 @@ def _convert_nan_to_none(value: float | None) -> float | None:
     return None if value is None or np.isnan(value) else value
 
 
-def _format_details(scene: str, findings: Findings) -> list[PageSection]:
+def _format_details(scene: str, findings: VerificationResult) -> list[PageSection]:
     """Return the page sections of one scene: errors of outputs, metrics, notes and figures."""
     head = ("solutions", "output", "largest error", "rms error")
     errors, facts = [], []

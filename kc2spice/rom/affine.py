@@ -2,8 +2,8 @@
 
 A matrix is ``M(p) = sum_i f_i(p) M_i``. The matrices M_i come from another program, and the factors
 are functions of the parameters. The result of the reduction is a
-:class:`kc2spice.rom.ranges.ModelOverRanges`. The reduced model of a body of a scene has the same
-class if keys of the body are parameters of the netlist.
+:class:`kc2spice.rom.range_reduction.ModelOverRanges`. The reduced model of a body of a scene has
+the same class if keys of the body are parameters of the netlist.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from kc2spice.rom.band import parse_band
 from kc2spice.rom.constraints import eliminate_algebraic_unknowns
 from kc2spice.rom.error_estimate import choose_default_norm
 from kc2spice.rom.linear_model import LinearModel, Norm
-from kc2spice.rom.parametric import MAX_PARAMETERS, ParameterAxis, Values
+from kc2spice.rom.parametric_models import MAX_PARAMETERS, ParameterAxis, Values
 from kc2spice.rom.pencil import Matrix
-from kc2spice.rom.ranges import ModelOverRanges, RangeTask
-from kc2spice.rom.reduce import Target, choose_band, require_valid
+from kc2spice.rom.range_reduction import ModelOverRanges, RangeTask
+from kc2spice.rom.reduce import ReductionTarget, choose_band, require_valid
 from kc2spice.rom.resonators_over_ranges import reduce_over_ranges
 from kc2spice.rom.stability import is_semidefinite
 
@@ -60,17 +60,17 @@ class ModelParameter:
             raise UsageError(
                 "this text is not a valid name of a parameter", where=self.name, expected=expected
             )
-        if not self.axis.low <= self.default <= self.axis.high:
+        if not self.parameter_axis.low <= self.default <= self.parameter_axis.high:
             raise UsageError(
-                "the default is outside of the range",
+                "the default value is outside of the range of this parameter",
                 where=self.name,
                 got=f"{self.default:g}",
                 expected=f"{self.low:g} to {self.high:g}",
             )
 
     @property
-    def axis(self) -> ParameterAxis:
-        """Range of the parameter, the lower end first."""
+    def parameter_axis(self) -> ParameterAxis:
+        """Axis of the parameter with its range, the lower end first."""
         return ParameterAxis(self.name, min(self.low, self.high), max(self.low, self.high))
 
 
@@ -94,7 +94,7 @@ class AffineTerm:
             )
         object.__setattr__(self, "matrix", scipy.sparse.csc_array(self.matrix))
 
-    def at(self, values: Values) -> Matrix:
+    def evaluate_term(self, values: Values) -> Matrix:
         """Return the term for values of the parameters.
 
         Raises
@@ -110,6 +110,7 @@ class AffineTerm:
         return factor * self.matrix
 
     def _make_factor_error(self, values: Values, got: str) -> UsageError:
+        """Make the error for a factor that is not a finite number."""
         return UsageError(
             f"the factor of matrix {self.letter} is not a number",
             where=self.description,
@@ -186,11 +187,11 @@ class AffineModel:
             )
         terms = [t if isinstance(t, AffineTerm) else AffineTerm(*t) for t in self.terms]
         for term in terms:
-            if term.letter not in self.letters:
+            if term.letter not in self.parametric_letters:
                 raise unknown(
                     "this matrix of the model cannot depend on parameters",
                     term.letter,
-                    self.letters,
+                    self.parametric_letters,
                     f"{self.model.name}: terms",
                 )
         object.__setattr__(self, "_terms", tuple(terms))
@@ -207,21 +208,21 @@ class AffineModel:
         return self.model.first_order and all(p.domain is THERMAL for p in self.model.ports)
 
     @property
-    def letters(self) -> str:
+    def parametric_letters(self) -> str:
         """Letters of the matrices that may depend on parameters."""
         return "EK" if self.conducts_heat else "MK"
 
     @property
     def axes(self) -> tuple[ParameterAxis, ...]:
         """Ranges of all parameters."""
-        return tuple(item.axis for item in self.parameters)
+        return tuple(item.parameter_axis for item in self.parameters)
 
     @property
     def defaults(self) -> dict[str, float]:
         """Default values of the parameters, keyed by name."""
         return {item.name: item.default for item in self.parameters}
 
-    def at(self, values: Values) -> LinearModel:
+    def evaluate(self, values: Values) -> LinearModel:
         """Return the full-order model for values of the parameters.
 
         Parameters that ``values`` does not contain have their defaults.
@@ -244,7 +245,7 @@ class AffineModel:
             return LinearModel(
                 E=E, K=K, B=model.B, ports=model.ports, name=model.name, band=model.band
             )
-        constant = {letter: getattr(model, letter) for letter in self.letters}
+        constant = {letter: getattr(model, letter) for letter in self.parametric_letters}
         return replace(model, **sum_affine_terms(constant, self._terms, point))
 
 
@@ -261,10 +262,10 @@ def sum_affine_terms(
     """
     result = dict(constant)
     for term in terms:
-        known, addition = result.get(term.letter), term.at(values)
+        known, addition = result.get(term.letter), term.evaluate_term(values)
         if known is not None and known.shape != addition.shape:
             raise UsageError(
-                f"a term of matrix {term.letter} does not fit",
+                f"a term of matrix {term.letter} has a wrong size",
                 where=term.description,
                 got=" x ".join(map(str, addition.shape)),
                 expected=" x ".join(map(str, known.shape)),
@@ -311,18 +312,18 @@ def reduce_affine(
         body as a rigid body.
     SimulationError : the tolerance is not met.
     """
-    middle = {axis.name: axis.middle for axis in affine.axes}
+    middle = {axis.name: axis.middle_value for axis in affine.axes}
     heat = affine.conducts_heat
-    fit = _keep_damping if heat else _complete_rayleigh_factors
-    model = fit(affine.at(middle))
+    fit = _return_unchanged if heat else _complete_rayleigh_factors
+    model = fit(affine.evaluate(middle))
     norm = norm or choose_default_norm(model)
-    require_valid(Target(tolerance, None, parse_band(band), norm, False, None))
+    require_valid(ReductionTarget(tolerance, None, parse_band(band), norm, False, None))
     try:
         for ends in product(*((axis.low, axis.high) for axis in affine.axes)):
             _require_semidefinite(affine, dict(zip(middle, ends, strict=True)))
         limits = choose_band(model, eliminate_algebraic_unknowns(model.pencil), parse_band(band))
         task = RangeTask(
-            lambda values: fit(affine.at(values)),
+            lambda values: fit(affine.evaluate(values)),
             affine.axes,
             limits,
             tolerance,
@@ -339,14 +340,17 @@ def reduce_affine(
 
 def _require_semidefinite(affine: AffineModel, values: Values) -> None:
     """Check that K, and M or E, are positive semidefinite at ``values`` of the parameters."""
-    model = affine.at(values)
+    model = affine.evaluate(values)
     stiffness, *others = model.pencil.coefficients
-    for letter, matrix in zip("K" + affine.letters[0], (stiffness, others[-1]), strict=True):
+    for letter, matrix in zip(
+        "K" + affine.parametric_letters[0], (stiffness, others[-1]), strict=True
+    ):
         if not is_semidefinite(matrix):
             raise _make_indefinite_error(affine, f"matrix {letter} at {_describe_values(values)}")
 
 
 def _describe_values(values: Values) -> str:
+    """Return the parameter values as text, such as ``length = 0.01``."""
     return ", ".join(f"{name} = {value:g}" for name, value in values.items())
 
 
@@ -355,20 +359,22 @@ def _make_indefinite_error(affine: AffineModel, got: str) -> UsageError:
         "a matrix is not positive definite over the ranges of the parameters",
         where=affine.name,
         got=got,
-        expected=f"symmetric positive definite {affine.letters[0]} and K at all values of the "
-        "parameters",
+        expected=f"symmetric positive definite {affine.parametric_letters[0]} and K at all values "
+        "of the parameters",
         hint="narrow the ranges, or check the factors and the signs of the terms",
     )
 
 
 def _reduce_heat(task: RangeTask) -> ModelOverRanges:
     """Reduce heat models over the ranges of a task; the input of each port is a heat flow."""
-    from kc2spice.rom.heat_ranges import HeatReduction  # imported here: only heat models need it
+    from kc2spice.rom.heat_range_reduction import (
+        HeatReduction,
+    )  # imported here: only heat models need it
 
     return HeatReduction(task.full, task.axes).reduce(task)
 
 
-def _keep_damping(model: LinearModel) -> LinearModel:
+def _return_unchanged(model: LinearModel) -> LinearModel:
     """Return a heat model unchanged."""
     return model
 
@@ -387,6 +393,6 @@ def _complete_rayleigh_factors(model: LinearModel) -> LinearModel:
             got="structural damping",
             expected="alpha and beta, or ratio and at",
         )
-    if model.rayleigh is None and model.pencil.undamped:
+    if model.rayleigh is None and model.pencil.is_undamped:
         return replace(model, E=None, rayleigh=(0.0, 0.0))
     return model

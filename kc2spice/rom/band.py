@@ -7,10 +7,17 @@ from scipy.linalg import LinAlgError, eigh
 from scipy.sparse.linalg import ArpackError, LinearOperator, eigs, eigsh
 
 from kc2spice.core.errors import SimulationError, UsageError
-from kc2spice.core.quantities import quantity
+from kc2spice.core.quantities import convert_quantity
 from kc2spice.linalg.factor import require_memory_for_factors
 from kc2spice.rom.constraints import eliminate_algebraic_unknowns
-from kc2spice.rom.pencil import Matrix, Pencil, Schur, absolute_entries, largest_entry, to_dense
+from kc2spice.rom.pencil import (
+    Matrix,
+    Pencil,
+    SchurComplement,
+    compute_absolute_entries,
+    find_largest_entry,
+    to_dense,
+)
 from kc2spice.rom.rigid_body import ENERGY_FACTOR, estimate_energy_rounding
 from kc2spice.rom.rounding import ZERO_ENTRY_FACTOR
 
@@ -39,7 +46,7 @@ def choose_natural_band(pencil: Pencil) -> tuple[float, float]:
     large for this machine.
     """
     try:
-        if pencil.degree == 2 and pencil.symmetric:
+        if pencil.degree == 2 and pencil.is_symmetric:
             rates = compute_elastic_eigenvalues(pencil, BAND_MODES)
         else:
             rates = (
@@ -60,8 +67,7 @@ def choose_natural_band(pencil: Pencil) -> tuple[float, float]:
                 hint="change the sign of M",
             )
         raise UsageError(
-            "the frequency band is missing, and the model has no natural frequency to derive it "
-            "from",
+            "the frequency band is missing, and the model has no natural frequency",
             where="band",
             hint="add a frequency band, such as band=(0, 2e4)",
         )
@@ -85,11 +91,13 @@ def compute_elastic_eigenvalues(pencil: Pencil, count: int) -> np.ndarray:
         if mass[0] > ZERO_MASS * mass[-1]:
             X = np.asarray(eigh(K, M)[1])
         else:  # massless unknowns have infinite natural frequencies
-            inverse, T = eigh(M, K + MASSLESS_SHIFT * largest_entry(K) / mass[-1] * M)
+            inverse, T = eigh(M, K + MASSLESS_SHIFT * find_largest_entry(K) / mass[-1] * M)
             X = T[:, inverse > ZERO_MASS * inverse[-1]][:, ::-1]
         return _compute_rayleigh_quotients(K, M, X)[:count]
-    require_memory_for_factors(pencil.bordered(1.0, 1.0, 1.0), definite=pencil.is_large)
-    stiffness, inertia = (absolute_entries(P).diagonal() for P in (K, M))
+    require_memory_for_factors(
+        pencil.assemble_bordered_matrix(1.0, 1.0, 1.0), definite=pencil.is_large
+    )
+    stiffness, inertia = (compute_absolute_entries(P).diagonal() for P in (K, M))
     top = float((stiffness[inertia > 0] / inertia[inertia > 0]).max(initial=0.0))
     shift = RIGID_SHIFT * top
     solve = pencil.factorise_shifted_stiffness(-shift).solve
@@ -115,9 +123,9 @@ def _compute_rayleigh_quotients(K: Matrix, M: Matrix, X: np.ndarray) -> np.ndarr
     noise = (
         ZERO_ENTRY_FACTOR
         * np.finfo(float).eps
-        * np.einsum("ij,ij->j", abs(X), absolute_entries(K) @ abs(X))
+        * np.einsum("ij,ij->j", abs(X), compute_absolute_entries(K) @ abs(X))
     )
-    if not isinstance(K, Schur):
+    if not isinstance(K, SchurComplement):
         noise = np.minimum(noise, ENERGY_FACTOR * np.diag(estimate_energy_rounding(K, X)))
     return np.asarray(np.sort(energy[energy > noise] / mass[energy > noise]))
 
@@ -128,7 +136,7 @@ def find_band_end(pencil: Pencil, count: int, high: float) -> float:
     Return ``high`` if the model has fewer than ``count`` modes, or if the modes cannot be computed.
     """
     pencil = eliminate_algebraic_unknowns(pencil)
-    if pencil.degree != 2 or not pencil.symmetric or pencil.size <= count + 2:
+    if pencil.degree != 2 or not pencil.is_symmetric or pencil.size <= count + 2:
         return high
     try:
         rates = compute_elastic_eigenvalues(pencil, count)
@@ -140,8 +148,9 @@ def find_band_end(pencil: Pencil, count: int, high: float) -> float:
 
 
 def _compute_all_rates(pencil: Pencil) -> np.ndarray:
+    """Compute the magnitudes of all nonzero eigenvalues with a dense solver."""
     rest, inertia = map(to_dense, (pencil.coefficients[0], pencil.coefficients[-1]))
-    if largest_entry(rest) == 0 or largest_entry(inertia) == 0:
+    if find_largest_entry(rest) == 0 or find_largest_entry(inertia) == 0:
         return np.empty(0)
     rates = np.abs(Pencil((rest, inertia), pencil.B, pencil.C, pencil.D).poles())
     return np.asarray(rates[rates > 1e-12 * rates.max(initial=0.0)])
@@ -153,8 +162,8 @@ def _compute_lowest_rates(pencil: Pencil) -> np.ndarray:
     The smallest eigenvalues of the pencil are the reciprocals of the largest eigenvalues of
     ``P(0)^-1`` times the inertia matrix.
     """
-    require_memory_for_factors(pencil.bordered(1.0, 1.0, 1.0))
-    solve, inertia = pencil.solver(0.0)[0].solve, pencil.coefficients[-1]
+    require_memory_for_factors(pencil.assemble_bordered_matrix(1.0, 1.0, 1.0))
+    solve, inertia = pencil.factorise_polynomial(0.0)[0].solve, pencil.coefficients[-1]
     inverse = LinearOperator((pencil.size,) * 2, matvec=lambda x: solve(inertia @ x), dtype=float)
     start = solve(pencil.B[:, 0])
     values = np.abs(
@@ -182,5 +191,5 @@ def parse_band(
             expected='two frequencies, such as (0, 20e3) or (0, "20 kHz")',
             hint="for example band=(0, 20e3)",
         )
-    low, high = (quantity(frequency, "Hz", where="band") for frequency in band)
+    low, high = (convert_quantity(frequency, "Hz", where="band") for frequency in band)
     return low, high

@@ -91,7 +91,7 @@ def fit_one_port(
     """
     samples = Samples(f, Y, conductance)
     elements = fit_branches(samples)
-    rms = samples.rms(elements) if elements else np.inf
+    rms = samples.compute_rms_deviation(elements) if elements else np.inf
     if rms > POOR_DEVIATION:
         return None, rms
     network = _make_network(elements)
@@ -118,13 +118,13 @@ def _make_network(elements: Elements) -> ParallelBranches:
     """
     capacitance = sum(float(np.exp(e.logs[0])) for e in elements if e.form == "capacitance")
     order = sorted(
-        (e for e in elements if e.in_parallel and e.form != "capacitance"),
+        (e for e in elements if e.is_in_parallel and e.form != "capacitance"),
         key=lambda e: (e.form != "resonant", e.form, e.logs[1:]),
     )
     branches = tuple(element.branch() for element in order)
     if not branches:  # a model needs at least one unknown
         branches, capacitance = (CircuitBranch(0.0, elastance=1 / capacitance),), 0.0
-    leads = [element.branch() for element in elements if not element.in_parallel]
+    leads = [element.branch() for element in elements if not element.is_in_parallel]
     lead = CircuitBranch(sum(b.resistance for b in leads), sum(b.inductance for b in leads))
     if len(branches) == 1 and capacitance == 0:
         resistance = branches[0].resistance + lead.resistance
@@ -139,21 +139,25 @@ def fit_branches(samples: Samples) -> Elements:
     best, least, useless = elements, np.inf, 0
     patience = POOR_PATIENCE
     while len(elements) < MAX_ELEMENTS and useless < patience:
-        ends = list(map(samples.refine, _propose_starts(samples, elements)))
+        ends = list(map(samples.refine, _propose_start_sums(samples, elements)))
         ends = [end for end in ends if _exceeds_noise(samples, end)]
         if not ends:
             break
         elements = samples.refine(_select_best_sum(samples, ends), SELECTION_EVALUATIONS)
         elements = _simplify_sum(samples, elements, _select_outside_band(samples, elements))
-        value = samples.criterion(elements)
+        value = samples.compute_information_criterion(elements)
         enough = _count_parameters(elements) <= _count_parameters(best)
-        enough |= not best or samples.rms(elements) < (1 - MIN_IMPROVEMENT) * samples.rms(best)
+        enough |= not best or samples.compute_rms_deviation(elements) < (
+            1 - MIN_IMPROVEMENT
+        ) * samples.compute_rms_deviation(best)
         if value < least - CRITERION_TOLERANCE and enough:
             best, least, useless = elements, value, 0
         else:
             useless += 1
-        patience = PATIENCE if samples.rms(best) < POOR_DEVIATION else POOR_PATIENCE
-        if samples.is_described(best):
+        patience = (
+            PATIENCE if samples.compute_rms_deviation(best) < POOR_DEVIATION else POOR_PATIENCE
+        )
+        if samples.is_within_tolerance(best):
             break
     best = samples.refine(_simplify_sum(samples, best, best), FINAL_EVALUATIONS)
     slowest = np.log(MAX_TIME_RATIO / (2 * np.pi * samples.f[0]))
@@ -170,7 +174,7 @@ def _select_best_sum(samples: Samples, ends: Sequence[Elements]) -> Elements:
 
     Because of this tolerance, rounding errors of the criterion do not change the selection.
     """
-    values = list(map(samples.criterion, ends))
+    values = list(map(samples.compute_information_criterion, ends))
     good = (
         end
         for end, value in zip(ends, values, strict=True)
@@ -186,7 +190,7 @@ def _limit_element(element: FitElement, slowest: float) -> FitElement:
     or Q factors, and the limits do not change Y in the band.
     """
     amplitude, *others = element.logs
-    excess = _log_time(element) - slowest if others else 0.0
+    excess = _compute_log_time(element) - slowest if others else 0.0
     if element.form == "resonant":
         w, d = others
         if excess > 0:  # L = 1 / (c w^2) remains the same
@@ -206,10 +210,10 @@ def _select_outside_band(samples: Samples, elements: Elements) -> Elements:
     low = np.log(2 * np.pi * samples.f[0] / MAX_FREQUENCY_RATIO)
     high = np.log(2 * np.pi * samples.f[-1] * MAX_FREQUENCY_RATIO)
     timed = [e for e in elements if len(e.logs) > 1]
-    return tuple(e for e in timed if not low < -_log_time(e) < high)
+    return tuple(e for e in timed if not low < -_compute_log_time(e) < high)
 
 
-def _log_time(element: FitElement) -> float:
+def _compute_log_time(element: FitElement) -> float:
     """Return the logarithm of an element's time constant [s]; of a resonance, log(1 / omega)."""
     return -element.logs[1] if element.form == "resonant" else element.logs[1]
 
@@ -220,7 +224,7 @@ def _exceeds_noise(samples: Samples, elements: Elements) -> bool:
     The effect of each element must exceed the rms deviation at more samples than the element has
     parameters.
     """
-    left = -np.expm1(-samples.rms(elements))  # rms deviation relative to Y
+    left = -np.expm1(-samples.compute_rms_deviation(elements))  # rms deviation relative to Y
     return all(
         np.count_nonzero(np.abs(by_amplitude) > left) > len(others) + 1
         for by_amplitude, *others in samples.slopes(elements)
@@ -229,11 +233,11 @@ def _exceeds_noise(samples: Samples, elements: Elements) -> bool:
 
 def _simplify_sum(samples: Samples, elements: Elements, doubtful: Elements) -> Elements:
     """Remove or simplify elements among ``doubtful`` if this reduces the criterion."""
-    value = samples.criterion(elements)
+    value = samples.compute_information_criterion(elements)
     for element in doubtful:
         for fewer in _propose_simpler_sums(samples, elements, element):
             end = samples.refine(fewer)
-            if end and samples.criterion(end) < value:
+            if end and samples.compute_information_criterion(end) < value:
                 return _simplify_sum(samples, end, end)
     return elements
 
@@ -246,7 +250,7 @@ def _propose_simpler_sums(
     In the band, the simpler element has the same admittance as the replaced element.
     """
     others = tuple(e for e in elements if e is not element)
-    if any(e.in_parallel for e in others):
+    if any(e.is_in_parallel for e in others):
         yield others
     for form in SIMPLER_FORMS[element.form]:
         if samples.conducts_direct_current or form not in CONDUCTING_FORMS:
@@ -295,8 +299,8 @@ def _convert_form(element: FitElement, form: str) -> FitElement:
     return FitElement(form, (0.0, -element.logs[2] if form == "inductive" else log_t))
 
 
-def _propose_starts(samples: Samples, elements: Elements) -> list[Elements]:
-    """Return sums of ``elements`` and one more element, with the best start values of each form."""
+def _propose_start_sums(samples: Samples, elements: Elements) -> list[Elements]:
+    """Return sums with one more element each, from which the next fits start."""
     result = [_fit_peak(samples, elements)]
     for options in _propose_elements(samples, elements):
         tried = [samples.fit_amplitudes((*elements, option)) for option in options]
@@ -369,7 +373,7 @@ def _find_worst_frequencies(samples: Samples, elements: Elements) -> list[float]
     At the worst frequencies, the missing conductance, its ratio to abs(Y), or the deviation is
     largest.
     """
-    left = samples.deviation(elements)
+    left = samples.compute_deviation(elements)
     missing = samples.unexplained_admittance(elements).real
     at = (missing, missing / np.abs(samples.Y), np.abs(left))
     indices = dict.fromkeys(int(np.argmax(item)) for item in at)
@@ -384,7 +388,7 @@ def _split_resonance(samples: Samples, elements: Elements) -> list[Elements]:
     resonant = [e for e in elements if e.form == "resonant"]
     if not resonant:
         return []
-    worst = np.log(np.abs(samples.s[int(np.argmax(np.abs(samples.deviation(elements))))]))
+    worst = np.log(np.abs(samples.s[int(np.argmax(np.abs(samples.compute_deviation(elements))))]))
     nearest = min(resonant, key=lambda e: abs(e.logs[1] - worst))
     log_c, log_w, log_d = nearest.logs
     apart = float(0.25 * np.exp(log_d - log_w))

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.rom.entries import Entries
+from kc2spice.rom.entry_scales import EntryScales
 from kc2spice.rom.error_estimate import estimate_errors_above_band
 from kc2spice.rom.linear_model import Certificate, LinearModel, make_linear_model
 from kc2spice.rom.reduced_basis import MIN_ERROR_ESTIMATE, ReducedBasis
@@ -31,15 +31,19 @@ def certify(basis: ReducedBasis, order: int) -> LinearModel:
     errors.
     UsageError : the model has no state-space form, which a netlist needs.
     """
-    task, response, proof = basis.task, basis.leading_model(order), basis.proof(order)
+    task, response, proof = (
+        basis.task,
+        basis.get_response_of_order(order),
+        basis.prove_order_stability(order),
+    )
     estimator = task.estimator
-    error = basis.error(order) + task.intermediate.floor
+    error = basis.estimate_model_error(order) + task.intermediate.floor
     if not np.isfinite(error):
         raise SimulationError(
             "the reduced model has a state without stiffness, damping or inertia",
             where=task.fom.name,
             got="matrix entries that are smaller than their rounding errors",
-            hint="replace the order by a tolerance: --tolerance 1e-4",
+            hint="replace the order by a tolerance of 1e-4",
         )
     sharpest = max(estimator.exact.select_visible(task.band)[1].min(initial=1.0), MIN_DAMPING_RATIO)
     rounding = RESONANCE_ROUNDING * float(np.finfo(float).eps) / sharpest
@@ -53,7 +57,7 @@ def certify(basis: ReducedBasis, order: int) -> LinearModel:
         task.norm,
     )
     labels = {key: getattr(task.fom, key) for key in ("ports", "facts", "name")}
-    labels["basis"] = basis.unknowns(order)
+    labels["basis"] = basis.expand_basis(order)
     result = make_linear_model(response.pencil, **labels, certificate=certificate, band=task.band)
     result.state_space()  # raises an error for a model that no netlist can represent
     return result
@@ -81,7 +85,7 @@ def _describe_evidence(basis: ReducedBasis, proof: StabilityProof) -> str:
     method = f"{basis.origin}difference to {count} states at resonances, flanks and notches"
     if exact.proof:
         method += f"; {exact.proof}; stability from {proof.proof}"
-    method += _describe_zeros(estimator.reference[1], task.fom)
+    method += _describe_zeros(estimator.exact_response_and_scales[1], task.fom)
     if not exact.static or exact.pencil.free:
         method += "; free to move at zero frequency"
         if hidden := exact.hidden:
@@ -94,7 +98,7 @@ def _describe_evidence(basis: ReducedBasis, proof: StabilityProof) -> str:
     return method
 
 
-def _describe_zeros(entries: Entries, model: LinearModel) -> str:
+def _describe_zeros(entries: EntryScales, model: LinearModel) -> str:
     """Describe the entries of the response that count as zero."""
     places = zip(*np.nonzero(entries.zero), strict=True)
     names = [f"{model.outputs[i]}/{model.inputs[j]}" for i, j in places]

@@ -16,11 +16,11 @@ body at the voltage V:
 Here chi approximates ``1 / (1 - j / Q)`` with an error of ``1 / Q^2``. The free body at rest has
 the loss tangent of the data sheet and no mechanical loss. The clamped body has the complex
 capacitance ``D - j (C_T tan delta + (C_T - D) / Q)``. By causality, chi and psi are powers of
-frequency (:mod:`kc2spice.rom.structural_damping`, :mod:`kc2spice.rom.modal`). Therefore, chi is
-``1 + j / Q`` only at the frequency at which the damping is stated, and psi is ``1 - j tan delta``
-only at 1 kHz. Sums of relaxations approximate chi and psi. All amplitudes of the relaxations are
-positive, so each relaxation is passive. The model is passive if its instantaneous capacitance is
-positive.
+frequency (:mod:`kc2spice.rom.structural_damping`, :mod:`kc2spice.rom.modal_models`). Therefore, chi
+is ``1 + j / Q`` only at the frequency at which the damping is stated, and psi is ``1 - j tan
+delta`` only at 1 kHz. Sums of relaxations approximate chi and psi. All amplitudes of the
+relaxations are positive, so each relaxation is passive. The model is passive if its instantaneous
+capacitance is positive.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kc2spice.core.errors import UsageError
-from kc2spice.rom.entries import PEAK_SHARE
+from kc2spice.rom.entry_scales import PEAK_SHARE
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.modal import Resonators, fit_foster_network, permittivity
+from kc2spice.rom.modal_models import Resonators, compute_permittivity_ratio, fit_foster_network
 from kc2spice.rom.structural_damping import (
     add_structural_damping,
-    causal_loss_factor,
+    compute_causal_loss_factor,
     fit_relaxing_stiffness,
 )
 
@@ -91,8 +91,8 @@ class ComplexConstants:
             Frequencies [Hz].
         """
         s = 2j * np.pi * np.asarray(frequency)
-        chi = causal_loss_factor(frequency, self.loss_factor, self.at)
-        psi = permittivity(frequency, self.tangent)
+        chi = compute_causal_loss_factor(frequency, self.loss_factor, self.at)
+        psi = compute_permittivity_ratio(frequency, self.tangent)
         free = np.where(electrical, gain, 0.0)
         elastic = omega > 0
         shares = free[elastic] / omega[elastic, None]
@@ -101,12 +101,13 @@ class ComplexConstants:
         answer = 1 / (s[:, None] ** 2 + chi[:, None] * omega**2)
         H = np.einsum("ni,ji,nj,jk,nk->nik", forces, gain, answer, gain, forces, optimize=True)
         return np.asarray(
-            H + D + (psi[:, None, None] - 1) * (_select_electrical(D, electrical) + motional)
+            H + D
+            + (psi[:, None, None] - 1) * (_zero_nonelectrical_entries(D, electrical) + motional)
             - (chi[:, None, None] - 1) * motional
         )  # fmt: skip
 
 
-def _select_electrical(D: np.ndarray, electrical: np.ndarray) -> np.ndarray:
+def _zero_nonelectrical_entries(D: np.ndarray, electrical: np.ndarray) -> np.ndarray:
     """Return the matrix D with zeros for all ports that are not electrical."""
     return np.where(np.outer(electrical, electrical), D, 0.0)
 
@@ -151,7 +152,7 @@ def make_complex_constants_model(model: Resonators, losses: ComplexConstants) ->
     shares = model.gain[:, ports] / model.omega[:, None]
     motional, clamped = shares.T @ shares, model.D[np.ix_(ports, ports)]
 
-    def stiffness_sensitivity(f: np.ndarray) -> np.ndarray:
+    def estimate_stiffness_sensitivity(f: np.ndarray) -> np.ndarray:
         """Return the amplification of stiffness errors: 1 below the lowest resonance, then Q."""
         lowest = SENSITIVITY_LIMIT * model.omega.min() / (2 * np.pi)
         return np.where(f > lowest, max(1.0, 1 / max(losses.loss_factor, 1e-12)), 1.0)
@@ -161,7 +162,7 @@ def make_complex_constants_model(model: Resonators, losses: ComplexConstants) ->
         losses.at,
         known.band_hz,
         MAX_RELAXATION_ERROR,
-        sensitivity=stiffness_sensitivity,
+        sensitivity=estimate_stiffness_sensitivity,
     )
     amplitude, rates = np.ones(1), np.empty(0)
     if ports.size and losses.tangent:
@@ -192,7 +193,7 @@ def make_complex_constants_model(model: Resonators, losses: ComplexConstants) ->
     if pace.size:
         columns = np.vstack([np.sqrt(a) * root for a in amplitude[1:][used]])
         dielectric[:, ports] = pace[:, None] * columns
-    K, E, M = elastic.pencil.dense().coefficients
+    K, E, M = elastic.pencil.make_dense().coefficients
     result = LinearModel(
         M=block_diag(M, np.diag(np.zeros(pace.size))),
         E=block_diag(E, np.diag(pace)),
@@ -227,12 +228,13 @@ def _compute_largest_error(
     near = resonances[:, None] * (1 + 0.5 * losses.loss_factor * np.array(RESONANCE_OFFSETS))
     f = np.union1d(np.geomspace(low, high, GRID_FREQUENCIES), near[(near >= low) & (near <= high)])
 
-    def exact_response(f: np.ndarray) -> np.ndarray:
+    def compute_exact_response(f: np.ndarray) -> np.ndarray:
+        """Return the exact response of the modes at the frequencies ``f`` [Hz]."""
         return losses.transfer(modes.omega, modes.gain, modes.D, electrical, f)
 
     for _ in range(REFINEMENT_ROUNDS):
-        f = np.union1d(f, _sample_minima(f, np.abs(exact_response(f))))
-    exact = exact_response(f)
+        f = np.union1d(f, _sample_minima(f, np.abs(compute_exact_response(f))))
+    exact = compute_exact_response(f)
     size = np.maximum(np.abs(exact), PEAK_SHARE * np.abs(exact).max(axis=0))
     off = np.abs(model.transfer(f) - exact)
     return float(np.divide(off, size, out=np.zeros_like(off), where=size > 0).max())

@@ -26,15 +26,15 @@ import numpy as np
 import scipy
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.rom.entries import balance
+from kc2spice.rom.entry_scales import balance_matrix
 from kc2spice.rom.pencil import (
     Matrix,
     Pencil,
-    Schur,
-    detect_rayleigh,
+    SchurComplement,
+    convert_to_first_order,
+    detect_rayleigh_damping,
     eliminate_massless,
-    first_order,
-    largest_entry,
+    find_largest_entry,
     mask_unknowns_with_entries,
     to_dense,
 )
@@ -56,14 +56,14 @@ def eliminate_constraints(pencil: Pencil) -> Pencil:
     derivatives of the input.
     """
     rest, *others = pencil.coefficients
-    if pencil.degree != 2 or isinstance(rest, Schur) or pencil.rayleigh is not None:
+    if pencil.degree != 2 or isinstance(rest, SchurComplement) or pencil.rayleigh is not None:
         return pencil
     multipliers = _find_multipliers(rest, others)
     if not multipliers.any():
         return pencil
     keep, row = np.flatnonzero(~multipliers), np.flatnonzero(multipliers)
-    K, E, M = (_submatrix(P, keep, keep) for P in pencil.coefficients)
-    G, L = _submatrix(rest, row, keep), _submatrix(rest, keep, row)
+    K, E, M = (_select_submatrix(P, keep, keep) for P in pencil.coefficients)
+    G, L = _select_submatrix(rest, row, keep), _select_submatrix(rest, keep, row)
     if pencil.B[row].any() or G.shape[0] * G.shape[1] > MAX_CONSTRAINT_ENTRIES:
         return pencil
     Z, rank = compute_null_basis(G)
@@ -72,12 +72,12 @@ def eliminate_constraints(pencil: Pencil) -> Pencil:
     observed = pencil.C[:, row].any()
     if observed and rank < len(row):
         return pencil
-    parts = [_symmetrise(Z.T @ P @ Z, pencil.symmetric) for P in (K, E, M)]
+    parts = [_symmetrise(Z.T @ P @ Z, pencil.is_symmetric) for P in (K, E, M)]
     if pencil.is_dense:
         parts = list(map(to_dense, parts))
     C = pencil.C[:, keep]
     B = Z.T @ pencil.B[keep]
-    plain = Pencil(tuple(parts), B, B.T.copy() if pencil.collocated else C @ Z, pencil.D)
+    plain = Pencil(tuple(parts), B, B.T.copy() if pencil.is_collocated else C @ Z, pencil.D)
     return _insert_multipliers(plain, pencil, keep, row, (K, E, M), L, Z) if observed else plain
 
 
@@ -89,7 +89,7 @@ def _find_multipliers(rest: Matrix, others: list[Matrix]) -> np.ndarray:
     result = ~mask_unknowns_with_entries(others) & (rest.diagonal() == 0)
     indices = np.flatnonzero(result)
     if indices.size:
-        among = abs(_submatrix(rest, indices, indices))
+        among = abs(_select_submatrix(rest, indices, indices))
         result[indices[np.asarray(among.sum(axis=0) + among.sum(axis=1)).ravel() > 0]] = False
     return np.asarray(result)
 
@@ -146,7 +146,7 @@ def _insert_multipliers(
         lift = pencil.C[:, row] @ np.linalg.solve(through @ L, through)
     except np.linalg.LinAlgError:
         return pencil
-    small = plain.dense()
+    small = plain.make_dense()
     C = pencil.C[:, keep] @ Z - lift @ K @ Z
     D = pencil.D + lift @ pencil.B[keep]
     speed = -lift @ E @ Z
@@ -155,8 +155,8 @@ def _insert_multipliers(
         <= NEGLIGIBLE_TERM * (np.abs(lift) @ np.abs(E) @ np.abs(Z)).max()
     ):
         return replace(small, C=C, D=D)
-    omega = float(np.sqrt(largest_entry(K) / largest_entry(M)))
-    result = first_order(replace(small, C=C, D=D), omega)
+    omega = float(np.sqrt(find_largest_entry(K) / find_largest_entry(M)))
+    result = convert_to_first_order(replace(small, C=C, D=D), omega)
     return replace(result, C=np.hstack([C, omega * speed]))
 
 
@@ -168,14 +168,14 @@ def deflate_infinite_poles(pencil: Pencil) -> Pencil:
     """
     if pencil.degree != 1 or pencil.size > MAX_DESCRIPTOR_STATES or pencil.free:
         return pencil
-    full = pencil.dense()
+    full = pencil.make_dense()
     rest, inertia = full.coefficients
-    rows, columns = balance(
-        np.abs(rest) / largest_entry(rest) + np.abs(inertia) / largest_entry(inertia)
+    rows, columns = balance_matrix(
+        np.abs(rest) / find_largest_entry(rest) + np.abs(inertia) / find_largest_entry(inertia)
     )
     if not _is_singular(inertia / np.outer(rows, columns)):
         return pencil
-    symmetric = pencil.symmetric
+    symmetric = pencil.is_symmetric
     if symmetric:
         rows = columns = np.sqrt(rows * columns)
     P, E = rest / np.outer(rows, columns), inertia / np.outer(rows, columns)
@@ -183,7 +183,7 @@ def deflate_infinite_poles(pencil: Pencil) -> Pencil:
     U, V, rank = _split_by_rank(E, symmetric or np.array_equal(inertia, inertia.T))
     P, E, B, C = U.T @ P @ V, (U.T @ E @ V)[:rank, :rank], U.T @ B, C @ V
     # algebraic equations: first the equations that determine unknowns, then the constraints
-    U2, V2, regular = _split_by_rank(P[rank:, rank:], symmetric, largest_entry(P))
+    U2, V2, regular = _split_by_rank(P[rank:, rank:], symmetric, find_largest_entry(P))
     left, right = (scipy.linalg.block_diag(np.eye(rank), T) for T in (U2, V2))
     P, B, C = left.T @ P @ right, left.T @ B, C @ right
     known = slice(rank, rank + regular)
@@ -196,7 +196,7 @@ def deflate_infinite_poles(pencil: Pencil) -> Pencil:
     B = B[rest_of] - P[rest_of][:, known] @ elimination[:, keep:]
     P = P[np.ix_(rest_of, rest_of)] - P[rest_of][:, known] @ elimination[:, :keep]
     result = _eliminate_index_two(E, P, B, C, D, rank) if keep > rank else Pencil((P, E), B, C, D)
-    return pencil if result is None else _restore_symmetry(result, symmetric, pencil.collocated)
+    return pencil if result is None else _restore_symmetry(result, symmetric, pencil.is_collocated)
 
 
 def _eliminate_index_two(
@@ -259,7 +259,9 @@ def _split_by_rank(
 
     The leading block of ``U'PV`` is regular, and all other entries are zero.
     """
-    if symmetric and np.abs(matrix - matrix.T).max(initial=0.0) <= 1e-12 * largest_entry(matrix):
+    if symmetric and np.abs(matrix - matrix.T).max(initial=0.0) <= 1e-12 * find_largest_entry(
+        matrix
+    ):
         values, U = np.linalg.eigh(0.5 * (matrix + matrix.T))
         order = np.argsort(-np.abs(values))
         size, U = np.abs(values[order]), U[:, order]
@@ -287,10 +289,11 @@ def _restore_symmetry(pencil: Pencil, symmetric: bool, collocated: bool) -> Penc
 
 def _exceeds_rounding(difference: Matrix, reference: Matrix) -> bool:
     """Return whether a difference exceeds the rounding errors of the reference."""
-    return largest_entry(difference) > NEGLIGIBLE_TERM * largest_entry(reference)
+    return find_largest_entry(difference) > NEGLIGIBLE_TERM * find_largest_entry(reference)
 
 
-def _submatrix(P: Matrix, rows: np.ndarray, columns: np.ndarray) -> Matrix:
+def _select_submatrix(P: Matrix, rows: np.ndarray, columns: np.ndarray) -> Matrix:
+    """Return the entries of a matrix in these rows and columns."""
     return P[np.ix_(rows, columns)] if isinstance(P, np.ndarray) else P[rows][:, columns]
 
 
@@ -310,4 +313,4 @@ def eliminate_algebraic_unknowns(pencil: Pencil) -> Pencil:
         pencil = deflate_infinite_poles(eliminate_massless(eliminate_constraints(pencil)))
     except (SimulationError, np.linalg.LinAlgError):
         pencil = eliminate_massless(pencil)
-    return detect_rayleigh(pencil)
+    return detect_rayleigh_damping(pencil)

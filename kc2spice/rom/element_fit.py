@@ -39,34 +39,34 @@ Logs = tuple[float, ...]
 Response = tuple[np.ndarray, list[np.ndarray]]  # Y (n,), and dY / dlog p (n,) for every parameter
 
 
-def _resistor_response(p: np.ndarray, s: np.ndarray) -> Response:
+def _compute_resistor_response(p: np.ndarray, s: np.ndarray) -> Response:
     """Return the response ``Y = g`` of a resistor."""
     Y = np.full(len(s), np.exp(p[0]), complex)
     return Y, [Y]
 
 
-def _capacitor_response(p: np.ndarray, s: np.ndarray) -> Response:
+def _compute_capacitor_response(p: np.ndarray, s: np.ndarray) -> Response:
     """Return the response ``Y = s c`` of a capacitor."""
     Y = s * np.exp(p[0])
     return Y, [Y]
 
 
-def _inductor_response(p: np.ndarray, s: np.ndarray) -> Response:
+def _compute_inductor_response(p: np.ndarray, s: np.ndarray) -> Response:
     """Return the response ``Y = g / (1 + s t)`` of R and L in series."""
     g, t = np.exp(p)
     Y = g / (1 + s * t)
     return Y, [Y, -Y * s * t / (1 + s * t)]
 
 
-def _relaxation_response(p: np.ndarray, s: np.ndarray) -> Response:
+def _compute_relaxation_response(p: np.ndarray, s: np.ndarray) -> Response:
     """Return the response ``Y = s a / (1 + s t)`` of R and C in series."""
     a, t = np.exp(p)
     Y = s * a / (1 + s * t)
     return Y, [Y, -Y * s * t / (1 + s * t)]
 
 
-def _resonance_response(p: np.ndarray, s: np.ndarray) -> Response:
-    """Return the response ``Y = s c w^2 / (s^2 + d s + w^2)`` of R, L and C in series."""
+def _compute_resonance_response(p: np.ndarray, s: np.ndarray) -> Response:
+    """Return ``Y = s c w^2 / (s^2 + d s + w^2)`` of R, L and C in series."""
     c, w, d = np.exp(p)
     P = s**2 + d * s + w**2
     Y = s * c * w**2 / P
@@ -74,14 +74,17 @@ def _resonance_response(p: np.ndarray, s: np.ndarray) -> Response:
 
 
 PARALLEL_FORMS: dict[str, Callable[[np.ndarray, np.ndarray], Response]] = {
-    "conductance": _resistor_response,
-    "capacitance": _capacitor_response,
-    "inductive": _inductor_response,
-    "relaxing": _relaxation_response,
-    "resonant": _resonance_response,
+    "conductance": _compute_resistor_response,
+    "capacitance": _compute_capacitor_response,
+    "inductive": _compute_inductor_response,
+    "relaxing": _compute_relaxation_response,
+    "resonant": _compute_resonance_response,
 }
 # The impedance of a lead resistance is constant; that of a lead inductance is proportional to s.
-LEAD_FORMS = {"lead resistance": _resistor_response, "lead inductance": _capacitor_response}
+LEAD_FORMS = {
+    "lead resistance": _compute_resistor_response,
+    "lead inductance": _compute_capacitor_response,
+}
 ELEMENT_FORMS = PARALLEL_FORMS | LEAD_FORMS
 CONDUCTING_FORMS = ("conductance", "inductive")
 # Simpler forms that replace an element whose time constant is outside of the band.
@@ -112,12 +115,12 @@ class FitElement:
         logs = np.clip(self.logs, -MAX_LOG_PARAMETER, MAX_LOG_PARAMETER)
         return ELEMENT_FORMS[self.form](logs, s)
 
-    def scaled(self, factor: float) -> FitElement:
+    def scale_amplitude(self, factor: float) -> FitElement:
         """Return the element with its amplitude multiplied by ``factor``."""
         return FitElement(self.form, (self.logs[0] + float(np.log(factor)), *self.logs[1:]))
 
     @property
-    def in_parallel(self) -> bool:
+    def is_in_parallel(self) -> bool:
         """Whether the element is one of the admittances in parallel, not a lead."""
         return self.form in PARALLEL_FORMS
 
@@ -195,9 +198,9 @@ class Samples:
             )
         )
 
-    def is_described(self, elements: Elements) -> bool:
+    def is_within_tolerance(self, elements: Elements) -> bool:
         """Return whether the rms deviation of a sum of elements is within the tolerance."""
-        return bool(np.mean(np.abs(self.misfit(elements) / self.tolerance) ** 2) < 1)
+        return bool(np.mean(np.abs(self.compute_log_ratio(elements) / self.tolerance) ** 2) < 1)
 
     @cached_property
     def _dc_weight(self) -> float:
@@ -208,7 +211,7 @@ class Samples:
         """Compute the admittance (n,) of the parallel elements, and the leads' impedance (n,)."""
         parallel, leads = np.zeros((2, len(self.f)), complex)
         for element in elements:
-            if element.in_parallel:
+            if element.is_in_parallel:
                 parallel += element.response(self.s)[0]
             else:
                 leads += element.response(self.s)[0]
@@ -230,23 +233,24 @@ class Samples:
         Y = parallel / (1 + leads * parallel)
         inner = 1 / (parallel * (1 + leads * parallel))
         return [
-            [d * (inner if e.in_parallel else -Y) for d in e.response(self.s)[1]] for e in elements
+            [d * (inner if e.is_in_parallel else -Y) for d in e.response(self.s)[1]]
+            for e in elements
         ]
 
-    def deviation(self, elements: Elements) -> np.ndarray:
+    def compute_deviation(self, elements: Elements) -> np.ndarray:
         """Compute the complex relative deviation (n,) of a sum of elements from the samples."""
         return np.asarray(self.response(elements) / self.Y - 1)
 
-    def misfit(self, elements: Elements) -> np.ndarray:
+    def compute_log_ratio(self, elements: Elements) -> np.ndarray:
         """Compute the complex logarithm (n,) of ``Y / Y_measured`` for a sum of elements."""
         ratio = self.response(elements) / self.Y
         return np.log(np.where(ratio == 0, np.finfo(float).tiny, ratio))
 
-    def rms(self, elements: Elements) -> float:
+    def compute_rms_deviation(self, elements: Elements) -> float:
         """Compute the rms logarithmic deviation of a sum of elements from the samples."""
-        return float(np.sqrt(np.mean(np.abs(self.misfit(elements)) ** 2)))
+        return float(np.sqrt(np.mean(np.abs(self.compute_log_ratio(elements)) ** 2)))
 
-    def criterion(self, elements: Elements) -> float:
+    def compute_information_criterion(self, elements: Elements) -> float:
         """Compute the Bayesian information criterion of a fit.
 
         Deviations from the samples that are below :data:`DEVIATION_FLOOR` hardly change the
@@ -255,7 +259,7 @@ class Samples:
         count = 2 * len(self.f)
         parameters = sum(len(e.logs) for e in elements)
         return float(
-            count * np.log(self.rms(elements) ** 2 + DEVIATION_FLOOR**2)
+            count * np.log(self.compute_rms_deviation(elements) ** 2 + DEVIATION_FLOOR**2)
             + parameters * np.log(count)
         )
 
@@ -276,8 +280,8 @@ class Samples:
         second result is the norm of the residual of the linear least-squares problem for the
         amplitudes.
         """
-        leads = tuple(e for e in elements if not e.in_parallel)
-        elements = tuple(e for e in elements if e.in_parallel)
+        leads = tuple(e for e in elements if not e.is_in_parallel)
+        elements = tuple(e for e in elements if e.is_in_parallel)
         share = 1 - self._sum_elements(leads)[1] * self.Y
         dc_share = 1 - sum_lead_resistance(leads) * (self.conductance or 0.0)
         columns = [share**2 / self.Y * e.response(self.s)[0] for e in elements]
@@ -292,7 +296,7 @@ class Samples:
         size = np.linalg.norm(A, axis=0)
         x, left = nnls(A / size, target, maxiter=100 * len(size))
         factors = zip(elements, x / size, strict=True)
-        positive = tuple(e.scaled(factor) for e, factor in factors if factor > 0)
+        positive = tuple(e.scale_amplitude(factor) for e, factor in factors if factor > 0)
         return ((*positive, *leads) if positive else ()), float(left)
 
     def refine(self, elements: Elements, evaluations: int = TRIAL_EVALUATIONS) -> Elements:
@@ -304,7 +308,7 @@ class Samples:
             return elements
         ends = np.cumsum([len(e.logs) for e in elements])[:-1]
 
-        def unpack(logs: np.ndarray) -> Elements:
+        def unpack_elements(logs: np.ndarray) -> Elements:
             """Return the elements whose logarithms of all parameters are ``logs``."""
             parts = np.split(logs, ends)
             return tuple(
@@ -314,13 +318,13 @@ class Samples:
 
         def residual(logs: np.ndarray) -> np.ndarray:
             """Return the weighted residuals of the fit."""
-            tried = unpack(logs)
-            excess = conductance(tried) - (self.conductance or 0.0)
-            return self._stack_rows(self.misfit(tried), excess)
+            tried = unpack_elements(logs)
+            excess = compute_dc_conductance(tried) - (self.conductance or 0.0)
+            return self._stack_rows(self.compute_log_ratio(tried), excess)
 
         def slopes(logs: np.ndarray) -> np.ndarray:
             """Return the derivatives of the residuals."""
-            tried = unpack(logs)
+            tried = unpack_elements(logs)
             result = []
             for e, (first, *others) in zip(tried, self.slopes(tried), strict=True):
                 result.append(self._stack_rows(first, _compute_conductance_slope(tried, e)))
@@ -342,7 +346,7 @@ class Samples:
                 gtol=CONVERGENCE_TOLERANCE,
                 max_nfev=evaluations,
             )
-        return unpack(result.x) if np.isfinite(result.x).all() else elements
+        return unpack_elements(result.x) if np.isfinite(result.x).all() else elements
 
 
 def estimate_frequency_rounding(f: np.ndarray) -> float:
@@ -374,7 +378,7 @@ def sum_lead_resistance(elements: Elements) -> float:
     return sum(e.amplitude for e in elements if e.form == "lead resistance")
 
 
-def conductance(elements: Elements) -> float:
+def compute_dc_conductance(elements: Elements) -> float:
     """Return the conductance [S] of ``elements`` at zero frequency."""
     parallel = sum(e.conductance for e in elements)
     return parallel / (1 + sum_lead_resistance(elements) * parallel)
@@ -383,6 +387,6 @@ def conductance(elements: Elements) -> float:
 def _compute_conductance_slope(elements: Elements, element: FitElement) -> float:
     """Return the derivative of the dc conductance with respect to an element's log amplitude."""
     if element.form == "lead resistance":
-        return -(conductance(elements) ** 2) * sum_lead_resistance((element,))
+        return -(compute_dc_conductance(elements) ** 2) * sum_lead_resistance((element,))
     parallel = sum(e.conductance for e in elements)
     return element.conductance / (1 + sum_lead_resistance(elements) * parallel) ** 2

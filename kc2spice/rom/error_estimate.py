@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.rom.entries import PEAK_SHARE, Entries, get_min_divisor_share
+from kc2spice.rom.entry_scales import PEAK_SHARE, EntryScales, get_min_relative_divisor
 from kc2spice.rom.linear_model import LinearModel, Norm, Port
 from kc2spice.rom.response import (
     FLANK_DISTANCE,
@@ -22,7 +22,7 @@ from kc2spice.rom.response import (
     RESONANCE_OFFSETS,
     Response,
     drop_points_near_poles,
-    grid,
+    make_frequency_grid,
     sample_resonances,
 )
 
@@ -54,8 +54,10 @@ def choose_adaptive_frequencies(
     *pointwise*, the frequencies also include every deep notch of any entry, found by refinement.
     """
     near = 0.9 * band[0], 1.1 * band[1]
-    at, ratio = response.within(near)
-    frequency = np.union1d(grid(band, GRID_FREQUENCIES, static), sample_resonances(at, ratio))
+    at, ratio = response.select_in_band(near)
+    frequency = np.union1d(
+        make_frequency_grid(band, GRID_FREQUENCIES, static), sample_resonances(at, ratio)
+    )
     if norm == "pointwise":
         # Each distance from a pole is three times the previous distance from this pole.
         # The zero near a weak, narrow resonance lies between two distances and shows as a minimum.
@@ -69,7 +71,7 @@ def choose_adaptive_frequencies(
         return frequency
     H = response.transfer(2j * np.pi * frequency)
     for _ in range(NOTCH_ROUNDS):
-        peak = response.entries(frequency, H).peak + np.finfo(float).tiny
+        peak = response.compute_error_scales(frequency, H).peak + np.finfo(float).tiny
         lowest = _find_minima_near_zeros(H / peak).reshape(len(H) - 2, -1).min(axis=1)
         deepest = np.argsort(lowest)[: min(REFINED_NOTCHES, int(np.isfinite(lowest).sum()))]
         if not deepest.size:
@@ -137,66 +139,76 @@ class ErrorEstimator:
         return choose_adaptive_frequencies(self.exact, self.band, self.static, self.norm)
 
     @cached_property
-    def reference(self) -> tuple[np.ndarray, Entries]:
+    def exact_response_and_scales(self) -> tuple[np.ndarray, EntryScales]:
         """Response of the exact model, and the scales of its entries."""
         H = self.exact.transfer(2j * np.pi * self.frequency)
-        return H, self.exact.entries(self.frequency, H)
+        return H, self.exact.compute_error_scales(self.frequency, H)
 
     @property
-    def share(self) -> float:
+    def min_divisor_share(self) -> float:
         """Smallest value by which errors of an entry are divided, relative to the entry's peak."""
-        return get_min_divisor_share(self.norm)
+        return get_min_relative_divisor(self.norm)
 
     @cached_property
-    def _significant_entries(self) -> np.ndarray:
+    def _significant_entry_mask(self) -> np.ndarray:
         """Mask of the entries that exceed the rounding errors of their terms.
 
         The mask includes entries that are zero by symmetry, whose errors are relative to their row
         and column.
         """
         return np.asarray(
-            ~self.exact.cancelled_entries(2j * np.pi * self.frequency) | self.reference[1].zero
+            ~self.exact.mask_cancelled_entries(2j * np.pi * self.frequency)
+            | self.exact_response_and_scales[1].zero
         )
 
     @cached_property
-    def failed(self) -> dict[float, np.ndarray]:
-        """Exact response, keyed by the frequencies [Hz] of the largest errors of earlier models.
+    def responses_to_check_first(self) -> dict[float, np.ndarray]:
+        """Exact responses at frequencies where earlier models had their largest errors.
 
         The first keys of the dictionary are the frequencies of a coarse grid over the band. At the
         last keys, the next inaccurate model probably also has large errors.
         """
         sample = slice(None, None, max(1, len(self.frequency) // FIRST_FREQUENCIES))
-        return dict(zip(self.frequency[sample].tolist(), self.reference[0][sample], strict=True))
+        return dict(
+            zip(
+                self.frequency[sample].tolist(),
+                self.exact_response_and_scales[0][sample],
+                strict=True,
+            )
+        )
 
-    def sizes(self, difference: np.ndarray, H: np.ndarray) -> np.ndarray:
+    def compute_largest_errors(self, difference: np.ndarray, H: np.ndarray) -> np.ndarray:
         """Return the largest relative error of all entries at each frequency.
 
         ``difference`` is the difference between a response and the exact response H. Both arrays
         have the shape (..., outputs, inputs), and the returned array has the shape (...).
         """
-        base = self.reference[1].base(H, self.share) + np.finfo(float).tiny
+        base = (
+            self.exact_response_and_scales[1].compute_error_divisors(H, self.min_divisor_share)
+            + np.finfo(float).tiny
+        )
         return np.asarray(
-            (np.abs(difference) / base * self._significant_entries).max(axis=(-2, -1))
+            (np.abs(difference) / base * self._significant_entry_mask).max(axis=(-2, -1))
         )
 
-    def error(self, reduced: Response, limit: float = np.inf) -> float:
+    def estimate_model_error(self, reduced: Response, limit: float = np.inf) -> float:
         """Estimate the largest relative error of a reduced model over the band.
 
         The error is computed at the frequencies ``frequency``, and then around the largest errors.
-        The search ends at the first error above ``limit``. See :func:`relative_error`.
+        The search ends at the first error above ``limit``. See :func:`compute_relative_error`.
         """
-        for last, H in reversed(self.failed.items()):
+        for last, H in reversed(self.responses_to_check_first.items()):
             try:  # direct solutions, because a transformation takes less time only for many points
                 ours = reduced.pencil.transfer(np.array([2j * np.pi * last]))[0]
-                worst = float(self.sizes(ours - H, H))
+                worst = float(self.compute_largest_errors(ours - H, H))
             except SimulationError:
                 worst = np.inf
             if not worst <= limit:
-                self.failed[last] = self.failed.pop(last)
+                self.responses_to_check_first[last] = self.responses_to_check_first.pop(last)
                 return worst
-        at, ratio = self.exact.within((0.9 * self.band[0], 1.1 * self.band[1]))
-        points, H = self.frequency, self.reference[0]
-        error = self.sizes(reduced.transfer(2j * np.pi * points) - H, H)
+        at, ratio = self.exact.select_in_band((0.9 * self.band[0], 1.1 * self.band[1]))
+        points, H = self.frequency, self.exact_response_and_scales[0]
+        error = self.compute_largest_errors(reduced.transfer(2j * np.pi * points) - H, H)
         for _ in range(PEAK_ROUNDS):
             inner = np.r_[True, error[1:] >= error[:-1]] & np.r_[error[:-1] >= error[1:], True]
             top = np.argsort(np.where(inner, error, -1.0))[-REFINED_PEAKS:]
@@ -205,13 +217,17 @@ class ErrorEstimator:
             if not new.size:
                 break
             H = self.exact.transfer(2j * np.pi * new)
-            error = np.r_[error, self.sizes(reduced.transfer(2j * np.pi * new) - H, H)]
+            error = np.r_[
+                error, self.compute_largest_errors(reduced.transfer(2j * np.pi * new) - H, H)
+            ]
             points = np.r_[points, new]
             order = np.argsort(points)
             points, error = points[order], error[order]
         if not (worst := float(error.max())) <= limit:
             last = float(points[int(np.nan_to_num(error, nan=np.inf).argmax())])
-            self.failed[last] = self.exact.transfer(np.array([2j * np.pi * last]))[0]
+            self.responses_to_check_first[last] = self.exact.transfer(
+                np.array([2j * np.pi * last])
+            )[0]
         return worst
 
 
@@ -226,7 +242,7 @@ def estimate_errors_above_band(
     """
     columns = [port for port in ports if port.kind != "output"]
     rows = [port for port in ports if port.kind != "input"]
-    moved = [port for port in ports if port.moving]
+    moved = [port for port in ports if port.has_position]
     if not moved:
         return ()
     points = drop_points_near_poles(MULTIPLES_ABOVE_BAND * band[1], *exact.resonances)
@@ -236,33 +252,34 @@ def estimate_errors_above_band(
     return tuple(zip(points.tolist(), size.max(axis=1).tolist(), strict=True))
 
 
-def relative_error(response: np.ndarray, reference: np.ndarray) -> float:
+def compute_relative_error(response: np.ndarray, reference: np.ndarray) -> float:
     """Return the largest relative error of all entries at all frequencies.
 
     The error of an entry is divided by the magnitude of the entry, but at least by ``PEAK_SHARE``
-    times the entry's peak. :class:`kc2spice.rom.entries.Entries` describes entries that are zero.
+    times the entry's peak. :class:`kc2spice.rom.entry_scales.EntryScales` describes entries that
+    are zero.
 
     Both arrays have the shape (frequencies, outputs, inputs). Arrays of shape (frequencies,) or
     (frequencies, entries) contain entries that are independent of each other.
     """
     difference = response - reference
     if reference.ndim == 3:
-        return float(relative_size(difference, reference).max(initial=0.0))
+        return float(compute_relative_errors(difference, reference).max(initial=0.0))
     pairs = zip(*(x.reshape(len(x), -1).T for x in (difference, reference)), strict=True)
-    sizes = (relative_size(d[:, None, None], r[:, None, None]) for d, r in pairs)
+    sizes = (compute_relative_errors(d[:, None, None], r[:, None, None]) for d, r in pairs)
     return max((float(size.max(initial=0.0)) for size in sizes), default=0.0)
 
 
-def relative_size(
-    difference: np.ndarray, reference: np.ndarray, entries: Entries | None = None
+def compute_relative_errors(
+    difference: np.ndarray, reference: np.ndarray, entries: EntryScales | None = None
 ) -> np.ndarray:
     """Return relative errors (..., outputs, inputs) for a difference from a reference response.
 
     By default, the scales ``entries`` are computed from the reference. See
-    :meth:`kc2spice.rom.entries.Entries.relative_errors`.
+    :meth:`kc2spice.rom.entry_scales.EntryScales.relative_errors`.
     """
-    entries = entries or Entries.of(reference)
-    return entries.relative_errors(difference, reference)
+    entries = entries or EntryScales.from_response(reference)
+    return entries.compute_relative_errors(difference, reference)
 
 
 def make_inaccuracy_error(message: str, got: str, limit: float, hint: str) -> SimulationError:

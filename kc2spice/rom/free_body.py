@@ -16,8 +16,8 @@ import scipy
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.linalg.factor import Factor, factorise
-from kc2spice.rom.definite import has_definite_form
-from kc2spice.rom.pencil import Pencil, Schur, absolute_entries
+from kc2spice.rom.definiteness import has_definite_form
+from kc2spice.rom.pencil import Pencil, SchurComplement, compute_absolute_entries
 from kc2spice.rom.rigid_body import estimate_energy_rounding, split_driven_modes
 from kc2spice.rom.rounding import ZERO_ENTRY_FACTOR
 
@@ -62,7 +62,7 @@ class FreeBody:
         x = self.factor.solve(balanced)
         return np.asarray(x - self.modes @ (self.momenta.T @ x))
 
-    def stiffness(self, x: np.ndarray) -> np.ndarray:
+    def apply_shifted_stiffness(self, x: np.ndarray) -> np.ndarray:
         """Return ``(K + shift M) x``; Krylov bases are orthonormal in ``K + shift M``."""
         K, _, M = self.pencil.coefficients
         return np.asarray(K @ x + self.shift * (M @ x))
@@ -81,14 +81,16 @@ class FreeBody:
         omitted. Return the corrected model, and a matrix whose columns express its unknowns in the
         unknowns of ``projected``.
         """
-        rounding = tuple(self._bound_rounding(forces, V) for forces in self._forces)
+        rounding = tuple(self._bound_rounding(forces, V) for forces in self._absolute_forces)
         result = split_driven_modes(projected, self.modes.shape[1], rounding)
         return result.pencil, result.columns
 
     @cached_property
-    def _forces(self) -> tuple[np.ndarray, ...]:
-        """For each matrix P, the absolute forces ``|P| |V|`` (n, r) of :attr:`vectors` V."""
-        return tuple(absolute_entries(P) @ np.abs(self.vectors) for P in self.pencil.coefficients)
+    def _absolute_forces(self) -> tuple[np.ndarray, ...]:
+        """Absolute forces ``|P| |V|`` (n, r) of the vectors V for each matrix P."""
+        return tuple(
+            compute_absolute_entries(P) @ np.abs(self.vectors) for P in self.pencil.coefficients
+        )
 
     def _bound_rounding(self, forces: np.ndarray, V: np.ndarray) -> np.ndarray:
         """Return bounds (k, k) of the rounding errors of a projected matrix.
@@ -116,13 +118,13 @@ def find_free_body(pencil: Pencil, omega: float) -> FreeBody | None:
     if shift > MAX_SHIFT_RATIO * omega**2:
         return None
     K, _, M = pencil.coefficients
-    elastic = K.uu if isinstance(K, Schur) else K
+    elastic = K.uu if isinstance(K, SchurComplement) else K
     try:
         factor = factorise(scipy.sparse.csc_array(elastic + shift * M), definite=True)
         modes = _find_rigid_body_modes(pencil, factor, shift)
         if not modes.shape[1]:
             return None
-        if isinstance(K, Schur):
+        if isinstance(K, SchurComplement):
             factor = pencil.factorise_shifted_stiffness(-shift)
     except (SimulationError, np.linalg.LinAlgError):
         return None
@@ -132,7 +134,7 @@ def find_free_body(pencil: Pencil, omega: float) -> FreeBody | None:
 def _choose_shift(pencil: Pencil, omega: float) -> float:
     """Choose a shift [rad^2/s^2] well above the rounding errors of the stiffness."""
     K, _, M = pencil.coefficients
-    stiff = (K.uu if isinstance(K, Schur) else K).diagonal()
+    stiff = (K.uu if isinstance(K, SchurComplement) else K).diagonal()
     mass = M.diagonal()
     heavy = mass > 0
     highest = float((np.abs(stiff[heavy]) / mass[heavy]).max(initial=0.0))
@@ -168,8 +170,10 @@ def _bound_elastic_energy(pencil: Pencil, V: np.ndarray) -> np.ndarray:
     """Return bounds (k, k) of the error in ``V'K V`` that rounding errors of K cause."""
     K = pencil.coefficients[0]
     bound = (
-        ZERO_ENTRY_FACTOR * np.finfo(float).eps * (np.abs(V).T @ (absolute_entries(K) @ np.abs(V)))
+        ZERO_ENTRY_FACTOR
+        * np.finfo(float).eps
+        * (np.abs(V).T @ (compute_absolute_entries(K) @ np.abs(V)))
     )
-    if not isinstance(K, Schur):
+    if not isinstance(K, SchurComplement):
         bound = np.minimum(bound, MAX_RIGID_ENERGY * estimate_energy_rounding(K, V))
     return np.asarray(bound)

@@ -52,7 +52,7 @@ class FosterNetwork(EqualByContent):
     Examples
     --------
     >>> network = FosterNetwork(np.array([1.0, 3.0]), np.array([0.1, 2.0]))
-    >>> network.step_response(np.array([0.0, 100.0]))
+    >>> network.compute_step_response(np.array([0.0, 100.0]))
     array([0., 4.])
     """
 
@@ -61,13 +61,13 @@ class FosterNetwork(EqualByContent):
     direct: float = 0.0
 
     @property
-    def total(self) -> float:
+    def total_resistance(self) -> float:
         """Thermal resistance [K/W] in the steady state."""
         return self.direct + float(self.resistance.sum())
 
-    def step_response(self, time: np.ndarray) -> np.ndarray:
+    def compute_step_response(self, time: np.ndarray) -> np.ndarray:
         """Return the temperature rise (m,) [K] at ``time`` (m,) [s] for a step of 1 W at 0 s."""
-        rise = step_basis(time, self.time_constant) @ self.resistance
+        rise = compute_step_basis(time, self.time_constant) @ self.resistance
         return np.asarray(self.direct * (time >= 0) + rise)
 
     def linear(self, port: Port) -> LinearModel:
@@ -80,7 +80,7 @@ class FosterNetwork(EqualByContent):
             ports=(port,),
         )
 
-    def ladder(self) -> HeatLadder:
+    def convert_to_ladder(self) -> HeatLadder:
         """Convert the network to Cauer's form by the continued fraction of its impedance."""
         resistance, times = self._merge_equal_times()
         capacities, resistances = list[float](), list[float]()
@@ -127,7 +127,7 @@ class HeatLadder(EqualByContent):
         )
 
 
-def step_basis(time: np.ndarray, time_constant: np.ndarray) -> np.ndarray:
+def compute_step_basis(time: np.ndarray, time_constant: np.ndarray) -> np.ndarray:
     """Return the unit step responses ``1 - exp(-t / t_k)``, an array of shape (times, modes).
 
     At negative times, the step responses are zero.
@@ -140,7 +140,7 @@ def find_heat_ladder(model: LinearModel) -> HeatLadder | None:
     one = len(model.ports) == 1 and model.ports[0].domain is THERMAL
     if not one or not model.symmetric or (model.B != 1).any():
         return None
-    K, E = model.pencil.dense().coefficients[:2]
+    K, E = model.pencil.make_dense().coefficients[:2]
     conductance, content = np.diag(K), np.diag(E)
     number = np.arange(len(content))
     if (np.diag(conductance) != K).any() or (content[np.minimum.outer(number, number)] != E).any():
@@ -164,13 +164,16 @@ def parse_network_form(form: str | None, where: str) -> NetworkForm | None:
         if form.lower() == known:
             return known
     raise UsageError(
-        "no such form of a network", where=where, got=form, expected=" or ".join(NETWORK_FORMS)
+        "this form of a network does not exist",
+        where=where,
+        got=form,
+        expected=" or ".join(NETWORK_FORMS),
     )
 
 
 def make_network_model(network: FosterNetwork, form: NetworkForm, port: Port) -> LinearModel:
     """Return the model of a network in Foster's or Cauer's form."""
-    return network.ladder().linear(port) if form == "cauer" else network.linear(port)
+    return network.convert_to_ladder().linear(port) if form == "cauer" else network.linear(port)
 
 
 def _add_modes(
@@ -182,13 +185,13 @@ def _add_modes(
     """
     above, below = list[Decimal](), [Decimal(1)]
     for R, t in zip(resistance, times, strict=True):
-        above = _add_polynomials(_multiply_by_pole(above, t), [R * x for x in below])
-        below = _multiply_by_pole(below, t)
+        above = _add_polynomials(_multiply_by_time_constant(above, t), [R * x for x in below])
+        below = _multiply_by_time_constant(below, t)
     return above, below
 
 
-def _multiply_by_pole(polynomial: list[Decimal], t: Decimal) -> list[Decimal]:
-    """Return a polynomial times ``1 + s t``."""
+def _multiply_by_time_constant(polynomial: list[Decimal], t: Decimal) -> list[Decimal]:
+    """Return the product of a polynomial and ``1 + s t``."""
     if not polynomial:
         return []
     inner = [high + t * low for low, high in pairwise(polynomial)]

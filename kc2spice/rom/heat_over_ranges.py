@@ -1,4 +1,7 @@
-"""Reduced heat model over ranges of parameters; :mod:`kc2spice.rom.heat_ranges` computes it."""
+"""Reduced heat models whose matrices depend on netlist parameters.
+
+:mod:`kc2spice.rom.heat_range_reduction` computes them.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +12,13 @@ import numpy as np
 
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.matrix_terms import MatrixTerms
-from kc2spice.rom.parametric import ParameterAxis, Values, polynomials, require_within
-from kc2spice.rom.ranges import ModelOverRanges
+from kc2spice.rom.parametric_models import (
+    ParameterAxis,
+    Values,
+    evaluate_polynomials,
+    require_values_in_ranges,
+)
+from kc2spice.rom.range_reduction import ModelOverRanges
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -34,16 +42,16 @@ class HeatOverRanges(ModelOverRanges):
 
     @property
     def parameter_axes(self) -> dict[str, ParameterAxis]:
-        """Range of each parameter, keyed by name."""
+        """Axis of each parameter, with its range, keyed by the name of the parameter."""
         return {axis.name: axis for axis in self.terms.axes}
 
-    def at(self, values: Values) -> LinearModel:
+    def evaluate(self, values: Values) -> LinearModel:
         """Return the model for values of all parameters."""
-        require_within(self.terms.axes, values)
-        x = np.array([[axis.coordinate(values[axis.name]) for axis in self.terms.axes]])
-        products = polynomials(x, self.exponents)[0]
+        require_values_in_ranges(self.terms.axes, values)
+        x = np.array([[axis.compute_coordinate(values[axis.name]) for axis in self.terms.axes]])
+        products = evaluate_polynomials(x, self.exponents)[0]
         return LinearModel(
-            **self.terms.at(values),
+            **self.terms.evaluate_matrices(values),
             B=self.B,
             ports=self.ports,
             certificate=self.certificate,

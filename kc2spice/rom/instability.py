@@ -23,7 +23,7 @@ from scipy.sparse.linalg import ArpackError, ArpackNoConvergence, LinearOperator
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.linalg.factor import require_memory_for_factors
-from kc2spice.rom.pencil import Matrix, Pencil, Schur, absolute_entries
+from kc2spice.rom.pencil import Matrix, Pencil, SchurComplement, compute_absolute_entries
 from kc2spice.rom.stability import is_dissipative, is_semidefinite
 
 # number of poles, vectors and restarts of the Arnoldi method
@@ -61,17 +61,17 @@ def explain_instability(pencil: Pencil, band: tuple[float, float] | None) -> str
     >>> explain_instability(Pencil((K, zero, one), B, B.T, np.zeros((1, 1))), (0.0, 1.0))
     'a motion whose stiffness is negative'
     """
-    if any(isinstance(P, Schur) for P in pencil.coefficients):
+    if any(isinstance(P, SchurComplement) for P in pencil.coefficients):
         return None
-    if pencil.degree == 2 and pencil.symmetric:
+    if pencil.degree == 2 and pencil.is_symmetric:
         if (pencil.coefficients[2].diagonal() <= 0).any():
             # models with potentials or multipliers are indefinite, even if they are stable
             return None
         if _has_negative_stiffness(pencil):
             return "a motion whose stiffness is negative"
-        if pencil.undamped or (pencil.rayleigh is not None and min(pencil.rayleigh) >= 0):
+        if pencil.is_undamped or (pencil.rayleigh is not None and min(pencil.rayleigh) >= 0):
             return None  # K is positive semi-definite, so no pole grows
-    require_memory_for_factors(pencil.bordered(1.0, 1.0, 1.0))
+    require_memory_for_factors(pencil.assemble_bordered_matrix(1.0, 1.0, 1.0))
     if is_dissipative(pencil):
         return None
     rates = [2 * np.pi * band[1]] if band else []
@@ -95,7 +95,7 @@ def _has_negative_stiffness(pencil: Pencil) -> bool:
     noise = (
         ZERO_ENERGY_FACTOR
         * np.finfo(float).eps
-        * float(np.abs(x) @ (absolute_entries(K) @ np.abs(x)))
+        * float(np.abs(x) @ (compute_absolute_entries(K) @ np.abs(x)))
     )
     return bool(x @ (K @ x) < -noise) and is_semidefinite(M)
 
@@ -134,18 +134,18 @@ def _find_growing_poles(pencil: Pencil, rate: float) -> np.ndarray:
 
     A pole is returned only if its eigenvector has a small residual.
     """
-    solve = pencil.solver(rate)[0].solve
+    solve = pencil.factorise_polynomial(rate)[0].solve
     n, degree = pencil.size, pencil.degree
     inertia, *loss = pencil.coefficients[:0:-1]
 
-    def cayley(z: np.ndarray) -> np.ndarray:
+    def apply_cayley_transform(z: np.ndarray) -> np.ndarray:
         """Return ``z + 2 c (A - c E)^-1 E z``, where z contains x, or x and x'."""
         if degree == 1:
             return np.asarray(z - 2 * rate * solve(inertia @ z))
         x = -solve(inertia @ (z[n:] + rate * z[:n]) + loss[0] @ z[:n])
         return np.asarray(z + 2 * rate * np.r_[x, z[:n] + rate * x])
 
-    operator = LinearOperator((degree * n,) * 2, matvec=cayley, dtype=float)
+    operator = LinearOperator((degree * n,) * 2, matvec=apply_cayley_transform, dtype=float)
     start = np.random.default_rng(0).standard_normal(degree * n)
     options = {"ncv": KRYLOV_VECTORS, "maxiter": MAX_RESTARTS, "tol": MAX_RESIDUAL, "v0": start}
     try:

@@ -1,6 +1,6 @@
 """Division of heat models into ports with prescribed temperatures and all other unknowns.
 
-:mod:`kc2spice.rom.interface_modes` contains the equations. The division is exact.
+:mod:`kc2spice.rom.interface_reduction` contains the equations. The division is exact.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class PrescribedTemperatures:
         1 K.
     stored : (at, at) [J/K] heat that the body stores in the static state for prescribed
         temperatures of 1 K.
-    inner : model of x (:mod:`kc2spice.rom.interface_modes`); its ports are q, followed by T_i'.
+    inner : model of x (:mod:`kc2spice.rom.interface_reduction`); its ports are q, followed by T_i'.
     """
 
     at: np.ndarray
@@ -53,7 +53,7 @@ class PrescribedTemperatures:
     inner: LinearModel
 
 
-def split_prescribed(model: LinearModel, prescribed: Sequence[str]) -> PrescribedTemperatures:
+def split_prescribed_ports(model: LinearModel, prescribed: Sequence[str]) -> PrescribedTemperatures:
     """Divide a heat model into the ports ``prescribed`` and all other unknowns."""
     K, E = map(sparse.csc_array, model.pencil.coefficients)
     names = list_names(model.ports)
@@ -81,7 +81,7 @@ def split_prescribed(model: LinearModel, prescribed: Sequence[str]) -> Prescribe
     )
 
 
-def select_live_ports(model: LinearModel) -> LinearModel:
+def remove_inactive_ports(model: LinearModel) -> LinearModel:
     """Return the model without the ports whose column of B is zero."""
     live = np.flatnonzero(np.abs(model.B).max(axis=0) > 0)
     return model.select([model.ports[k].name for k in live])
@@ -89,7 +89,7 @@ def select_live_ports(model: LinearModel) -> LinearModel:
 
 def transform_to_modal_coordinates(model: LinearModel) -> tuple[LinearModel, np.ndarray]:
     """Return a heat model in modal coordinates, in which K is the unit matrix, and its modes."""
-    K, E = model.pencil.dense().coefficients
+    K, E = model.pencil.make_dense().coefficients
     times, shapes = scipy.linalg.eigh(get_symmetric_part(E), get_symmetric_part(K))
     modal = LinearModel(
         E=np.diag(np.maximum(times, 0.0)),

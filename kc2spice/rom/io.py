@@ -38,7 +38,7 @@ _SYMMETRIES = ("general", "symmetric", "skew-symmetric")
 _FORTRAN_TRANSLATION = bytes.maketrans(b"Dd,", b"EE ")
 
 
-def read_market(data: bytes, allowed: Callable[[tuple[int, int], int], None]) -> Matrix:
+def parse_matrix_market(data: bytes, allowed: Callable[[tuple[int, int], int], None]) -> Matrix:
     """Return the matrix that the content of a Matrix Market file describes.
 
     The matrix is in CSC format for the layout 'coordinate', and dense for 'array'. Before memory is
@@ -56,16 +56,16 @@ def read_market(data: bytes, allowed: Callable[[tuple[int, int], int], None]) ->
         raise ValueError("the first line is not the header of a Matrix Market file")
     form, field, symmetry = banner[2:]
     if form not in _MARKET_LAYOUTS or symmetry not in _SYMMETRIES:
-        raise ValueError(f"'{form} {symmetry}' is not supported")
+        raise ValueError(f"a matrix of type '{form} {symmetry}' is not supported")
     if field not in _MARKET_FIELDS:
         raise ValueError(f"a matrix of type '{field}' is not supported")
-    sizes, start = _read_sizes(data, end + 1)
+    sizes, start = _read_matrix_size(data, end + 1)
     if len(sizes) != (3 if form == "coordinate" else 2) or min(sizes) < 0:
         raise ValueError("the line with the matrix size is damaged")
     rows, columns = sizes[:2]
     if symmetry != "general" and rows != columns:
-        raise ValueError(f"{symmetry}, but {rows} x {columns}")
-    entries = sizes[2] if form == "coordinate" else _count_entries(rows, columns, symmetry)
+        raise ValueError(f"the {symmetry} matrix is not square: {rows} x {columns}")
+    entries = sizes[2] if form == "coordinate" else _count_stored_entries(rows, columns, symmetry)
     allowed((rows, columns), entries)
     width = _MARKET_FIELDS[field] + (2 if form == "coordinate" else 0)
     count = width * entries
@@ -75,7 +75,9 @@ def read_market(data: bytes, allowed: Callable[[tuple[int, int], int], None]) ->
         )
     values = parse_numbers(data[start:])
     if values.size != count:
-        raise ValueError(f"{values.size} numbers instead of {count}; the file may be truncated")
+        raise ValueError(
+            f"the file contains {values.size} numbers, not {count}; the file may be truncated"
+        )
     table = values.reshape(-1, width)
     value = table[:, -1] if field != "complex" else table[:, -2] + 1j * table[:, -1]
     if form == "array":
@@ -83,8 +85,8 @@ def read_market(data: bytes, allowed: Callable[[tuple[int, int], int], None]) ->
     return _read_coordinates(rows, columns, symmetry, table, value)
 
 
-def _read_sizes(data: bytes, start: int) -> tuple[list[int], int]:
-    """Return the sizes in the line after the comments, and the position of the next line."""
+def _read_matrix_size(data: bytes, start: int) -> tuple[list[int], int]:
+    """Read the line with the matrix size, and return the position of the next line."""
     while start < len(data):
         end = data.find(b"\n", start)
         end = len(data) if end < 0 else end
@@ -95,7 +97,7 @@ def _read_sizes(data: bytes, start: int) -> tuple[list[int], int]:
     raise ValueError("the line with the matrix size is missing")
 
 
-def _count_entries(rows: int, columns: int, symmetry: str) -> int:
+def _count_stored_entries(rows: int, columns: int, symmetry: str) -> int:
     """Return the number of entries that an 'array' file of this size and symmetry contains."""
     if symmetry == "general":
         return rows * columns
@@ -112,7 +114,7 @@ def _read_coordinates(
         return matrix
     skew = symmetry != "symmetric"
     if (row < column).any() or (skew and (row == column).any()):
-        raise ValueError(f"{symmetry}, but an entry is not in the lower triangle")
+        raise ValueError(f"an entry of the {symmetry} matrix is not in the lower triangle")
     return complete_triangle(matrix, -1 if skew else 1)
 
 
@@ -182,7 +184,7 @@ def write_rom(model: LinearModel, directory: Path, name: str) -> list[str]:
     contains ports, certificate and error estimates of the mesh, for other programs that read the
     Matrix Market files. Return the file names, the ``.npz`` file first.
     """
-    letters = _matrix_letters(model.first_order)
+    letters = _list_matrix_letters(model.first_order)
     matrices = {letter: getattr(model, letter) for letter in letters}
     content = {
         "ports": list(map(asdict, model.ports)),
@@ -237,17 +239,21 @@ def read_rom(path: Path | str) -> LinearModel:
 
 
 def _read_rom_arrays(path: Path) -> tuple[dict[str, np.ndarray], str]:
+    """Read the matrix files and the record of a reduced model."""
     base = path.with_suffix("")
     record = Path(f"{base}.json")
     matrices = {}
     for letter in "MEKABCD":
         file = Path(f"{base}.{letter}")
         if file.is_file():
-            matrices[letter] = read_market(read_bounded(file, MAX_FILE_BYTES), _require_limits)
+            matrices[letter] = parse_matrix_market(
+                read_bounded(file, MAX_FILE_BYTES), _require_loadable_size
+            )
     return matrices, decode_text(read_bounded(record, MAX_FILE_BYTES))
 
 
-def _require_limits(shape: tuple[int, int], entries: int) -> None:
+def _require_loadable_size(shape: tuple[int, int], entries: int) -> None:
+    """Reject a matrix with more than :data:`MAX_ENTRIES` entries."""
     if max(shape[0] * shape[1], entries) > MAX_ENTRIES:
         raise ValueError(
             f"a matrix of {shape[0]} x {shape[1]} with {entries} entries exceeds the limit of "
@@ -367,7 +373,7 @@ def _build_model(matrices: dict[str, Any], record: dict[str, Any]) -> LinearMode
     from pydantic import TypeAdapter  # imported here, because most commands read no reduced model
 
     ports, certificate = parse_ports(record["ports"]), parse_certificate(record["certificate"])
-    letters = _matrix_letters("A" in matrices)
+    letters = _list_matrix_letters("A" in matrices)
     arrays: dict[str, Any] = {letter: np.asarray(matrices[letter]) for letter in letters}
     if any(array.dtype.kind != "f" for array in arrays.values()):
         raise ValueError("a matrix contains values that are not real numbers")
@@ -379,5 +385,6 @@ def _build_model(matrices: dict[str, Any], record: dict[str, Any]) -> LinearMode
     return LinearModel(ports=ports, certificate=certificate, facts=facts, **arrays)
 
 
-def _matrix_letters(first_order: bool) -> str:
+def _list_matrix_letters(first_order: bool) -> str:
+    """Return the letters of the matrices in the order in which a file contains them."""
     return "EABCD" if first_order else "MEKBCD"

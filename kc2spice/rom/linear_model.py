@@ -19,9 +19,16 @@ from kc2spice.core.domains import ELECTRICAL, PORTS, THERMAL, Domain
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.extras import import_optional
 from kc2spice.core.toml_text import clip_text
-from kc2spice.rom.pencil import Matrix, Pencil, Schur, is_symmetric, largest_entry, to_dense
+from kc2spice.rom.pencil import (
+    Matrix,
+    Pencil,
+    SchurComplement,
+    find_largest_entry,
+    is_symmetric,
+    to_dense,
+)
 from kc2spice.rom.stability import is_semidefinite
-from kc2spice.rom.state_space import ABCD, state_space
+from kc2spice.rom.state_space import ABCD, convert_to_state_space
 
 if TYPE_CHECKING:
     from scipy.signal import StateSpace
@@ -80,7 +87,7 @@ class Port:
         return self.domain is not None
 
     @property
-    def paired(self) -> bool:
+    def is_paired(self) -> bool:
         """Whether the port is a pair of pins without a common reference."""
         return self.domain is not None and not self.domain.reference
 
@@ -90,12 +97,12 @@ class Port:
         return self.domain is ELECTRICAL
 
     @property
-    def charged(self) -> bool:
+    def has_charge_output(self) -> bool:
         """Whether the output is the integral of the flow through the pin, such as a charge."""
         return self.domain is not None and self.domain.has_charge_output
 
     @property
-    def loaded(self) -> bool:
+    def is_flow_driven(self) -> bool:
         """Whether the input is a through quantity, such as a force.
 
         The output is then an across quantity.
@@ -103,7 +110,7 @@ class Port:
         return self.domain is not None and self.domain.input_side == "through"
 
     @property
-    def moving(self) -> bool:
+    def has_position(self) -> bool:
         """Whether the input is a force or a torque, and the output a position."""
         return self.domain is not None and self.domain.has_position
 
@@ -112,7 +119,7 @@ class Port:
         """Names of the netlist pins."""
         if self.pins:
             return self.pins
-        return (self.name, f"{self.name}_ret") if self.paired else (self.name,)
+        return (self.name, f"{self.name}_ret") if self.is_paired else (self.name,)
 
 
 @dataclass(frozen=True)
@@ -167,8 +174,8 @@ class LinearModel:
     missing ``C`` is ``B'``, and a missing ``D`` is zero. A missing ``E`` is zero in a second-order
     model, and the unit matrix in a first-order model. ``rayleigh = (alpha, beta)`` replaces ``E``
     by ``alpha M + beta K``. ``K`` (or ``A``) may be a Schur complement
-    (:class:`kc2spice.rom.pencil.Schur`), which eliminates massless unknowns exactly without a dense
-    matrix; see :func:`make_piezoelectric_model`.
+    (:class:`kc2spice.rom.pencil.SchurComplement`), which eliminates massless unknowns exactly
+    without a dense matrix; see :func:`make_piezoelectric_model`.
 
     ``ports`` lists conservative ports and signals in the order of the columns of B. The rows of C
     follow the same order (an input has no row, an output no column). By default, the ports are
@@ -221,8 +228,7 @@ class LinearModel:
                 "the model lacks matrices",
                 where=self.name,
                 got=got,
-                expected="M, K, B and as needed E, C, D; E, K, B and as needed C, D; or A, B "
-                "and as needed C, D, E",
+                expected="M, K and B; or E, K and B; or A and B; other matrices are optional",
                 hint="add M=MASS_MATRIX, or write A=MATRIX for first-order equations",
             )
         for letter in "MEKA":
@@ -301,7 +307,7 @@ class LinearModel:
     @property
     def symmetric(self) -> bool:
         """Whether every matrix equals its transpose, and ``C = B'``."""
-        return self.pencil.symmetric and self.pencil.collocated
+        return self.pencil.is_symmetric and self.pencil.is_collocated
 
     def transfer(self, frequency: np.ndarray) -> np.ndarray:
         """Compute the complex frequency response ``H(j 2 pi f)`` in SI units.
@@ -331,12 +337,14 @@ class LinearModel:
         pencil = self.pencil
         if self.structural:
             K, E, M = pencil.coefficients
-            if self.loss is not None and isinstance(K, Schur):
-                K = Schur(K.uu + 1j * self.loss, K.up, K.pu, K.pp)
+            if self.loss is not None and isinstance(K, SchurComplement):
+                K = SchurComplement(K.uu + 1j * self.loss, K.up, K.pu, K.pp)
             elif self.loss is not None:
                 K = K + 1j * self.loss
-            elif isinstance(K, Schur):
-                K = Schur(*((1 + 1j * self.loss_factor) * P for P in (K.uu, K.up, K.pu, K.pp)))
+            elif isinstance(K, SchurComplement):
+                K = SchurComplement(
+                    *((1 + 1j * self.loss_factor) * P for P in (K.uu, K.up, K.pu, K.pp))
+                )
             else:
                 K = (1 + 1j * self.loss_factor) * K
             pencil = replace(pencil, coefficients=(K, E, M), rayleigh=None)
@@ -405,7 +413,7 @@ class LinearModel:
         if self.structural:
             raise self._make_no_state_space_error()
         known = self.certificate
-        return state_space(self.pencil, known.band_hz[1] if known else None)
+        return convert_to_state_space(self.pencil, known.band_hz[1] if known else None)
 
     def _make_no_state_space_error(self) -> UsageError:
         return UsageError(
@@ -532,10 +540,12 @@ def make_piezoelectric_model(
     K, b = K_uu, -k_uV
     if K_pp is not None and K_pp.shape[0]:
         K_up, K_pp = scipy.sparse.csc_array(K_up), scipy.sparse.csc_array(K_pp)
-        K = Schur(scipy.sparse.csc_array(K_uu), K_up, scipy.sparse.csc_array(K_up.T), -K_pp)
+        K = SchurComplement(
+            scipy.sparse.csc_array(K_uu), K_up, scipy.sparse.csc_array(K_up.T), -K_pp
+        )
         k_pV = np.zeros((K_pp.shape[0], electrodes)) if k_pV is None else np.asarray(k_pV)
         k_pV = k_pV.reshape(K_pp.shape[0], -1)
-        lift = -K.inner.solve(k_pV)
+        lift = -K.inner_factor.solve(k_pV)
         b = b + K_up @ lift
         C0 = C0 - k_pV.T @ lift
     is_electrode = np.array([p.electrical for p in ports])
@@ -569,8 +579,8 @@ def make_linear_model(pencil: Pencil, ports: Sequence[Port], **labels: Any) -> L
 
 def negate(matrix: Matrix) -> Matrix:
     """Return ``-matrix`` for a matrix or a Schur complement."""
-    if isinstance(matrix, Schur):
-        return Schur(-matrix.uu, -matrix.up, -matrix.pu, -matrix.pp)
+    if isinstance(matrix, SchurComplement):
+        return SchurComplement(-matrix.uu, -matrix.up, -matrix.pu, -matrix.pp)
     return -matrix
 
 
@@ -582,7 +592,7 @@ LOSS_FACTOR_TOLERANCE = 1e-9
 def _set_structural_damping(model: LinearModel) -> None:
     """Split a complex K of a model into its real part and its loss matrix, and check the loss."""
     put, K, where = object.__setattr__, model.K, model.name
-    if K is not None and not isinstance(K, Schur) and np.iscomplexobj(K):
+    if K is not None and not isinstance(K, SchurComplement) and np.iscomplexobj(K):
         if model.structural:
             expected = "a complex K, or loss_factor"
             raise UsageError("structural damping is defined twice", where=where, expected=expected)
@@ -601,7 +611,12 @@ def _set_structural_damping(model: LinearModel) -> None:
         put(model, "loss", loss)
     put(model, "loss_factor", eta)
     if model.structural and model.M is None:
-        raise UsageError("structural damping applies only to second-order models", where=where)
+        raise UsageError(
+            "structural damping applies only to second-order models",
+            where=where,
+            got="a first-order model",
+            expected="a model with M and K",
+        )
 
 
 def _extract_loss(K: Matrix, loss: Matrix, where: str) -> tuple[Matrix, float]:
@@ -612,7 +627,7 @@ def _extract_loss(K: Matrix, loss: Matrix, where: str) -> tuple[Matrix, float]:
     """
     if K is None or K.shape != loss.shape:
         raise _make_structural_loss_error(where, "a loss matrix whose size differs from K")
-    if isinstance(K, Schur):  # the potentials have no loss
+    if isinstance(K, SchurComplement):  # the potentials have no loss
         if not is_symmetric(loss) or not is_semidefinite(loss):
             raise _make_structural_loss_error(where, _INDEFINITE_LOSS_TEXT)
         return scipy.sparse.csc_array(loss), 0.0
@@ -620,22 +635,22 @@ def _extract_loss(K: Matrix, loss: Matrix, where: str) -> tuple[Matrix, float]:
         loss = to_dense(loss)
     else:
         K, loss = map(scipy.sparse.csc_array, (K, loss))
-    scale = largest_entry(K)
+    scale = find_largest_entry(K)
     if not scale:
         raise _make_structural_loss_error(where, "an imaginary part without a real part")
     square, product = (float((P * (K / scale)).sum()) for P in (K, loss))
     eta = product / square
-    if eta >= 0 and largest_entry(loss - eta * K) <= LOSS_FACTOR_TOLERANCE * scale:
+    if eta >= 0 and find_largest_entry(loss - eta * K) <= LOSS_FACTOR_TOLERANCE * scale:
         return None, eta
     if not is_symmetric(loss) or not is_semidefinite(loss):
         raise _make_structural_loss_error(where, _INDEFINITE_LOSS_TEXT)
     return loss, 0.0
 
 
-def _make_structural_loss_error(where: str, got: str, what: str = "matrix K") -> UsageError:
+def _make_structural_loss_error(where: str, got: str, argument: str = "matrix K") -> UsageError:
     """Make the error for invalid structural damping."""
     return UsageError(
-        f"{what} is not a valid structural damping",
+        f"{argument} is not a valid structural damping",
         where=where,
         got=got,
         expected="K (1 + j eta), eta >= 0, or K + j H, H symmetric and positive semi-definite",
@@ -663,7 +678,7 @@ def _reject_ambiguous_outputs(C: np.ndarray | None, B: np.ndarray, n: int, where
 
 def stores_one_triangle(matrix: Matrix) -> bool:
     """Return whether only one triangle of a matrix has entries outside of the diagonal."""
-    if isinstance(matrix, Schur) or matrix.shape[0] < 2 or is_symmetric(matrix):
+    if isinstance(matrix, SchurComplement) or matrix.shape[0] < 2 or is_symmetric(matrix):
         return False
     entries = scipy.sparse.coo_array(matrix)
     upper, lower = (entries.row < entries.col).any(), (entries.row > entries.col).any()
@@ -723,6 +738,7 @@ def _suggest_size(letter: str, shape: tuple[int, ...], expected: tuple[int, ...]
 
 
 def _complete_ports(ports: tuple[Port, ...], m: int, p: int, where: str) -> tuple[Port, ...]:
+    """Return checked ports; without ports, return m inputs and p outputs."""
     strange = next((port for port in ports if not isinstance(port, Port)), None)
     if strange is not None:
         raise UsageError(
@@ -780,7 +796,7 @@ def _convert_matrix(matrix: Matrix, letter: str, where: str, *, sparse: bool = T
     """
     if matrix is None:
         return None
-    if isinstance(matrix, Schur):
+    if isinstance(matrix, SchurComplement):
         for part in (matrix.uu, matrix.up, matrix.pu, matrix.pp):
             _convert_matrix(part, letter, where)
         return matrix

@@ -24,7 +24,7 @@ import scipy
 
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.parametric import Full, ParameterAxis, Values
+from kc2spice.rom.parametric_models import Full, ParameterAxis, Values
 
 # Candidates for the exponents of a parameter; the first that represents the matrices is used.
 # A parameter that may be zero has no exponent -1.
@@ -60,13 +60,13 @@ class MatrixTerms:
     E: tuple[Any, ...]
     K: tuple[Any, ...]
 
-    def factors(self, values: Values) -> np.ndarray:
+    def evaluate_factors(self, values: Values) -> np.ndarray:
         """Return the factors (terms,) of the matrices for ``values`` of all parameters."""
         return compute_factors(self.powers, [values[a.name] for a in self.axes] / self.scales)
 
-    def at(self, values: Values) -> dict[str, Any]:
+    def evaluate_matrices(self, values: Values) -> dict[str, Any]:
         """Return the matrices E and K for ``values`` of all parameters, keyed by letter."""
-        factors = self.factors(values)
+        factors = self.evaluate_factors(values)
         return {letter: sum_products(factors, getattr(self, letter)) for letter in LETTERS}
 
 
@@ -85,7 +85,7 @@ def sum_products(factors: Iterable[float], matrices: Iterable[Any]) -> Any:
     return sum(others, start=first)
 
 
-def find_terms(full: Full, axes: Sequence[ParameterAxis], frame: LinearModel) -> MatrixTerms:
+def find_matrix_terms(full: Full, axes: Sequence[ParameterAxis], frame: LinearModel) -> MatrixTerms:
     """Express the matrices E and K of the heat models ``full(values)`` as sums of terms.
 
     ``frame`` is the model in the middle of the ranges.
@@ -95,10 +95,11 @@ def find_terms(full: Full, axes: Sequence[ParameterAxis], frame: LinearModel) ->
     UsageError : E or K is not a sum of terms with powers of the parameters, or a parameter changes
     the input matrix B or the number of unknowns.
     """
-    scales = np.array([axis.middle if axis.low else axis.high for axis in axes])
+    scales = np.array([axis.middle_value if axis.low else axis.high for axis in axes])
 
     @cache
-    def matrices_at(coordinates: tuple[float, ...]) -> _Matrices:
+    def compute_matrices(coordinates: tuple[float, ...]) -> _Matrices:
+        """Return the matrices E and K of the full model at these coordinates."""
         pairs = zip(axes, coordinates, strict=True)
         values = {axis.name: axis.value(x) for axis, x in pairs}
         model = full(values) if any(coordinates) else frame
@@ -119,7 +120,7 @@ def find_terms(full: Full, axes: Sequence[ParameterAxis], frame: LinearModel) ->
             values = [axis.value(x) for axis, x in zip(axes, place, strict=True)]
             rows.append(compute_factors(powers, values / scales))
         weights = np.linalg.inv(rows)
-        samples = [matrices_at(place) for place in places]
+        samples = [compute_matrices(place) for place in places]
         largest = np.abs(rows).max(axis=0)
         terms = {}
         for letter in LETTERS:
@@ -134,8 +135,8 @@ def find_terms(full: Full, axes: Sequence[ParameterAxis], frame: LinearModel) ->
     def is_exact(terms: MatrixTerms, coordinates: tuple[float, ...]) -> bool:
         """Return whether the sum of the terms equals the full model at these coordinates."""
         pairs = zip(axes, coordinates, strict=True)
-        sum_of_terms = terms.at({axis.name: axis.value(x) for axis, x in pairs})
-        for letter, matrix in matrices_at(coordinates).items():
+        sum_of_terms = terms.evaluate_matrices({axis.name: axis.value(x) for axis, x in pairs})
+        for letter, matrix in compute_matrices(coordinates).items():
             largest = sum_products(np.ones(len(terms.powers)), map(abs, getattr(terms, letter)))
             limit = EXACT * (largest + abs(matrix))
             excess = (abs(sum_of_terms[letter] - matrix) - limit).max()
@@ -175,6 +176,7 @@ def _drop_rounding(terms: Sequence[Any], largest: np.ndarray) -> list[Any]:
 
 
 def _make_no_terms_error(where: str, problem: str) -> UsageError:
+    """Return the error for a parameter that a heat netlist does not support."""
     return UsageError(
         f"unsupported parameter of a heat netlist: {problem}",
         where=where,

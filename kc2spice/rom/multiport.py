@@ -218,7 +218,7 @@ def _enforce_passivity(model: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None
     triangle = len(pairs[0])
     count, order = triangle + m * (n + m), n + 2 * m
 
-    def inequality(x: np.ndarray) -> np.ndarray:
+    def make_inequality_matrix(x: np.ndarray) -> np.ndarray:
         """Return the matrix of the linear matrix inequality without its constant entries -1.
 
         ``x`` contains the lower triangle of P, and then the rows of the block matrix ``[C D]``.
@@ -233,7 +233,7 @@ def _enforce_passivity(model: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None
     cone = np.zeros((1 + m * (n + m), count + 1))
     cone[0, -1] = -1.0
     cone[1:, triangle:count] = np.kron(np.eye(m), R / scale)
-    G = np.vstack([cone, np.transpose(list(map(inequality, np.eye(count + 1))))])
+    G = np.vstack([cone, np.transpose(list(map(make_inequality_matrix, np.eye(count + 1))))])
     h = np.concatenate([[0.0], (q.T / scale).ravel(), least.ravel()])
     cost = np.zeros(count + 1)
     cost[-1] = 1.0
@@ -332,7 +332,7 @@ def refine_poles(
     target = S.reshape(len(f), -1)
     target = np.concatenate([target.real, target.imag])
 
-    def unpack(x: np.ndarray) -> np.ndarray:
+    def unpack_poles(x: np.ndarray) -> np.ndarray:
         """Return the complex poles [rad/s] for the pole parameters ``x``."""
         p = -np.exp(x[: len(poles)]).astype(complex)
         p[~real] += 1j * np.exp(x[len(poles) :])
@@ -344,7 +344,7 @@ def refine_poles(
         Return an orthonormal basis of the columns, the coefficients of the columns, and the
         residual.
         """
-        columns, size = _scale_columns(s, unpack(x), real)
+        columns, size = _scale_columns(s, unpack_poles(x), real)
         Q, upper = np.linalg.qr(columns)
         coefficients = scipy.linalg.lstsq(upper, Q.T @ target)[0]
         return Q, coefficients / size[:, None], target - columns @ coefficients
@@ -357,7 +357,7 @@ def refine_poles(
         """Return the derivatives of the residuals with respect to the pole parameters ``x``."""
         Q, coefficients, _ = project(x)
         result = []
-        for change in _yield_pole_derivatives(s, unpack(x), real, coefficients):
+        for change in _yield_pole_derivatives(s, unpack_poles(x), real, coefficients):
             rows = np.concatenate([change.real, change.imag])
             result.append((Q @ (Q.T @ rows) - rows).ravel())
         return np.column_stack(result)
@@ -374,7 +374,7 @@ def refine_poles(
         max_nfev=MAX_EVALUATIONS,
     )
     x = solution.x
-    p, coefficients = unpack(x), project(x)[1]
+    p, coefficients = unpack_poles(x), project(x)[1]
     residues = _recover_residues(coefficients, real)
     shape = S.shape[1:]
     return p * top, (residues * top).reshape(-1, *shape), coefficients[0].reshape(shape)
@@ -416,7 +416,7 @@ def _yield_pole_derivatives(
     residues = _recover_residues(coefficients, real)
     one, other = 1 / (s[:, None] - p) ** 2, 1 / (s[:, None] - p.conj()) ** 2
 
-    def change(k: int, rate: complex) -> np.ndarray:
+    def compute_pole_derivative(k: int, rate: complex) -> np.ndarray:
         """Return the derivative of the fit for a ``rate`` of change of the pole ``k``."""
         result = np.outer(rate * one[:, k], residues[k])
         if not real[k]:
@@ -424,9 +424,9 @@ def _yield_pole_derivatives(
         return result
 
     for k in range(len(p)):
-        yield change(k, p[k].real)
+        yield compute_pole_derivative(k, p[k].real)
     for k in np.flatnonzero(~real).tolist():
-        yield change(k, 1j * p[k].imag)
+        yield compute_pole_derivative(k, 1j * p[k].imag)
 
 
 def _realise_state_space(poles: np.ndarray, residues: np.ndarray, D: np.ndarray) -> ABCD:

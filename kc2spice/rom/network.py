@@ -108,7 +108,7 @@ def recognise_parallel_branches(model: LinearModel) -> ParallelBranches | None:
         or not (model.C == 1).all()
     ):
         return None
-    matrices = model.pencil.dense().coefficients
+    matrices = model.pencil.make_dense().coefficients
     elastance, resistance, inductance = map(_find_common_value, matrices)
     if elastance != 0 or resistance is None or inductance is None:
         return None

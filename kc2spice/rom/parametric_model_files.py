@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from kc2spice.rom.heat_over_ranges import HeatOverRanges
-from kc2spice.rom.heat_ranges_io import read_heat_over_ranges, write_heat_over_ranges
+from kc2spice.rom.heat_range_files import read_heat_over_ranges, write_heat_over_ranges
 from kc2spice.rom.io import make_damage_error, read_arrays, write_archive
-from kc2spice.rom.parametric import DampingParameter
-from kc2spice.rom.ranges import ModelOverRanges
+from kc2spice.rom.parametric_models import DampingParameter
+from kc2spice.rom.range_reduction import ModelOverRanges
 from kc2spice.rom.ranges_io import describe_ranges, parse_ranges, require_finite_arrays
 from kc2spice.rom.resonators_over_ranges import ResonatorsOverRanges
 

@@ -1,8 +1,8 @@
 """Linear models ``P(s) x = B u``, ``y = C x + D u`` with a matrix polynomial ``P(s)``.
 
 The polynomial and the matrices B, C, D are called a pencil. A coefficient may be a Schur
-complement. The dense matrix of a Schur complement is not needed, because solvers only multiply it
-by vectors and solve linear systems.
+complement. The dense matrix of a Schur complement is not needed, because solvers only
+multiply it by vectors and solve linear systems.
 """
 
 from __future__ import annotations
@@ -25,7 +25,9 @@ from kc2spice.linalg.factor import (
     factorise_two_sided,
 )
 
-Matrix: TypeAlias = Any  # np.ndarray, scipy.sparse.csc_array or Schur; scipy has no type hints
+Matrix: TypeAlias = (
+    Any  # np.ndarray, scipy.sparse.csc_array or SchurComplement; scipy has no type hints
+)
 
 # Two matrices count as equal if no entry differs by more than this fraction of the largest entry.
 EQUALITY_TOLERANCE = 1e-12
@@ -41,7 +43,7 @@ class SharedValue(Generic[T]):
         self._values: list[T] = []
 
     @property
-    def known(self) -> T | None:
+    def value_or_none(self) -> T | None:
         """Value, or None before the first use."""
         return self._values[0] if self._values else None
 
@@ -51,17 +53,17 @@ class SharedValue(Generic[T]):
             self._values.append(compute())
         return self._values[0]
 
-    def join(self, other: SharedValue[T]) -> None:
+    def share_with(self, other: SharedValue[T]) -> None:
         """Share the value with ``other``, so that it is computed only once."""
         self._values = other._values
 
 
 @dataclass(frozen=True, eq=False)
-class Schur:
+class SchurComplement:
     """Schur complement ``uu - up pp^-1 pu`` of a sparse matrix.
 
-    The Schur complement itself is dense, so only the four sparse blocks of the matrix are stored.
-    The unknowns of the block ``pp`` are eliminated.
+    The Schur complement itself is dense, so only the four sparse blocks of the matrix are
+    stored. The unknowns of the block ``pp`` are eliminated.
 
     Raises
     ------
@@ -81,7 +83,7 @@ class Schur:
         return int(rows), int(columns)
 
     @property
-    def symmetric(self) -> bool:
+    def is_symmetric(self) -> bool:
         """Whether the matrix of all four blocks is symmetric.
 
         The diagonal blocks must be symmetric, and ``up`` must be the transpose of ``pu``.
@@ -91,11 +93,12 @@ class Schur:
         return all(is_equal(a, b) for a, b in pairs)
 
     @property
-    def inner(self) -> Factor:
+    def inner_factor(self) -> Factor:
         """Factorisation of the block ``pp``, computed at the first use."""
         return self.factor.get(self._factorise_inner)
 
     def _factorise_inner(self) -> Factor:
+        """Factorise the block ``pp`` that the Schur complement eliminates."""
         is_symmetric = is_equal(self.pp, self.pp.T)
         if is_symmetric and self.is_large:
             return factorise_quasi_definite(self.pp)
@@ -113,35 +116,39 @@ class Schur:
         together (Haynsworth 1968). A positive definite complement has no negative eigenvalue.
         """
         count = self.pp.shape[0]
-        return factor is not None and factor.negative == count == self.inner.negative
+        return factor is not None and factor.negative == count == self.inner_factor.negative
 
     @cached_property
-    def T(self) -> Schur:
+    def T(self) -> SchurComplement:
         """Transpose of the Schur complement."""
-        return Schur(*(scipy.sparse.csc_array(P.T) for P in (self.uu, self.pu, self.up, self.pp)))
+        return SchurComplement(
+            *(scipy.sparse.csc_array(P.T) for P in (self.uu, self.pu, self.up, self.pp))
+        )
 
     def __matmul__(self, x: np.ndarray) -> np.ndarray:
         if np.iscomplexobj(x):  # real factors accept only real vectors
             return self @ x.real + 1j * (self @ x.imag)
-        return np.asarray(self.uu @ x - self.up @ self.inner.solve(self.pu @ x))
+        return np.asarray(self.uu @ x - self.up @ self.inner_factor.solve(self.pu @ x))
 
-    def scaled(self, t: np.ndarray) -> Schur:
+    def scale_symmetrically(self, t: np.ndarray) -> SchurComplement:
         """Return ``diag(t) S diag(t)``, where S is this Schur complement."""
         return self._with_blocks(
             scale_matrix(self.uu, t, t), scale_matrix(self.up, t), scale_matrix(self.pu, None, t)
         )
 
-    def damping(self, alpha: float, beta: float, M: scipy.sparse.csc_array) -> Schur:
+    def make_damping_matrix(
+        self, alpha: float, beta: float, M: scipy.sparse.csc_array
+    ) -> SchurComplement:
         """Return the damping matrix ``alpha M + beta S``, where S is this Schur complement."""
         return self._with_blocks(alpha * M + beta * self.uu, beta * self.up, self.pu)
 
-    def _with_blocks(self, uu: Matrix, up: Matrix, pu: Matrix) -> Schur:
+    def _with_blocks(self, uu: Matrix, up: Matrix, pu: Matrix) -> SchurComplement:
         """Return a Schur complement with the same ``pp`` and factor, but other blocks."""
-        return Schur(uu, up, pu, self.pp, self.factor)
+        return SchurComplement(uu, up, pu, self.pp, self.factor)
 
     def toarray(self) -> np.ndarray:
         """Return the Schur complement as a dense array."""
-        return np.asarray(self.uu.toarray() - self.up @ self.inner.solve(self.pu.toarray()))
+        return np.asarray(self.uu.toarray() - self.up @ self.inner_factor.solve(self.pu.toarray()))
 
 
 def scale_matrix(
@@ -160,25 +167,25 @@ def scale_matrix(
 
 
 def to_dense(matrix: Matrix) -> np.ndarray:
-    """Convert a dense, sparse or Schur matrix to a dense array."""
+    """Convert a dense array, a sparse matrix or a Schur complement to a dense array."""
     return np.asarray(matrix if isinstance(matrix, np.ndarray) else matrix.toarray(), dtype=float)
 
 
-def absolute_entries(matrix: Matrix) -> Matrix:
+def compute_absolute_entries(matrix: Matrix) -> Matrix:
     """Return the absolute values of the entries of a matrix.
 
-    For a :class:`Schur` complement, the entries are those of the block ``uu``.
+    For a :class:`SchurComplement`, the entries are those of the block ``uu``.
     """
-    return abs(matrix.uu if isinstance(matrix, Schur) else matrix)
+    return abs(matrix.uu if isinstance(matrix, SchurComplement) else matrix)
 
 
-def largest_entry(matrix: Matrix) -> float:
+def find_largest_entry(matrix: Matrix) -> float:
     """Return the largest absolute value of the entries of a matrix.
 
-    For a :class:`Schur` complement, the entries are those of the block ``uu``.
+    For a :class:`SchurComplement`, the entries are those of the block ``uu``.
     """
-    if isinstance(matrix, Schur):
-        return largest_entry(matrix.uu)
+    if isinstance(matrix, SchurComplement):
+        return find_largest_entry(matrix.uu)
     return float(abs(matrix).max()) if matrix.shape[0] and matrix.shape[1] else 0.0
 
 
@@ -192,30 +199,32 @@ def mask_unknowns_with_entries(matrices: Sequence[Matrix]) -> np.ndarray:
 
 def is_equal(one: Matrix, other: Matrix) -> bool:
     """Return whether two matrices are equal within a tolerance for rounding errors."""
-    return one.shape == other.shape and largest_entry(
+    return one.shape == other.shape and find_largest_entry(
         one - other
-    ) <= EQUALITY_TOLERANCE * largest_entry(one)
+    ) <= EQUALITY_TOLERANCE * find_largest_entry(one)
 
 
 def is_symmetric(matrix: Matrix) -> bool:
     """Return whether a matrix equals its transpose within a tolerance for rounding errors."""
-    return matrix.symmetric if isinstance(matrix, Schur) else is_equal(matrix, matrix.T)
+    return (
+        matrix.is_symmetric if isinstance(matrix, SchurComplement) else is_equal(matrix, matrix.T)
+    )
 
 
-def congruence(P: Matrix, V: np.ndarray, known: bool = False) -> np.ndarray:
+def apply_congruence(P: Matrix, V: np.ndarray, known: bool = False) -> np.ndarray:
     """Compute the congruence ``V'PV`` of a matrix P with the basis V.
 
     If P is symmetric or skew-symmetric within rounding errors, the result is exactly symmetric or
     skew-symmetric. If ``known`` is true, P is known to be symmetric and the symmetry is not tested,
     because the test takes longer than the product.
     """
-    if known or isinstance(P, Schur):
+    if known or isinstance(P, SchurComplement):
         R = V.T @ (P @ V)
         return np.asarray(0.5 * (R + R.T) if known or P.symmetric else R)
     total = np.zeros((V.shape[1],) * 2)
     for sign in (1, -1):
         part = 0.5 * (P + sign * P.T)
-        if largest_entry(part) > EQUALITY_TOLERANCE * largest_entry(P):
+        if find_largest_entry(part) > EQUALITY_TOLERANCE * find_largest_entry(P):
             R = V.T @ (part @ V)
             total += 0.5 * (R + sign * R.T)
     return total
@@ -235,10 +244,10 @@ class Pencil:
     """Matrix polynomial ``P(s) = sum_k s^k coefficients[k]`` of a linear model.
 
     The coefficients of a second-order model are ``(K, E, M)``. The coefficients of a first-order
-    model ``E x' = A x + B u`` are ``(-A, E)``. The first coefficient may be a :class:`Schur`
-    complement. If ``rayleigh`` is ``(alpha, beta)``, the damping matrix E is ``alpha M + beta K``.
-    ``B`` (n, m), ``C`` (p, n) and ``D`` (p, m) are arrays. The first ``free`` unknowns are
-    rigid-body modes; see :mod:`kc2spice.rom.rigid_body`.
+    model ``E x' = A x + B u`` are ``(-A, E)``. The first coefficient may be a
+    :class:`SchurComplement`. If ``rayleigh`` is ``(alpha, beta)``, the damping matrix E
+    is ``alpha M + beta K``. ``B`` (n, m), ``C`` (p, n) and ``D`` (p, m) are arrays. The first
+    ``free`` unknowns are rigid-body modes; see :mod:`kc2spice.rom.rigid_body`.
     """
 
     coefficients: tuple[Matrix, ...]
@@ -254,8 +263,8 @@ class Pencil:
         if self.rayleigh is not None:
             K, _, M = self.coefficients
             alpha, beta = self.rayleigh
-            plain = not isinstance(K, Schur)
-            E = alpha * M + beta * K if plain else K.damping(alpha, beta, M)
+            plain = not isinstance(K, SchurComplement)
+            E = alpha * M + beta * K if plain else K.make_damping_matrix(alpha, beta, M)
             object.__setattr__(self, "coefficients", (K, E, M))
 
     @property
@@ -269,78 +278,79 @@ class Pencil:
         return len(self.coefficients) - 1
 
     @property
-    def symmetric(self) -> bool:
+    def is_symmetric(self) -> bool:
         """Whether every coefficient equals its transpose within rounding errors."""
         stated = self.coefficients[:: 1 if self.rayleigh is None else 2]
         return self.symmetry.get(lambda: all(map(is_symmetric, stated)))
 
     @cached_property
-    def collocated(self) -> bool:
+    def is_collocated(self) -> bool:
         """Whether outputs are measured where inputs act, so that ``C = B'``."""
         return self.B.shape == self.C.T.shape and np.array_equal(self.B, self.C.T)
 
     @cached_property
-    def undamped(self) -> bool:
+    def is_undamped(self) -> bool:
         """Whether the model is of second order without damping, so that ``P(j w)`` is real."""
-        return self.degree == 2 and largest_entry(self.coefficients[1]) == 0
+        return self.degree == 2 and find_largest_entry(self.coefficients[1]) == 0
 
     @property
     def is_dense(self) -> bool:
         """Whether all coefficients are dense arrays."""
         return all(isinstance(P, np.ndarray) for P in self.coefficients)
 
-    def dense(self) -> Pencil:
+    def make_dense(self) -> Pencil:
         """Return the same model with dense matrices only."""
         parts = tuple(map(to_dense, self.coefficients))
         return replace(self, coefficients=parts, rayleigh=None)
 
-    def bordered(self, k: complex, e: complex, m: complex) -> Matrix:
+    def assemble_bordered_matrix(self, k: complex, e: complex, m: complex) -> Matrix:
         """Compute ``k K + e E + m M`` with rows and columns of the eliminated unknowns.
 
-        For a first-order model, the result is ``k (-A) + e E``. If K is a Schur complement, its
-        eliminated unknowns are scaled so that both diagonal blocks of K have equally large entries.
+        For a first-order model, the result is ``k (-A) + e E``. If K is a Schur
+        complement, its eliminated unknowns are scaled so that both diagonal blocks of K have
+        equally large entries.
         """
         if self.rayleigh is not None:
             alpha, beta = self.rayleigh
             k, e, m = k + e * beta, 0.0, m + e * alpha
         K = self.coefficients[0]
-        leading = K.uu if isinstance(K, Schur) else K
+        leading = K.uu if isinstance(K, SchurComplement) else K
         total = k * leading
         for factor_, P in zip((e, m), self.coefficients[1:], strict=False):
             if factor_ != 0:
                 total = total + factor_ * P
-        if not isinstance(K, Schur):
+        if not isinstance(K, SchurComplement):
             return total
-        volt = np.sqrt(largest_entry(K.uu) / largest_entry(K.pp))
+        volt = np.sqrt(find_largest_entry(K.uu) / find_largest_entry(K.pp))
         blocks = [[total, k * volt * K.up], [k * volt * K.pu, k * volt**2 * K.pp]]
         return scipy.sparse.csc_array(scipy.sparse.block_array(blocks))
 
-    def at(self, s: complex) -> Matrix:
+    def evaluate_polynomial(self, s: complex) -> Matrix:
         """Return the matrix ``P(s)`` with rows and columns of the eliminated unknowns.
 
         The matrix is real if s is real, or if the model is undamped and ``s^2`` is real.
         """
         powers = [s**k for k in range(3)]
-        if self.undamped and complex(powers[2]).imag == 0:
-            return self.bordered(1.0, 0.0, complex(powers[2]).real)
+        if self.is_undamped and complex(powers[2]).imag == 0:
+            return self.assemble_bordered_matrix(1.0, 0.0, complex(powers[2]).real)
         if complex(s).imag == 0:
             powers = [complex(p).real for p in powers]
-        return self.bordered(*powers)
+        return self.assemble_bordered_matrix(*powers)
 
-    def slope(self, s: complex, x: np.ndarray) -> np.ndarray:
+    def apply_derivative(self, s: complex, x: np.ndarray) -> np.ndarray:
         """Compute ``P'(s) x``: the derivative of ``P(s)``, times a vector.
 
         The result is real if ``P(s)`` and x are real. For an undamped model, the derivative is with
         respect to ``s^2`` instead of ``s``.
         """
-        if self.undamped:
+        if self.is_undamped:
             return np.asarray(self.coefficients[2] @ x)
         s = complex(s).real if complex(s).imag == 0 else s
         return np.asarray(
             sum(k * s ** (k - 1) * (P @ x) for k, P in enumerate(self.coefficients) if k)
         )
 
-    def solver(self, s: complex) -> tuple[Factor, Factor]:
+    def factorise_polynomial(self, s: complex) -> tuple[Factor, Factor]:
         """Return factorisations of ``P(s)`` and of the transpose of ``P(s)``.
 
         Raises
@@ -348,7 +358,7 @@ class Pencil:
         SimulationError : ``s`` is a pole.
         """
         try:
-            return factorise_two_sided(self.at(s), symmetric=self.symmetric)
+            return factorise_two_sided(self.evaluate_polynomial(s), symmetric=self.is_symmetric)
         except SimulationError as error:
             raise SimulationError(
                 error.message, where=error.where, got=f"{error.got} at s = {s:.6g} 1/s"
@@ -358,7 +368,9 @@ class Pencil:
     def is_large(self) -> bool:
         """Whether the matrices are so large that a factorisation without pivoting is faster."""
         K = self.coefficients[0]
-        return K.is_large if isinstance(K, Schur) else self.size >= QUASI_DEFINITE_UNKNOWNS
+        return (
+            K.is_large if isinstance(K, SchurComplement) else self.size >= QUASI_DEFINITE_UNKNOWNS
+        )
 
     def factorise_shifted_stiffness(self, square: float) -> Factor:
         """Return a real factorisation of the matrix ``K - square M``.
@@ -369,7 +381,7 @@ class Pencil:
         definite.
         """
         if square:
-            matrix = scipy.sparse.csc_array(self.bordered(1.0, 0.0, -square))
+            matrix = scipy.sparse.csc_array(self.assemble_bordered_matrix(1.0, 0.0, -square))
             if square < 0 and self.is_large:
                 return factorise_quasi_definite(matrix)
             return factorise(matrix, definite=False)
@@ -386,10 +398,14 @@ class Pencil:
         return np.asarray(self.factorise_shifted_stiffness(0.0).solve(self.B))
 
     def _factorise_stiffness(self) -> Factor:
-        matrix, K = scipy.sparse.csc_array(self.bordered(1.0, 0.0, 0.0)), self.coefficients[0]
-        if isinstance(K, Schur) and self.is_large and self.symmetric:
+        """Return the factor of K; for a Schur complement, of the matrix of all blocks."""
+        matrix, K = (
+            scipy.sparse.csc_array(self.assemble_bordered_matrix(1.0, 0.0, 0.0)),
+            self.coefficients[0],
+        )
+        if isinstance(K, SchurComplement) and self.is_large and self.is_symmetric:
             return factorise_quasi_definite(matrix)
-        return factorise(matrix, definite=not isinstance(K, Schur))
+        return factorise(matrix, definite=not isinstance(K, SchurComplement))
 
     @property
     def elimination_order(self) -> np.ndarray | None:
@@ -397,18 +413,18 @@ class Pencil:
 
         The elimination order of K is also suitable for other matrices of the same unknowns.
         """
-        factor = self.factors.known
+        factor = self.factors.value_or_none
         order = None if factor is None else factor.order
         return None if order is None else order[order < self.size]
 
     @property
-    def factorised(self) -> bool:
+    def is_factorised(self) -> bool:
         """Whether K is already factorised."""
-        return self.factors.known is not None
+        return self.factors.value_or_none is not None
 
     def share_factors(self, other: Pencil) -> None:
         """Share the factorisation of K with the pencil ``other``, which has the same K."""
-        other.factors.join(self.factors)
+        other.factors.share_with(self.factors)
 
     def project(self, V: np.ndarray) -> Pencil:
         """Return the projection of the model on the basis V: ``V'PV``, ``V'B`` and ``CV``.
@@ -416,13 +432,13 @@ class Pencil:
         Symmetric matrices remain exactly symmetric, and skew-symmetric matrices exactly skew.
         """
         if self.rayleigh is None:
-            reduced = tuple(congruence(P, V, self.symmetric) for P in self.coefficients)
+            reduced = tuple(apply_congruence(P, V, self.is_symmetric) for P in self.coefficients)
         else:
             alpha, beta = self.rayleigh
-            K, M = (congruence(P, V, self.symmetric) for P in self.coefficients[::2])
+            K, M = (apply_congruence(P, V, self.is_symmetric) for P in self.coefficients[::2])
             reduced = (K, alpha * M + beta * K, M)
         B = V.T @ self.B
-        return Pencil(reduced, B, B.T.copy() if self.collocated else self.C @ V, self.D)
+        return Pencil(reduced, B, B.T.copy() if self.is_collocated else self.C @ V, self.D)
 
     def project_exactly(self, V: np.ndarray) -> Pencil:
         """Return the projection of a dense pencil on the basis V, computed with 19 digits.
@@ -433,31 +449,31 @@ class Pencil:
         left, reduced = ExactMatrix(V.T), []
         for P in self.coefficients:
             R = np.asarray(left @ (ExactMatrix(P) @ V), dtype=float)
-            if self.symmetric:
+            if self.is_symmetric:
                 R = 0.5 * (R + R.T)
             elif np.array_equal(P, -P.T):
                 R = 0.5 * (R - R.T)
             reduced.append(R)
         B = np.asarray(left @ self.B, dtype=float)
-        C = B.T.copy() if self.collocated else np.asarray(ExactMatrix(self.C) @ V, dtype=float)
+        C = B.T.copy() if self.is_collocated else np.asarray(ExactMatrix(self.C) @ V, dtype=float)
         return Pencil(tuple(reduced), B, C, self.D)
 
-    def leading_model(self, order: int) -> Pencil:
+    def truncate_to_order(self, order: int) -> Pencil:
         """Return the pencil that contains only the first ``order`` unknowns."""
-        return self._part(slice(order), min(self.free, order))
+        return self._select_unknowns(slice(order), min(self.free, order))
 
     @property
     def without_rigid_body_modes(self) -> Pencil:
         """Pencil of this model without rigid-body modes."""
-        return self._part(slice(self.free, None), 0)
+        return self._select_unknowns(slice(self.free, None), 0)
 
-    def _part(self, q: slice, free: int) -> Pencil:
+    def _select_unknowns(self, q: slice, free: int) -> Pencil:
         """Return the pencil of the unknowns ``q``, of which ``free`` are rigid-body modes."""
         parts = tuple(P[q, q] for P in self.coefficients)
         return Pencil(parts, self.B[q], self.C[:, q], self.D, free=free)
 
     @property
-    def has_uncoupled_motion(self) -> bool:
+    def has_uncoupled_rigid_modes(self) -> bool:
         """Whether rigid-body modes exist and are not coupled to the other unknowns."""
         r = self.free
         return bool(r) and not any(P[:r, r:].any() or P[r:, :r].any() for P in self.coefficients)
@@ -468,40 +484,40 @@ class Pencil:
         B, C = np.vstack([free.B, self.B]), np.hstack([free.C, self.C])
         return Pencil(parts, B, C, self.D, free=free.size)
 
-    def transposed(self) -> Pencil:
+    def make_dual(self) -> Pencil:
         """Return the dual model, in which inputs and outputs are exchanged."""
         flipped = tuple(P.T for P in self.coefficients)
         return Pencil(flipped, self.C.T, self.B.T, self.D.T, free=self.free)
 
     def scale_unknowns(self, omega: float) -> Pencil:
         """Return the model with unknowns scaled to similar energies at ``omega`` [rad/s]."""
-        return self.in_units(self.units(omega))
+        return self.rescale_unknowns(self.choose_units(omega))
 
-    def units(self, omega: float) -> np.ndarray:
+    def choose_units(self, omega: float) -> np.ndarray:
         """Return units (n,) of the unknowns that make their energies at ``omega`` similar."""
         size = np.zeros(self.size)
         for k, P in enumerate(self.coefficients):
-            rows = absolute_entries(P).max(axis=1)
+            rows = compute_absolute_entries(P).max(axis=1)
             rows = rows.toarray() if scipy.sparse.issparse(rows) else rows
             size += omega**k * np.asarray(rows, dtype=float).ravel()
         t = 1 / np.sqrt(np.where(size > 0, size, 1.0))
         return np.asarray(np.exp2(np.round(np.log2(t))))  # powers of two cause no rounding errors
 
-    def in_units(self, t: np.ndarray) -> Pencil:
-        """Return the model with the unknowns ``x / t`` and the polynomial ``diag(t) P diag(t)``."""
+    def rescale_unknowns(self, t: np.ndarray) -> Pencil:
+        """Return the model with the unknowns ``x / t``."""
 
-        def both(P: Matrix) -> Matrix:
+        def scale_both_sides(P: Matrix) -> Matrix:
             """Return ``diag(t) P diag(t)`` with scaled rows and columns."""
-            if isinstance(P, Schur):
-                return P.scaled(t)
+            if isinstance(P, SchurComplement):
+                return P.scale_symmetrically(t)
             return t[:, None] * P * t if isinstance(P, np.ndarray) else scale_matrix(P, t, t)
 
-        parts = tuple(map(both, self.coefficients))
+        parts = tuple(map(scale_both_sides, self.coefficients))
         B = t[:, None] * self.B
-        C = B.T.copy() if self.collocated else self.C * t
+        C = B.T.copy() if self.is_collocated else self.C * t
         result = Pencil(parts, B, C, self.D, self.rayleigh)
         # scaling preserves symmetry, so the costly test of symmetry is not repeated
-        if self.symmetric:
+        if self.is_symmetric:
             result.symmetry.get(lambda: True)
         return result
 
@@ -518,7 +534,7 @@ class Pencil:
         result = np.empty((len(s), *self.B.shape), dtype=complex)
         if not self.is_dense:
             for k, item in enumerate(s):
-                result[k] = self.solver(item)[0].solve(self.B)
+                result[k] = self.factorise_polynomial(item)[0].solve(self.B)
             return result
         step = max(1, int(BATCH_BYTES / (16 * max(self.size, 1) ** 2)))
         for begin in range(0, len(s), step):
@@ -544,14 +560,16 @@ class Pencil:
 
         ``omega`` is a typical angular frequency [rad/s] by which rates are scaled.
         """
-        full = self.coefficients if self.is_dense else self.dense().coefficients
-        sizes = list(map(largest_entry, full))
+        full = self.coefficients if self.is_dense else self.make_dense().coefficients
+        sizes = list(map(find_largest_entry, full))
         if omega is None:
             ratio = sizes[0] / sizes[-1] if sizes[0] and sizes[-1] else 1.0
             omega = float(ratio ** (1 / self.degree))
         scale = 1 / max([omega**k * size for k, size in enumerate(sizes)] + [np.finfo(float).tiny])
         parts = tuple(scale * omega**k * P for k, P in enumerate(full))
-        rest, inertia = first_order(Pencil(parts, self.B, self.C, self.D), 1.0).coefficients
+        rest, inertia = convert_to_first_order(
+            Pencil(parts, self.B, self.C, self.D), 1.0
+        ).coefficients
         if sizes[-1] and np.linalg.cond(parts[-1]) < MAX_INVERTED_CONDITION:
             return np.asarray(-omega * np.linalg.eigvals(np.linalg.solve(inertia, rest)))
         values = scipy.linalg.eigvals(-rest, inertia)
@@ -576,7 +594,10 @@ class GrowingProjection:
 
         ``stiff`` and ``heavy`` (n, m) are the products of K and M with the new columns.
         """
-        self._K, self._M = _bordered(self._K, V.T @ stiff), _bordered(self._M, V.T @ heavy)
+        self._K, self._M = (
+            _border_matrix(self._K, V.T @ stiff),
+            _border_matrix(self._M, V.T @ heavy),
+        )
         self._B = np.vstack([self._B, V[:, len(self._B) :].T @ self._full.B])
 
     @property
@@ -587,7 +608,7 @@ class GrowingProjection:
         return Pencil(reduced, self._B, self._B.T.copy(), self._full.D)
 
 
-def _bordered(square: np.ndarray, columns: np.ndarray) -> np.ndarray:
+def _border_matrix(square: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """Extend a symmetric matrix by ``columns`` (k, m) and the corresponding rows."""
     old = len(square)
     corner = 0.5 * (columns[old:] + columns[old:].T)
@@ -599,7 +620,7 @@ def make_explicit_pencil(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndar
     return Pencil((-A, np.eye(len(A))), B, C, D)
 
 
-def first_order(pencil: Pencil, omega: float) -> Pencil:
+def convert_to_first_order(pencil: Pencil, omega: float) -> Pencil:
     """Convert a model to first-order form ``E x' = A x + B u`` without inverse matrices.
 
     Velocities are divided by ``omega`` [rad/s].
@@ -614,26 +635,30 @@ def first_order(pencil: Pencil, omega: float) -> Pencil:
     return Pencil((rest, inertia), B, np.hstack([pencil.C, np.zeros((len(pencil.C), n))]), pencil.D)
 
 
-def detect_rayleigh(pencil: Pencil) -> Pencil:
+def detect_rayleigh_damping(pencil: Pencil) -> Pencil:
     """Detect Rayleigh damping, where E is ``alpha M + beta K`` within rounding errors.
 
     Return the pencil with the attribute ``rayleigh`` set to ``(alpha, beta)``, so that a definite
     model can be reduced with real factorisations. A pencil without Rayleigh damping is returned
     unchanged.
     """
-    if pencil.degree != 2 or pencil.rayleigh is not None or pencil.undamped:
+    if pencil.degree != 2 or pencil.rayleigh is not None or pencil.is_undamped:
         return pencil
     K, E, M = pencil.coefficients
-    if any(isinstance(P, Schur) for P in pencil.coefficients) or not largest_entry(M):
+    if any(isinstance(P, SchurComplement) for P in pencil.coefficients) or not find_largest_entry(
+        M
+    ):
         return pencil
-    basis = [P / largest_entry(P) for P in (M, K)]
+    basis = [P / find_largest_entry(P) for P in (M, K)]
     gram = [[float((P * Q).sum()) for Q in basis] for P in basis]
     result = np.linalg.lstsq(gram, [float((P * E).sum()) for P in basis], rcond=None)[0]
-    result = np.where(np.abs(result) > EQUALITY_TOLERANCE * largest_entry(E), result, 0.0)
+    result = np.where(np.abs(result) > EQUALITY_TOLERANCE * find_largest_entry(E), result, 0.0)
     remainder = E - result[0] * basis[0] - result[1] * basis[1]
-    if (result < 0).any() or largest_entry(remainder) > EQUALITY_TOLERANCE * largest_entry(E):
+    if (result < 0).any() or find_largest_entry(
+        remainder
+    ) > EQUALITY_TOLERANCE * find_largest_entry(E):
         return pencil
-    rayleigh = float(result[0] / largest_entry(M)), float(result[1] / largest_entry(K))
+    rayleigh = float(result[0] / find_largest_entry(M)), float(result[1] / find_largest_entry(K))
     return replace(pencil, rayleigh=rayleigh)
 
 
@@ -645,7 +670,7 @@ def eliminate_massless(pencil: Pencil) -> Pencil:
     unknowns is singular (index two), or if K or -A is already a Schur complement.
     """
     rest, *others = pencil.coefficients
-    if isinstance(rest, Schur) or pencil.rayleigh is not None or pencil.size < 2:
+    if isinstance(rest, SchurComplement) or pencil.rayleigh is not None or pencil.size < 2:
         return pencil
     massless = ~mask_unknowns_with_entries(others)
     if not massless.any() or massless.all():
@@ -656,11 +681,11 @@ def eliminate_massless(pencil: Pencil) -> Pencil:
         scipy.sparse.csc_array(rest[i][:, j])
         for i, j in ((keep, keep), (keep, p), (p, keep), (p, p))
     ]
-    schur = Schur(*blocks)
+    schur = SchurComplement(*blocks)
     if not blocks[3].nnz:
         return pencil
     try:
-        lift = schur.inner.solve(pencil.B[p])
+        lift = schur.inner_factor.solve(pencil.B[p])
         transposed_factor = factorise_two_sided(
             blocks[3], symmetric=is_equal(blocks[3], blocks[3].T)
         )[1]
@@ -669,7 +694,7 @@ def eliminate_massless(pencil: Pencil) -> Pencil:
         return pencil
     B = pencil.B[keep] - schur.up @ lift
     C = pencil.C[:, keep] - (schur.pu.T @ back).T
-    C = B.T.copy() if pencil.collocated and pencil.symmetric else C
+    C = B.T.copy() if pencil.is_collocated and pencil.is_symmetric else C
     D = pencil.D + pencil.C[:, p] @ lift
     parts = tuple(scipy.sparse.csc_array(P)[keep][:, keep] for P in others)
     return Pencil((schur, *map(scipy.sparse.csc_array, parts)), B, C, D)

@@ -1,7 +1,7 @@
 """Heat flows into ports with prescribed temperatures, and their error in a reduced model.
 
-:mod:`kc2spice.rom.interface_modes` divides the unknowns into the prescribed temperatures ``T_i``
-and all other temperatures ``T_e``. Q are the heat flows into the ports with prescribed
+:mod:`kc2spice.rom.interface_reduction` divides the unknowns into the prescribed temperatures
+``T_i`` and all other temperatures ``T_e``. Q are the heat flows into the ports with prescribed
 temperatures. T_q are the temperatures of the ports with prescribed heat flows q. Q and T_q are
 
     Q = G T_i - S' q + s (M T_i + c' x),    T_q = S T_i + B_e' x,
@@ -29,9 +29,9 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from kc2spice.core.domains import THERMAL
-from kc2spice.rom.entries import Entries, get_min_divisor_share
-from kc2spice.rom.first_step import build_intermediate_model
+from kc2spice.rom.entry_scales import EntryScales, get_min_relative_divisor
 from kc2spice.rom.interface_split import DENSE, ROUNDING, PrescribedTemperatures
+from kc2spice.rom.intermediate_reduction import build_intermediate_model
 from kc2spice.rom.linear_model import LinearModel, Norm, Port
 
 FREQUENCIES = 40  # number of frequencies at which smooth responses of heat flows are compared
@@ -80,7 +80,7 @@ class FlowReference:
     share: float
 
     @classmethod
-    def of(
+    def from_full_model(
         cls,
         model: LinearModel,
         parts: PrescribedTemperatures,
@@ -99,16 +99,18 @@ class FlowReference:
         n = len(parts.at)
         rounding[:n, :n] *= np.abs(model.pencil.coefficients[0]).diagonal()[parts.at].max()
         rounding[n:, n:] = 0.0
-        return cls(frequency, response, uncertainty, rounding, get_min_divisor_share(norm))
+        return cls(frequency, response, uncertainty, rounding, get_min_relative_divisor(norm))
 
-    def error(self, model: LinearModel, parts: PrescribedTemperatures) -> float:
+    def compute_error(self, model: LinearModel, parts: PrescribedTemperatures) -> float:
         """Return the largest relative error of the response of a reduced ``model``.
 
         ``parts`` is the division of the reduced model. The error includes the uncertainty of the
         reference.
         """
         response = _compute_response(model, parts, self.frequency)
-        base = Entries.of(self.response).base(self.response, self.share)
+        base = EntryScales.from_response(self.response).compute_error_divisors(
+            self.response, self.share
+        )
         difference = np.maximum(np.abs(response - self.response) - self.rounding, 0.0)
         relative = difference / (base + np.finfo(float).tiny)
         return float(relative.max(initial=0.0)) + self.uncertainty

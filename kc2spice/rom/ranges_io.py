@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from kc2spice.rom.io import parse_certificate, parse_ports, require_certificate, require_single_line
-from kc2spice.rom.parametric import ParameterAxis
-from kc2spice.rom.ranges import ModelOverRanges
+from kc2spice.rom.parametric_models import ParameterAxis
+from kc2spice.rom.range_reduction import ModelOverRanges
 
 MAX_LABEL_LENGTH = 200  # largest number of characters in a unit or a description
 
@@ -63,4 +63,6 @@ def require_finite_arrays(
     for key, shape in shapes.items():
         array = arrays[key]
         if array.shape != shape or array.dtype.kind not in "if" or not np.isfinite(array).all():
-            raise ValueError(f"{key} of shape {array.shape} instead of {shape}, or not finite")
+            raise ValueError(
+                f"the array {key} has the shape {array.shape}, not {shape}, or is not finite"
+            )

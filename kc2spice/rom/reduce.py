@@ -2,11 +2,11 @@
 
 The result is a reduced model with a certificate.
 
-The reduction has two steps. The first step (:mod:`kc2spice.rom.first_step`) replaces the full-order
-model by an intermediate model that is far more accurate than the tolerance. The second step
-computes bases of the intermediate model with the reductors that suit the model. The second step
-also selects the smallest order whose error estimate is within the tolerance, and proves the
-stability and passivity of the reduced model.
+The reduction has two steps. The first step (:mod:`kc2spice.rom.intermediate_reduction`) replaces
+the full-order model by an intermediate model that is far more accurate than the tolerance. The
+second step computes bases of the intermediate model with the reductors that suit the model. The
+second step also selects the smallest order whose error estimate is within the tolerance, and proves
+the stability and passivity of the reduced model.
 
 Rigid-body modes are separated first and remain exact. The error estimate is the sum of two errors:
 the largest difference between the reduced and the intermediate model, and the error of the
@@ -28,19 +28,19 @@ from kc2spice.linalg.solver import DirectSolver, use_solver
 from kc2spice.rom.band import choose_natural_band
 from kc2spice.rom.certification import certify, certify_with_full_order
 from kc2spice.rom.constraints import eliminate_algebraic_unknowns
-from kc2spice.rom.definite import expects_cholesky, is_definite
-from kc2spice.rom.first_step import build_intermediate_model
-from kc2spice.rom.intermediate import IntermediateModel
+from kc2spice.rom.definiteness import allows_cholesky, is_definite
+from kc2spice.rom.intermediate_model import IntermediateModel
+from kc2spice.rom.intermediate_reduction import build_intermediate_model
 from kc2spice.rom.linear_model import LinearModel, Norm
+from kc2spice.rom.order_search import require_order, select_basis, select_fewest_states
 from kc2spice.rom.pencil import Pencil
-from kc2spice.rom.reduced_basis import ReducedBasis, Task
+from kc2spice.rom.reduced_basis import ReducedBasis, ReductionTask
 from kc2spice.rom.reductors.base import Reductor, require_basis
 from kc2spice.rom.reductors.block_krylov import BlockArnoldi, make_nested_model
 from kc2spice.rom.reductors.registry import BLOCK_KRYLOV, find_reductor, list_suited_reductors
 from kc2spice.rom.refinement import find_lower_order
-from kc2spice.rom.search import require_order, select_basis, select_fewest_states
 from kc2spice.rom.stability import StabilityProof, prove_stability
-from kc2spice.rom.structural import approximate_causally, reduce_to_first_order
+from kc2spice.rom.structural_reduction import approximate_causally, reduce_to_first_order
 
 # largest frequency [Hz]; the square of its angular frequency is a finite float
 MAX_FREQUENCY = 1e30
@@ -140,22 +140,22 @@ def reduce_model(
     0.002000000 m/N
     """
     with use_solver(solver):
-        return reduce_to(fom, Target(tolerance, order, band, norm, contact, method))
+        return reduce_to_target(fom, ReductionTarget(tolerance, order, band, norm, contact, method))
 
 
-def reduce_to(fom: LinearModel, target: Target) -> LinearModel:
-    """Reduce a model so that it meets a ``target``. See :func:`reduce_model`."""
+def reduce_to_target(fom: LinearModel, target: ReductionTarget) -> LinearModel:
+    """Reduce a model so that it meets the requirements ``target``."""
     require_valid(target)
     if fom.structural:
         return _reduce_structural_damping(fom, target)
-    rom, tolerance = _reduce_viscous(fom, target), target.tolerance
+    rom, tolerance = _reduce_viscous_damping(fom, target), target.tolerance
     if tolerance is None or target.contact or target.method or fom.first_order:
         return rom
     return reduce_to_first_order(fom, rom, _make_congruence(target), tolerance, target.norm)
 
 
 @dataclass(frozen=True)
-class Target:
+class ReductionTarget:
     """Requirements on a reduced-order model, and the method of reduction.
 
     If ``keep_form`` is true, only congruences are used. If ``exact`` is true, the intermediate
@@ -174,17 +174,17 @@ class Target:
     space: BlockArnoldi | None = None
 
 
-def _reduce_viscous(fom: LinearModel, target: Target) -> LinearModel:
+def _reduce_viscous_damping(fom: LinearModel, target: ReductionTarget) -> LinearModel:
     """Reduce a model with viscous damping."""
     pencil = eliminate_algebraic_unknowns(fom.pencil)
     band = choose_band(fom, pencil, target.band)
     intermediate, full_order_proof = make_verified_first_step(pencil, band, target)
-    task = Task.of(fom, pencil, intermediate, band, target.norm, target.tolerance)
+    task = ReductionTask.from_models(fom, pencil, intermediate, band, target.norm, target.tolerance)
     reductors = list_methods(task, target)
     if target.tolerance is None:
         basis, order = find_basis_of_order(task, reductors, target)
     else:
-        basis, order = find_basis_within(task, reductors, target)
+        basis, order = find_smallest_basis(task, reductors, target)
     rom = certify(basis, order)
     warn_of_rounding_errors(rom, intermediate.floor, target.tolerance)
     return certify_with_full_order(rom, full_order_proof)
@@ -219,7 +219,7 @@ def choose_band(
 
 
 def make_verified_first_step(
-    pencil: Pencil, band: tuple[float, float], target: Target
+    pencil: Pencil, band: tuple[float, float], target: ReductionTarget
 ) -> tuple[IntermediateModel, StabilityProof]:
     """Return the intermediate model and the stability proof of the full-order model.
 
@@ -227,7 +227,9 @@ def make_verified_first_step(
     model is accepted, because a later target limits the error.
     """
     # The required memory is checked again later if the stiffness matrix proves to be indefinite.
-    require_memory_for_factors(pencil.bordered(1.0, 1.0, 1.0), definite=expects_cholesky(pencil))
+    require_memory_for_factors(
+        pencil.assemble_bordered_matrix(1.0, 1.0, 1.0), definite=allows_cholesky(pencil)
+    )
     goal, limit = FIXED_ORDER_TARGET, np.inf
     if target.tolerance is not None:
         goal = max(INTERMEDIATE_SHARE * target.tolerance, 0.1 * MIN_TOLERANCE)
@@ -253,7 +255,7 @@ def make_verified_first_step(
     return result, proof
 
 
-def list_methods(task: Task, target: Target) -> list[Reductor]:
+def list_methods(task: ReductionTask, target: ReductionTarget) -> list[Reductor]:
     """Return the prescribed method of reduction, or otherwise all methods that suit the model."""
     if target.method is not None:
         return [find_reductor(target.method)]
@@ -263,9 +265,9 @@ def list_methods(task: Task, target: Target) -> list[Reductor]:
 
 
 def find_basis_of_order(
-    task: Task,
+    task: ReductionTask,
     reductors: Sequence[Reductor],
-    target: Target,
+    target: ReductionTarget,
     bases: dict[str, list[ReducedBasis]] | None = None,
 ) -> tuple[ReducedBasis, int]:
     """Return the basis with the smallest error at a prescribed order, and this order.
@@ -286,8 +288,8 @@ def find_basis_of_order(
     return select_basis(bases[key], target.order), target.order
 
 
-def find_basis_within(
-    task: Task, reductors: Sequence[Reductor], target: Target
+def find_smallest_basis(
+    task: ReductionTask, reductors: Sequence[Reductor], target: ReductionTarget
 ) -> tuple[ReducedBasis, int]:
     """Return the basis that needs the fewest states for the tolerance, and its order."""
     assert target.tolerance is not None
@@ -311,7 +313,7 @@ def _subtract_rounding_error(tolerance: float, intermediate: IntermediateModel) 
     return remaining if enough else tolerance
 
 
-def _compute_prescribed_basis(task: Task, reductor: Reductor) -> ReducedBasis:
+def _compute_prescribed_basis(task: ReductionTask, reductor: Reductor) -> ReducedBasis:
     """Return the basis of a prescribed reduction method.
 
     Raises
@@ -360,20 +362,22 @@ def warn_of_rounding_errors(rom: LinearModel, floor: float, tolerance: float | N
 
 
 def _make_congruence(
-    target: Target,
+    target: ReductionTarget,
 ) -> Callable[[LinearModel, float, tuple[float, float]], LinearModel]:
     """Return a function that reduces a model by a congruence, within a tolerance over a band."""
 
-    def congruence(fom: LinearModel, tolerance: float, band: tuple[float, float]) -> LinearModel:
+    def reduce_by_congruence(
+        fom: LinearModel, tolerance: float, band: tuple[float, float]
+    ) -> LinearModel:
         """Reduce a model with viscous damping by a congruence."""
-        return _reduce_viscous(
+        return _reduce_viscous_damping(
             fom, replace(target, tolerance=tolerance, order=None, band=band, keep_form=True)
         )
 
-    return congruence
+    return reduce_by_congruence
 
 
-def _reduce_structural_damping(fom: LinearModel, target: Target) -> LinearModel:
+def _reduce_structural_damping(fom: LinearModel, target: ReductionTarget) -> LinearModel:
     """Reduce a model with structural damping to a causal, passive model."""
     if target.tolerance is None:
         raise UsageError(
@@ -385,7 +389,7 @@ def _reduce_structural_damping(fom: LinearModel, target: Target) -> LinearModel:
         )
     if target.method is not None and not find_reductor(target.method).congruence:
         problem = "structural damping needs a method that preserves the form of the matrices"
-        raise UsageError(problem, where="method", got=target.method)
+        raise UsageError(problem, where="method", got=target.method, hint="leave out the method")
     undamped = replace(fom, loss_factor=0.0, loss=None)
     band = (
         target.band
@@ -395,14 +399,16 @@ def _reduce_structural_damping(fom: LinearModel, target: Target) -> LinearModel:
     return approximate_causally(fom, _make_congruence(target), target.tolerance, band, target.norm)
 
 
-def require_valid(target: Target) -> None:
+def require_valid(target: ReductionTarget) -> None:
     """Check that the tolerance, order, norm and method of a target are valid."""
     tolerance, order = target.tolerance, target.order
     if (tolerance is None) == (order is None):
         raise UsageError(
             "the reduction needs either a tolerance or an order",
             where="reduce",
-            got="neither of them" if order is None else f"tolerance {tolerance}, order {order}",
+            got="neither tolerance nor order"
+            if order is None
+            else f"tolerance {tolerance}, order {order}",
             expected="tolerance, the largest relative error, or order, the number of states",
             hint="leave out order" if order is not None else "add tolerance=1e-4",
         )
@@ -411,7 +417,7 @@ def require_valid(target: Target) -> None:
             "the tolerance is out of range",
             where="tolerance",
             got=tolerance,
-            expected=f"at least {MIN_TOLERANCE:g}, the limit of double precision, and below 1",
+            expected=f"at least {MIN_TOLERANCE:g} and below 1",
             hint="for example 1e-4, which is an error estimate of 0.01 %",
         )
     if order is not None and (order < 1 or order != int(order)):

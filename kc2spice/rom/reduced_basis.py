@@ -18,13 +18,17 @@ import scipy
 
 from kc2spice.core.errors import UsageError
 from kc2spice.rom.error_estimate import ErrorEstimator
-from kc2spice.rom.intermediate import IntermediateModel
+from kc2spice.rom.intermediate_model import IntermediateModel
 from kc2spice.rom.linear_model import LinearModel, Norm, make_linear_model
 from kc2spice.rom.pencil import Pencil
-from kc2spice.rom.reductors.vectors import improve_condition, require_vectors, scale_to_unit_norm
+from kc2spice.rom.reductors.basis_vectors import (
+    improve_conditioning,
+    require_vectors,
+    scale_to_unit_norm,
+)
 from kc2spice.rom.response import Response
 from kc2spice.rom.stability import StabilityProof, prove_stability
-from kc2spice.rom.state_space import to_hertz, to_schur_form
+from kc2spice.rom.state_space import restore_time_unit, to_schur_form
 
 # Smallest error estimate, because responses from direct solutions are hardly more accurate.
 MIN_ERROR_ESTIMATE = 1e-11
@@ -40,7 +44,7 @@ DEPENDENT_VECTOR = 1e-10
 
 
 @dataclass(frozen=True)
-class Task:
+class ReductionTask:
     """Full-order model ``fom`` to be reduced, and its ``intermediate`` model.
 
     ``pencil`` contains the matrices of the full-order model without constraints and infinite poles.
@@ -61,7 +65,7 @@ class Task:
     shared: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
 
     @classmethod
-    def of(
+    def from_models(
         cls,
         fom: LinearModel,
         pencil: Pencil,
@@ -69,9 +73,9 @@ class Task:
         band: tuple[float, float],
         norm: Norm,
         tolerance: float | None = None,
-    ) -> Task:
+    ) -> ReductionTask:
         """Create the task with an error estimator for a band [Hz] and a norm."""
-        return cls(fom, pencil, intermediate, intermediate.estimator(band, norm), tolerance)
+        return cls(fom, pencil, intermediate, intermediate.make_estimator(band, norm), tolerance)
 
     @property
     def band(self) -> tuple[float, float]:
@@ -89,7 +93,7 @@ class Task:
         return self.intermediate.response
 
     @property
-    def core(self) -> Pencil:
+    def pencil_without_rigid_modes(self) -> Pencil:
         """Matrices of the intermediate model without rigid-body modes.
 
         If damping couples rigid-body modes to other motions, the matrices include them.
@@ -97,16 +101,16 @@ class Task:
         return self.response.core
 
     @property
-    def collocated(self) -> bool:
+    def is_collocated(self) -> bool:
         """Whether the model equals its dual, because its matrices are symmetric and ``C = B'``."""
-        return self.pencil.symmetric and self.pencil.collocated
+        return self.pencil.is_symmetric and self.pencil.is_collocated
 
     @property
     def states(self) -> int:
         """Number of first-order states of the intermediate model."""
         return self.response.pencil.size * self.response.pencil.degree
 
-    def share(self, name: str, compute: Callable[[], T]) -> T:
+    def get_shared_value(self, name: str, compute: Callable[[], T]) -> T:
         """Return the shared value ``name``. The first call computes it by ``compute``.
 
         Tasks of the same model that differ only in the tolerance share the value.
@@ -121,21 +125,28 @@ class Task:
 
         The dense matrices are ``M E K B C D``, or ``A E B C D`` for a first-order model.
         """
-        core, fom = self.core, self.fom
-        return self.share("model", lambda: make_linear_model(core, ports=fom.ports, name=fom.name))
+        core, fom = self.pencil_without_rigid_modes, self.fom
+        return self.get_shared_value(
+            "model", lambda: make_linear_model(core, ports=fom.ports, name=fom.name)
+        )
 
     @property
-    def first_order(self) -> Response:
+    def first_order_response(self) -> Response:
         """Response of the model :attr:`core` in the first-order form ``x' = A x + B u``.
 
         Rates are divided by the end of the band.
         """
-        return self.share("first order", lambda: Response(to_schur_form(self.core, self.band[1])))
+        return self.get_shared_value(
+            "first order",
+            lambda: Response(to_schur_form(self.pencil_without_rigid_modes, self.band[1])),
+        )
 
     @property
     def proof(self) -> StabilityProof:
         """Stability and passivity of the intermediate model."""
-        return self.share("proof", lambda: prove_stability(self.response.pencil, self.band))
+        return self.get_shared_value(
+            "proof", lambda: prove_stability(self.response.pencil, self.band)
+        )
 
     def project(
         self, V: np.ndarray, W: np.ndarray | None = None, *, fixed: int = 0
@@ -160,7 +171,7 @@ class Task:
             of :attr:`model`; its columns are linearly dependent; or ``fixed`` exceeds the number of
             columns.
         """
-        V = require_vectors(V, "V", (self.core.size, None))
+        V = require_vectors(V, "V", (self.pencil_without_rigid_modes.size, None))
         W = None if W is None else require_vectors(W, "W", V.shape)
         if not isinstance(fixed, int | np.integer) or not 0 <= fixed <= V.shape[1]:
             expected = f"a whole number from 0 to {V.shape[1]}, the columns of V"
@@ -170,28 +181,36 @@ class Task:
                 got=repr(fixed),
                 expected=expected,
             )
-        if free := self.core.free:  # rigid-body modes that damping couples to other motions
-            others = _select_independent(V, free)
+        if (
+            free := self.pencil_without_rigid_modes.free
+        ):  # rigid-body modes that damping couples to other motions
+            others = _mask_independent_columns(V, free)
             fixed = int(others[:fixed].sum())
             V = scipy.linalg.block_diag(np.eye(free), V[free:, others])
             W = None if W is None else scipy.linalg.block_diag(np.eye(free), W[free:, others])
-        V = improve_condition(scale_to_unit_norm(V))
+        V = improve_conditioning(scale_to_unit_norm(V))
         if W is None:
-            pencil = self.core.project(V)
+            pencil = self.pencil_without_rigid_modes.project(V)
         else:
-            W = improve_condition(scale_to_unit_norm(W))
-            parts = tuple(W.T @ P @ V for P in self.core.coefficients)
-            pencil = Pencil(parts, W.T @ self.core.B, self.core.C @ V, self.core.D, free=free)
-        pencil, vectors = self.with_rigid_body(pencil), self.add_rigid_body_vectors(V)
+            W = improve_conditioning(scale_to_unit_norm(W))
+            parts = tuple(W.T @ P @ V for P in self.pencil_without_rigid_modes.coefficients)
+            pencil = Pencil(
+                parts,
+                W.T @ self.pencil_without_rigid_modes.B,
+                self.pencil_without_rigid_modes.C @ V,
+                self.pencil_without_rigid_modes.D,
+                free=free,
+            )
+        pencil, vectors = self.prepend_rigid_modes(pencil), self.add_rigid_body_vectors(V)
         fixed += pencil.free
         return ReducedBasis(self, pencil, fixed, congruence=W is None, vectors=vectors)
 
-    def with_rigid_body(self, pencil: Pencil) -> Pencil:
+    def prepend_rigid_modes(self, pencil: Pencil) -> Pencil:
         """Prepend the rigid-body modes to the unknowns of a projection of :attr:`core`."""
-        if self.core is self.response.pencil:
+        if self.pencil_without_rigid_modes is self.response.pencil:
             return pencil
         return pencil.prepend_rigid_body_modes(
-            self.response.pencil.leading_model(self.response.pencil.free)
+            self.response.pencil.truncate_to_order(self.response.pencil.free)
         )
 
     def add_rigid_body_vectors(self, V: np.ndarray) -> np.ndarray:
@@ -199,18 +218,25 @@ class Task:
 
         The rigid-body modes are the first vectors in the result.
         """
-        free = self.response.pencil.size - self.core.size
+        free = self.response.pencil.size - self.pencil_without_rigid_modes.size
         return np.asarray(scipy.linalg.block_diag(np.eye(free), V)) if free else V
 
     @cached_property
-    def displacements(self) -> np.ndarray | None:
+    def state_to_displacement(self) -> np.ndarray | None:
         """Matrix that converts first-order states to unknowns of the intermediate model.
 
-        The first-order states are the same as in :meth:`from_first_order`. The matrix is None if
-        the unknowns also depend directly on the input.
+        The first-order states are the same as in :meth:`convert_from_first_order`. The matrix is
+        None if the unknowns also depend directly on the input.
         """
-        pencil, free = self.response.pencil, self.response.pencil.size - self.core.size
-        parts = [pencil.leading_model(free), self.core] if free else [self.core]
+        pencil, free = (
+            self.response.pencil,
+            self.response.pencil.size - self.pencil_without_rigid_modes.size,
+        )
+        parts = (
+            [pencil.truncate_to_order(free), self.pencil_without_rigid_modes]
+            if free
+            else [self.pencil_without_rigid_modes]
+        )
         rows = []
         for part in parts:
             size = part.size
@@ -221,15 +247,15 @@ class Task:
             rows.append(observed.C)
         return np.asarray(scipy.linalg.block_diag(*rows))
 
-    def from_first_order(self, pencil: Pencil) -> Pencil:
+    def convert_from_first_order(self, pencil: Pencil) -> Pencil:
         """Convert a projection of :attr:`first_order` to SI units, and prepend rigid-body modes."""
         if free := self.response.pencil.free:
-            rigid = to_schur_form(self.response.pencil.leading_model(free), self.band[1])
+            rigid = to_schur_form(self.response.pencil.truncate_to_order(free), self.band[1])
             pencil = pencil.prepend_rigid_body_modes(rigid)
-        return to_hertz(pencil, self.band[1])
+        return restore_time_unit(pencil, self.band[1])
 
 
-def _select_independent(V: np.ndarray, free: int) -> np.ndarray:
+def _mask_independent_columns(V: np.ndarray, free: int) -> np.ndarray:
     """Return a mask of the columns of V that are linearly independent of earlier columns.
 
     The first ``free`` rows are ignored.
@@ -254,7 +280,7 @@ class ReducedBasis:
     model in whose unknowns the basis vectors are expressed.
     """
 
-    task: Task
+    task: ReductionTask
     pencil: Pencil
     fixed: int = 0
     origin: str = ""
@@ -277,12 +303,12 @@ class ReducedBasis:
 
         A congruence preserves the real poles and the passivity of such a model.
         """
-        return self.pencil.degree == 1 and self.pencil.symmetric and self.pencil.collocated
+        return self.pencil.degree == 1 and self.pencil.is_symmetric and self.pencil.is_collocated
 
-    def leading_model(self, order: int) -> Response:
+    def get_response_of_order(self, order: int) -> Response:
         """Return the frequency response of the reduced model of this order."""
         if order not in self.responses:
-            self.responses[order] = Response(self.pencil.leading_model(order))
+            self.responses[order] = Response(self.pencil.truncate_to_order(order))
         return self.responses[order]
 
     @cached_property
@@ -290,7 +316,7 @@ class ReducedBasis:
         """Responses of the reduced models that are already computed, keyed by order."""
         return {}
 
-    def unknowns(self, order: int) -> np.ndarray | None:
+    def expand_basis(self, order: int) -> np.ndarray | None:
         """Return the first ``order`` basis vectors in unknowns of the full-order model.
 
         The result has the shape (n, order), or is None if the vectors are unknown or cannot be
@@ -303,34 +329,34 @@ class ReducedBasis:
         if self.coordinates == "full order":
             return V
         if self.coordinates == "first order":
-            if task.displacements is None:
+            if task.state_to_displacement is None:
                 return None
-            V = task.displacements @ V
+            V = task.state_to_displacement @ V
         frame = task.intermediate.basis
         return None if frame is None else np.asarray(frame @ V)
 
-    def error(self, order: int, limit: float = np.inf) -> float:
+    def estimate_model_error(self, order: int, limit: float = np.inf) -> float:
         """Estimate the largest relative error of a reduced model of this order in the band.
 
         The result is the largest error of any transfer function. If this error exceeds ``limit``,
         the result may be any number above ``limit``.
         """
         exact = self.task.intermediate.error
-        difference = self.task.estimator.error(
-            self.leading_model(order), (limit - exact) / SAFETY_FACTOR
+        difference = self.task.estimator.estimate_model_error(
+            self.get_response_of_order(order), (limit - exact) / SAFETY_FACTOR
         )
         return max(exact + SAFETY_FACTOR * difference, MIN_ERROR_ESTIMATE)
 
-    def proof(self, order: int) -> StabilityProof:
+    def prove_order_stability(self, order: int) -> StabilityProof:
         """Prove the stability and passivity of the reduced model of this order."""
-        response = self.leading_model(order)
-        poles = None if response.decoupled else response.poles
+        response = self.get_response_of_order(order)
+        poles = None if response.has_decoupling_congruence else response.poles
         return prove_stability(response.pencil, self.task.band, poles)
 
     @cached_property
     def preserves_stability(self) -> bool:
         """Whether reduced models must be stable, because the intermediate model is stable."""
-        return not self.congruence or self.proof(self.size).stable is not False
+        return not self.congruence or self.prove_order_stability(self.size).stable is not False
 
     def is_acceptable(self, order: int, tolerance: float) -> bool:
         """Return whether the reduced model of this order is accurate enough and stable.
@@ -338,9 +364,9 @@ class ReducedBasis:
         The reduced model must meet the tolerance, and it must be stable if the intermediate model
         is stable. Only the result of a congruence may lack a proof of stability.
         """
-        if not self.error(order, tolerance) <= tolerance:
+        if not self.estimate_model_error(order, tolerance) <= tolerance:
             return False
-        stable = self.proof(order).stable
+        stable = self.prove_order_stability(order).stable
         if self.congruence:
             return stable is not False or not self.preserves_stability
         return bool(stable)

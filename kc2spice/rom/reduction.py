@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.quantities import quantity
+from kc2spice.core.quantities import convert_quantity
 from kc2spice.linalg.solver import DirectSolver, use_solver
 from kc2spice.rom.band import parse_band
 from kc2spice.rom.certification import certify, certify_with_full_order
@@ -23,17 +23,22 @@ from kc2spice.rom.error_estimate import choose_default_norm
 from kc2spice.rom.linear_model import LinearModel, Norm
 from kc2spice.rom.reduce import (
     MAX_INTERMEDIATE_SHARE,
-    Target,
+    ReductionTarget,
     choose_band,
     find_basis_of_order,
-    find_basis_within,
+    find_smallest_basis,
     list_methods,
     make_verified_first_step,
     reduce_model,
     require_valid,
     warn_of_rounding_errors,
 )
-from kc2spice.rom.reduced_basis import MIN_ERROR_ESTIMATE, SAFETY_FACTOR, ReducedBasis, Task
+from kc2spice.rom.reduced_basis import (
+    MIN_ERROR_ESTIMATE,
+    SAFETY_FACTOR,
+    ReducedBasis,
+    ReductionTask,
+)
 from kc2spice.rom.reductors.balanced_truncation import compute_hankel_singular_values
 from kc2spice.rom.reductors.base import Reductor
 from kc2spice.rom.reductors.rational_krylov import RationalKrylov
@@ -41,7 +46,7 @@ from kc2spice.rom.response import Response
 
 if TYPE_CHECKING:
     from kc2spice.rom.affine import AffineModel
-    from kc2spice.rom.ranges import ModelOverRanges
+    from kc2spice.rom.range_reduction import ModelOverRanges
 
 # default of the smallest tolerance; a tenth of it costs one or two more full-order solutions
 DEFAULT_MIN_TOLERANCE = 1e-6
@@ -136,9 +141,10 @@ def reduce(
     -------
     LinearModel or ModelOverRanges
         Reduced model with the ports of ``model`` and with a ``certificate``. For an affine model,
-        the result is a :class:`kc2spice.rom.ranges.ModelOverRanges`. The method ``at(values)`` of a
-        ``ModelOverRanges`` returns the reduced model for given values of the parameters. The
-        function :func:`kc2spice.parametric_subcircuit` writes the netlist of a ``ModelOverRanges``.
+        the result is a :class:`kc2spice.rom.range_reduction.ModelOverRanges`. The method
+        ``at(values)`` of a ``ModelOverRanges`` returns the reduced model for given values of the
+        parameters. The function :func:`kc2spice.parametric_subcircuit` writes the netlist of a
+        ``ModelOverRanges``.
 
     Raises
     ------
@@ -171,12 +177,12 @@ def reduce(
                 "constant matrices cannot have parameters",
                 where="parameters",
                 got=", ".join(parameters),
-                expected="a kc.AffineModel, or keys of a body in a scene, under its rom.parameters",
-                hint='kc.deck(kc.load_scene(SCENE, {"PART.rom": {"parameters": {KEY: [LOW, HIGH]}}'
-                "})), whose parts are the subcircuits",
+                expected="a kc.AffineModel",
+                hint="to vary a key of a body, write kc.deck(kc.load_scene(SCENE, "
+                '{"PART.rom": {"parameters": {KEY: [LOW, HIGH]}}}))',
             )
         if tolerance is not None:
-            tolerance = quantity(tolerance, "", where="tolerance")
+            tolerance = convert_quantity(tolerance, "", where="tolerance")
         return reduce_model(
             model,
             tolerance=tolerance,
@@ -201,7 +207,7 @@ def reduce(
                 expected="a relative error between 0 and 1",
                 hint="add tolerance=1e-4",
             )
-        tolerance = quantity(tolerance, "", where="tolerance")
+        tolerance = convert_quantity(tolerance, "", where="tolerance")
         with use_solver(solver):
             return reduce_affine(model, tolerance=tolerance, band=band, norm=norm)
     hint = "build a model, such as kc.LinearModel(M=M, K=K, B=B)"
@@ -224,7 +230,7 @@ def _reject_unused_options(**options: object) -> None:
                 "this argument does not apply to a model with parameters",
                 where=name,
                 got=value,
-                expected="a tolerance without this argument",
+                expected="a model without parameters, or a tolerance without this argument",
                 hint=f"leave {name} out",
             )
 
@@ -294,7 +300,13 @@ class Reduction:
     ) -> None:
         if points is not None:
             if method is not None:
-                raise UsageError("method and points cannot be combined", where="points", got=method)
+                raise UsageError(
+                    "method and points cannot be combined",
+                    where="points",
+                    got=method,
+                    expected="either method or points",
+                    hint="leave out points",
+                )
             method = RationalKrylov(points)
         if model.structural:
             raise UsageError(
@@ -302,7 +314,7 @@ class Reduction:
                 where=model.name,
                 hint="use kc.reduce(model, tolerance=...), which finds the nearest causal model",
             )
-        self._target = Target(
+        self._target = ReductionTarget(
             tolerance, None, None, norm or choose_default_norm(model), False, method, exact=False
         )
         require_valid(self._target)
@@ -311,9 +323,9 @@ class Reduction:
         self.band = choose_band(model, self._pencil, parse_band(band))
         self._bases: dict[str, list[ReducedBasis]] = {}
         self._solver = solver
-        self._prepare(self._target)
+        self._compute_intermediate(self._target)
 
-    def _prepare(self, target: Target) -> None:
+    def _compute_intermediate(self, target: ReductionTarget) -> None:
         """Compute the intermediate model for the tolerance of a target."""
         assert target.tolerance is not None
         with use_solver(self._solver):
@@ -321,7 +333,9 @@ class Reduction:
                 self._pencil, self.band, target
             )
         self._tolerance = target.tolerance
-        self._task = Task.of(self.model, self._pencil, self._intermediate, self.band, self.norm)
+        self._task = ReductionTask.from_models(
+            self.model, self._pencil, self._intermediate, self.band, self.norm
+        )
         self._bases.clear()
 
     @property
@@ -401,9 +415,9 @@ class Reduction:
         target = replace(target, method=self._target.method if method is None else method)
         require_valid(target)
         if tolerance is None:
-            basis, order = self._basis_of_order(target)
+            basis, order = self._find_basis_of_order(target)
         else:
-            basis, order = self._basis_within(tolerance, target)
+            basis, order = self._find_basis_within(tolerance, target)
         rom = certify(basis, order)
         warn_of_rounding_errors(rom, self._intermediate.floor, tolerance)
         return certify_with_full_order(rom, self._proof)
@@ -412,8 +426,8 @@ class Reduction:
         """Return the error estimate of the reduced model of an order. See :meth:`reduce`."""
         target = replace(self._target, tolerance=None, order=order)
         require_valid(target)
-        basis, order = self._basis_of_order(target)
-        return basis.error(order) + self._intermediate.floor
+        basis, order = self._find_basis_of_order(target)
+        return basis.estimate_model_error(order) + self._intermediate.floor
 
     def peak_error(self, rom: LinearModel) -> float:
         """Return the error estimate of a reduced model in the norm *peak*.
@@ -421,27 +435,29 @@ class Reduction:
         Errors are relative to the peak of each entry of the response. A model with an inaccurate
         notch therefore has a small error in this norm, but a large error in the norm *pointwise*.
         """
-        estimator = self._intermediate.estimator(self.band, "peak")
-        difference = estimator.error(Response(rom.pencil.dense()))
+        estimator = self._intermediate.make_estimator(self.band, "peak")
+        difference = estimator.estimate_model_error(Response(rom.pencil.make_dense()))
         estimate = self._intermediate.error + SAFETY_FACTOR * difference
         return max(estimate, MIN_ERROR_ESTIMATE) + self._intermediate.floor
 
-    def _basis_of_order(self, target: Target) -> tuple[ReducedBasis, int]:
+    def _find_basis_of_order(self, target: ReductionTarget) -> tuple[ReducedBasis, int]:
         """Return the basis with the smallest error at a prescribed order, and this order."""
         with use_solver(self._solver):
             return find_basis_of_order(
                 self._task, list_methods(self._task, target), target, self._bases
             )
 
-    def _basis_within(self, tolerance: float, target: Target) -> tuple[ReducedBasis, int]:
+    def _find_basis_within(
+        self, tolerance: float, target: ReductionTarget
+    ) -> tuple[ReducedBasis, int]:
         """Return the basis that needs the fewest states for a tolerance, and its order."""
-        if not self._is_within(tolerance):
-            self._prepare(target)
+        if not self._is_accurate_within(tolerance):
+            self._compute_intermediate(target)
         task = replace(self._task, tolerance=tolerance)
         with use_solver(self._solver):
-            return find_basis_within(task, list_methods(task, target), target)
+            return find_smallest_basis(task, list_methods(task, target), target)
 
-    def _is_within(self, tolerance: float) -> bool:
+    def _is_accurate_within(self, tolerance: float) -> bool:
         """Return whether the intermediate model is accurate enough for a tolerance."""
         limit = max(MAX_INTERMEDIATE_SHARE * tolerance, self._intermediate.floor)
         return tolerance >= self._tolerance and self._intermediate.error <= limit

@@ -16,7 +16,7 @@ import scipy
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.reduced_basis import SAFETY_FACTOR, ReducedBasis
 from kc2spice.rom.reductors.balanced_truncation import compute_balancing_factors
-from kc2spice.rom.reductors.snapshots import snapshots
+from kc2spice.rom.reductors.snapshots import choose_snapshots
 from kc2spice.rom.relaxing_fit import fit_minimax
 from kc2spice.rom.response import Response
 
@@ -57,8 +57,8 @@ def fit_output_matrix(
     Return the fitted basis and its order, or the arguments if no fit succeeds.
     """
     estimator = basis.task.estimator
-    s = snapshots(estimator, estimator.exact).s
-    H, peak = estimator.exact.transfer(s), estimator.reference[1].peak
+    s = choose_snapshots(estimator, estimator.exact).s
+    H, peak = estimator.exact.transfer(s), estimator.exact_response_and_scales[1].peak
     rows, columns = compute_balancing_factors(peak)
     target = (H - basis.pencil.D) / (rows[:, None] * columns)
     best, trial_order, sufficient = (
@@ -68,7 +68,7 @@ def fit_output_matrix(
     )
     while trial_order > max(1, basis.pencil.free, best[1] - MAX_FAILURES):
         trial_order -= 1
-        response = basis.leading_model(trial_order)
+        response = basis.get_response_of_order(trial_order)
         pencil, x = response.pencil, response.states(s) / columns
         weight = np.ones((len(s), 1, x.shape[2]))
         for _ in range(MAX_ROUNDS):
@@ -95,14 +95,17 @@ def fit_relaxations(basis: ReducedBasis, order: int, tolerance: float) -> tuple[
     estimator, ports = basis.task.estimator, basis.pencil.B.shape[1]
     if basis.fixed or basis.pencil.free:
         return basis, order
-    s = snapshots(estimator, estimator.exact).s
-    H, base = estimator.exact.transfer(s), estimator.reference[1].peak + np.finfo(float).tiny
+    s = choose_snapshots(estimator, estimator.exact).s
+    H, base = (
+        estimator.exact.transfer(s),
+        estimator.exact_response_and_scales[1].peak + np.finfo(float).tiny,
+    )
     best, sufficient = (basis, order), SUFFICIENT_RATIO * tolerance / SAFETY_FACTOR
     origin = f"{basis.origin}fitted rates and gains; "
     for trial_order in range(order - 1, 0, -1):
         if trial_order * (1 + ports) > MAX_FIT_PARAMETERS:
             break
-        rates, T = scipy.linalg.eigh(*basis.pencil.leading_model(trial_order).coefficients)
+        rates, T = scipy.linalg.eigh(*basis.pencil.truncate_to_order(trial_order).coefficients)
         if rates[0] <= 0:
             break
         start = rates, T.T @ basis.pencil.B[:trial_order]

@@ -1,7 +1,7 @@
 """Reduction to resonators whose coefficients are polynomials of the parameters.
 
 The coefficients are natural frequencies, gains and capacitances over ranges of the parameters. The
-input is a :class:`~kc2spice.rom.parametric.DenseParametricModel`, a model with small dense
+input is a :class:`~kc2spice.rom.parametric_models.DenseParametricModel`, a model with small dense
 matrices. At many points of the ranges, this module computes the modes of the dense model in the
 band and a little above it. Ritz vectors, which are orthogonal to the modes, represent the remaining
 response to the ports' loads.
@@ -9,13 +9,13 @@ response to the ports' loads.
 Modes whose frequencies are close to each other anywhere in the ranges form a block. The frame of a
 block is the basis of its modes that is nearest to the frame in the middle of the ranges, so that it
 rotates smoothly with the parameters. Therefore, the coefficients do not jump if natural frequencies
-cross or repel each other. All other modes are separate resonators. The stiffness of a block is
-``L L'`` with a Cholesky factor L. Polynomials approximate the logarithms of three quantities: the
+cross or repel each other. All other modes are separate resonators. The stiffness of a block is ``L
+L'`` with a Cholesky factor L. Polynomials approximate the logarithms of three quantities: the
 diagonal of L, the diagonal of the Cholesky factor of the clamped capacitances, and the damping.
 Masses, stiffness and damping are therefore positive everywhere in the ranges, which proves that the
 model is passive. Sources: P. H. Schoenemann, Psychometrika 31 (1966) 1 (nearest frame); T. Kato,
-Perturbation Theory for Linear Operators, II.4 (invariant subspaces are analytic as long as a gap
-separates them).
+Perturbation Theory for Linear Operators, II.4 (invariant subspaces are analytic as long as a
+gap separates them).
 
 If a port moves a body without a support, the port excites rigid-body modes. The stiffness of a
 rigid-body mode is zero and has no logarithm. Therefore, the rigid-body modes get a soft support
@@ -33,19 +33,24 @@ import scipy
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.rom.error_estimate import ErrorEstimator
-from kc2spice.rom.first_step import build_intermediate_model
+from kc2spice.rom.intermediate_reduction import build_intermediate_model
 from kc2spice.rom.linear_model import LinearModel, Norm
-from kc2spice.rom.parametric import (
+from kc2spice.rom.parametric_models import (
     DenseParametricModel,
     ParameterAxis,
     ParameterPolynomials,
     Values,
     choose_higher_degree,
+    evaluate_polynomials,
     list_exponents,
-    polynomials,
     reduce_over_parameters,
 )
-from kc2spice.rom.ranges import ModelOverRanges, RangeTask, certify_over_ranges, record_facts
+from kc2spice.rom.range_reduction import (
+    ModelOverRanges,
+    RangeTask,
+    certify_over_ranges,
+    record_model_values,
+)
 from kc2spice.rom.response import Response
 from kc2spice.rom.soft_support import SOFT_SUPPORT, SOFT_SUPPORT_RATIO, ZERO_FREQUENCY_RATIO
 from kc2spice.rom.stability import prove_stability
@@ -119,20 +124,20 @@ class ResonatorsOverRanges(ParameterPolynomials, ModelOverRanges):
         return int(self.diagonal.shape[1])
 
     @property
-    def electrical(self) -> list[int]:
+    def electrical_ports(self) -> list[int]:
         """Indices of the electrical ports."""
         return [k for k, port in enumerate(self.ports) if port.electrical]
 
-    def at(self, values: Values) -> LinearModel:
+    def evaluate(self, values: Values) -> LinearModel:
         """Return the resonators as a linear model, for ``values`` of all parameters."""
-        T = self.products(values)
+        T = self.compute_products(values)
         L = np.tensordot(T, self.below, 1) + np.diag(np.exp(T @ self.diagonal))
         pair = np.where(self.damped, np.exp(T @ self.rayleigh), 0.0).tolist()
-        alpha, beta = self.damping(pair, values)
+        alpha, beta = self.compute_damping(pair, values)
         D = np.zeros((len(self.ports),) * 2)
-        if self.electrical:
+        if self.electrical_ports:
             factor = np.tensordot(T, self.shared, 1) + np.diag(np.exp(T @ self.capacitance))
-            D[np.ix_(self.electrical, self.electrical)] = factor @ factor.T
+            D[np.ix_(self.electrical_ports, self.electrical_ports)] = factor @ factor.T
         K = L @ L.T
         return LinearModel(
             M=np.eye(self.order),
@@ -164,9 +169,10 @@ def reduce_over_ranges(task: RangeTask) -> ResonatorsOverRanges:
         and a port can move the body as a rigid body.
     SimulationError : the tolerance is not met.
     """
-    full, facts = record_facts(task.full)
+    full, facts = record_model_values(task.full)
 
     def compute_full(values: Values) -> LinearModel:
+        """Build the full model; reject losses other than Rayleigh damping."""
         model = full(values)
         if model.rayleigh is None:
             raise UsageError(
@@ -177,10 +183,10 @@ def reduce_over_ranges(task: RangeTask) -> ResonatorsOverRanges:
         return model
 
     result, error = _reduce_and_check(replace(task, full=compute_full))
-    middle = result.at(_compute_values_at(result.parameter_axes, np.zeros(len(task.axes))))
-    proof = prove_stability(middle.pencil.dense(), task.band)
+    middle = result.evaluate(_compute_values_at(result.parameter_axes, np.zeros(len(task.axes))))
+    proof = prove_stability(middle.pencil.make_dense(), task.band)
     certificate = certify_over_ranges(task, error, FULL_CHECKS + 1, proof)
-    known = interpolate_facts(result.axes, result.exponents, facts)
+    known = interpolate_model_facts(result.axes, result.exponents, facts)
     if SOFT_SUPPORT in result.facts:
         known |= {SOFT_SUPPORT: result.facts[SOFT_SUPPORT]}
     return replace(result, certificate=certificate, facts=known)
@@ -211,7 +217,7 @@ def _reduce_and_check(task: RangeTask) -> tuple[ResonatorsOverRanges, float]:
             space = build_intermediate_model(
                 task.full(values).pencil, band, 0.01 * tolerance, 0.3 * tolerance
             )
-            checks.append((values, space.estimator(band, task.norm), space.error))
+            checks.append((values, space.make_estimator(band, task.norm), space.error))
         degree = choose_higher_degree(dense_model)
         error = SAFETY_FACTOR * _compute_largest_difference(dense_model, checks)
         if error > tolerance and degree is not None:
@@ -236,26 +242,26 @@ def _compute_largest_difference(
     at these values, and the error of this estimator.
     """
     return max(
-        estimator.error(Response(model.at(values).pencil)) + error
+        estimator.estimate_model_error(Response(model.evaluate(values).pencil)) + error
         for values, estimator, error in checks
     )
 
 
-def interpolate_facts(
+def interpolate_model_facts(
     axes: Sequence[ParameterAxis],
     exponents: np.ndarray,
     known: Sequence[tuple[Values, Mapping[str, float]]],
 ) -> dict[str, np.ndarray]:
-    """Fit polynomials to the facts that all full models have in common.
+    """Fit polynomials to the ``facts`` (characteristic numbers) of full models.
 
     The polynomials have the highest degree for which there are enough full models. Return the
     coefficients (terms,) of each fact, for the products of polynomials with ``exponents`` (terms,
     axes).
     """
-    x = [[axis.coordinate(values[axis.name]) for axis in axes] for values, _ in known]
+    x = [[axis.compute_coordinate(values[axis.name]) for axis in axes] for values, _ in known]
     total = exponents.sum(axis=1, initial=0)
     used = np.array([(total <= degree).sum() for degree in total]) <= max(1, len(known) // 2)
-    T = polynomials(np.reshape(x, (len(known), -1)), exponents[used])
+    T = evaluate_polynomials(np.reshape(x, (len(known), -1)), exponents[used])
     names = set.intersection(*(set(item) for _, item in known))
     facts = {name: np.zeros(len(total)) for name in sorted(names)}
     for name, c in facts.items():
@@ -286,7 +292,10 @@ def make_resonators(
     best = np.inf
     for moments in range(1, KRYLOV_BLOCKS + 1):
         space = _ReducedSpace(modes, moments)
-        exact = max(estimator.error(Response(space.at(x).pencil)) for x, estimator in points[:3])
+        exact = max(
+            estimator.estimate_model_error(Response(space.project_model(x).pencil))
+            for x, estimator in points[:3]
+        )
         if exact > SUBSPACE_SHARE * tolerance and moments < KRYLOV_BLOCKS:
             continue
         for gap in MODE_GAPS:
@@ -296,8 +305,8 @@ def make_resonators(
                     break
                 error = 0.0
                 for x, estimator in points:
-                    model = result.at(_compute_values_at(result.parameter_axes, x))
-                    error = max(error, estimator.error(Response(model.pencil)))
+                    model = result.evaluate(_compute_values_at(result.parameter_axes, x))
+                    error = max(error, estimator.estimate_model_error(Response(model.pencil)))
                     if error > tolerance:
                         break
                 best = min(best, max(error, exact))
@@ -328,7 +337,7 @@ def _compute_values_at(
     known = {
         axis.name: axis.value(float(v)) for axis, v in zip(parameter_axes.values(), x, strict=False)
     }
-    return {name: known.get(name, axis.middle) for name, axis in parameter_axes.items()}
+    return {name: known.get(name, axis.middle_value) for name, axis in parameter_axes.items()}
 
 
 def _yield_check_points(
@@ -343,7 +352,7 @@ def _yield_check_points(
     corners = sorted(product((1.0, -1.0), repeat=count), key=lambda x: abs(sum(x)), reverse=True)
     for x in (np.zeros(count), *map(np.array, corners), *random_points):
         response = Response(
-            dense_model.at(_compute_values_at(dense_model.parameter_axes, x)).pencil
+            dense_model.evaluate(_compute_values_at(dense_model.parameter_axes, x)).pencil
         )
         yield x, ErrorEstimator(response, band, False, norm)
 
@@ -384,7 +393,7 @@ class _ModesOverRanges:
                 expected="a band above 0 Hz, a body with a support, or electrical ports only",
                 hint="state rom.band, such as [100, 10000]",
             )
-        self.points = list(map(self._select_elastic, points))
+        self.points = list(map(self._isolate_elastic_modes, points))
         w2 = np.array([p.w2 for p in self.points])
         least = max(1, int((w2 < (MODE_BAND_RATIO * 2 * np.pi * band[1]) ** 2).any(axis=0).sum()))
         counts = np.arange(least, min(least + EXTRA_MODES, w2.shape[1]) + 1)
@@ -392,17 +401,17 @@ class _ModesOverRanges:
         gaps = np.log(above[:, counts] / w2[:, counts - 1]).min(axis=0)
         self.count = int(counts[np.argmax(gaps - MIN_GAP_GAIN * np.arange(len(counts)))])
 
-    def at(self, x: np.ndarray) -> _DenseModes:
-        """Return the modes at coordinates ``x`` that :meth:`_select_elastic` selects."""
-        return self._select_elastic(self._compute_all_modes(x))
+    def compute_elastic_modes(self, x: np.ndarray) -> _DenseModes:
+        """Return the modes at coordinates ``x`` that :meth:`_isolate_elastic_modes` selects."""
+        return self._isolate_elastic_modes(self._compute_all_modes(x))
 
     def _compute_all_modes(self, x: np.ndarray) -> _DenseModes:
         """Return all modes of the dense model at coordinates ``x`` of the axes."""
-        model = self.dense_model.at(_compute_values_at(self.dense_model.parameter_axes, x))
+        model = self.dense_model.evaluate(_compute_values_at(self.dense_model.parameter_axes, x))
         return _DenseModes(model, *scipy.linalg.eigh(model.K, model.M))
 
     @property
-    def soft_support(self) -> float:
+    def soft_support_frequency(self) -> float:
         """Resonance frequency [Hz] of an unsupported body on the artificial soft support."""
         return SOFT_SUPPORT_RATIO * self.band[0]
 
@@ -412,10 +421,10 @@ class _ModesOverRanges:
         largest = share[: self.free].max(axis=0, initial=0.0)
         return bool((largest > RIGID_ROUNDING * share.max(axis=0)).any())
 
-    def _select_elastic(self, p: _DenseModes) -> _DenseModes:
-        """Remove the rigid-body modes, or give them a soft support if a port excites them."""
+    def _isolate_elastic_modes(self, p: _DenseModes) -> _DenseModes:
+        """Remove the rigid-body modes, or replace them by a soft support."""
         if self.moved:
-            soft = np.full(self.free, (2 * np.pi * self.soft_support) ** 2)
+            soft = np.full(self.free, (2 * np.pi * self.soft_support_frequency) ** 2)
             w2 = np.concatenate([soft, p.w2[self.free :]])
             return _DenseModes(p.model, w2, p.V)
         return _DenseModes(p.model, p.w2[self.free :], p.V[:, self.free :])
@@ -442,7 +451,7 @@ class _ReducedSpace:
         # the subspace has at most as many vectors as the dense model has unknowns
         large[: max(0, len(w) - rest.size)] = False
         self.T = T[:, large] / size[:, None]
-        pairs = list(map(self._solve_ritz, modes.points))
+        pairs = list(map(self._compute_ritz_modes, modes.points))
         self.w2 = np.array([w2 for w2, _ in pairs])
         self.Z = [Z for _, Z in pairs]
         self._blocks_by_range: dict[tuple[int, int], tuple[np.ndarray, np.ndarray] | None] = {}
@@ -453,7 +462,7 @@ class _ReducedSpace:
         load, share = p.V[:, k:].T @ p.model.B, self.unit / (p.w2[k:, None] - self.shift)
         return np.hstack([share**j * load for j in range(1, self.moments + 1)])
 
-    def _solve_ritz(self, p: _DenseModes) -> tuple[np.ndarray, np.ndarray]:
+    def _compute_ritz_modes(self, p: _DenseModes) -> tuple[np.ndarray, np.ndarray]:
         """Return squared frequencies (q,) and shapes (n, q) of retained modes and Ritz vectors."""
         k = self.modes.count
         U, _, R = np.linalg.svd(self._project_responses(p) @ self.T, full_matrices=False)
@@ -461,10 +470,10 @@ class _ReducedSpace:
         ritz, Q = np.linalg.eigh(W.T @ (p.w2[k:, None] * W))
         return np.r_[p.w2[:k], ritz], np.hstack([p.V[:, :k], p.V[:, k:] @ (W @ Q)])
 
-    def at(self, x: np.ndarray) -> LinearModel:
+    def project_model(self, x: np.ndarray) -> LinearModel:
         """Return the projection of the model on this subspace at coordinates ``x`` of the axes."""
-        p = self.modes.at(x)
-        w2, Z = self._solve_ritz(p)
+        p = self.modes.compute_elastic_modes(x)
+        w2, Z = self._compute_ritz_modes(p)
         B = Z.T @ p.model.B
         return replace(p.model, M=np.eye(len(w2)), K=np.diag(w2), B=B, C=B.T)
 
@@ -509,7 +518,7 @@ class _ReducedSpace:
         port[port == 0] = 1.0
         blocks = [(K, g) for K, g in filter(None, result) if (np.abs(g) / port).max() > ZERO_GAIN]
         exponents = list_exponents(modes.axes, degree)
-        fit = np.linalg.pinv(polynomials(modes.grid, exponents))
+        fit = np.linalg.pinv(evaluate_polynomials(modes.grid, exponents))
         ratio = min(_find_least_damping_ratio(p, modes.band) for p in modes.points)
         resolution = (
             COEFFICIENT_RESOLUTION
@@ -517,7 +526,7 @@ class _ReducedSpace:
             * (NOTCH_RESOLUTION if len(dense_model.frame.ports) > 1 else 1.0)
         )
 
-        def round_coefficients(values: np.ndarray, grain: float | np.ndarray) -> np.ndarray:
+        def fit_rounded_coefficients(values: np.ndarray, grain: float | np.ndarray) -> np.ndarray:
             """Fit ``values`` (points, …), and round the coefficients to multiples of ``grain``."""
             c = np.tensordot(fit, values, 1)
             return np.asarray(np.round(c / grain) * grain)
@@ -530,12 +539,12 @@ class _ReducedSpace:
             pivots = np.diagonal(L, axis1=1, axis2=2)
             rows = slice(at, at + K.shape[1])
             at += K.shape[1]
-            below[:, rows, rows] = round_coefficients(
+            below[:, rows, rows] = fit_rounded_coefficients(
                 np.tril(L, -1), resolution * ratio * pivots.min()
             )
-            diagonal.append(round_coefficients(np.log(pivots), resolution * ratio))
+            diagonal.append(fit_rounded_coefficients(np.log(pivots), resolution * ratio))
             gain.append(
-                round_coefficients(
+                fit_rounded_coefficients(
                     g, resolution * np.minimum(np.abs(g).max(axis=(0, 1)) + ZERO_GAIN * port, port)
                 )
             )
@@ -547,7 +556,7 @@ class _ReducedSpace:
         damped = damping > 0
         facts = dict[str, np.ndarray]()
         if modes.moved:
-            facts[SOFT_SUPPORT] = modes.soft_support * (exponents.sum(axis=1) == 0)
+            facts[SOFT_SUPPORT] = modes.soft_support_frequency * (exponents.sum(axis=1) == 0)
         return ResonatorsOverRanges(
             axes=dense_model.axes,
             losses=dense_model.losses,
@@ -557,11 +566,11 @@ class _ReducedSpace:
             diagonal=np.hstack(diagonal),
             below=below,
             gain=np.concatenate(gain, axis=1),
-            capacitance=round_coefficients(np.log(pivots), resolution),
-            shared=round_coefficients(
+            capacitance=fit_rounded_coefficients(np.log(pivots), resolution),
+            shared=fit_rounded_coefficients(
                 np.tril(F, -1), resolution * (pivots.min() if pivots.size else 1.0)
             ),
-            rayleigh=round_coefficients(np.log(np.where(damped, damping, 1.0)), resolution),
+            rayleigh=fit_rounded_coefficients(np.log(np.where(damped, damping, 1.0)), resolution),
             damped=(bool(damped[:, 0].all()), bool(damped[:, 1].all())),
             facts=facts,
             name=dense_model.frame.name,

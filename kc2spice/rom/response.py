@@ -10,8 +10,13 @@ import numpy as np
 import scipy
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.rom.entries import Entries
-from kc2spice.rom.pencil import INFINITE_POLE_RATIO, Pencil, first_order, largest_entry
+from kc2spice.rom.entry_scales import EntryScales
+from kc2spice.rom.pencil import (
+    INFINITE_POLE_RATIO,
+    Pencil,
+    convert_to_first_order,
+    find_largest_entry,
+)
 from kc2spice.rom.rigid_body import select_rigid_body_part
 
 # largest rounding error of a sum of terms that cancel, relative to the sum of their absolute values
@@ -57,36 +62,38 @@ class Response:
         self, pencil: Pencil, modes: Modes | None = None, zero: np.ndarray | bool = False
     ) -> None:
         self.pencil, self.zero = pencil, zero
-        self.core = pencil.without_rigid_body_modes if pencil.has_uncoupled_motion else pencil
-        self._free = pencil.leading_model(pencil.free) if pencil.has_uncoupled_motion else None
+        self.core = pencil.without_rigid_body_modes if pencil.has_uncoupled_rigid_modes else pencil
+        self._free = (
+            pencil.truncate_to_order(pencil.free) if pencil.has_uncoupled_rigid_modes else None
+        )
         self._prescribed_modes = modes
 
     @cached_property
-    def decoupled(self) -> bool:
+    def has_decoupling_congruence(self) -> bool:
         """Whether a real congruence decouples the pencil."""
         return self._prescribed_modes is None and self._decoupling is not None
 
     @cached_property
     def _decoupling(self) -> Modes | None:
         """Prescribed modes, or modes of a congruence that decouples the pencil, or None."""
-        return self._prescribed_modes or _decouple(self.core)
+        return self._prescribed_modes or _diagonalise_pencil(self.core)
 
     @cached_property
     def modes(self) -> Modes | None:
-        """Decoupled coordinates ``(T, L, diagonals)``, or None if they do not exist."""
+        """Modes as decoupled coordinates; None if the model cannot be decoupled."""
         use_eigenvectors = MIN_UNKNOWNS < self.core.size <= MAX_STATES / self.core.degree
         return self._decoupling or (_compute_eigenvectors(self.core) if use_eigenvectors else None)
 
     @cached_property
-    def dual(self) -> Response:
+    def dual_response(self) -> Response:
         """Response of the transposed pencil, computed in the same decoupled coordinates."""
         if self.modes is None or self._free:
-            return Response(self.pencil.transposed())
+            return Response(self.pencil.make_dual())
         T, L, diagonals = self.modes
-        return Response(self.pencil.transposed(), (L.T, T.T, diagonals))
+        return Response(self.pencil.make_dual(), (L.T, T.T, diagonals))
 
     @property
-    def diagonal(self) -> bool:
+    def is_decoupled(self) -> bool:
         """Whether decoupled coordinates exist, or are unnecessary because of few unknowns."""
         return self.modes is not None or self.core.size <= MIN_UNKNOWNS
 
@@ -99,7 +106,7 @@ class Response:
             x = self.core.states(s)
         else:
             T, L, _ = self.modes
-            parts = self._gains(s).T[:, :, None] * (L @ self.core.B)[:, None, :]
+            parts = self._compute_mode_responses(s).T[:, :, None] * (L @ self.core.B)[:, None, :]
             # one large matrix product is faster than many small products
             result = T @ parts.reshape(len(parts), -1)
             x = result.reshape(-1, *parts.shape[1:]).swapaxes(0, 1)
@@ -115,11 +122,11 @@ class Response:
         else:
             T, L, _ = self.modes
             residues = (self.core.C @ T).T[:, :, None] * (L @ self.core.B)[:, None, :]
-            result = self._gains(s) @ residues.reshape(len(residues), -1)
+            result = self._compute_mode_responses(s) @ residues.reshape(len(residues), -1)
             H = result.reshape(-1, *self.core.D.shape) + self.core.D
         return H + self._free.C @ self._free.states(s) if self._free else H
 
-    def cancelled_entries(self, s: np.ndarray) -> np.ndarray:
+    def mask_cancelled_entries(self, s: np.ndarray) -> np.ndarray:
         """Return a mask (outputs, inputs) of the entries that are only rounding errors.
 
         The terms of a cancelled entry add up to zero at all ``s``.
@@ -130,7 +137,7 @@ class Response:
         size = np.abs(self.pencil.C @ x + self.pencil.D).max(axis=0)
         return np.asarray(size <= CANCELLATION_ROUNDING * terms)
 
-    def peaks(self, frequency: np.ndarray, H: np.ndarray) -> np.ndarray:
+    def find_entry_peaks(self, frequency: np.ndarray, H: np.ndarray) -> np.ndarray:
         """Return the peak of each entry of the response H over ``frequency`` [Hz].
 
         The result has the shape (outputs, inputs). The rigid-body motion is omitted, because its
@@ -141,12 +148,14 @@ class Response:
             H = H - (free.transfer(2j * np.pi * frequency) - free.D)
         return np.asarray(np.abs(H).max(axis=0))
 
-    def entries(self, frequency: np.ndarray, H: np.ndarray | None = None) -> Entries:
+    def compute_error_scales(
+        self, frequency: np.ndarray, H: np.ndarray | None = None
+    ) -> EntryScales:
         """Return the scales for errors of the response H over ``frequency`` [Hz]."""
         H = self.transfer(2j * np.pi * frequency) if H is None else H
-        return Entries.of(H, self.peaks(frequency, H), self.zero)
+        return EntryScales.from_response(H, self.find_entry_peaks(frequency, H), self.zero)
 
-    def _gains(self, s: np.ndarray) -> np.ndarray:
+    def _compute_mode_responses(self, s: np.ndarray) -> np.ndarray:
         """Compute the responses ``1 / sum_k s^k diagonals_k`` of the modes at all values ``s``.
 
         The result has the shape (len(s), n).
@@ -165,7 +174,7 @@ class Response:
 
     @cached_property
     def _poles(self) -> np.ndarray:
-        """Finite poles [1/s] of the pencil ``core``."""
+        """Finite poles [1/s] of the model ``core``."""
         return self.core.poles() if self.modes is None else _compute_finite_poles(*self.modes[2])
 
     @cached_property
@@ -174,10 +183,10 @@ class Response:
 
         The mode index is -1 if no mode is known for the pole.
         """
-        if not self.decoupled or self.core.degree == 1:
-            result = np.empty(0) if self.decoupled else self._poles
+        if not self.has_decoupling_congruence or self.core.degree == 1:
+            result = np.empty(0) if self.has_decoupling_congruence else self._poles
             mode = np.full(len(result), -1)
-            if self.modes is not None and not self.decoupled:
+            if self.modes is not None and not self.has_decoupling_congruence:
                 mode = np.flatnonzero(_mask_finite_poles(self.modes[2][0]))
             mode, result = mode[result.imag > 0], result[result.imag > 0]
             return result.imag / (2 * np.pi), np.abs(result.real) / np.abs(result), mode
@@ -194,7 +203,7 @@ class Response:
         """Frequency [Hz] and damping ratio of the oscillating poles."""
         return self._oscillating_poles[:2]
 
-    def within(self, band: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+    def select_in_band(self, band: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
         """Return the frequencies [Hz] and damping ratios of the resonances inside the band."""
         frequency, ratio = self.resonances
         inside = _mask_inside_band(frequency, band)
@@ -216,12 +225,12 @@ class Response:
         T, L, _ = self.modes
         flanks = frequency * (1 + FLANK_DISTANCE * (ratio < MIN_DAMPING_RATIO))
         s = 2j * np.pi * flanks
-        gain = np.abs(self._gains(s)[np.arange(len(s)), mode])
+        gain = np.abs(self._compute_mode_responses(s)[np.arange(len(s)), mode])
         out, into = np.abs(self.core.C @ T[:, mode]).T, np.abs((L @ self.core.B)[mode])
         term = gain[:, None, None] * out[:, :, None] * into[:, None, :]
-        base = self.entries(np.union1d(flanks, grid(band, VISIBLE_GRID, False))).base(
-            self.transfer(s)
-        )
+        base = self.compute_error_scales(
+            np.union1d(flanks, make_frequency_grid(band, VISIBLE_GRID, False))
+        ).compute_error_divisors(self.transfer(s))
         visible = (term > MIN_VISIBLE_TERM * base).any(axis=(1, 2))
         return frequency[visible], ratio[visible]
 
@@ -237,6 +246,7 @@ class DirectResponse(Response):
 
     @cached_property
     def _decoupling(self) -> Modes | None:
+        """None, because responses are computed without decoupled coordinates."""
         return None
 
 
@@ -247,12 +257,12 @@ def _compute_eigenvectors(pencil: Pencil) -> Modes | None:
     problem is also suitable for unknowns without inertia. The result is None if the responses in
     decoupled coordinates differ from direct solutions by more than rounding errors.
     """
-    sizes = largest_entry(pencil.coefficients[0]), largest_entry(pencil.coefficients[-1])
+    sizes = find_largest_entry(pencil.coefficients[0]), find_largest_entry(pencil.coefficients[-1])
     if not all(sizes):
         return None
     shift = float((sizes[0] / sizes[1]) ** (1 / pencil.degree))
     n, none = pencil.size, np.zeros((0, pencil.size))
-    extended = first_order(replace(pencil, B=np.eye(n), C=none, D=none), shift)
+    extended = convert_to_first_order(replace(pencil, B=np.eye(n), C=none, D=none), shift)
     rest, inertia = extended.coefficients
     try:
         inner = np.linalg.solve(rest + shift * inertia, np.hstack([inertia, extended.B]))
@@ -292,13 +302,13 @@ def _mask_inside_band(frequency: np.ndarray, band: tuple[float, float]) -> np.nd
     return np.asarray((frequency > max(band[0], 1e-6 * band[1])) & (frequency < band[1]))
 
 
-def _decouple(pencil: Pencil) -> Modes | None:
+def _diagonalise_pencil(pencil: Pencil) -> Modes | None:
     """Diagonalise a symmetric pencil by a real congruence; return None if this is impossible.
 
     The congruence consists of the eigenvectors of ``M phi = mu K phi`` with a definite K. The
     problem ``M phi = mu K phi`` is better conditioned than the problem with the inverse of M.
     """
-    if not pencil.symmetric or not pencil.size:
+    if not pencil.is_symmetric or not pencil.size:
         return None
     rest, inertia = pencil.coefficients[0], pencil.coefficients[-1]
     try:
@@ -325,7 +335,7 @@ def _decouple(pencil: Pencil) -> Modes | None:
     return T, T.T, (ends[0], diagonal, ends[1])
 
 
-def grid(band: tuple[float, float], count: int, static: bool) -> np.ndarray:
+def make_frequency_grid(band: tuple[float, float], count: int, static: bool) -> np.ndarray:
     """Return a grid of frequencies [Hz] over the band: half linear, half logarithmic.
 
     The grid covers at most four decades. If the band begins at zero and the ``static`` response
@@ -386,7 +396,9 @@ def sample_band(
     On both sides of each resonance, there are samples at distances of ``widths`` half-widths.
     Samples too close to undamped poles are omitted.
     """
-    at, ratio = response.within(band)
-    points = np.union1d(grid(band, count, static), sample_resonances(at, ratio, np.asarray(widths)))
+    at, ratio = response.select_in_band(band)
+    points = np.union1d(
+        make_frequency_grid(band, count, static), sample_resonances(at, ratio, np.asarray(widths))
+    )
     points = points[(points >= band[0]) & (points <= band[1])]
     return drop_points_near_poles(points, at, ratio)

@@ -19,11 +19,11 @@ from kc2spice.linalg.extended_precision import ExactMatrix
 from kc2spice.rom.pencil import (
     Matrix,
     Pencil,
-    Schur,
-    absolute_entries,
-    first_order,
+    SchurComplement,
+    compute_absolute_entries,
+    convert_to_first_order,
+    find_largest_entry,
     is_symmetric,
-    largest_entry,
 )
 
 # Bound of the rounding error of a matrix entry, divided by ``n eps`` times the size of the entry.
@@ -88,7 +88,7 @@ def split_rigid_body(
         others = scipy.linalg.null_space((inertia @ X).T)
         if others.shape[1] + free == pencil.size:
             return _split_congruently(pencil, X, others, rounding)
-    result, V = _project_obliquely(first_order(pencil, omega), omega)
+    result, V = _project_obliquely(convert_to_first_order(pencil, omega), omega)
     return (
         RigidBodySplit(result, V, True)
         if result.free
@@ -111,7 +111,7 @@ def _split_congruently(
     pencil: Pencil, X: np.ndarray, others: np.ndarray, rounding: Rounding
 ) -> RigidBodySplit:
     """Project on the rigid-body modes X that an input drives, and on the motions ``others``."""
-    X = _select_driven(pencil, X, rounding)
+    X = _select_driven_modes(pencil, X, rounding)
     V = np.hstack([X, others])
     result, projected = project_with_rigid_body(pencil, V, X.shape[1], rounding)
     return RigidBodySplit(result, V, True, projected)
@@ -119,9 +119,9 @@ def _split_congruently(
 
 def select_rigid_body_part(pencil: Pencil, omega: float) -> Pencil | None:
     """Return the pencil of the rigid-body modes, or None if there are none."""
-    if pencil.free and not pencil.has_uncoupled_motion:
-        pencil = _project_obliquely(first_order(pencil, omega), omega)[0]
-    return pencil.leading_model(pencil.free) if pencil.free else None
+    if pencil.free and not pencil.has_uncoupled_rigid_modes:
+        pencil = _project_obliquely(convert_to_first_order(pencil, omega), omega)[0]
+    return pencil.truncate_to_order(pencil.free) if pencil.free else None
 
 
 def _bound_rounding(pencil: Pencil) -> Rounding:
@@ -181,7 +181,7 @@ def estimate_energy_rounding(P: Matrix, V: np.ndarray) -> np.ndarray:
     """
     squares = V**2
     return np.asarray(
-        np.finfo(float).eps * np.sqrt(squares.T @ (absolute_entries(P) ** 2 @ squares))
+        np.finfo(float).eps * np.sqrt(squares.T @ (compute_absolute_entries(P) ** 2 @ squares))
     )
 
 
@@ -197,7 +197,12 @@ def estimate_hidden_frequency(pencil: Pencil, X: np.ndarray, low: float) -> floa
     support.
     """
     K, M = pencil.coefficients[0], pencil.coefficients[-1]
-    if pencil.degree != 2 or isinstance(K, Schur) or not X.size or not pencil.symmetric:
+    if (
+        pencil.degree != 2
+        or isinstance(K, SchurComplement)
+        or not X.size
+        or not pencil.is_symmetric
+    ):
         return 0.0
     i, j, value = scipy.sparse.find(K)
     # extended precision, because the energies of soft modes are small differences of large numbers
@@ -227,7 +232,7 @@ def _is_force_free(P: np.ndarray, X: np.ndarray, rounding: np.ndarray) -> bool:
     return bool((np.abs(P @ X) <= rounding.sum(axis=1)[:, None] * np.abs(X).max(axis=0)).all())
 
 
-def _select_driven(pencil: Pencil, X: np.ndarray, rounding: Rounding) -> np.ndarray:
+def _select_driven_modes(pencil: Pencil, X: np.ndarray, rounding: Rounding) -> np.ndarray:
     """Select the rigid-body modes in X that an input drives.
 
     All modes are returned if inputs and outputs are not collocated, or if damping acts on the
@@ -235,18 +240,18 @@ def _select_driven(pencil: Pencil, X: np.ndarray, rounding: Rounding) -> np.ndar
     """
     *between, inertia = pencil.coefficients
     damped = not all(_is_force_free(P, X, R) for P, R in zip(between, rounding, strict=False))
-    if damped or not pencil.collocated:
+    if damped or not pencil.is_collocated:
         return X
     X = X @ np.linalg.inv(np.linalg.cholesky(X.T @ inertia @ X)).T
     U, size, _ = np.linalg.svd(X.T @ pencil.B)
     K, momenta = pencil.coefficients[0], inertia @ X
-    momenta *= np.sqrt(largest_entry(K)) / largest_entry(momenta)
+    momenta *= np.sqrt(find_largest_entry(K)) / find_largest_entry(momenta)
     # Rounding errors of K mix the driven modes with modes that no input drives.
     # Therefore, the limit for driven modes is computed from the response to the inputs.
     response = np.linalg.solve(K + momenta @ momenta.T, pencil.B)
     input_rounding = ROUNDING_FACTOR * np.finfo(float).eps * pencil.size * np.abs(pencil.B)
     noise = np.abs(X.T) @ (input_rounding + rounding[0] @ np.abs(response))
-    moved = int((size > largest_entry(noise)).sum())
+    moved = int((size > find_largest_entry(noise)).sum())
     return np.asarray(X @ U[:, :moved])
 
 
@@ -308,14 +313,14 @@ def _find_slow_subspace(rest: np.ndarray, inertia: np.ndarray, omega: float) -> 
     """
     shifted = np.linalg.solve(rest + omega * inertia, omega * inertia)
 
-    def chosen(x: float, y: float) -> bool:
+    def is_near_zero(x: float, y: float) -> bool:
         """Return whether the eigenvalue ``x + j y`` belongs to a pole near zero."""
         pole = 1 - 1 / (complex(x, y) or np.finfo(float).tiny)
         return abs(pole) < ZERO_POLE_RATIO or (
             abs(pole) < SLOW_POLE_RATIO and abs(pole.imag) < ZERO_POLE_RATIO
         )
 
-    _, Z, count = scipy.linalg.schur(shifted, output="real", sort=chosen)
+    _, Z, count = scipy.linalg.schur(shifted, output="real", sort=is_near_zero)
     return np.asarray(Z[:, :count])
 
 

@@ -7,16 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from kc2spice.rom.entries import Entries
-from kc2spice.rom.error_estimate import relative_size
-from kc2spice.rom.intermediate import IntermediateModel
-from kc2spice.rom.pencil import Pencil, absolute_entries
+from kc2spice.rom.entry_scales import EntryScales
+from kc2spice.rom.error_estimate import compute_relative_errors
+from kc2spice.rom.intermediate_model import IntermediateModel
+from kc2spice.rom.pencil import Pencil, compute_absolute_entries
 from kc2spice.rom.response import (
     FLANK_DISTANCE,
     MIN_DAMPING_RATIO,
     Response,
     drop_points_near_poles,
-    grid,
+    make_frequency_grid,
     sample_resonances,
 )
 
@@ -52,8 +52,10 @@ def estimate_rounding_uncertainty(
     """
     x = pencil.states(2j * np.pi * frequency) if states is None else states
     H = pencil.C @ x + pencil.D
-    size = relative_size(
-        estimate_rounding_change(pencil, frequency, x, dual), H, Entries.of(H, zero=zero)
+    size = compute_relative_errors(
+        estimate_rounding_change(pencil, frequency, x, dual),
+        H,
+        EntryScales.from_response(H, zero=zero),
     )
     return np.asarray(size.max(axis=(1, 2)))
 
@@ -68,9 +70,9 @@ def estimate_rounding_change(
     (frequencies, n, inputs) contains the states, and ``y`` the states of the dual model.
     """
     s = 2j * np.pi * frequency
-    y = x if pencil.symmetric and pencil.collocated else dual
-    y = pencil.transposed().states(s) if y is None else y
-    squares = [absolute_entries(P) ** 2 for P in pencil.coefficients]
+    y = x if pencil.is_symmetric and pencil.is_collocated else dual
+    y = pencil.make_dual().states(s) if y is None else y
+    squares = [compute_absolute_entries(P) ** 2 for P in pencil.coefficients]
     result = []
     for item, right, left in zip(s, np.abs(x) ** 2, np.abs(y) ** 2, strict=True):
         terms = (abs(item) ** (2 * k) * (left.T @ (P @ right)) for k, P in enumerate(squares))
@@ -92,23 +94,26 @@ def find_zero_entries(
     chosen = np.union1d(np.argsort(at)[:CHECKED_RESONANCES], np.argsort(ratio)[:CHECKED_RESONANCES])
     peaks = at[chosen] * (1 + FLANK_DISTANCE * (ratio[chosen] < MIN_DAMPING_RATIO))
     f = np.r_[
-        drop_points_near_poles(grid(band, ZERO_FREQUENCIES, False), *response.within(band)), peaks
+        drop_points_near_poles(
+            make_frequency_grid(band, ZERO_FREQUENCIES, False), *response.select_in_band(band)
+        ),
+        peaks,
     ]
     if pencil.D.size == 1 or not f.size:
         return False
     x = response.states(2j * np.pi * f)
     H = response.pencil.C @ x + response.pencil.D
-    negligible = response.entries(f, H).negligible(H)
+    negligible = response.compute_error_scales(f, H).mask_negligible_values(H)
     suspect = (negligible[: len(f) - len(peaks)].mean(axis=0) > ZERO_SHARE) & ~negligible.all(
         axis=0
     )
     if suspect.any():
         rows = np.flatnonzero((~negligible & suspect).any(axis=(1, 2)))
-        self_dual = pencil.symmetric and pencil.collocated
+        self_dual = pencil.is_symmetric and pencil.is_collocated
         dual = (
             None
             if self_dual or not pencil.is_dense
-            else pencil.transposed().states(2j * np.pi * f[rows])
+            else pencil.make_dual().states(2j * np.pi * f[rows])
         )
         if self_dual or dual is not None:
             limit = ZERO_ENTRY_FACTOR * estimate_rounding_change(pencil, f[rows], V @ x[rows], dual)
@@ -124,14 +129,14 @@ def describe_uncertainty(at: np.ndarray, size: np.ndarray, tolerance: float) -> 
     warns.
     """
     worst = int(size.argmax())
-    text = f"changes the response by {size[worst]:.1e} at {at[worst]:.5g} Hz"
+    effect = f"changes the response by {size[worst]:.1e} at {at[worst]:.5g} Hz"
     if size[worst] > tolerance:
         warnings.warn(
-            f"rounding of the matrix entries {text}; the reduction uses the matrices without "
+            f"rounding of the matrix entries {effect}; the reduction uses the matrices without "
             f"change",
             stacklevel=2,
         )
-    return f", and rounding of its matrices {text}" if size[worst] > STATED_UNCERTAINTY else ""
+    return f", and rounding of its matrices {effect}" if size[worst] > STATED_UNCERTAINTY else ""
 
 
 def estimate_removed_stiffness(projected: Pencil, free: Pencil, band: tuple[float, float]) -> float:
@@ -141,9 +146,9 @@ def estimate_removed_stiffness(projected: Pencil, free: Pencil, band: tuple[floa
     ``free`` does not. The change is evaluated at the lowest relevant frequency, where the change is
     largest.
     """
-    s = 2j * np.pi * grid(band, 2, False)[:1]
+    s = 2j * np.pi * make_frequency_grid(band, 2, False)[:1]
     H = free.transfer(s)
-    return float(relative_size(projected.transfer(s) - H, H).max())
+    return float(compute_relative_errors(projected.transfer(s) - H, H).max())
 
 
 def add_rounding_floor(
@@ -165,18 +170,20 @@ def add_rounding_floor(
     exact = model.response
     at, ratio = exact.select_visible(band)
     points = drop_points_near_poles(
-        sample_resonances(at, ratio, np.array([0.0, 1.0])), *exact.within(band)
+        sample_resonances(at, ratio, np.array([0.0, 1.0])), *exact.select_in_band(band)
     )
     if not points.size:
         return model
     H = exact.transfer(2j * np.pi * points)
-    entries = exact.entries(np.union1d(points, grid(band, 50, False)))
+    entries = exact.compute_error_scales(np.union1d(points, make_frequency_grid(band, 50, False)))
     rng = np.random.default_rng(0)
     largest_change = 0.0
     for t in rng.uniform(1.0, 2.0, (RANDOM_TRIALS, pencil.size)):
-        scaled_response = Response(pencil.in_units(t).project(V / t[:, None]))
-        size = relative_size(scaled_response.transfer(2j * np.pi * points) - H, H, entries)
-        size[:, exact.cancelled_entries(2j * np.pi * points) & ~entries.zero] = 0.0
+        scaled_response = Response(pencil.rescale_unknowns(t).project(V / t[:, None]))
+        size = compute_relative_errors(
+            scaled_response.transfer(2j * np.pi * points) - H, H, entries
+        )
+        size[:, exact.mask_cancelled_entries(2j * np.pi * points) & ~entries.zero] = 0.0
         largest_change = max(largest_change, TRIAL_FACTOR * float(size.max()))
         if largest_change < NEGLIGIBLE_SHARE * target:
             break

@@ -59,7 +59,7 @@ def support_softly(rom: LinearModel, band: tuple[float, float]) -> LinearModel:
     """
     if rom.first_order or not rom.symmetric or band[0] <= 0:
         return rom
-    K, E, M = rom.pencil.dense().coefficients
+    K, E, M = rom.pencil.make_dense().coefficients
     try:
         w2, V = scipy.linalg.eigh(K, M)
     except np.linalg.LinAlgError:  # a mode has no inertia

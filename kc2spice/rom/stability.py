@@ -15,7 +15,7 @@ import scipy
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.linalg.factor import factorise
-from kc2spice.rom.pencil import Matrix, Pencil, Schur, is_symmetric, largest_entry
+from kc2spice.rom.pencil import Matrix, Pencil, SchurComplement, find_largest_entry, is_symmetric
 from kc2spice.rom.rigid_body import split_rigid_body
 
 # largest relative magnitude of a negative eigenvalue that counts as a rounding error
@@ -72,7 +72,7 @@ def prove_stability(
         )
         return StabilityProof(None, False, "nothing: memory does not hold another factor")
     if dissipates:
-        passive = pencil.collocated and is_semidefinite(pencil.D + pencil.D.T)
+        passive = pencil.is_collocated and is_semidefinite(pencil.D + pencil.D.T)
         return StabilityProof(True, passive, DEFINITE_EVIDENCE)
     states = pencil.degree * pencil.size
     if states > MAX_POLE_STATES and poles is None:
@@ -100,13 +100,13 @@ def _compute_poles(pencil: Pencil, omega: float) -> np.ndarray:
     result = (
         pencil
         if pencil.free
-        else split_rigid_body(pencil.scale_unknowns(omega).dense(), omega).pencil
+        else split_rigid_body(pencil.scale_unknowns(omega).make_dense(), omega).pencil
     )
-    if not result.has_uncoupled_motion:
+    if not result.has_uncoupled_rigid_modes:
         return pencil.poles(omega)
     return np.asarray(
         np.r_[
-            result.leading_model(result.free).poles(omega),
+            result.truncate_to_order(result.free).poles(omega),
             result.without_rigid_body_modes.poles(omega),
         ]
     )
@@ -121,13 +121,13 @@ def is_dissipative(pencil: Pencil) -> bool:
     # with proportional damping, the damping matrix needs no separate proof
     if pencil.rayleigh is None or min(pencil.rayleigh) < 0:
         loss = others[0] if others[1:] else rest
-        if not is_semidefinite(loss if isinstance(loss, Schur) else loss + loss.T, order):
+        if not is_semidefinite(loss if isinstance(loss, SchurComplement) else loss + loss.T, order):
             return False
     # an existing factorisation of K may prove that K is definite
-    if isinstance(rest, Schur):
-        definite = rest.is_proven_definite(pencil.factors.known) and pencil.symmetric
+    if isinstance(rest, SchurComplement):
+        definite = rest.is_proven_definite(pencil.factors.value_or_none) and pencil.is_symmetric
     else:
-        definite = pencil.factorised and pencil.symmetric
+        definite = pencil.is_factorised and pencil.is_symmetric
     return pencil.degree == 1 or definite or is_semidefinite(rest)
 
 
@@ -136,24 +136,24 @@ def is_semidefinite(matrix: Matrix, order: np.ndarray | None = None) -> bool:
 
     ``order`` is the elimination order for a sparse matrix, if it is known.
     """
-    if isinstance(matrix, Schur):
-        if not matrix.symmetric:
+    if isinstance(matrix, SchurComplement):
+        if not matrix.is_symmetric:
             return False
         if is_semidefinite(-matrix.pp):  # electric potentials increase the stiffness
             return is_semidefinite(matrix.uu)
         blocks = [[matrix.uu, matrix.up], [matrix.pu, matrix.pp]]
         return is_semidefinite(scipy.sparse.csc_array(scipy.sparse.block_array(blocks)))
     if not isinstance(matrix, np.ndarray):
-        return _is_factorisable(scipy.sparse.csc_array(matrix), order)
+        return _is_sparse_semidefinite(scipy.sparse.csc_array(matrix), order)
     if matrix.size == 0:
         return True
-    if largest_entry(matrix - matrix.T) > NEGATIVE_ROUNDING * largest_entry(matrix):
+    if find_largest_entry(matrix - matrix.T) > NEGATIVE_ROUNDING * find_largest_entry(matrix):
         return False
     values = np.linalg.eigvalsh(matrix)
     return bool(values[0] >= -NEGATIVE_ROUNDING * abs(values[-1]))
 
 
-def _lanczos_is_positive(matrix: Matrix, empty: np.ndarray, spread: float) -> bool:
+def _is_positive_by_lanczos(matrix: Matrix, empty: np.ndarray, spread: float) -> bool:
     """Return whether Lanczos steps prove that all eigenvalues are positive.
 
     Rows in the mask ``empty`` are ignored. Let x be the smallest Ritz value after k steps from a
@@ -192,14 +192,14 @@ def _lanczos_is_positive(matrix: Matrix, empty: np.ndarray, spread: float) -> bo
     return False
 
 
-def _is_factorisable(matrix: Matrix, order: np.ndarray | None = None) -> bool:
+def _is_sparse_semidefinite(matrix: Matrix, order: np.ndarray | None = None) -> bool:
     """Return whether a sparse matrix is positive semidefinite within rounding errors.
 
     The diagonal of the matrix is first scaled to one. The matrix is semidefinite if Lanczos steps
     show that all eigenvalues are positive. Otherwise, a small multiple of eps is added to the
     diagonal, and the matrix is semidefinite if it then has a Cholesky factor.
     """
-    if not largest_entry(matrix):
+    if not find_largest_entry(matrix):
         return True
     diagonal = matrix.diagonal()
     empty = np.asarray(abs(matrix).max(axis=0).toarray()).ravel() == 0
@@ -208,7 +208,7 @@ def _is_factorisable(matrix: Matrix, order: np.ndarray | None = None) -> bool:
     T = scipy.sparse.diags_array(1 / np.sqrt(np.where(empty, 1.0, diagonal)))
     scaled = T @ (0.5 * (matrix + matrix.T)) @ T
     spread = float(abs(scaled).sum(axis=0).max())  # upper bound of the eigenvalues
-    if matrix.shape[0] > MAX_FACTORED_UNKNOWNS and _lanczos_is_positive(scaled, empty, spread):
+    if matrix.shape[0] > MAX_FACTORED_UNKNOWNS and _is_positive_by_lanczos(scaled, empty, spread):
         return True
     shift = NEGATIVE_ROUNDING * spread
     added_diagonal = scipy.sparse.diags_array(np.where(empty, 1.0, shift))

@@ -6,7 +6,12 @@ import numpy as np
 import scipy
 
 from kc2spice.core.errors import UsageError
-from kc2spice.rom.pencil import Pencil, first_order, largest_entry, make_explicit_pencil
+from kc2spice.rom.pencil import (
+    Pencil,
+    convert_to_first_order,
+    find_largest_entry,
+    make_explicit_pencil,
+)
 from kc2spice.rom.stability import is_semidefinite
 
 ABCD = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -16,7 +21,7 @@ MASSLESS = 1e-13
 COUPLING = 1e-10
 
 
-def state_space(pencil: Pencil, top_hz: float | None = None) -> ABCD:
+def convert_to_state_space(pencil: Pencil, top_hz: float | None = None) -> ABCD:
     """Convert a model to state-space matrices: ``x' = A x + B u``, ``y = C x + D u``.
 
     Return A, B, C and D. If a stored energy is defined for the model, the states are scaled so that
@@ -30,11 +35,15 @@ def state_space(pencil: Pencil, top_hz: float | None = None) -> ABCD:
     UsageError : the response contains derivatives of the input, or the block of massless unknowns
         is singular.
     """
-    pencil = pencil.dense()
+    pencil = pencil.make_dense()
     if pencil.degree == 1:
         return _make_energy_state_space(pencil)
     K, _, M = pencil.coefficients
-    top = largest_entry(K) / largest_entry(M) if largest_entry(K) and largest_entry(M) else 1.0
+    top = (
+        find_largest_entry(K) / find_largest_entry(M)
+        if find_largest_entry(K) and find_largest_entry(M)
+        else 1.0
+    )
     omega = 2 * np.pi * top_hz if top_hz is not None else float(np.sqrt(top))
     if is_semidefinite(M):
         # the inertia of a rigid-body mode may be small in the units of its unknown
@@ -51,7 +60,7 @@ def state_space(pencil: Pencil, top_hz: float | None = None) -> ABCD:
         )
     else:
         return _make_modal_state_space(_normalise_mass(pencil), omega)
-    A, B, C, D = _make_energy_state_space(first_order(pencil, omega))
+    A, B, C, D = _make_energy_state_space(convert_to_first_order(pencil, omega))
     return A, omega * B, C / omega, D
 
 
@@ -94,7 +103,7 @@ def _normalise_modes(M: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarr
     Otherwise the second result is None. If K is definite, the modes are computed from
     ``M phi = mu K phi``, so that the lowest modes are accurate.
     """
-    if largest_entry(K - K.T) > COUPLING * largest_entry(K):
+    if find_largest_entry(K - K.T) > COUPLING * find_largest_entry(K):
         return scipy.linalg.solve_triangular(scipy.linalg.cholesky(M), np.eye(len(M))), None
     values = np.linalg.eigvalsh(K)
     if values[0] > MASSLESS * values[-1]:
@@ -114,9 +123,11 @@ def _eliminate_static(pencil: Pencil) -> Pencil:
     none = mass <= MASSLESS * mass[-1]
     damping = V[:, none].T @ E @ V[:, none]
     size, U = scipy.linalg.eigh(0.5 * (damping + damping.T))
-    undamped = np.abs(size) <= MASSLESS * max(largest_entry(E), np.finfo(float).tiny)
+    undamped = np.abs(size) <= MASSLESS * max(find_largest_entry(E), np.finfo(float).tiny)
     light, static = V[:, none] @ U[:, ~undamped], V[:, none] @ U[:, undamped]
-    if max(largest_entry(E @ static), largest_entry(E.T @ static)) > COUPLING * largest_entry(E):
+    if max(
+        find_largest_entry(E @ static), find_largest_entry(E.T @ static)
+    ) > COUPLING * find_largest_entry(E):
         raise _make_improper_error("massless coordinates are coupled by damping alone")
     T, r = np.hstack([V[:, ~none], light, static]), len(M) - static.shape[1]
     why = "massless, undamped coordinates without stiffness"
@@ -157,10 +168,10 @@ def _make_energy_state_space(pencil: Pencil) -> ABCD:
     """
     rest, E = pencil.coefficients
     A, B, C, D = -rest, pencil.B, pencil.C, pencil.D
-    if is_semidefinite(E) and np.linalg.eigvalsh(E)[0] > MASSLESS * largest_entry(E):
+    if is_semidefinite(E) and np.linalg.eigvalsh(E)[0] > MASSLESS * find_largest_entry(E):
         T = scipy.linalg.solve_triangular(scipy.linalg.cholesky(E), np.eye(len(E)))
         inner = T.T @ A @ T
-        if largest_entry(A - A.T) <= COUPLING * largest_entry(A):
+        if find_largest_entry(A - A.T) <= COUPLING * find_largest_entry(A):
             inner = 0.5 * (inner + inner.T)
         return inner, T.T @ B, C @ T, D
     U, size, Vt = scipy.linalg.svd(E)
@@ -172,15 +183,18 @@ def _make_energy_state_space(pencil: Pencil) -> ABCD:
 
 def _is_singular(matrix: np.ndarray, reference: np.ndarray) -> bool:
     """Return whether a matrix is singular within rounding errors of the ``reference``."""
-    return bool(np.linalg.svd(matrix, compute_uv=False)[-1] <= MASSLESS * largest_entry(reference))
+    return bool(
+        np.linalg.svd(matrix, compute_uv=False)[-1] <= MASSLESS * find_largest_entry(reference)
+    )
 
 
 def _make_improper_error(why: str) -> UsageError:
+    """Make the error for a model without a state-space form."""
     return UsageError(
         f"the model has no state-space form: {why}",
         where="state space",
         expected="a model whose outputs depend on inputs, not on derivatives of inputs",
-        hint="add a small mass to these coordinates, or fix them",
+        hint="add a small mass to the coordinates without mass, or fix these coordinates",
     )
 
 
@@ -191,12 +205,12 @@ def to_schur_form(pencil: Pencil, top: float) -> Pencil:
     eigenvectors from this form.
     """
     omega = 2 * np.pi * top
-    A, B, C, D = state_space(pencil, top)
+    A, B, C, D = convert_to_state_space(pencil, top)
     T, Z = scipy.linalg.schur(A / omega, output="real")
     return make_explicit_pencil(T, Z.T @ B / omega, C @ Z, D)
 
 
-def to_hertz(pencil: Pencil, top: float) -> Pencil:
+def restore_time_unit(pencil: Pencil, top: float) -> Pencil:
     """Convert a first-order model from the scaled time of :func:`to_schur_form` to SI units."""
     omega = 2 * np.pi * top
     rest, one = pencil.coefficients

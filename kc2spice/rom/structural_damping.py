@@ -76,7 +76,7 @@ class RelaxingStiffness(EqualByContent):
         return float(self.constant + self.amplitudes.sum())
 
 
-def causal_loss_factor(frequency: np.ndarray, loss_factor: float, at: float) -> np.ndarray:
+def compute_causal_loss_factor(frequency: np.ndarray, loss_factor: float, at: float) -> np.ndarray:
     """Return the complex factor of stiffness of a causal model with a constant loss factor.
 
     Parameters
@@ -90,7 +90,7 @@ def causal_loss_factor(frequency: np.ndarray, loss_factor: float, at: float) -> 
 
     Examples
     --------
-    >>> complex(np.round(causal_loss_factor(2e3, 0.05, 2e3), 12))
+    >>> complex(np.round(compute_causal_loss_factor(2e3, 0.05, 2e3), 12))
     (1+0.05j)
     """
     angle = math.atan(loss_factor)
@@ -126,8 +126,8 @@ def fit_relaxing_stiffness(
         Q factor. The default is 1.
     noncausal : bool
         Whether the target of the fit is ``1 + j eta`` at all frequencies, instead of
-        :func:`causal_loss_factor`. The error of a passive model in the band from f1 to f2 is then
-        at least about ``eta / pi log(f2 / f1)``.
+        :func:`compute_causal_loss_factor`. The error of a passive model in the band from f1 to f2
+        is then at least about ``eta / pi log(f2 / f1)``.
 
     Returns
     -------
@@ -153,7 +153,7 @@ def fit_relaxing_stiffness(
     f = np.geomspace(low, high, int(POINTS_PER_DECADE * decades) + POINTS_PER_DECADE)
     target = np.full(f.size, 1 + 1j * loss_factor)
     if not noncausal:
-        target = causal_loss_factor(f, loss_factor, at)
+        target = compute_causal_loss_factor(f, loss_factor, at)
     weight = np.ones(f.size) if sensitivity is None else sensitivity(f)
     best: tuple[float, RelaxingStiffness] | None = None
     for count in range(2, math.ceil(MAX_PER_DECADE * decades) + ADDITIONAL_RELAXATIONS):
@@ -186,7 +186,7 @@ def _fit_amplitudes(
 
 
 def add_structural_damping(model: LinearModel, stiffness: RelaxingStiffness) -> LinearModel:
-    """Multiply the stiffness matrix K of a model by a relaxing factor.
+    """Add structural damping: multiply the stiffness matrix K by a relaxing factor.
 
     Parameters
     ----------
@@ -208,11 +208,12 @@ def add_structural_damping(model: LinearModel, stiffness: RelaxingStiffness) -> 
     """
     if model.first_order:
         raise UsageError(
-            "structural damping does not apply to this model",
+            "structural damping applies only to second-order models",
             where=model.name,
+            got="a first-order model",
             expected="a model with M and K",
         )
-    K, E, M = model.pencil.dense().coefficients
+    K, E, M = model.pencil.make_dense().coefficients
     inner = len(stiffness.rates)
     return replace(
         model,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.rom.error_estimate import relative_error, relative_size
+from kc2spice.rom.error_estimate import compute_relative_error, compute_relative_errors
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.reduce import reduce_model
@@ -35,7 +35,7 @@ def make_surrogate(
         golden * np.arange(1, CHECKED_FREQUENCIES + 1) % 1
     )
     exact = model.transfer(frequency)
-    errors = relative_size(small.transfer(frequency) - exact, exact)
+    errors = compute_relative_errors(small.transfer(frequency) - exact, exact)
     error, worst = float(errors.max()), int(errors.max(axis=(1, 2)).argmax())
     if error > TARGET_ERROR and error > _estimate_solution_rounding(
         model.pencil, frequency[worst], exact[worst]
@@ -58,7 +58,7 @@ def _estimate_solution_rounding(pencil: Pencil, frequency: float, exact: np.ndar
     differences of large forces.
     """
     rng, s = np.random.default_rng(0), np.array([2j * np.pi * frequency])
-    trials = map(pencil.in_units, rng.uniform(1.0, 2.0, (RANDOM_TRIALS, pencil.size)))
+    trials = map(pencil.rescale_unknowns, rng.uniform(1.0, 2.0, (RANDOM_TRIALS, pencil.size)))
     return TRIAL_FACTOR * max(
-        relative_error(scaled_pencil.transfer(s), exact[None]) for scaled_pencil in trials
+        compute_relative_error(scaled_pencil.transfer(s), exact[None]) for scaled_pencil in trials
     )

@@ -29,7 +29,7 @@ import numpy as np
 from scipy.optimize import least_squares, nnls
 
 from kc2spice.core.equality import EqualByContent
-from kc2spice.rom.heat_network import FosterNetwork, step_basis
+from kc2spice.rom.heat_network import FosterNetwork, compute_step_basis
 
 PER_DECADE = 8  # number of time constants per decade of the grid
 SHORTEST = 1 / 3  # smallest time constant, relative to the first time after the step
@@ -69,7 +69,7 @@ class StepSamples(EqualByContent):
     offset: bool
 
     @cached_property
-    def _groups(self) -> tuple[np.ndarray, np.ndarray]:
+    def _sample_groups(self) -> tuple[np.ndarray, np.ndarray]:
         """Index of the first sample of each group, and scale factor of the group."""
         after = self.time > 0
         number = np.full(len(self.time), -1)
@@ -85,7 +85,7 @@ class StepSamples(EqualByContent):
         columns). The sum of the squared means is the weighted sum of the squares of all rows,
         without the scatter within the groups.
         """
-        first, scale = self._groups
+        first, scale = self._sample_groups
         return np.asarray(
             scale[:, None] * np.add.reduceat(self.weight[:, None] ** 2 * table, first)
         )
@@ -106,7 +106,7 @@ class TransientFit(EqualByContent):
     noise: float
 
     @property
-    def rms(self) -> float:
+    def rms_residual(self) -> float:
         """Rms value of the weighted residuals."""
         return float(np.sqrt(np.mean(self.residual**2)))
 
@@ -119,7 +119,7 @@ def fit_transient(samples: StepSamples) -> TransientFit:
     >>> network = FosterNetwork(np.array([2.0, 1.0]), np.array([0.01, 1.0]))
     >>> time = np.geomspace(1e-3, 10.0, 60)
     >>> noise = 0.003 * np.random.default_rng(1).standard_normal(60)
-    >>> value = network.step_response(time) + noise
+    >>> value = network.compute_step_response(time) + noise
     >>> fit = fit_transient(StepSamples(time, value, np.ones(60), offset=False))
     >>> len(fit.network.resistance), round(fit.network.total, 1)
     (2, 3.0)
@@ -147,7 +147,7 @@ def compute_unsettled_share(network: FosterNetwork, last: float) -> float:
     The resistances that belong to long time constants have not settled.
     """
     slow = network.time_constant > UNSETTLED * last
-    return float(network.resistance[slow].sum()) / network.total
+    return float(network.resistance[slow].sum()) / network.total_resistance
 
 
 def _compute_information_criterion(fit: TransientFit) -> float:
@@ -159,7 +159,7 @@ def _compute_information_criterion(fit: TransientFit) -> float:
 
 def _fit_resistances(samples: StepSamples, constants: np.ndarray) -> tuple[np.ndarray, float]:
     """Fit non-negative resistances for given time constants, and the value before the step."""
-    columns = step_basis(samples.time, constants)
+    columns = compute_step_basis(samples.time, constants)
     if samples.offset:
         one = np.ones((len(samples.time), 1))
         columns = np.hstack([columns, one, -one])
@@ -175,7 +175,7 @@ def _compute_residual(
     samples: StepSamples, resistance: np.ndarray, constants: np.ndarray, start: float
 ) -> np.ndarray:
     """Return the weighted differences of the network's step response to the samples."""
-    value = start + step_basis(samples.time, constants) @ resistance
+    value = start + compute_step_basis(samples.time, constants) @ resistance
     return np.asarray(samples.weight * (value - samples.value))
 
 
@@ -221,21 +221,21 @@ def _refine_network(
     count = int(nonzero.sum())
     time = np.maximum(samples.time, 0.0)
 
-    def split(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    def split_parameters(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """Return resistances, time constants and the start value for the parameters ``x``."""
         R, t = np.exp(x[:count]), np.exp(x[count : 2 * count])
         return R, t, float(x[-1]) if samples.offset else 0.0
 
     def residual(x: np.ndarray) -> np.ndarray:
         """Return the weighted residuals of the fit."""
-        R, t, start = split(x)
-        return samples.average_groups((start + step_basis(time, t) @ R - samples.value)[:, None])[
-            :, 0
-        ]
+        R, t, start = split_parameters(x)
+        return samples.average_groups(
+            (start + compute_step_basis(time, t) @ R - samples.value)[:, None]
+        )[:, 0]
 
     def slopes(x: np.ndarray) -> np.ndarray:
         """Return the derivatives of the residuals with respect to ``x``."""
-        R, t, _ = split(x)
+        R, t, _ = split_parameters(x)
         ratio = time[:, None] / t
         # d/d(log R) = R (1 - exp(-t/t_k)), d/d(log t_k) = -R (t/t_k) exp(-t/t_k)
         table = [-R * np.expm1(-ratio), -R * ratio * np.exp(-ratio)]
@@ -253,7 +253,7 @@ def _refine_network(
     solution = least_squares(
         residual, x, slopes, bounds=(low, high), x_scale=x_scale, max_nfev=POLISH, **EXACT
     )
-    R, t, start = split(solution.x)
+    R, t, start = split_parameters(solution.x)
     order = np.argsort(t)
     network = FosterNetwork(R[order], t[order])
     return TransientFit(network, start, _compute_residual(samples, R, t, start), noise)

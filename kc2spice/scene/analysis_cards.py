@@ -5,9 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from kc2spice.netlist.circuit import Element, Item
-from kc2spice.netlist.deck import Command, ac_command, dc_command, noise_command, transient_command
-from kc2spice.netlist.elements import add_title
-from kc2spice.scene.model import Build, NameAllocator
+from kc2spice.netlist.deck import (
+    AnalysisCommand,
+    make_ac_command,
+    make_dc_command,
+    make_noise_command,
+    make_transient_command,
+)
+from kc2spice.netlist.shared_cards import add_title
+from kc2spice.scene.model import BuiltScene, NameAllocator
 from kc2spice.scene.results import NOISE_WAVE
 
 
@@ -15,11 +21,11 @@ from kc2spice.scene.results import NOISE_WAVE
 class AnalysisCards:
     """SPICE command of an analysis, and the cards of the source that the command names."""
 
-    command: Command
+    command: AnalysisCommand
     items: tuple[Item, ...] = ()
 
 
-def make_analysis_cards(build: Build) -> AnalysisCards:
+def make_analysis_cards(build: BuiltScene) -> AnalysisCards:
     """Return the command and the cards of the analysis of a scene.
 
     Raises
@@ -33,27 +39,31 @@ def make_analysis_cards(build: Build) -> AnalysisCards:
     if selected.type == "transient":
         assert build.largest_step is not None
         step = build.largest_step.step
-        return AnalysisCards(transient_command(scene.stop, step, uic=bool(scene.initial_states)))
+        return AnalysisCards(
+            make_transient_command(scene.stop_time, step, uic=bool(scene.initial_states))
+        )
     if selected.type == "ac":
         # for two points on a linear scale, ngspice computes only the first point
         points = 3 if (selected.points, selected.scale) == (2, "linear") else selected.points
-        command = ac_command(selected.start, float(selected.stop or 0.0), points, selected.scale)
+        command = make_ac_command(
+            selected.start, float(selected.stop or 0.0), points, selected.scale
+        )
         return AnalysisCards(command)
     if sweep is not None:
         first, last = sweep.scale * sweep.values[0], sweep.scale * sweep.values[-1]
-        return AnalysisCards(dc_command(sweep.source, first, last, sweep.values.size))
-    return AnalysisCards(Command("op", ()))
+        return AnalysisCards(make_dc_command(sweep.source, first, last, sweep.values.size))
+    return AnalysisCards(AnalysisCommand("op", ()))
 
 
-def _make_noise_cards(build: Build, voltage: str) -> AnalysisCards:
+def _make_noise_cards(build: BuiltScene, voltage: str) -> AnalysisCards:
     """Return the command of a noise analysis, and the cards of its input source."""
     selected = build.scene.analysis
-    node = NameAllocator((*build.scene.parts, *build.scene.nets.values())).name(
+    node = NameAllocator((*build.scene.parts, *build.scene.nets.values())).allocate_name(
         NOISE_WAVE, "noise_input"
     )
-    drive = Element.of(f"V{node}", node, "0", "DC", "0", "AC", "1")
-    load = Element.of(f"R{node}", node, "0", "1", noisy="0")
+    drive = Element.from_words(f"V{node}", node, "0", "DC", "0", "AC", "1")
+    load = Element.from_words(f"R{node}", node, "0", "1", noisy="0")
     first, last = selected.start, float(selected.stop or 0.0)
-    command = noise_command(voltage, drive.name, first, last, selected.points, selected.scale)
+    command = make_noise_command(voltage, drive.name, first, last, selected.points, selected.scale)
     title = "drives nothing: what the analysis could refer the noise to"
     return AnalysisCards(command, add_title(title, (drive, load)))

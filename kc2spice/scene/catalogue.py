@@ -47,7 +47,7 @@ class CataloguePart:
         return f"{self.maker} {self.number}: {self.device}"
 
     @property
-    def words(self) -> str:
+    def searched_text(self) -> str:
         """Searched text: number, manufacturer, device and kind of the part in lower case."""
         return f"{self.number} {self.maker} {self.device} {self.kind}".casefold()
 
@@ -121,7 +121,9 @@ def search_parts(words: str = "") -> list[CataloguePart]:
     ['7BB-20-3', '7BB-20-6']
     """
     parts, searched = read_catalogue(), words.casefold().split()
-    result = [part for part in parts.values() if all(map(part.words.__contains__, searched))]
+    result = [
+        part for part in parts.values() if all(map(part.searched_text.__contains__, searched))
+    ]
     if not result:
         makers = sorted({part.maker for part in parts.values()})
         raise UsageError(

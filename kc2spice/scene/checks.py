@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import SimulationError
-from kc2spice.core.prefix import format_value_and_limit
-from kc2spice.scene.settings import Action, Solver
+from kc2spice.core.si_prefix_format import format_value_and_limit
+from kc2spice.scene.settings import Action, SolverKeys
 
 if TYPE_CHECKING:
     import numpy as np
@@ -80,14 +80,14 @@ class Check:
         """Whether a violation of the check fails the run."""
         return self.action == "fail" and not self.passed
 
-    def record(self) -> dict[str, object]:
+    def make_record(self) -> dict[str, object]:
         """Return the entry of the check in ``result.json``."""
         names = ("name", "value", "limit", "unit", "passed", "action", "advice")
         return {name: getattr(self, name) for name in names}
 
 
 @dataclass(frozen=True, eq=False)
-class Balance(EqualByContent):
+class RunEnergyBalance(EqualByContent):
     """Energy balance of a run.
 
     ``entries`` [J] are the energies at the end of the run. ``missing`` [J] is the largest error of
@@ -104,8 +104,8 @@ class Balance(EqualByContent):
     exact: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict, repr=False)
 
     @property
-    def share(self) -> float:
-        """Ratio of ``missing`` to ``scale``."""
+    def relative_imbalance(self) -> float:
+        """Largest missing energy, relative to ``scale``."""
         return self.missing / self.scale if self.scale else self.missing
 
 
@@ -117,7 +117,7 @@ class Verdict:
     """
 
     checks: tuple[Check, ...] = ()
-    balances: tuple[tuple[str, Balance], ...] = ()
+    balances: tuple[tuple[str, RunEnergyBalance], ...] = ()
     gates: tuple[tuple[str, Gate], ...] = ()
 
 
@@ -145,7 +145,7 @@ def require_passed(checks: tuple[Check, ...], where: str) -> None:
             )
 
 
-def motion_error_limit(solver: Solver) -> float:
+def compute_motion_error_limit(solver: SolverKeys) -> float:
     """Return the largest accepted relative error of motions that ngspice computes.
 
     The error is the difference to the motion in the reference solution. At the usual tolerances,

@@ -46,8 +46,8 @@ def find_frames(scene: Scene) -> dict[tuple[str, str], AcceleratedFrame]:
     while changed:
         before = len(result)
         for part in scene.parts.values():
-            if not part.reduced:
-                _spread_frame(part, scene, result)
+            if not part.is_body:
+                _copy_frame_to_moving_nets(part, scene, result)
         changed = len(result) > before
     for part in scene.parts.values():
         _require_one_frame(part, scene, result)
@@ -60,16 +60,16 @@ def _find_body_frames(part: Part, scene: Scene) -> dict[str, AcceleratedFrame]:
 
     The result is empty for a body whose acceleration pins are not joined.
     """
-    directions = part.type.directions(part, scene)
+    directions = part.type.pin_directions(part, scene)
     accelerations = {}
     for terminal in scene.pins(part.name):
-        net = scene.net(part.name, terminal.name)
+        net = scene.get_net(part.name, terminal.name)
         if terminal.domain is ACCELERATION and net != "0":
             accelerations[terminal.name] = net
     if not accelerations:
         return {}
     result = {}
-    for pin in _moving_pins(part, scene):
+    for pin in _list_moving_pins(part, scene):
         shakes = []
         for source, net in accelerations.items():
             share = _compute_cosine(directions.get(pin), directions.get(source))
@@ -86,7 +86,7 @@ def _compute_cosine(a: tuple[float, ...] | None, b: tuple[float, ...] | None) ->
     return float(sum(map(mul, a, b)))
 
 
-def _moving_pins(part: Part, scene: Scene, *, listening: bool = False) -> list[str]:
+def _list_moving_pins(part: Part, scene: Scene, *, listening: bool = False) -> list[str]:
     """Return the moving pins of a part that are not on ground.
 
     With ``listening``, the result includes signal inputs for a displacement or a velocity.
@@ -94,7 +94,7 @@ def _moving_pins(part: Part, scene: Scene, *, listening: bool = False) -> list[s
     result = []
     for terminal in scene.pins(part.name):
         reads = listening and terminal.unit in MOTION_UNITS and not terminal.signal_out
-        if (terminal.moving or reads) and scene.net(part.name, terminal.name) != "0":
+        if (terminal.can_move or reads) and scene.get_net(part.name, terminal.name) != "0":
             result.append(terminal.name)
     return result
 
@@ -106,7 +106,7 @@ def _set_frame(
     if net == "0":
         return
     first = known.setdefault(net, frame)
-    if first.node_shares != frame.node_shares:
+    if first.node_cosines != frame.node_cosines:
         raise UsageError(
             "this connection joins displacements in different frames of reference",
             where=where,
@@ -118,9 +118,11 @@ def _set_frame(
         )
 
 
-def _spread_frame(part: Part, scene: Scene, known: dict[str, AcceleratedFrame]) -> None:
+def _copy_frame_to_moving_nets(
+    part: Part, scene: Scene, known: dict[str, AcceleratedFrame]
+) -> None:
     """Store the reference frame of one net of a part for all moving nets of the part."""
-    nets = scene.nets_of(part.name, _moving_pins(part, scene))
+    nets = scene.get_nets(part.name, _list_moving_pins(part, scene))
     frame = next(filter(None, map(known.get, nets)), None)
     if frame is not None:
         for net in nets:
@@ -129,15 +131,15 @@ def _spread_frame(part: Part, scene: Scene, known: dict[str, AcceleratedFrame]) 
 
 def _require_one_frame(part: Part, scene: Scene, known: Mapping[str, AcceleratedFrame]) -> None:
     """Reject a part that compares displacements relative to different frames."""
-    if part.reduced:
+    if part.is_body:
         return
-    moving = {scene.nets[key] for key, terminal in scene.terminals.items() if terminal.moving}
+    moving = {scene.nets[key] for key, terminal in scene.terminals.items() if terminal.can_move}
     frames_of_pins, frames = set(), []
-    for pin in _moving_pins(part, scene, listening=True):
-        net = scene.net(part.name, pin)
+    for pin in _list_moving_pins(part, scene, listening=True):
+        net = scene.get_net(part.name, pin)
         if net in moving:
             frame = known.get(net)
-            frames_of_pins.add(frame and frame.node_shares)
+            frames_of_pins.add(frame and frame.node_cosines)
             frames.append(f"{part.name}.{pin} in {_describe_frame(frame)}")
     if len(frames_of_pins) > 1:
         raise UsageError(
@@ -165,35 +167,37 @@ def _require_inertial_force(
     """Reject a part with inertia that has no pin for the acceleration of its frame."""
     if shaken:
         return
-    for pin in _moving_pins(part, scene):
+    for pin in _list_moving_pins(part, scene):
         frame = known.get(scene.nets[part.name, pin])
         if frame is None or not frame.shakes:
             continue
-        if part.netlist:
+        if part.is_user_netlist:
             advice = (
                 f"in {_describe_frame(frame)}, the netlist must apply -m a to each of its masses"
             )
             warnings.warn(f"{part.name}.{pin}: {advice}", stacklevel=2)
-        elif pin not in part.type.inertial(part, scene):
+        elif pin not in part.type.pins_with_mass(part, scene):
             continue
         elif not part.type.follows_frames:
-            body = part.reduced
-            cure = "join its acceleration pin to the same source"
-            other = 'use part = "mass", or drive the body by a force instead of its acceleration'
+            body = part.is_body
+            hint = 'use part = "mass", or drive the body by a force instead of its acceleration'
+            if body:
+                hint = (
+                    f'add a port of kind "base" to {part.name}, and join its acceleration pin to '
+                    "the same source"
+                )
             raise UsageError(
-                "this part has inertia, but no port for the acceleration of the frame it is "
-                "attached to",
+                "this part has inertia, but no port for the acceleration of its frame",
                 where=f"{part.name}.{pin}",
                 got=f"joined to {_describe_frame(frame)}",
                 expected="a body with a port of kind base"
                 if body
                 else "a part type that accepts the acceleration of its frame",
-                hint=f'add a port of kind "base" to {part.name} and {cure}' if body else other,
+                hint=hint,
             )
         elif any(shake.along is None for shake in frame.shakes):
             raise UsageError(
-                "this part is attached to a frame whose acceleration has no known direction at "
-                "this net",
+                "the direction in which the frame of this part accelerates is unknown",
                 where=f"{part.name}.{pin}",
                 got=f"joined to {_describe_frame(frame)}",
                 expected="ports and accelerations whose directions the body states",
@@ -207,7 +211,7 @@ def describe_frames(scene: Scene) -> Iterator[str]:
     nets: dict[str, list[str]] = {}
     for (part, pin), net in scene.nets.items():
         end = scene.terminals[part, pin]
-        if net != "0" and (end.moving or (net in nets and end.unit in MOTION_UNITS)):
+        if net != "0" and (end.can_move or (net in nets and end.unit in MOTION_UNITS)):
             nets.setdefault(net, []).append(f"{part}.{pin}")
     relative = {scene.nets[pin]: frame for pin, frame in scene.frames.items()}
     if nets and not relative:

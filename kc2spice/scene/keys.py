@@ -14,11 +14,11 @@ from pydantic.fields import FieldInfo
 from kc2spice.core.schemas import find_unit, list_keys
 from kc2spice.scene.model import DEFAULT_TABLES, Scene
 from kc2spice.scene.parttype import load_part_types
-from kc2spice.scene.settings import Probe, SceneKeys
+from kc2spice.scene.settings import ProbeKeys, SceneKeys
 
 
 @dataclass(frozen=True)
-class Key:
+class KeyDescription:
     """Description of a key of a scene file.
 
     ``unit`` is ``""`` for plain numbers, and None for values other than numbers. ``integer`` marks
@@ -44,7 +44,7 @@ def _list_annotation_types(annotation: Any) -> Iterator[Any]:
     )
 
 
-def list_schema_keys(model: type[BaseModel], prefix: str = "") -> Iterator[Key]:
+def list_schema_keys(model: type[BaseModel], prefix: str = "") -> Iterator[KeyDescription]:
     """Yield all keys of a schema in order, with dotted names for the keys of subtables."""
     for path, field in list_keys(model):
         default = _find_default(field)
@@ -57,7 +57,7 @@ def list_schema_keys(model: type[BaseModel], prefix: str = "") -> Iterator[Key]:
         integer = int in kinds or int in map(type, kinds)
         mixed = {float, str} <= kinds.keys()
         name = prefix + ".".join(path)
-        yield Key(name, find_unit(field), default, choices, doc, integer, mixed)
+        yield KeyDescription(name, find_unit(field), default, choices, doc, integer, mixed)
 
 
 def _find_default(field: FieldInfo) -> Any:
@@ -67,7 +67,7 @@ def _find_default(field: FieldInfo) -> Any:
     return field.get_default(call_default_factory=True, validated_data={})
 
 
-def list_all_keys() -> Iterator[Key]:
+def list_all_keys() -> Iterator[KeyDescription]:
     """Yield all keys that scenes may contain: keys outside of parts, then keys of part types.
 
     The prefix of the keys of a part type is the name of the part type, or the name of the table
@@ -78,11 +78,11 @@ def list_all_keys() -> Iterator[Key]:
         yield from list_schema_keys(kind.schema, f"{DEFAULT_TABLES.get(name, name)}.")
 
 
-def list_scene_keys(scene: Scene) -> dict[str, Key]:
+def list_scene_keys(scene: Scene) -> dict[str, KeyDescription]:
     """Return the keys of one scene, keyed by dotted name."""
     result = [key for key in list_schema_keys(SceneKeys) if not key.name.startswith("probes.")]
     for name in scene.probes:
-        result += list_schema_keys(Probe, f"probes.{name}.")
+        result += list_schema_keys(ProbeKeys, f"probes.{name}.")
     for part in scene.parts.values():
         if part.at != (part.name,):  # another part generates this part
             part_keys = list_schema_keys(type(part.keys), f"{part.key_prefix}.")
@@ -92,7 +92,7 @@ def list_scene_keys(scene: Scene) -> dict[str, Key]:
     return {key.name: key for key in result}
 
 
-def _with_unit_of_part(key: Key, unit: Any) -> Key:
+def _with_unit_of_part(key: KeyDescription, unit: Any) -> KeyDescription:
     """Return ``key`` with the unit that other keys of its part determine, if any."""
     follows = key.unit is None and not key.integer and not key.choices and key.mixed
     return replace(key, unit=unit if isinstance(unit, str) else "") if follows else key

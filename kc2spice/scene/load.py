@@ -16,20 +16,20 @@ from pydantic import BaseModel, ValidationError
 
 from kc2spice.core.domains import QUANTITIES
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, normalise_word, unknown
-from kc2spice.core.key_errors import describe_invalid
+from kc2spice.core.key_errors import describe_invalid_key
 from kc2spice.core.schemas import list_keys
 from kc2spice.core.synonyms import PART_TYPE_SYNONYMS
 from kc2spice.core.toml_text import clip_text, display_text
 from kc2spice.core.untrusted_files import (
     make_identifier,
 )
-from kc2spice.scene.compose import with_joins
 from kc2spice.scene.model import DEFAULT_TYPES, GROUND, NameAllocator, Part, PartType, Scene
+from kc2spice.scene.net_formation import add_default_joins
 from kc2spice.scene.overrides import read_overrides, set_key, write_example
-from kc2spice.scene.parttype import find_part_type, type_names
-from kc2spice.scene.plausible import apply_check_action, check_drive_levels
+from kc2spice.scene.parttype import find_part_type, list_type_names
+from kc2spice.scene.plausibility import apply_check_action, check_drive_levels
 from kc2spice.scene.problems import check_periods, check_scene
-from kc2spice.scene.resolve import resolve, with_governed
+from kc2spice.scene.resolve import add_governed_records, resolve
 from kc2spice.scene.scene_file import SceneFile, open_scene
 from kc2spice.scene.settings import Analysis, SceneKeys
 from kc2spice.scene.start_conditions import find_start_errors
@@ -56,8 +56,8 @@ def load_scene(
         Strings ``dotted.key=value``, or a mapping of dotted keys to values. A value in a string is
         TOML (``80``, ``"80 V"``, ``[0, 1e5]``), a quantity (``80 V``) or a bare word
         (``antiparallel``). Numbers are in SI units. A string may also be the path of a TOML file
-        with such keys. Entries of a list are counted from 0, or from its end by negative numbers:
-        ``beam.layers[0].thickness``, ``disc.layers[-1].material``.
+        with such keys. Entries of a list are counted from 0, or from its end by negative
+        numbers: ``beam.layers[0].thickness``, ``disc.layers[-1].material``.
 
     Returns
     -------
@@ -92,7 +92,7 @@ def load_scene(
         source, data = SceneFile("scene", "scene", "", Path()), _copy_tables(scene)
     else:
         source = open_scene(scene)
-        data = source.parse()
+        data = source.parse_tables()
     data.setdefault("name", make_identifier(source.stem, "scene"))
     if isinstance(overrides, str):
         raise UsageError(
@@ -121,7 +121,7 @@ def load_scene(
             and not _LINE_NUMBER_SUFFIX.search(where)
         ):
             problem.hint = _suggest_probed_result(data, source, problem) or problem.hint
-            problem.where = source.where(where)
+            problem.where = source.locate_key(where)
         raise
 
 
@@ -147,7 +147,7 @@ def _require_known_parts(
             keys = _list_part_keys(name, tables[name])
             raise UsageError(
                 f"{name} is a part of this scene, not a key",
-                where=source.where(name),
+                where=source.locate_key(name),
                 expected=f"a key of {name}: {list_candidates(name, keys)}",
                 hint=f"write {write_example(name, tables, keys)}",
             )
@@ -155,7 +155,7 @@ def _require_known_parts(
             continue
         raise UsageError(
             f"this scene has no part {name!r}",
-            where=source.where(name),
+            where=source.locate_key(name),
             expected=f"a key of one of its parts: {list_candidates(name, parts)}",
             hint=did_you_mean(name, parts) or _suggest_part(table, tables, parts),
         )
@@ -185,7 +185,7 @@ def _make_scene(data: dict[str, Any], source: SceneFile) -> Scene:
     scene = replace(scene, parts=parts, tables=_copy_tables(data), source=source)
     if analysis is not None and "analysis" not in data:
         scene = replace(scene, frame=scene.frame.model_copy(update={"analysis": analysis}))
-    scene = with_governed(scene)
+    scene = add_governed_records(scene)
     for problem in check_scene(scene):
         raise problem
     scene = resolve(_with_default_drive(scene))
@@ -225,12 +225,12 @@ def _make_parts(
         parts[name] = _make_part(name, data[name], kind, home, short=short, tables=data)
     analysis = None
     for part in list(parts.values()):
-        for name, table in part.type.expand(part, data).items():
+        for name, table in part.type.generate_tables(part, data).items():
             if name == "analysis":
                 analysis = analysis or _validate_table(Analysis, table, (part.name,))
                 continue
             if name.lower() in map(str.lower, parts):
-                expected = f"another name: {part.name} brings a part of this one along"
+                expected = f"a name other than {name}, which {part.name} adds to the scene"
                 raise UsageError(
                     "this name is already used",
                     where=name,
@@ -253,9 +253,11 @@ def _with_default_drive(scene: Scene) -> Scene:
     UsageError : nothing drives the scene, and the number of free electrical ports is not one.
     """
     parts = scene.parts
-    if scene.analysis.type != "ac" or any(part.type.drives(part, scene) for part in parts.values()):
+    if scene.analysis.type != "ac" or any(
+        part.type.has_ac_source(part, scene) for part in parts.values()
+    ):
         return scene
-    exported = replace(with_joins(scene), ports="all")
+    exported = replace(add_default_joins(scene), ports="all")
     ports = []
     for body in scene.bodies:
         for pin in body.type.pins(body, exported):
@@ -272,7 +274,7 @@ def _with_default_drive(scene: Scene) -> Scene:
             hint=_advise_drive(exported, ports),
         )
     driven = ports[0][0]
-    name = NameAllocator(parts).name(driven, f"{driven}_drive")
+    name = NameAllocator(parts).allocate_name(driven, f"{driven}_drive")
     table = {"part": "source", "ac": "1 V", "pins": {"out": ".".join(ports[0])}}
     drive = _make_part(name, table, _find_part_type(name, table), scene.home)
     return replace(scene, parts={**parts, name: drive})
@@ -292,7 +294,7 @@ def _advise_drive(scene: Scene, ports: Sequence[tuple[str, str]]) -> str:
                 continue
             kind = "voltage" if pin.unit == "V" else through.name
             if kind in QUANTITIES:
-                unit = QUANTITIES[kind][0].quantity(QUANTITIES[kind][1]).unit
+                unit = QUANTITIES[kind][0].get_quantity(QUANTITIES[kind][1]).unit
                 keys = "" if kind == "voltage" else f'kind = "{kind}", '
                 return (
                     f'add [drive] with part = "source", {keys}ac = "1 {unit}" and '
@@ -371,7 +373,7 @@ def _list_part_keys(name: str, table: Mapping[str, Any]) -> list[str]:
 def _suggest_part_type(typed: object) -> str | None:
     """Suggest the part type that is named ``typed`` in other programs."""
     kind = PART_TYPE_SYNONYMS.get(normalise_word(str(typed)))
-    return f'write  part = "{kind}"' if kind in type_names() else None
+    return f'write  part = "{kind}"' if kind in list_type_names() else None
 
 
 def _find_part_type(name: str, table: Mapping[str, Any]) -> PartType:
@@ -385,7 +387,7 @@ def _find_part_type(name: str, table: Mapping[str, Any]) -> PartType:
         raise UsageError(
             "this table has no key part",
             where=name,
-            expected=f"part = one of {list_candidates(name, type_names(), PARTS_COMMAND)}",
+            expected=f"part = one of {list_candidates(name, list_type_names(), PARTS_COMMAND)}",
             hint=near
             or f'add  part = "TYPE"  to [{name}]; kc2spice scenes --parts lists the types',
         )
@@ -394,7 +396,7 @@ def _find_part_type(name: str, table: Mapping[str, Any]) -> PartType:
         raise unknown(
             "this part type does not exist",
             selected,
-            type_names(),
+            list_type_names(),
             f"{name}.part",
             PARTS_COMMAND,
             advice=_suggest_part_type(selected)
@@ -505,8 +507,10 @@ def _validate_table(
     try:
         return schema.model_validate(table, context=context)
     except ValidationError as error:
-        path, words = describe_invalid(error, schema, at, _STRUCTURAL_KEYS if at else (), table)
-        raise UsageError(where=".".join(map(str, path)), **words) from None
+        path, details = describe_invalid_key(
+            error, schema, at, _STRUCTURAL_KEYS if at else (), table
+        )
+        raise UsageError(where=".".join(map(str, path)), **details) from None
 
 
 def _complete_tables(table: Mapping[str, Any], schema: type[BaseModel]) -> dict[str, Any]:

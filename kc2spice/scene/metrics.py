@@ -19,9 +19,9 @@ from kc2spice.core.sound_level import GAS_REFERENCE, SoundLevel
 from kc2spice.core.waveforms import SCALES, Waveforms
 from kc2spice.scene import noise_analysis
 from kc2spice.scene.checks import Metric
-from kc2spice.scene.model import Build, Scene
+from kc2spice.scene.model import BuiltScene, Scene
 from kc2spice.scene.results import NOISE_WAVE
-from kc2spice.scene.settings import Probe
+from kc2spice.scene.settings import ProbeKeys
 
 
 class Metrics(NamedTuple):
@@ -34,7 +34,7 @@ class Metrics(NamedTuple):
     units: dict[str, str]
 
 
-def compute_metrics(waves: Waveforms, build: Build, *, partial: bool = False) -> Metrics:
+def compute_metrics(waves: Waveforms, build: BuiltScene, *, partial: bool = False) -> Metrics:
     """Return the metrics of all probes and parts of a run.
 
     With ``partial``, the waves are those of an interrupted run, and metrics whose waves are missing
@@ -63,7 +63,7 @@ def _split_metrics(rows: Mapping[str, Any], path: str = "") -> Metrics:
     return result
 
 
-def _list_metrics(waves: Waveforms, build: Build, *, partial: bool) -> dict[str, Any]:
+def _list_metrics(waves: Waveforms, build: BuiltScene, *, partial: bool) -> dict[str, Any]:
     """Return the metrics of probes and parts with their units, keyed by name."""
     scene, result = build.scene, dict[str, Mapping[str, Any]]()
     for part in scene.parts.values():
@@ -74,7 +74,7 @@ def _list_metrics(waves: Waveforms, build: Build, *, partial: bool) -> dict[str,
     for part_name, item in result.items():
         for name, value in item.items():
             records[name if count[name] == 1 else f"{part_name}.{name}"] = value
-    records |= noise_analysis.noise_metrics(waves, build) if NOISE_WAVE in waves else {}
+    records |= noise_analysis.compute_noise_metrics(waves, build) if NOISE_WAVE in waves else {}
     probed: dict[str, Any] = {}
     for name, probe in scene.probes.items():
         window = find_probe_window(probe, scene)
@@ -83,14 +83,14 @@ def _list_metrics(waves: Waveforms, build: Build, *, partial: bool) -> dict[str,
     return {**probed, **{name: value for name, value in records.items() if name not in probed}}
 
 
-def _covers_probe(probe: Probe, waves: Waveforms, window: tuple[float, float] | None) -> bool:
+def _covers_probe(probe: ProbeKeys, waves: Waveforms, window: tuple[float, float] | None) -> bool:
     """Return whether the waves of an interrupted run contain all points that a probe reads."""
     low, high = waves.scale.real.min(), waves.scale.real.max()
-    places = [*probe.places.values(), *(filter(math.isfinite, window or ()))]
+    places = [*probe.read_positions.values(), *(filter(math.isfinite, window or ()))]
     return probe.of in waves and all(low <= place <= high for place in places)
 
 
-def _probe_unit(probe: Probe, build: Build, waves: Waveforms) -> str:
+def _find_probe_unit(probe: ProbeKeys, build: BuiltScene, waves: Waveforms) -> str:
     """Return the SI unit of the value that a probe computes from a wave."""
     scale = SCALES.get(next(iter(waves)), "")
     if build.dc_sweep is not None:
@@ -99,22 +99,22 @@ def _probe_unit(probe: Probe, build: Build, waves: Waveforms) -> str:
     return along.get(probe.take, build.results.units.get(probe.of, SCALES.get(probe.of, "")))
 
 
-def _level_reference(probe: Probe, build: Build) -> float:
+def _find_reference_pressure(probe: ProbeKeys, build: BuiltScene) -> float:
     """Return the rms pressure [Pa] at 0 dB for the result that a probe reads."""
     result = build.results.vectors.get(probe.of)
     return (result.level_reference if result else None) or GAS_REFERENCE
 
 
-def read_levels(build: Build, metrics: Mapping[str, Any]) -> dict[str, SoundLevel]:
+def select_sound_levels(build: BuiltScene, metrics: Mapping[str, Any]) -> dict[str, SoundLevel]:
     """Return those ``metrics`` of a run that probes compute as sound pressure levels."""
     result = {}
     for name, probe in build.scene.probes.items():
         if probe.take == "spl":
-            result[name] = SoundLevel(_level_reference(probe, build), metrics.get(name))
+            result[name] = SoundLevel(_find_reference_pressure(probe, build), metrics.get(name))
     return result
 
 
-def _evaluate_probe(name: str, probe: Probe, build: Build, waves: Waveforms) -> Metric:
+def _evaluate_probe(name: str, probe: ProbeKeys, build: BuiltScene, waves: Waveforms) -> Metric:
     """Return the value of a probe with its unit.
 
     Raises
@@ -122,7 +122,7 @@ def _evaluate_probe(name: str, probe: Probe, build: Build, waves: Waveforms) -> 
     UsageError : the run does not contain the probed wave, or the probe reads a time or frequency
         outside of the range of the run.
     """
-    unit, reference = _probe_unit(probe, build, waves), _level_reference(probe, build)
+    unit, reference = _find_probe_unit(probe, build, waves), _find_reference_pressure(probe, build)
     window, where = find_probe_window(probe, build.scene), f"probes.{name}"
     if probe.of not in waves:
         known = list(waves.data)[1:]
@@ -140,13 +140,13 @@ def _evaluate_probe(name: str, probe: Probe, build: Build, waves: Waveforms) -> 
     return Metric(value, unit)
 
 
-def find_probe_window(probe: Probe, scene: Scene) -> tuple[float, float] | None:
+def find_probe_window(probe: ProbeKeys, scene: Scene) -> tuple[float, float] | None:
     """Return the first and the last time, frequency or swept value that a probe reads.
 
     The result is None if the probe reads the whole wave.
     """
     if probe.periods is not None:
-        return scene.stop - probe.periods * (scene.period or 0.0), scene.stop
+        return scene.stop_time - probe.periods * (scene.period or 0.0), scene.stop_time
     if probe.from_ is None and probe.to is None:
         return None
     first = -math.inf if probe.from_ is None else probe.from_

@@ -23,9 +23,9 @@ from typing_extensions import TypeVar
 
 from kc2spice.core.domains import SIGNAL, Domain, Quantity, find_across_quantity, find_domain
 from kc2spice.core.errors import UsageError, unknown, wrong
+from kc2spice.core.memory_store import Workspace
 from kc2spice.core.mesh_error import describe_mesh_errors
 from kc2spice.core.quantities import Section
-from kc2spice.core.workspace import Workspace
 from kc2spice.netlist.circuit import Element, Item
 from kc2spice.scene.part_records import (
     AcceleratedFrame,
@@ -33,34 +33,34 @@ from kc2spice.scene.part_records import (
     EquilibriumConditions,
     Governed,
     HighestFrequency,
+    InitialState,
     LargestRealPartFrequency,
-    Neglected,
-    Numerics,
+    NeglectedEffect,
+    NumericalRequirements,
+    PartResult,
     SampledSource,
     SceneResults,
-    State,
     StepLimit,
     SweptSource,
-    Vector,
 )
 from kc2spice.scene.settings import (
     Analysis,
-    Bench,
+    BenchKeys,
     CheckActions,
     ErrorLimits,
-    Probe,
-    Rom,
+    ProbeKeys,
+    RomKeys,
     SceneKeys,
-    Solver,
+    SolverKeys,
 )
 
 if TYPE_CHECKING:
     from kc2spice.core.figure import Figure, FileWriter, Shape
     from kc2spice.core.laws import Equations, MissingEquations
-    from kc2spice.core.progress import Clock
+    from kc2spice.core.progress import StageTimer
     from kc2spice.core.waveforms import Waveform, Waveforms
     from kc2spice.netlist.library import Header, Subcircuit
-    from kc2spice.scene.checks import Balance, Check, Gate
+    from kc2spice.scene.checks import Check, Gate, RunEnergyBalance
 
 GROUND = "gnd"
 # Part types of tables without the key ``part``, keyed by table name.
@@ -105,15 +105,15 @@ class Terminal:
     kind_key: str = ""
 
     @classmethod
-    def of(cls, name: str, domain: Domain, default: str | None = None) -> Terminal:
+    def from_domain(cls, name: str, domain: Domain, default: str | None = None) -> Terminal:
         """Return a pin of a conservative domain."""
         return cls(name, *domain.units, default)
 
     @classmethod
-    def speed(cls, name: str, domain: Domain, default: str | None = None) -> Terminal:
+    def make_rate_pin(cls, name: str, domain: Domain, default: str | None = None) -> Terminal:
         """Return a pin for the rate of the across quantity of a domain, such as a velocity."""
         assert domain.rate is not None, f"{domain.name} has no rate"
-        return cls(name, domain.rate.pin_unit, domain.flow, default)
+        return cls(name, domain.rate.pin_unit, domain.flow_unit, default)
 
     @classmethod
     def signal(
@@ -128,7 +128,7 @@ class Terminal:
         return f"{self.unit}/{self.flow}" if self.flow != SIGNAL else f"signal in {self.unit}"
 
     @property
-    def moving(self) -> bool:
+    def can_move(self) -> bool:
         """Whether the pin moves and can carry a force."""
         return self.domain is not None and bool(self.domain.frame)
 
@@ -183,25 +183,25 @@ class Part(Generic[KeysT]):
         return ".".join(map(str, self.at or (self.name,)))
 
     @property
-    def netlist(self) -> bool:
+    def is_user_netlist(self) -> bool:
         """Whether the part is a subcircuit from the user's file."""
         return hasattr(self.keys, "subckt")
 
     @property
-    def reduced(self) -> bool:
+    def is_body(self) -> bool:
         """Whether the part is a body: its keys ``rom`` state how its model is reduced."""
         return hasattr(self.keys, "rom")
 
     @property
     def parameter_ranges(self) -> Mapping[str, tuple[float | str, float | str]]:
         """Ranges of those keys of a body that become parameters of its netlist."""
-        rom: Rom | None = getattr(self.keys, "rom", None)
+        rom: RomKeys | None = getattr(self.keys, "rom", None)
         return (rom.parameters if rom else None) or {}
 
     @property
     def declares_ports(self) -> bool:
         """Whether the part is a body whose ports are declared in files."""
-        return self.reduced and self.type.ports_of_files
+        return self.is_body and self.type.ports_of_files
 
     def wrong(
         self,
@@ -231,12 +231,12 @@ class PartRecord(Generic[T]):
     """
 
     part: Part
-    governed_parts: Mapping[str, State | Governed] = field(default_factory=dict)
+    governed_parts: Mapping[str, InitialState | Governed] = field(default_factory=dict)
     highest_frequency: HighestFrequency | None = None
     shared_data: T | None = None
     rest: EquilibriumConditions = field(default_factory=EquilibriumConditions)
-    numerics: tuple[Numerics, ...] = ()
-    reduction: Rom | None = None
+    numerics: tuple[NumericalRequirements, ...] = ()
+    reduction: RomKeys | None = None
 
 
 class NameAllocator:
@@ -246,7 +246,7 @@ class NameAllocator:
         self.reserved = set(map(str.lower, reserved))
         self.assigned: dict[Hashable, str] = {}
 
-    def name(self, key: Hashable, preferred: str) -> str:
+    def allocate_name(self, key: Hashable, preferred: str) -> str:
         """Return the name for ``key``: the ``preferred`` name, or a similar unused name."""
         if key not in self.assigned:
             free, count = preferred, 1
@@ -261,7 +261,7 @@ class NameAllocator:
 class SceneSource(Protocol):
     """Protocol of a class that locates keys in a scene file and in its overrides."""
 
-    def where(self, key: str) -> str:
+    def locate_key(self, key: str) -> str:
         """Return the location of a key for errors: file, line and name."""
 
     def overrides_key(self, key: str) -> bool:
@@ -314,7 +314,7 @@ class DeclaredScene:
         return self.frame.analysis
 
     @property
-    def probes(self) -> Mapping[str, Probe]:
+    def probes(self) -> Mapping[str, ProbeKeys]:
         """Probes of the scene, keyed by the names of their metrics."""
         return self.frame.probes
 
@@ -324,12 +324,12 @@ class DeclaredScene:
         return tuple(dict.fromkeys(probe.of for probe in self.probes.values()))
 
     @property
-    def rom(self) -> Rom:
+    def rom(self) -> RomKeys:
         """Default reduction of bodies."""
         return self.frame.rom
 
     @property
-    def solver(self) -> Solver:
+    def solver(self) -> SolverKeys:
         """Settings of the simulator."""
         return self.frame.solver
 
@@ -344,7 +344,7 @@ class DeclaredScene:
         return self.frame.gates
 
     @property
-    def bench(self) -> Bench:
+    def bench(self) -> BenchKeys:
         """Settings of the benchmark."""
         return self.frame.bench
 
@@ -354,15 +354,15 @@ class DeclaredScene:
         return self.frame.include
 
     @property
-    def stop(self) -> float:
-        """End of a transient [s]: ``analysis.stop`` if present, otherwise ``solver.stop``."""
+    def stop_time(self) -> float:
+        """End time of a transient [s], from the keys of the analysis or the solver."""
         stop = self.analysis.stop if self.analysis.type == "transient" else None
         return float(self.solver.stop if stop is None else stop)
 
     @property
     def bodies(self) -> tuple[Part, ...]:
         """Parts whose models are reduced, in the order of the scene."""
-        return tuple(part for part in self.parts.values() if part.reduced)
+        return tuple(part for part in self.parts.values() if part.is_body)
 
     def list_parts(self, *types: str) -> tuple[Part, ...]:
         """Return all parts of these part types, in the order of the scene."""
@@ -377,7 +377,7 @@ class DeclaredScene:
         result = self.list_parts(*types)
         return result[0] if len(result) == 1 else None
 
-    def part(self, name: str, where: str = "scene") -> Part:
+    def get_part(self, name: str, where: str = "scene") -> Part:
         """Return the part with this name.
 
         Raises
@@ -388,8 +388,8 @@ class DeclaredScene:
             raise unknown("the scene has no such part", name, self.parts, where)
         return self.parts[name]
 
-    def partner(self, part: Part, kind: str, key: str = "") -> Part:
-        """Return the part that ``part`` names in its key ``key``.
+    def find_partner(self, part: Part, kind: str, key: str = "") -> Part:
+        """Return the part to which the key ``key`` of a part refers.
 
         If the key has no value, return the only part of the type ``kind``.
 
@@ -400,7 +400,7 @@ class DeclaredScene:
         """
         name, table = getattr(part.keys, key, None), DEFAULT_TABLES.get(kind, kind)
         if name is not None:
-            return self.part(name, f"{part.name}.{key}")
+            return self.get_part(name, f"{part.name}.{key}")
         result = self.list_parts(kind)
         if not result:
             raise UsageError(
@@ -413,7 +413,8 @@ class DeclaredScene:
                 f"{part.name} does not state which {kind} it uses",
                 where=f"{part.name}.{key}",
                 got=", ".join(map(attrgetter("name"), result)),
-                expected=f"{key or 'one'} = NAME",
+                expected=f"{key} = NAME" if key else f"one part of type {kind}",
+                hint=f'write  {key} = "{result[0].name}"' if key else f"delete {result[-1].name}",
             )
         return result[0]
 
@@ -432,7 +433,7 @@ class DeclaredScene:
 
 @dataclass(frozen=True, eq=False)
 class GovernedScene(DeclaredScene):
-    """Second stage of a scene, in which governed parts are known.
+    """Second stage of a scene, with the parts that other parts move, copy or start.
 
     A governed part is a part that another part moves, copies or gives an initial state. ``movers``
     maps each moved part to the part that prescribes all its motion. ``initial_states`` contains the
@@ -444,11 +445,11 @@ class GovernedScene(DeclaredScene):
 
     records: Mapping[str, PartRecord[object]] = field(default_factory=dict)
     movers: Mapping[str, str] = field(default_factory=dict)
-    initial_states: Mapping[str, State] = field(default_factory=dict)
+    initial_states: Mapping[str, InitialState] = field(default_factory=dict)
     without_cards: frozenset[str] = frozenset()
     frames: Mapping[tuple[str, str], AcceleratedFrame] = field(default_factory=dict)
 
-    def record(self, part: Part) -> PartRecord[object] | None:
+    def get_record(self, part: Part) -> PartRecord[object] | None:
         """Return the record of a part.
 
         The result is None if the part of this name in the scene is another object, with other keys.
@@ -482,24 +483,24 @@ class WiredScene(JoinedScene):
         """Return the pins of a part in the order of its subcircuit."""
         return tuple(pin for (name, _), pin in self.terminals.items() if name == part)
 
-    def net(self, part: str, pin: str) -> str:
+    def get_net(self, part: str, pin: str) -> str:
         """Return the netlist node of a pin."""
         return self.nets[part, pin]
 
-    def nets_of(self, part: str, pins: Iterable[str]) -> list[str]:
+    def get_nets(self, part: str, pins: Iterable[str]) -> list[str]:
         """Return the netlist nodes of these ``pins`` of a part, in the same order."""
         return [self.nets[part, pin] for pin in pins]
 
-    def joined_pins(self, part: str, pin: str) -> tuple[tuple[str, str], ...]:
+    def list_joined_pins(self, part: str, pin: str) -> tuple[tuple[str, str], ...]:
         """Return the other pins on the net of a pin; empty for a pin on ground."""
         net = self.nets[part, pin]
         if net == "0":
             return ()
         return tuple(key for key, other in self.nets.items() if other == net and key != (part, pin))
 
-    def joined_types(self, part: str, pin: str) -> set[str]:
+    def list_joined_types(self, part: str, pin: str) -> set[str]:
         """Return the names of the part types of the other parts on the net of a pin."""
-        return {self.parts[name].type.name for name, _ in self.joined_pins(part, pin)}
+        return {self.parts[name].type.name for name, _ in self.list_joined_pins(part, pin)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -508,15 +509,14 @@ class Scene(WiredScene):
 
     The base classes are the stages of :func:`kc2spice.scene.resolve.resolve`. A method of a part
     type receives the scene at one of these stages. ``numerics`` are the numerical requirements of
-    all parts.
-    ``period`` [s] is the common period of all drives; None if there is no common period. ``meters``
-    contains the names of the ammeters at pins. ``names`` contains the names of all other nodes and
-    cards, keyed by ``(part, *words)`` (:meth:`Build.inner_name`). ``tables`` are the tables of the
-    file with all overrides. ``source`` is the text of the file, in which :meth:`where` searches for
-    keys.
+    all parts. ``period`` [s] is the common period of all drives; None if there is no common period.
+    ``meters`` contains the names of the ammeters at pins. ``names`` contains the names of all other
+    nodes and cards, keyed by ``(part, *words)`` (:meth:`Build.get_inner_name`). ``tables`` are the
+    tables of the file with all overrides. ``source`` is the text of the file, in which
+    :meth:`where` searches for keys.
     """
 
-    numerics: tuple[Numerics, ...] = ()
+    numerics: tuple[NumericalRequirements, ...] = ()
     period: float | None = None
     meters: Mapping[tuple[str, str], str] = field(default_factory=dict)
     names: Mapping[tuple[str, ...], str] = field(default_factory=dict)
@@ -525,7 +525,7 @@ class Scene(WiredScene):
 
     def where(self, key: str) -> str:
         """Return file, line and name of a key; for a scene without a file, only the name."""
-        return key if self.source is None else self.source.where(key)
+        return key if self.source is None else self.source.locate_key(key)
 
     def select_overridden_key(self, first: str, second: str) -> str:
         """Return the key ``first`` if overrides set only this key; otherwise ``second``."""
@@ -543,7 +543,7 @@ class Scene(WiredScene):
         return f"<Scene {self.name} ({self.analysis.type}): {parts}>"
 
 
-def scene_hash(scene: Scene) -> str:
+def compute_scene_hash(scene: Scene) -> str:
     """Return a hash, 16 hexadecimal digits, of all values that determine the netlist.
 
     The names and titles of scenes, error limits, actions of checks, and keys without a value do not
@@ -571,17 +571,17 @@ def scene_hash(scene: Scene) -> str:
 class BuildRecord:
     """Record of one part of a build; a part without cards has no results.
 
-    The fields are the results of :meth:`PartType.equilibrium_with_model`,
+    The fields are the results of :meth:`PartType.equilibrium_after_build`,
     :meth:`PartType.vectors` and :meth:`PartType.settable`.
     """
 
     rest: EquilibriumConditions
-    vectors: Mapping[str, Vector] = field(default_factory=dict)
+    vectors: Mapping[str, PartResult] = field(default_factory=dict)
     settable: Mapping[str, SweptSource | SampledSource | float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
-class Build:
+class BuiltScene:
     """Scene with the models of its parts, from which netlist, metrics and checks follow.
 
     ``models`` contains the results of :meth:`PartType.build`, and ``libraries`` the names of the
@@ -589,11 +589,12 @@ class Build:
     ``unchecked_parts`` are parts whose parameters in the deck differ from their keys; for these
     parts, there are neither checks nor an energy balance. ``functions`` are Python functions that
     set sources. ``largest_step`` is the upper limit of the time step of a transient. ``records``
-    contains the build records of the parts (:func:`kc2spice.scene.resolve.resolve_build`).
-    ``results`` are the results that the simulator saves. ``dc_sweep`` is the sweep of a dc
-    analysis, and ``noise_output`` the output of a noise analysis. ``laws`` are the equations of the
-    parts (:func:`kc2spice.equations.scene_laws.get_scene_laws`).
-    ``linearised`` contains the eigenmodes of the scene at the start of a transient
+    contains the build records of the parts
+    (:func:`kc2spice.scene.resolve.add_results_and_sources`). ``results`` are the results that the
+    simulator saves. ``dc_sweep`` is the sweep of a dc analysis, and ``noise_output`` the output of
+    a noise analysis. ``laws`` are the equations of the parts
+    (:func:`kc2spice.equations.scene_laws.get_scene_laws`). ``linearised`` contains the eigenmodes
+    of the scene at the start of a transient
     (:func:`kc2spice.workflow.time_step.with_linearised_scene`). ``workspace`` contains large
     results of the latest run.
     """
@@ -608,7 +609,7 @@ class Build:
     records: Mapping[str, BuildRecord] = field(default_factory=dict)
     results: SceneResults = field(default_factory=SceneResults)
     dc_sweep: DcSweep | None = None
-    noise_output: Vector | None = None
+    noise_output: PartResult | None = None
     laws: object = None
     linearised: object = None
     workspace: Workspace = field(default_factory=Workspace)
@@ -633,7 +634,7 @@ class Build:
             )
         return result
 
-    def models_of(self, kind: type[M]) -> dict[str, M]:
+    def find_models(self, kind: type[M]) -> dict[str, M]:
         """Return all models that are instances of the class ``kind``, keyed by part name."""
         return {name: item for name, item in self.models.items() if isinstance(item, kind)}
 
@@ -646,9 +647,9 @@ class Build:
         return tuple(item for item in rows if isinstance(item, SampledSource))
 
     @property
-    def vectors(self) -> dict[str, Vector]:
+    def vectors(self) -> dict[str, PartResult]:
         """ngspice vectors of the results of all parts, keyed by result name."""
-        result: dict[str, Vector] = {}
+        result: dict[str, PartResult] = {}
         for record in self.records.values():
             result |= record.vectors
         return result
@@ -665,23 +666,23 @@ class Build:
         result: Mapping[str, float] = getattr(self.models.get(part.name), "facts", {})
         return result
 
-    def net(self, part: Part, pin: str) -> str:
+    def get_net(self, part: Part, pin: str) -> str:
         """Return the netlist node of a pin."""
-        return self.scene.net(part.name, pin)
+        return self.scene.get_net(part.name, pin)
 
-    def across(self, part: Part, pin: str) -> Vector:
-        """Return the displacement, voltage or signal of a pin in SI units."""
+    def get_pin_vector(self, part: Part, pin: str) -> PartResult:
+        """Return the vector of a pin's displacement, voltage or signal in SI units."""
         terminal = self.scene.terminals[part.name, pin]
         quantity = terminal.across
         factor, si = (quantity.factor, quantity.unit) if quantity else (1.0, terminal.unit)
-        return Vector(f"v({self.net(part, pin)})", factor, si)
+        return PartResult(f"v({self.get_net(part, pin)})", factor, si)
 
-    def meter_name(self, part: Part, pin: str) -> str | None:
+    def find_meter_name(self, part: Part, pin: str) -> str | None:
         """Return the name of the ammeter at a pin; None if the pin has no ammeter."""
         return self.scene.meters.get((part.name, pin))
 
-    def inner_name(self, part: Part, *words: str) -> str:
-        """Return the netlist name of an inner node or card (:meth:`PartType.inner_names`).
+    def get_inner_name(self, part: Part, *words: str) -> str:
+        """Return the netlist name of an inner node or card (:meth:`PartType.list_inner_names`).
 
         The name consists of the words, joined by ``_``. If this name is in use, the result is a
         similar name.
@@ -723,7 +724,7 @@ class PartType(Generic[KeysT]):
 
     # --- scene: keys, pins, further parts ---------------------------------------------------------
 
-    def expand(
+    def generate_tables(
         self, part: Part[KeysT], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
         """Return the tables of further parts that this part generates.
@@ -755,8 +756,8 @@ class PartType(Generic[KeysT]):
 
     def governed_parts(
         self, part: Part[KeysT], scene: DeclaredScene
-    ) -> Mapping[str, State | Governed]:
-        """Return the parts that this part governs, keyed by name.
+    ) -> Mapping[str, InitialState | Governed]:
+        """Return the parts that this part moves, copies or starts, keyed by name.
 
         The value for another part is the :class:`State` [m/s, m] in which it starts, ``"moved"`` if
         this part prescribes all its motion, or ``"copied"`` if this part writes its cards. This
@@ -764,10 +765,10 @@ class PartType(Generic[KeysT]):
         """
         return {}
 
-    def inner_names(self, part: Part[KeysT], scene: WiredScene) -> Iterable[tuple[str, ...]]:
+    def list_inner_names(self, part: Part[KeysT], scene: WiredScene) -> Iterable[tuple[str, ...]]:
         """Return the words that form the name of each inner node and each further card.
 
-        :meth:`Build.inner_name` returns the complete names.
+        :meth:`Build.get_inner_name` returns the complete names.
         """
         return ()
 
@@ -791,7 +792,7 @@ class PartType(Generic[KeysT]):
             tuple((p.name, GROUND) for p in scene.pins(part.name) if p.needs_path)
         )
 
-    def directions(
+    def pin_directions(
         self, part: Part[KeysT], scene: DeclaredScene
     ) -> Mapping[str, tuple[float, ...]]:
         """Return the directions of motion at the pins, keyed by pin.
@@ -801,7 +802,7 @@ class PartType(Generic[KeysT]):
         """
         return {}
 
-    def inertial(self, part: Part[KeysT], scene: JoinedScene) -> tuple[str, ...]:
+    def pins_with_mass(self, part: Part[KeysT], scene: JoinedScene) -> tuple[str, ...]:
         """Return the pins at which the part has a mass.
 
         This method is called if a pin of the part moves with an accelerated frame, as on a body
@@ -814,17 +815,20 @@ class PartType(Generic[KeysT]):
         """Yield the errors of the part in this scene; the ``where`` of each is a dotted key.
 
         The key ``checks.plausible`` determines whether errors of implausible keys
-        (:func:`kc2spice.scene.plausible.check_range`) stop the run, are warnings, or are ignored.
+        (:func:`kc2spice.scene.plausibility.check_range`) stop the run, are warnings, or are
+        ignored.
         """
         return ()
 
     # --- models and netlist -----------------------------------------------------------------------
 
-    def reduction(self, part: Part[KeysT], scene: Scene) -> Rom | None:
+    def choose_reduction(self, part: Part[KeysT], scene: Scene) -> RomKeys | None:
         """Return the settings of the part's model reduction; None if there is no reduction."""
         return None
 
-    def build(self, part: Part[KeysT], scene: Scene, clock: Clock, full: bool = False) -> object:
+    def build(
+        self, part: Part[KeysT], scene: Scene, clock: StageTimer, full: bool = False
+    ) -> object:
         """Build the model of the part: fields, reduced matrices or tables.
 
         With ``full``, the result is a more accurate model of the same class, with which ``verify``
@@ -842,7 +846,7 @@ class PartType(Generic[KeysT]):
         return self.name if len(scene.list_parts(self.name)) == 1 else part.name
 
     def subcircuits(
-        self, part: Part[KeysT], build: Build, header: Header
+        self, part: Part[KeysT], build: BuiltScene, header: Header
     ) -> tuple[Subcircuit, ...]:
         """Return the subcircuits that the part needs; its own subcircuit is the last one."""
         return ()
@@ -851,7 +855,7 @@ class PartType(Generic[KeysT]):
         """Return whether the deck contains the part as an instance of its subcircuit."""
         return type(self).cards is PartType.cards
 
-    def cards(self, part: Part[KeysT], build: Build) -> tuple[Item, ...]:
+    def cards(self, part: Part[KeysT], build: BuiltScene) -> tuple[Item, ...]:
         """Return the elements of the part at the top level of the deck.
 
         By default, the elements are an instance of the part's subcircuit, and an ammeter at each
@@ -859,17 +863,17 @@ class PartType(Generic[KeysT]):
         """
         nodes, ammeters = [], []
         for pin in build.scene.pins(part.name):
-            net, meter = build.net(part, pin.name), build.meter_name(part, pin.name)
+            net, meter = build.get_net(part, pin.name), build.find_meter_name(part, pin.name)
             nodes.append(meter or net)
             if meter:
-                ammeters.append(Element.of(meter, net, meter, "0"))
-        instance = Element.of(f"X{part.name}", *nodes, build.libraries[part.name])
+                ammeters.append(Element.from_words(meter, net, meter, "0"))
+        instance = Element.from_words(f"X{part.name}", *nodes, build.libraries[part.name])
         return (instance, *ammeters)
 
-    def settable(
-        self, part: Part[KeysT], build: Build
+    def settable_quantities(
+        self, part: Part[KeysT], build: BuiltScene
     ) -> Mapping[str, SweptSource | SampledSource | float]:
-        """Return the sources and initial node voltages of the part that an analysis can set.
+        """Return the sources and initial node voltages that an analysis can set.
 
         The result maps a key to the source that a dc sweep of this key varies, or to the Python
         function that sets a source during the simulation. The result also maps a node to its
@@ -877,7 +881,7 @@ class PartType(Generic[KeysT]):
         """
         return {}
 
-    def drives(self, part: Part[KeysT], scene: DeclaredScene) -> bool:
+    def has_ac_source(self, part: Part[KeysT], scene: DeclaredScene) -> bool:
         """Return whether the part is a source of small signals in an ``ac`` analysis.
 
         This method is called when the scene is loaded. If no part drives an ``ac`` analysis, a
@@ -885,7 +889,7 @@ class PartType(Generic[KeysT]):
         """
         return False
 
-    def numerics(self, part: Part[KeysT], scene: WiredScene) -> Iterable[Numerics]:
+    def numerics(self, part: Part[KeysT], scene: WiredScene) -> Iterable[NumericalRequirements]:
         """Return what the part requires of the simulation, such as time steps and tolerances.
 
         Examples of requirements are time steps for the frequency and edges of a source, for a
@@ -904,7 +908,9 @@ class PartType(Generic[KeysT]):
         """
         return None
 
-    def highest_frequency(self, part: Part[KeysT], scene: DeclaredScene) -> HighestFrequency | None:
+    def make_frequency_estimator(
+        self, part: Part[KeysT], scene: DeclaredScene
+    ) -> HighestFrequency | None:
         """Return a function that computes the highest frequency [Hz] in the waves of the part.
 
         Nearly all energy of the waves is below this frequency. The argument of the function is the
@@ -912,7 +918,9 @@ class PartType(Generic[KeysT]):
         """
         return None
 
-    def equilibrium_with_model(self, part: Part[KeysT], build: Build) -> EquilibriumConditions:
+    def equilibrium_after_build(
+        self, part: Part[KeysT], build: BuiltScene
+    ) -> EquilibriumConditions:
         """Return the constraints and loads of the part, after its model is built.
 
         By default, the result is that of :meth:`equilibrium_conditions`. A body overrides this
@@ -920,7 +928,7 @@ class PartType(Generic[KeysT]):
         """
         return build.scene.records[part.name].rest
 
-    def vectors(self, part: Part[KeysT], build: Build) -> Mapping[str, Vector]:
+    def vectors(self, part: Part[KeysT], build: BuiltScene) -> Mapping[str, PartResult]:
         """Return the ngspice vectors of the part's results, keyed by result name.
 
         Each result is a :class:`Vector`: an expression of voltages and currents of the netlist,
@@ -929,7 +937,9 @@ class PartType(Generic[KeysT]):
         """
         return {}
 
-    def forces(self, part: Part[KeysT], build: Build, waves: Waveforms) -> Mapping[str, np.ndarray]:
+    def forces(
+        self, part: Part[KeysT], build: BuiltScene, waves: Waveforms
+    ) -> Mapping[str, np.ndarray]:
         """Return the force waveform [N] that the part exerts at each of its mechanical pins.
 
         The forces are keyed by pin. The force at a pin is the sum of all force results of the part
@@ -946,7 +956,7 @@ class PartType(Generic[KeysT]):
     # --- results of a run -------------------------------------------------------------------------
 
     def corrected_waves(
-        self, part: Part[KeysT], build: Build, waves: Waveforms
+        self, part: Part[KeysT], build: BuiltScene, waves: Waveforms
     ) -> Mapping[str, np.ndarray]:
         """Return waveforms that replace waveforms of the netlist, such as a pressure off axis.
 
@@ -955,7 +965,9 @@ class PartType(Generic[KeysT]):
         """
         return {}
 
-    def metrics(self, part: Part[KeysT], build: Build, waves: Waveforms) -> Mapping[str, object]:
+    def metrics(
+        self, part: Part[KeysT], build: BuiltScene, waves: Waveforms
+    ) -> Mapping[str, object]:
         """Return numbers that describe the behaviour of the part, keyed by name.
 
         Each value is a :class:`kc2spice.scene.checks.Metric`, a nested mapping of metrics, or a
@@ -964,14 +976,14 @@ class PartType(Generic[KeysT]):
         return {}
 
     def main_metrics(
-        self, part: Part[KeysT], build: Build
-    ) -> Mapping[str, Probe | LargestRealPartFrequency]:
+        self, part: Part[KeysT], build: BuiltScene
+    ) -> Mapping[str, ProbeKeys | LargestRealPartFrequency]:
         """Return, as probes, the metrics that every simulator can compute."""
         return {}
 
     def checks(
-        self, part: Part[KeysT], build: Build, waves: Waveforms
-    ) -> Iterable[Check | Balance | Gate]:
+        self, part: Part[KeysT], build: BuiltScene, waves: Waveforms
+    ) -> Iterable[Check | RunEnergyBalance | Gate]:
         """Return the checks of the waveforms of a run.
 
         The checks test physical laws that the netlist does not contain. If a transient has saved
@@ -980,8 +992,8 @@ class PartType(Generic[KeysT]):
         """
         return ()
 
-    def finer_mesh(
-        self, part: Part[KeysT], build: Build, clock: Clock, most: float
+    def compare_with_finer_mesh(
+        self, part: Part[KeysT], build: BuiltScene, clock: StageTimer, most: float
     ) -> Iterable[Check | str]:
         """Compare the model with a model on a mesh with half the element size.
 
@@ -993,12 +1005,12 @@ class PartType(Generic[KeysT]):
         return ()
 
     def check_operating_point(
-        self, part: Part[KeysT], build: Build, point: Waveforms
+        self, part: Part[KeysT], build: BuiltScene, point: Waveforms
     ) -> Iterable[Check]:
         """Return checks that the operating ``point`` is valid for small-signal analyses."""
         return ()
 
-    def law(self, part: Part[KeysT], build: Build) -> Equations | MissingEquations | None:
+    def law(self, part: Part[KeysT], build: BuiltScene) -> Equations | MissingEquations | None:
         """Return the part's equations for the independent time integrator.
 
         If the part has no equations, return the reason, or None.
@@ -1006,7 +1018,7 @@ class PartType(Generic[KeysT]):
         return None
 
     def figures(
-        self, part: Part[KeysT], build: Build, waves: Waveforms
+        self, part: Part[KeysT], build: BuiltScene, waves: Waveforms
     ) -> Iterable[Figure | FileWriter]:
         """Return figures for the report, and writers of further files with arrays or fields."""
         return ()
@@ -1020,17 +1032,17 @@ class PartType(Generic[KeysT]):
 
     # --- text for explain -------------------------------------------------------------------------
 
-    def notes(self, part: Part[KeysT], scene: Scene) -> Iterator[str | Neglected]:
+    def notes(self, part: Part[KeysT], scene: Scene) -> Iterator[str | NeglectedEffect]:
         """Return texts about the model of the part, and the effects that the model neglects."""
         yield self.title
 
-    def discretisation(self, part: Part[KeysT], build: Build) -> str:
+    def describe_discretisation(self, part: Part[KeysT], build: BuiltScene) -> str:
         """Return a description of the part's mesh error; empty for a part without a mesh."""
         text = describe_mesh_errors(build.facts(part))
         return f"error estimate of its mesh: {text}" if text else ""
 
 
-def find_flows(vectors: Mapping[str, Vector], pin: str) -> dict[str, tuple[Vector, float]]:
+def find_flows(vectors: Mapping[str, PartResult], pin: str) -> dict[str, tuple[PartResult, float]]:
     """Return the results of a part that are flows at a pin, with their signs.
 
     The sign is 1 if the flow leaves the part at the pin, and -1 if the flow enters the part. The

@@ -10,7 +10,7 @@ import numpy as np
 from kc2spice.core.figure import Curve, Figure, Panel, get_axis_label_and_factor
 from kc2spice.core.waveforms import Waveforms, integrate_cumulatively
 from kc2spice.scene.checks import Check, Metric
-from kc2spice.scene.model import Build
+from kc2spice.scene.model import BuiltScene
 from kc2spice.scene.part_records import DENSITY_UNIT
 from kc2spice.scene.results import NOISE_WAVE
 
@@ -18,7 +18,7 @@ from kc2spice.scene.results import NOISE_WAVE
 MAX_RMS_CHANGE = 0.02
 
 
-def noise_by_part(waves: Waveforms) -> dict[str, np.ndarray]:
+def compute_noise_by_part(waves: Waveforms) -> dict[str, np.ndarray]:
     """Return the spectral density of the output noise that each part causes.
 
     The densities are keyed by part. Each density is an array with one value for each frequency.
@@ -32,24 +32,24 @@ def noise_by_part(waves: Waveforms) -> dict[str, np.ndarray]:
     return {part: np.sqrt(result) for part, result in power.items()}
 
 
-def noise_metrics(waves: Waveforms, build: Build) -> dict[str, Any]:
+def compute_noise_metrics(waves: Waveforms, build: BuiltScene) -> dict[str, Any]:
     """Return the rms value of the output noise, and of the noise that each part causes.
 
     The rms values are integrals over the frequency range of the analysis.
     """
-    f, parts = waves["frequency"].real, noise_by_part(waves)
+    f, parts = waves["frequency"].real, compute_noise_by_part(waves)
     unit = build.results.units[NOISE_WAVE].removesuffix(DENSITY_UNIT)
-    added = {part: Metric(_rms_value(f, result), unit) for part, result in parts.items()}
-    rms: dict[str, Any] = {NOISE_WAVE: Metric(_rms_value(f, waves[NOISE_WAVE]), unit)}
+    added = {part: Metric(_compute_rms_value(f, result), unit) for part, result in parts.items()}
+    rms: dict[str, Any] = {NOISE_WAVE: Metric(_compute_rms_value(f, waves[NOISE_WAVE]), unit)}
     return rms | ({"noise_by_part": added} if len(added) > 1 else {})
 
 
-def _rms_value(f: np.ndarray, density: np.ndarray) -> float:
+def _compute_rms_value(f: np.ndarray, density: np.ndarray) -> float:
     """Return the rms value of a noise density over the frequencies ``f`` [Hz]."""
     return float(np.sqrt(np.trapezoid(np.abs(density) ** 2, f)))
 
 
-def noise_checks(waves: Waveforms) -> Iterator[Check]:
+def check_noise(waves: Waveforms) -> Iterator[Check]:
     """Check that the rms noise hardly changes if every second frequency is omitted.
 
     A large change means that the frequency steps do not resolve a resonance.
@@ -57,7 +57,9 @@ def noise_checks(waves: Waveforms) -> Iterator[Check]:
     if (f := waves["frequency"].real).size > 4:
         even = f.size - (f.size + 1) % 2
         f, density = f[:even], waves[NOISE_WAVE][:even]
-        off = abs(_rms_value(f[::2], density[::2]) / (_rms_value(f, density) or 1.0) - 1.0)
+        off = abs(
+            _compute_rms_value(f[::2], density[::2]) / (_compute_rms_value(f, density) or 1.0) - 1.0
+        )
         advice = (
             "a resonance lies between the frequencies: raise analysis.points, or narrow the band"
         )
@@ -71,7 +73,7 @@ def noise_checks(waves: Waveforms) -> Iterator[Check]:
         )
 
 
-def noise_figures(waves: Waveforms, unit: str) -> Iterator[Figure]:
+def plot_noise(waves: Waveforms, unit: str) -> Iterator[Figure]:
     """Plot the spectral density of the output noise, and the rms noise up to each frequency."""
     f, density = waves["frequency"].real, np.abs(waves[NOISE_WAVE])
     label, factor = get_axis_label_and_factor("frequency", f)
@@ -81,7 +83,7 @@ def noise_figures(waves: Waveforms, unit: str) -> Iterator[Figure]:
         (f"density in {unit}", density),
         (f"rms from the lowest on in {unit.removesuffix(DENSITY_UNIT)}", rising),
     )
-    parts = noise_by_part(waves)
+    parts = compute_noise_by_part(waves)
     added = [Curve(f"of {part}", factor * f, result, "--") for part, result in parts.items()]
     panels = [
         Panel(

@@ -19,11 +19,11 @@ from pydantic.fields import FieldInfo
 
 from kc2spice.core.mesh_error import list_mesh_errors
 from kc2spice.core.quantities import RefinementRule
-from kc2spice.scene.compose import describe_nets
 from kc2spice.scene.frames import describe_frames
-from kc2spice.scene.model import Build, Part, Scene
-from kc2spice.scene.part_records import Neglected
-from kc2spice.scene.settings import Analysis, Rom, Solver
+from kc2spice.scene.model import BuiltScene, Part, Scene
+from kc2spice.scene.net_formation import describe_nets
+from kc2spice.scene.part_records import NeglectedEffect
+from kc2spice.scene.settings import Analysis, RomKeys, SolverKeys
 
 MAX_STEP_KEY = "solver.max_step"
 MAX_TIME_POINTS = 2e5  # largest number of time points of a transient with the finest time step
@@ -57,7 +57,7 @@ class NumericalSetting:
     model: bool = False
     mesh: bool = False
 
-    def refined_keys(self, steps: float) -> dict[str, Any]:
+    def refine_keys(self, steps: float) -> dict[str, Any]:
         """Return the changed keys and their values after a number of refinement ``steps``.
 
         Negative ``steps`` make the setting coarser. The result is empty if no key changes.
@@ -79,15 +79,15 @@ class NumericalSetting:
         return result
 
 
-def find_numerical_settings(build: Build) -> tuple[NumericalSetting, ...]:
+def find_numerical_settings(build: BuiltScene) -> tuple[NumericalSetting, ...]:
     """Return the numerical settings of a scene that can be refined.
 
     The settings include the largest time step, if the step is known or is set in the scene.
     """
-    return tuple(setting for setting in _list_settings(build) if setting.refined_keys(1.0))
+    return tuple(setting for setting in _list_settings(build) if setting.refine_keys(1.0))
 
 
-def find_finest_settings(build: Build) -> tuple[NumericalSetting, ...]:
+def find_finest_settings(build: BuiltScene) -> tuple[NumericalSetting, ...]:
     """Return the numerical settings of a scene that are already at their finest value.
 
     Only a run with a coarser value can estimate the error of such a setting.
@@ -95,11 +95,11 @@ def find_finest_settings(build: Build) -> tuple[NumericalSetting, ...]:
     return tuple(
         setting
         for setting in _list_settings(build)
-        if not setting.refined_keys(1.0) and setting.refined_keys(-1.0)
+        if not setting.refine_keys(1.0) and setting.refine_keys(-1.0)
     )
 
 
-def _list_settings(build: Build) -> Iterator[NumericalSetting]:
+def _list_settings(build: BuiltScene) -> Iterator[NumericalSetting]:
     """Yield all settings of a scene that have a refinement rule."""
     scene = build.scene
     if scene.analysis.type == "transient":
@@ -112,8 +112,8 @@ def _list_settings(build: Build) -> Iterator[NumericalSetting]:
         if step is None and build.largest_step is not None:
             step = build.largest_step.step
         if step is not None:
-            setting = _make_setting(MAX_STEP_KEY, step, Solver.model_fields["max_step"])
-            yield replace(setting, low=min(step, scene.stop / MAX_TIME_POINTS))
+            setting = _make_setting(MAX_STEP_KEY, step, SolverKeys.model_fields["max_step"])
+            yield replace(setting, low=min(step, scene.stop_time / MAX_TIME_POINTS))
     elif scene.analysis.is_small_signal and "analysis" in scene.tables:
         (setting,) = _list_settings_of_keys(scene.analysis, "analysis")
         yield replace(setting, decades=_count_decades(scene.analysis))
@@ -133,19 +133,19 @@ def _list_settings_of_keys(keys: BaseModel, prefix: str) -> Iterator[NumericalSe
     """Yield the numerical settings in a table and its inner tables, except tables ``rom``."""
     for name, declared in type(keys).model_fields.items():
         value = getattr(keys, name)
-        if isinstance(value, BaseModel) and not isinstance(value, Rom):
+        if isinstance(value, BaseModel) and not isinstance(value, RomKeys):
             yield from _list_settings_of_keys(value, f"{prefix}.{name}")
         rule = _find_rule(declared)
-        if rule is not None and value is not None and _is_used(rule, keys):
+        if rule is not None and value is not None and _rule_applies(rule, keys):
             yield _make_setting(f"{prefix}.{name}", value, declared)
 
 
-def _is_used(rule: RefinementRule, keys: BaseModel) -> bool:
-    """Return whether the keys of a table have the values that a refinement rule requires."""
+def _rule_applies(rule: RefinementRule, keys: BaseModel) -> bool:
+    """Return whether a refinement rule applies to a table with these keys."""
     return all(getattr(keys, name) == value for name, value in rule.when)
 
 
-def _list_reduction_settings(build: Build) -> Iterator[NumericalSetting]:
+def _list_reduction_settings(build: BuiltScene) -> Iterator[NumericalSetting]:
     """Yield a setting for the table ``rom`` of the scene, and for the ``rom`` of each body."""
     scene = build.scene
     timed = scene.analysis.type == "transient"
@@ -164,13 +164,17 @@ def _list_reduction_settings(build: Build) -> Iterator[NumericalSetting]:
             continue
         known.add(prefix)
         if rom.tolerance is None:
-            yield _make_setting(f"{prefix}.order", int(rom.order or 1), Rom.model_fields["order"])
+            yield _make_setting(
+                f"{prefix}.order", int(rom.order or 1), RomKeys.model_fields["order"]
+            )
             continue
         band = rom.band
         if not separate and "rom" not in scene.tables:
             certificate = getattr(build.models.get(part.name), "certificate", None)
             band = rom.band if certificate is None else certificate.band_hz
-        setting = _make_setting(f"{prefix}.tolerance", rom.tolerance, Rom.model_fields["tolerance"])
+        setting = _make_setting(
+            f"{prefix}.tolerance", rom.tolerance, RomKeys.model_fields["tolerance"]
+        )
         # A run has only one value of each parameter.
         # The refined reduction therefore has no parameter ranges, and its band may be wider.
         plain: dict[str, Any] = {f"{prefix}.parameters": {}} if rom.parameters else {}
@@ -212,24 +216,24 @@ def refine_settings(
     """Return the keys of refined settings; ``steps`` are keyed by name of the setting."""
     result: dict[str, Any] = {}
     for setting in selected:
-        result |= setting.refined_keys(steps.get(setting.name, 0.0))
+        result |= setting.refine_keys(steps.get(setting.name, 0.0))
     return result
 
 
-def _describe_noise(part: Part, build: Build) -> str:
+def _describe_noise(part: Part, build: BuiltScene) -> str:
     """Describe the noise sources of a part, if the scene has a noise analysis."""
     result = part.type.noise
     noise = result if isinstance(result, str) else "thermal noise at 27 C" if result else "no noise"
     return f"; {noise}" if build.has_noise else ""
 
 
-def _describe_mesh(part: Part, build: Build) -> str:
+def _describe_mesh(part: Part, build: BuiltScene) -> str:
     """Describe the mesh of a part."""
-    text = part.type.discretisation(part, build)
+    text = part.type.describe_discretisation(part, build)
     return f"; {text}" if text else ""
 
 
-def _estimate_mesh_error(setting: NumericalSetting, build: Build) -> float | None:
+def _estimate_mesh_error(setting: NumericalSetting, build: BuiltScene) -> float | None:
     """Return the error estimate of the mesh that a setting refines; None if unknown."""
     if not setting.mesh:
         return None
@@ -240,7 +244,7 @@ def _estimate_mesh_error(setting: NumericalSetting, build: Build) -> float | Non
     return max(errors, default=None)
 
 
-def describe_plan(build: Build) -> dict[str, Any]:
+def describe_plan(build: BuiltScene) -> dict[str, Any]:
     """Return the plan of a run, which becomes the entry ``plan`` of ``result.json``.
 
     ``parts`` contains the ``source`` and the description (``detail``) of the model of each part.
@@ -250,11 +254,11 @@ def describe_plan(build: Build) -> dict[str, Any]:
     """
     scene = build.scene
     parts = []
-    left_out: list[Neglected] = []
+    left_out: list[NeglectedEffect] = []
     for part in scene.parts.values():
         texts: list[str] = []
         for note in part.type.notes(part, scene):
-            if isinstance(note, Neglected):
+            if isinstance(note, NeglectedEffect):
                 left_out.append(note)
             else:
                 texts.append(note)

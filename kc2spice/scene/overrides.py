@@ -70,7 +70,7 @@ def expand_overrides(texts: Sequence[str]) -> list[str]:
                 if near
                 else f"write KEY=VALUE in place of {text}",
             )
-        for key, value in _flatten_tables(open_scene(text).parse()):
+        for key, value in _flatten_tables(open_scene(text).parse_tables()):
             result.append(f"{key}={format_toml(value)}")
     return result
 
@@ -173,10 +173,10 @@ def _suggest_list(holder: Any, key: str) -> str | None:
     return did_you_mean(key, [name for name, value in table.items() if isinstance(value, list)])
 
 
-def _find_key(holder: Any, step: str, so_far: str, where: str, near: str | None) -> str | int:
+def _find_key(holder: Any, step: str, so_far: str, where: str, suggestion: str | None) -> str | int:
     """Return the table key or the list index for one ``step`` of a dotted key.
 
-    ``near`` is a hint about a list with a similar name.
+    ``suggestion`` is a hint about a list with a similar name.
 
     Raises
     ------
@@ -194,7 +194,7 @@ def _find_key(holder: Any, step: str, so_far: str, where: str, near: str | None)
         raise UsageError(
             f"{so_far} is not a list in this scene",
             where=where,
-            hint=near or f"state the whole list: {so_far}=[ … ]",
+            hint=suggestion or f"state the whole list: {so_far}=[ … ]",
         )
     index, count = int(step[1:-1]), len(holder)
     if not -count <= index < count:

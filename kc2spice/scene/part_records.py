@@ -20,7 +20,7 @@ PERPENDICULAR_COSINE = 1e-9  # largest rounding error of the cosine of a right a
 
 
 @dataclass(frozen=True)
-class Neglected:
+class NeglectedEffect:
     """Effect that a model neglects, with the reason and the largest error that it causes.
 
     If ``summarised`` is true, the summary of a run lists the effect.
@@ -33,7 +33,7 @@ class Neglected:
 
 
 @dataclass(frozen=True)
-class State:
+class InitialState:
     """Initial state of a motion: velocity [m/s], and height [m] above the contact."""
 
     velocity: float
@@ -68,7 +68,7 @@ class EquilibriumConditions:
 
 
 @dataclass(frozen=True)
-class Vector:
+class PartResult:
     """Result of a part: an ngspice expression, its factor to SI units, and the SI unit.
 
     The expression may be a sum, such as ``a+b``. A current or force leaves the part at the pins in
@@ -105,9 +105,9 @@ class Vector:
         return f"v({','.join(plus + minus)})"
 
     @property
-    def density(self) -> Vector:
+    def noise_density_vector(self) -> PartResult:
         """Vector of the spectral density of the noise of this result."""
-        return Vector("onoise_spectrum", abs(self.factor), f"{self.unit}{DENSITY_UNIT}")
+        return PartResult("onoise_spectrum", abs(self.factor), f"{self.unit}{DENSITY_UNIT}")
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ class SceneResults:
         Terms of each power of a part or pin that a probe reads.
     """
 
-    vectors: Mapping[str, Vector] = field(default_factory=dict)
+    vectors: Mapping[str, PartResult] = field(default_factory=dict)
     powers: Mapping[str, Powers] = field(default_factory=dict)
 
     @property
@@ -201,7 +201,7 @@ class SampledSource:
     reload: Callable[[], Callable[[float, Mapping[str, float]], float]] | None = None
 
     @property
-    def reset_function(self) -> SampledSource:
+    def record_with_reset_function(self) -> SampledSource:
         """Copy of this record with the function in its state before the first call."""
         return self if self.reload is None else replace(self, call=self.reload())
 
@@ -215,7 +215,7 @@ class StepLimit:
 
 
 @dataclass(frozen=True)
-class Numerics:
+class NumericalRequirements:
     """Numerical requirements of a part: time step, tolerances and simulator options.
 
     ``step`` is the longest time step [s] that resolves the part, for the reason in ``description``.
@@ -257,8 +257,8 @@ class AcceleratedFrame:
     shakes: tuple[FrameAcceleration, ...]
 
     @property
-    def node_shares(self) -> frozenset[tuple[str, float | None]]:
-        """Netlist node and cosine of each acceleration; equal for identical frames."""
+    def node_cosines(self) -> frozenset[tuple[str, float | None]]:
+        """Netlist node and cosine of each acceleration, which identify the frame."""
         return frozenset((shake.net, shake.along) for shake in self.shakes)
 
     @property

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 
 from kc2spice.core.errors import unknown
 from kc2spice.core.untrusted_files import parse_toml
-from kc2spice.scene.keys import Key, list_schema_keys
+from kc2spice.scene.keys import KeyDescription, list_schema_keys
 from kc2spice.scene.load import PARTS_COMMAND, load_scene
 from kc2spice.scene.model import DEFAULT_TABLES, Part, Scene, Terminal
-from kc2spice.scene.parttype import find_part_type, load_part_types, type_names
+from kc2spice.scene.parttype import find_part_type, list_type_names, load_part_types
 from kc2spice.scene.scene_file import list_gallery
 
 
@@ -23,7 +23,7 @@ class PartTypeReference:
     title: str
     doc: str
     pins: tuple[Terminal, ...]
-    keys: tuple[Key, ...]
+    keys: tuple[KeyDescription, ...]
     example: str
     scene: str | None
     short_for: tuple[str, ...]
@@ -55,7 +55,7 @@ def describe_part_type(name: str) -> PartTypeReference:
         raise unknown(
             "this part type does not exist",
             name,
-            type_names(),
+            list_type_names(),
             "--part",
             PARTS_COMMAND,
             advice=advice,

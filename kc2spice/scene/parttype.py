@@ -23,44 +23,44 @@ from kc2spice.core.plugins import list_entry_points, load_plugin
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.expression import join_terms
 from kc2spice.netlist.spelling import require_name
-from kc2spice.scene.model import Build, Part, PartType, find_flows
-from kc2spice.scene.part_records import Vector
+from kc2spice.scene.model import BuiltScene, Part, PartType, find_flows
+from kc2spice.scene.part_records import PartResult
 
 PARTS_PACKAGE = "kc2spice.parts"
 SHARED_MODULE_SUFFIX = "_types"  # suffix of the names of modules that define several part types
 
 
-def find_current_into(part: Part, pin: str, build: Build) -> Vector | None:
+def find_current_into(part: Part, pin: str, build: BuiltScene) -> PartResult | None:
     """Return the current into a pin, if the only other part at the pin reports the current.
 
     Return None if several other parts are joined to the pin: the current is then the sum of the
     currents of these parts.
     """
-    others = build.scene.joined_pins(part.name, pin)
+    others = build.scene.list_joined_pins(part.name, pin)
     # the current of a body is itself computed from the other parts at the pin
-    if len(others) != 1 or build.scene.parts[others[0][0]].reduced:
+    if len(others) != 1 or build.scene.parts[others[0][0]].is_body:
         return None
     ((name, end),) = others
     rows = list(find_flows(build.records[name].vectors, end).values())
     if len(rows) != 1:
         return None
     ((row, sign),) = rows
-    return Vector(row.expression, sign * row.factor, row.unit)
+    return PartResult(row.expression, sign * row.factor, row.unit)
 
 
-def find_flow_into(part: Part, pin: str, build: Build) -> Vector | None:
+def find_flow_into(part: Part, pin: str, build: BuiltScene) -> PartResult | None:
     """Return the flow into a pin: the sum of the flows out of all other parts at the pin.
 
     Return None if one of the other parts is a body, or has no result for its flow at the pin.
     """
-    others = build.scene.joined_pins(part.name, pin)
+    others = build.scene.list_joined_pins(part.name, pin)
     if len(others) == 1:
         return find_current_into(part, pin, build)
     terms: list[tuple[float, str]] = []
     scales: dict[tuple[float, str], None] = {}
     for name, end in others:
         rows = list(find_flows(build.records[name].vectors, end).values())
-        if build.scene.parts[name].reduced or len(rows) != 1:
+        if build.scene.parts[name].is_body or len(rows) != 1:
             return None
         ((row, sign),) = rows
         scales[abs(row.factor), row.unit] = None
@@ -69,16 +69,16 @@ def find_flow_into(part: Part, pin: str, build: Build) -> Vector | None:
     if len(scales) != 1:
         return None
     ((factor, unit),) = scales
-    return Vector(join_terms(terms), factor, unit)
+    return PartResult(join_terms(terms), factor, unit)
 
 
-def compute_pin_forces(build: Build, waves: Waveforms) -> Mapping[tuple[str, str], np.ndarray]:
+def compute_pin_forces(build: BuiltScene, waves: Waveforms) -> Mapping[tuple[str, str], np.ndarray]:
     """Return the waveforms of the forces [N] that parts exert at their pins.
 
     The forces are keyed by part and pin. The forces are computed only once for each run.
     """
 
-    def compute() -> tuple[Build, Waveforms, dict[tuple[str, str], np.ndarray]]:
+    def compute_all_forces() -> tuple[BuiltScene, Waveforms, dict[tuple[str, str], np.ndarray]]:
         """Return the build, the waves, and the forces of all parts."""
         result = {}
         for name, part in build.scene.parts.items():
@@ -88,13 +88,13 @@ def compute_pin_forces(build: Build, waves: Waveforms) -> Mapping[tuple[str, str
         # The cached tuple keeps both objects alive, so that Python does not reuse their ids.
         return build, waves, result
 
-    return build.workspace.get_or_compute("forces", (id(build), id(waves)), compute)[2]
+    return build.workspace.get_or_compute("forces", (id(build), id(waves)), compute_all_forces)[2]
 
 
 _types: dict[str, PartType] = {}
 
 
-def register(part_type: PartType) -> PartType:
+def register_part_type(part_type: PartType) -> PartType:
     """Register a part type under its name, so that scenes can use it.
 
     A second type of the same name replaces the first one.
@@ -146,7 +146,7 @@ def register(part_type: PartType) -> PartType:
     return part_type
 
 
-def type_names() -> tuple[str, ...]:
+def list_type_names() -> tuple[str, ...]:
     """Return the sorted names of all part types.
 
     Only modules that define several part types are imported.
@@ -182,7 +182,7 @@ def find_part_type(name: str) -> PartType | None:
     """
     if name not in _types and name in _list_modules():
         import_module(_list_modules()[name])
-    if name not in _types and name in type_names():
+    if name not in _types and name in list_type_names():
         result = load_plugin(PARTS_PACKAGE, name)
         if result is not None and not isinstance(result, PartType):
             raise UsageError(
@@ -193,10 +193,12 @@ def find_part_type(name: str) -> PartType | None:
                 hint="correct the entry point as in docs/how-to/own_part.md",
             )
         if result is not None:
-            register(result)
+            register_part_type(result)
     return _types.get(name)
 
 
 def load_part_types() -> Mapping[str, PartType]:
     """Load all part types and return them by name."""
-    return {name: result for name in type_names() if (result := find_part_type(name)) is not None}
+    return {
+        name: result for name in list_type_names() if (result := find_part_type(name)) is not None
+    }

@@ -11,13 +11,13 @@ from dataclasses import replace
 
 from kc2spice.core.domains import ACOUSTIC
 from kc2spice.core.errors import UsageError, did_you_mean, unknown
-from kc2spice.scene.compose import list_metered_pins, list_power_input_pins
-from kc2spice.scene.model import Build, Part, Scene
-from kc2spice.scene.resolve import resolve, with_vectors
+from kc2spice.scene.model import BuiltScene, Part, Scene
+from kc2spice.scene.net_formation import list_metered_pins, list_power_input_pins
+from kc2spice.scene.resolve import add_equilibrium_and_results, resolve
 from kc2spice.scene.results import collect_results, find_noise_output
 
 
-def require_probed_results(build: Build) -> None:
+def require_probed_results(build: BuiltScene) -> None:
     """Raise an error if a probe reads a result that the scene does not have.
 
     The names of the results of some part types depend on the model. Probes of such results are
@@ -35,7 +35,7 @@ def require_probed_results(build: Build) -> None:
             waiting.add(name)
     if not build.has_noise and not scene.probes:
         return
-    resolved = build if build.records else with_vectors(build, without=waiting)
+    resolved = build if build.records else add_equilibrium_and_results(build, without=waiting)
     if build.has_noise:
         _require_noise_output(resolved, waiting)
         return
@@ -59,7 +59,7 @@ def require_probed_results(build: Build) -> None:
             )
 
 
-def _require_noise_output(build: Build, waiting: Collection[str]) -> None:
+def _require_noise_output(build: BuiltScene, waiting: Collection[str]) -> None:
     """Raise an error for an unknown output of a noise analysis.
 
     Results of the parts in ``waiting``, whose models are not built yet, are not checked.
@@ -78,11 +78,11 @@ def list_all_results(scene: Scene) -> list[str]:
     Results whose names depend on a model are omitted.
     """
     waiting = {name for name, part in scene.parts.items() if part.type.results_of_model}
-    return _list_results(Build(scene, {}), waiting)
+    return _list_results(BuiltScene(scene, {}), waiting)
 
 
 def _make_unknown_result_error(
-    build: Build, name: str, where: str, waiting: Collection[str]
+    build: BuiltScene, name: str, where: str, waiting: Collection[str]
 ) -> UsageError:
     """Return the error about an unknown result.
 
@@ -108,6 +108,7 @@ def _make_unknown_part_error(name: str, parts: Iterable[str], where: str) -> Usa
 
 
 def _select_names_with_prefix(names: Iterable[str], prefix: str) -> list[str]:
+    """Return the names that begin with ``prefix``."""
     return [name for name in names if name.startswith(prefix)]
 
 
@@ -118,14 +119,14 @@ def _suggest_result(name: str, choices: Sequence[str]) -> str | None:
     return f"did you mean {max(near, key=len)!r}?" if near else None
 
 
-def _list_results(build: Build, waiting: Collection[str]) -> list[str]:
+def _list_results(build: BuiltScene, waiting: Collection[str]) -> list[str]:
     """Return the names of all results that a probe may read.
 
     The names include motions at ports that are not joined. Also included are currents and powers
     whose ammeters are added only if a probe reads the current or power.
     """
     scene = resolve(replace(build.scene, ports="all"))
-    results = collect_results(with_vectors(replace(build, scene=scene), waiting))
+    results = collect_results(add_equilibrium_and_results(replace(build, scene=scene), waiting))
     result = dict.fromkeys(results.vectors)
     for part in scene.parts.values():
         result |= dict.fromkeys(_list_metered_results(part, scene, result))

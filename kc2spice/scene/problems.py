@@ -9,17 +9,17 @@ from math import inf
 from operator import attrgetter
 
 from kc2spice.core.errors import UsageError, list_candidates
-from kc2spice.core.prefix import format_quantity
-from kc2spice.core.quantities import quantity
+from kc2spice.core.quantities import convert_quantity
 from kc2spice.core.schemas import find_unit
+from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.scene.model import Scene
-from kc2spice.scene.plausible import (
+from kc2spice.scene.plausibility import (
     ImplausibleError,
     apply_check_action,
-    check_dimensions,
+    check_plausible_values,
 )
 from kc2spice.scene.resolve import PERIOD_TOLERANCE
-from kc2spice.scene.settings import ANALYSIS_UNITS, Analysis, Probe
+from kc2spice.scene.settings import ANALYSIS_UNITS, Analysis, ProbeKeys
 
 MAX_TIME_POINTS = 1e7  # largest number of time points in a transient
 # smallest frequency step that a simulator resolves, relative to the last frequency
@@ -48,7 +48,7 @@ def check_scene(scene: Scene) -> Iterator[UsageError]:
         yield from _check_swept_key(scene)
     for name, probe in scene.probes.items():
         yield from _check_level_probe(f"probes.{name}", probe, scene.analysis)
-        for key, place in probe.places.items():
+        for key, place in probe.read_positions.items():
             yield from _check_probe_position(f"probes.{name}.{key}", place, scene)
 
 
@@ -56,7 +56,7 @@ def _check_parts(scene: Scene) -> Iterator[UsageError]:
     """Yield the errors of parts; errors about implausible values are last."""
     implausible = []
     for part in scene.parts.values():
-        implausible_keys = check_dimensions(part.name, part.keys)
+        implausible_keys = check_plausible_values(part.name, part.keys)
         for problem in chain(implausible_keys, part.type.problems(part, scene)):
             if isinstance(problem, ImplausibleError):
                 implausible.append(problem)
@@ -67,7 +67,7 @@ def _check_parts(scene: Scene) -> Iterator[UsageError]:
 
 def _check_includes(scene: Scene) -> Iterator[UsageError]:
     """Yield an error if netlists are included, but no part uses them."""
-    if scene.include and not any(part.netlist for part in scene.parts.values()):
+    if scene.include and not any(part.is_user_netlist for part in scene.parts.values()):
         yield UsageError(
             "no part uses these included netlists",
             where="include",
@@ -82,20 +82,20 @@ def _check_largest_step(scene: Scene) -> Iterator[UsageError]:
     step = scene.solver.max_step
     if scene.analysis.type != "transient" or not step:
         return
-    if step > scene.stop:
+    if step > scene.stop_time:
         yield UsageError(
             "the time step is longer than the simulation",
             where="solver.max_step",
             got=f"{step:g} s",
-            expected=f"at most the duration of the simulation, {scene.stop:g} s",
+            expected=f"at most the duration of the simulation, {scene.stop_time:g} s",
             hint="delete solver.max_step: steps are then chosen from the error estimate",
         )
-    points = scene.stop / step
+    points = scene.stop_time / step
     if points > MAX_TIME_POINTS:
         yield UsageError(
             "the run has too many time points",
             where="solver.max_step",
-            got=f"{scene.stop:g} s in steps of {step:g} s: {points:.2g} points",
+            got=f"{scene.stop_time:g} s in steps of {step:g} s: {points:.2g} points",
             expected=f"at most {MAX_TIME_POINTS:g}",
             hint="raise solver.max_step, or lower analysis.stop or solver.stop",
         )
@@ -221,10 +221,10 @@ def _check_swept_key(scene: Scene) -> Iterator[UsageError]:
             expected=f"PART.dc of a source of the scene: {list_candidates(name, sources)}",
             hint=f'write  sweep = "{sources[0]}.dc"  in [analysis]',
         )
-    unit = _scale_unit(scene)
+    unit = _find_scale_unit(scene)
     for key, value in (("from", selected.from_), ("to", selected.to)):
         if unit is not None and isinstance(value, str):
-            quantity(value, unit, where=f"analysis.{key}")
+            convert_quantity(value, unit, where=f"analysis.{key}")
 
 
 def _check_unused_keys(selected: Analysis) -> Iterator[UsageError]:
@@ -284,10 +284,10 @@ def _check_window(where: str, count: int, scene: Scene) -> Iterator[UsageError]:
             expected="sines and pulse trains whose periods divide the longest one",
             hint='write the window with from and to, such as from = "8 ms"',
         )
-    elif count * period > scene.stop * (1 + PERIOD_TOLERANCE):
+    elif count * period > scene.stop_time * (1 + PERIOD_TOLERANCE):
         got = f"{count} periods of {period:.4g} s"
-        expected = f"at most {scene.stop:g} s, the end of the transient"
-        fitting = int(scene.stop / period)
+        expected = f"at most {scene.stop_time:g} s, the end of the transient"
+        fitting = int(scene.stop_time / period)
         yield UsageError(
             "the window is longer than the run",
             where=where,
@@ -297,7 +297,7 @@ def _check_window(where: str, count: int, scene: Scene) -> Iterator[UsageError]:
         )
 
 
-def _check_level_probe(where: str, probe: Probe, selected: Analysis) -> Iterator[UsageError]:
+def _check_level_probe(where: str, probe: ProbeKeys, selected: Analysis) -> Iterator[UsageError]:
     """Yield an error if a probe reads a sound pressure level that the analysis cannot compute."""
     if probe.take != "spl":
         return
@@ -315,18 +315,18 @@ def _check_level_probe(where: str, probe: Probe, selected: Analysis) -> Iterator
 def _check_probe_position(where: str, place: float, scene: Scene) -> Iterator[UsageError]:
     """Yield an error if a probe reads a point outside of the range of the analysis."""
     selected, part_unit = scene.analysis, getattr(place, "unit", "")
-    unit = _scale_unit(scene)
+    unit = _find_scale_unit(scene)
     if part_unit and unit is not None and part_unit != unit:
         examples = {"s": '"2 ms"', "Hz": '"46 Hz"', "": "a plain number"}
         expected = f"a value in {unit}, such as {examples.get(unit, repr(f'1 {unit}'))}"
         got = f"a value in {part_unit}"
         article = "an" if selected.type in ("ac", "op") else "a"
-        words = f"the unit of this value does not match {article} {selected.type} analysis"
+        problem = f"the unit of this value does not match {article} {selected.type} analysis"
         hint = f"write a value in {unit}" if unit else "write the value without a unit"
-        yield UsageError(words, where=where, got=got, expected=expected, hint=hint)
+        yield UsageError(problem, where=where, got=got, expected=expected, hint=hint)
         return
     band = (selected.start, selected.stop or 0.0)
-    ends = {"ac": band, "noise": band, "transient": (0.0, scene.stop)}
+    ends = {"ac": band, "noise": band, "transient": (0.0, scene.stop_time)}
     first, last = ends.get(selected.type, (-inf, inf))
     if not first <= place <= last:
         expected = f"{first:g} … {last:g} {unit or ''}".rstrip()
@@ -340,7 +340,7 @@ def _check_probe_position(where: str, place: float, scene: Scene) -> Iterator[Us
         )
 
 
-def _scale_unit(scene: Scene) -> str | None:
+def _find_scale_unit(scene: Scene) -> str | None:
     """Return the unit of the time, frequency or swept key of the analysis; None if unknown."""
     selected = scene.analysis
     if selected.type != "dc":

@@ -15,25 +15,24 @@ from typing import Any
 
 import numpy as np
 
-from kc2spice.scene.compose import join_parts, with_equilibrium_conditions
-from kc2spice.scene.model import Build, BuildRecord, NameAllocator, Part, PartRecord, Scene
-from kc2spice.scene.part_records import Governed, Numerics, State
+from kc2spice.scene.model import BuildRecord, BuiltScene, NameAllocator, Part, PartRecord, Scene
+from kc2spice.scene.net_formation import join_parts, with_equilibrium_conditions
+from kc2spice.scene.part_records import Governed, InitialState, NumericalRequirements
 from kc2spice.scene.results import collect_results, find_noise_output, resolve_dc_sweep
 
 
 def resolve(scene: Scene) -> Scene:
     """Return the scene with nets, reference frames and the records of all parts.
 
-    Raises
-    ------
-    UsageError : pins cannot be joined; :func:`kc2spice.scene.compose.join_parts` lists the reasons.
+    Raises ------ UsageError : pins cannot be joined;
+    :func:`kc2spice.scene.net_formation.join_parts` lists the reasons.
     """
-    if any(scene.record(part) is None for part in scene.parts.values()):
-        scene = with_governed(scene)
+    if any(scene.get_record(part) is None for part in scene.parts.values()):
+        scene = add_governed_records(scene)
     return with_numerics(join_parts(scene))
 
 
-def resolve_build(build: Build) -> Build:
+def add_results_and_sources(build: BuiltScene) -> BuiltScene:
     """Return the build with the results of its parts, and the sources that an analysis can set.
 
     The sources that can be set in a part depend on the equilibrium conditions of other parts.
@@ -44,10 +43,10 @@ def resolve_build(build: Build) -> Build:
         (:func:`kc2spice.scene.results.resolve_dc_sweep`,
         :func:`kc2spice.scene.results.find_noise_output`).
     """
-    build = with_vectors(build)
+    build = add_equilibrium_and_results(build)
     records = dict(build.records)
-    for part in _parts_with_cards(build):
-        settable = part.type.settable(part, build)
+    for part in _list_parts_with_cards(build):
+        settable = part.type.settable_quantities(part, build)
         records[part.name] = replace(records[part.name], settable=settable)
     build = replace(build, records=records)
     output = find_noise_output(build)
@@ -55,7 +54,7 @@ def resolve_build(build: Build) -> Build:
     return replace(build, results=collect_results(build))
 
 
-def with_vectors(build: Build, without: Collection[str] = ()) -> Build:
+def add_equilibrium_and_results(build: BuiltScene, without: Collection[str] = ()) -> BuiltScene:
     """Return the build with equilibrium conditions and results of its parts.
 
     The parts in ``without`` get no results. The current of a body is computed from the results of
@@ -64,32 +63,32 @@ def with_vectors(build: Build, without: Collection[str] = ()) -> Build:
     """
     records = {}
     for name, part in build.scene.parts.items():
-        records[name] = BuildRecord(part.type.equilibrium_with_model(part, build))
+        records[name] = BuildRecord(part.type.equilibrium_after_build(part, build))
     for reduced in (False, True):
         build = replace(build, records=dict(records))
-        for part in _parts_with_cards(build):
-            if part.reduced == reduced and part.name not in without:
+        for part in _list_parts_with_cards(build):
+            if part.is_body == reduced and part.name not in without:
                 vectors = part.type.vectors(part, build)
                 records[part.name] = replace(records[part.name], vectors=vectors)
     return replace(build, records=records)
 
 
-def _parts_with_cards(build: Build) -> list[Part]:
+def _list_parts_with_cards(build: BuiltScene) -> list[Part]:
     """Return the parts that have cards in the deck, because no other part copies or moves them."""
     scene = build.scene
     return [part for name, part in scene.parts.items() if name not in scene.without_cards]
 
 
-def with_governed(scene: Scene) -> Scene:
+def add_governed_records(scene: Scene) -> Scene:
     """Return the scene with records of governed parts and of shared data.
 
     The shared data of one part may depend on the shared data of other parts.
     """
-    governed_parts: dict[str, Mapping[str, State | Governed]] = {}
+    governed_parts: dict[str, Mapping[str, InitialState | Governed]] = {}
     records: dict[str, PartRecord[Any]] = {}
     for name, part in scene.parts.items():
         governed_parts[name] = part.type.governed_parts(part, scene)
-        frequency = part.type.highest_frequency(part, scene)
+        frequency = part.type.make_frequency_estimator(part, scene)
         records[name] = PartRecord(part, governed_parts[name], frequency)
     scene = replace(
         scene,
@@ -104,7 +103,9 @@ def with_governed(scene: Scene) -> Scene:
     return scene
 
 
-def _find_movers(governed_parts: Mapping[str, Mapping[str, State | Governed]]) -> dict[str, str]:
+def _find_movers(
+    governed_parts: Mapping[str, Mapping[str, InitialState | Governed]],
+) -> dict[str, str]:
     """Return for each moved part the first part that prescribes all its motion."""
     result: dict[str, str] = {}
     for owner, answer in governed_parts.items():
@@ -115,23 +116,23 @@ def _find_movers(governed_parts: Mapping[str, Mapping[str, State | Governed]]) -
 
 
 def _find_initial_states(
-    governed_parts: Mapping[str, Mapping[str, State | Governed]],
-) -> dict[str, State]:
+    governed_parts: Mapping[str, Mapping[str, InitialState | Governed]],
+) -> dict[str, InitialState]:
     """Return the states at t = 0 that keys prescribe, keyed by part.
 
     A transient with such states does not start at an operating point. A state that another part
     prescribes replaces a state that the part itself prescribes.
     """
-    result: dict[str, State] = {}
+    result: dict[str, InitialState] = {}
     for owner, answer in governed_parts.items():
         for name, state in answer.items():
-            if isinstance(state, State) and (name != owner or name not in result):
+            if isinstance(state, InitialState) and (name != owner or name not in result):
                 result[name] = state
     return result
 
 
 def _find_parts_without_cards(
-    governed_parts: Mapping[str, Mapping[str, State | Governed]],
+    governed_parts: Mapping[str, Mapping[str, InitialState | Governed]],
 ) -> frozenset[str]:
     """Return the names of the parts without cards, because other parts copy or move them."""
     rows = chain.from_iterable(answer.items() for answer in governed_parts.values())
@@ -142,7 +143,7 @@ def _find_parts_without_cards(
 PERIOD_TOLERANCE = 1e-6
 
 
-def find_period(rows: Iterable[Numerics]) -> float | None:
+def find_period(rows: Iterable[NumericalRequirements]) -> float | None:
     """Return the common period [s] of all drives; None if there is no common period."""
     periods = set(map(attrgetter("period"), rows)) - {0.0}
     longest: float | None = max(periods, default=None)
@@ -155,7 +156,7 @@ def find_period(rows: Iterable[Numerics]) -> float | None:
 def with_numerics(scene: Scene) -> Scene:
     """Return the scene with numerical requirements and reductions of its parts."""
     records = {}
-    rows: list[Numerics] = []
+    rows: list[NumericalRequirements] = []
     for name, record in scene.records.items():
         numerics = tuple(record.part.type.numerics(record.part, scene))
         records[name] = replace(record, numerics=numerics)
@@ -163,14 +164,14 @@ def with_numerics(scene: Scene) -> Scene:
     scene = replace(scene, records=records, numerics=tuple(rows), period=find_period(rows))
     reduced = {}
     for name, record in records.items():
-        reduction = record.part.type.reduction(record.part, scene)
+        reduction = record.part.type.choose_reduction(record.part, scene)
         reduced[name] = replace(record, reduction=reduction)
     return replace(scene, records=reduced)
 
 
 def resolve_again(scene: Scene) -> Scene:
     """Return the scene with new records after a change of keys; nets are unchanged."""
-    return with_numerics(with_equilibrium_conditions(with_governed(scene)))
+    return with_numerics(with_equilibrium_conditions(add_governed_records(scene)))
 
 
 def name_subcircuits(scene: Scene) -> dict[str, str]:
@@ -183,10 +184,10 @@ def name_subcircuits(scene: Scene) -> dict[str, str]:
     types: dict[str, set[str]] = {}
     for part in parts:
         types.setdefault(names[part.name].lower(), set()).add(part.type.name)
-    unique = NameAllocator(names[part.name] for part in parts if part.netlist)
+    unique = NameAllocator(names[part.name] for part in parts if part.is_user_netlist)
     for part in parts:
-        if not part.netlist:
+        if not part.is_user_netlist:
             name = names[part.name]
             preferred = name if len(types[name.lower()]) == 1 else part.name
-            names[part.name] = unique.name((part.type.name, preferred), preferred)
+            names[part.name] = unique.allocate_name((part.type.name, preferred), preferred)
     return names

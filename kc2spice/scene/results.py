@@ -2,8 +2,8 @@
 
 The input is a build with the records of its parts. The results are netlist vectors: results of
 parts, and the flows and powers that probes read. A dc sweep varies one source. A noise analysis has
-one output. :func:`kc2spice.scene.resolve.resolve_build` adds results, sweep and output to the
-build.
+one output. :func:`kc2spice.scene.resolve.add_results_and_sources` adds results, sweep and output to
+the build.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ import numpy as np
 
 from kc2spice.core.domains import FLOW_SYMBOLS, Domain
 from kc2spice.core.errors import UsageError, unknown
-from kc2spice.core.quantities import quantity
+from kc2spice.core.quantities import convert_quantity
 from kc2spice.netlist.powers import PowerTerm
-from kc2spice.scene.compose import list_metered_pins, list_power_input_pins
 from kc2spice.scene.keys import list_schema_keys
-from kc2spice.scene.model import Build, Part
-from kc2spice.scene.part_records import DcSweep, Powers, SceneResults, SweptSource, Vector
+from kc2spice.scene.model import BuiltScene, Part
+from kc2spice.scene.net_formation import list_metered_pins, list_power_input_pins
+from kc2spice.scene.part_records import DcSweep, PartResult, Powers, SceneResults, SweptSource
 from kc2spice.scene.settings import Analysis
 
 # Name of the spectral density of the output noise, and of the metric with its rms value.
@@ -28,7 +28,7 @@ NOISE_WAVE = "noise"
 GROUND_VOLTAGE = "v(0)"
 
 
-def find_noise_output(build: Build) -> Vector | None:
+def find_noise_output(build: BuiltScene) -> PartResult | None:
     """Return the output of a noise analysis: a result, or the across quantity of a pin.
 
     Other analyses have no output.
@@ -43,8 +43,8 @@ def find_noise_output(build: Build) -> Vector | None:
     known = build.vectors
     for part in build.scene.parts.values():
         for pin in build.scene.pins(part.name):
-            if build.net(part, pin.name) != "0":
-                known.setdefault(f"{part.name}.{pin.name}", build.across(part, pin.name))
+            if build.get_net(part, pin.name) != "0":
+                known.setdefault(f"{part.name}.{pin.name}", build.get_pin_vector(part, pin.name))
     voltages = {}
     for item, result in known.items():
         if result.voltage is not None:
@@ -58,18 +58,18 @@ def find_noise_output(build: Build) -> Vector | None:
     return voltages[name]
 
 
-def collect_results(build: Build) -> SceneResults:
+def collect_results(build: BuiltScene) -> SceneResults:
     """Return the results of all parts, and the powers that probes read.
 
     The only result of a noise analysis is the spectral density of the output.
     """
     if build.noise_output is not None:
-        return SceneResults({NOISE_WAVE: build.noise_output.density})
+        return SceneResults({NOISE_WAVE: build.noise_output.noise_density_vector})
     vectors = _collect_vectors(build)
     return SceneResults(vectors, collect_powers(build, vectors))
 
 
-def _collect_vectors(build: Build) -> dict[str, Vector]:
+def _collect_vectors(build: BuiltScene) -> dict[str, PartResult]:
     """Return the vectors of all results, except noise densities.
 
     Device parameters such as ``@b1[i]`` are omitted in an ac analysis, because ngspice returns
@@ -83,21 +83,23 @@ def _collect_vectors(build: Build) -> dict[str, Vector]:
     return result
 
 
-def _collect_metered_results(build: Build, known: Mapping[str, Vector]) -> dict[str, Vector]:
+def _collect_metered_results(
+    build: BuiltScene, known: Mapping[str, PartResult]
+) -> dict[str, PartResult]:
     """Return the results at pins with an ammeter, in SI units.
 
     ``PART.PIN.current`` is the current into the part at the pin, and ``PART.PIN.v`` the voltage of
     the pin. ``PART.current`` is the current at the first pin. In other domains, the names of the
     domain's flow and across quantity replace ``current`` and ``v``.
     """
-    result: dict[str, Vector] = {}
+    result: dict[str, PartResult] = {}
     for name, pin in build.scene.meters:
         part = build.scene.parts[name]
         domain = list_metered_pins(part, build.scene)[pin]
         through = domain.through_variable
-        read = Vector(f"i({build.meter_name(part, pin)})", through.factor, through.unit)
+        read = PartResult(f"i({build.find_meter_name(part, pin)})", through.factor, through.unit)
         result[f"{name}.{pin}.{through.name}"] = read
-        result[f"{name}.{pin}.{domain.across.symbol}"] = build.across(part, pin)
+        result[f"{name}.{pin}.{domain.across.symbol}"] = build.get_pin_vector(part, pin)
         if not domain.reference and pin == next(iter(list_power_input_pins(part, build.scene))):
             result[f"{name}.{through.name}"] = read
     for quantity_name, symbol in FLOW_SYMBOLS.items():
@@ -110,12 +112,12 @@ def _collect_metered_results(build: Build, known: Mapping[str, Vector]) -> dict[
     return result
 
 
-def _collect_across_quantity(part: Part, build: Build) -> dict[str, Vector]:
+def _collect_across_quantity(part: Part, build: BuiltScene) -> dict[str, PartResult]:
     """Return the quantity across the two pins of a part that is not a subcircuit."""
     pins = [pin for pin in build.scene.pins(part.name) if pin.domain is not None]
     if build.scene.has_subcircuit(part) or len(pins) != 2 or pins[0].kind != pins[1].kind:
         return {}
-    plus, minus = build.across(part, pins[0].name), build.across(part, pins[1].name)
+    plus, minus = build.get_pin_vector(part, pins[0].name), build.get_pin_vector(part, pins[1].name)
     text = ""
     for sign, node in (("", plus.expression), ("-", minus.expression)):
         text += "" if node == GROUND_VOLTAGE else sign + node
@@ -125,7 +127,7 @@ def _collect_across_quantity(part: Part, build: Build) -> dict[str, Vector]:
     return {name: replace(plus, expression=text)} if text else {}
 
 
-def collect_powers(build: Build, known: Collection[str]) -> dict[str, Powers]:
+def collect_powers(build: BuiltScene, known: Collection[str]) -> dict[str, Powers]:
     """Return the terms of each power, of a part or at a pin, that a probe reads.
 
     The power [W] of a source is positive if the source delivers it. The power of any other part is
@@ -139,33 +141,33 @@ def collect_powers(build: Build, known: Collection[str]) -> dict[str, Powers]:
         part = build.scene.parts[name]
         domain = list_metered_pins(part, build.scene)[pin]
         if f"{name}.{pin}.power" in build.scene.probed_results:
-            result[f"{name}.{pin}.power"] = (_pin_power_term(part, pin, domain, build),)
+            result[f"{name}.{pin}.power"] = (_make_pin_power_term(part, pin, domain, build),)
     return result
 
 
-def _find_part_power(part: Part, build: Build, known: Collection[str]) -> Powers:
+def _find_part_power(part: Part, build: BuiltScene, known: Collection[str]) -> Powers:
     """Return the terms whose sum is the power of a part; empty if a result is missing.
 
     The terms are the powers at the pins of the part, or products of results of the part.
     """
     pins = list_power_input_pins(part, build.scene)
-    at_pins = tuple(_pin_power_term(part, pin, domain, build) for pin, domain in pins.items())
+    at_pins = tuple(_make_pin_power_term(part, pin, domain, build) for pin, domain in pins.items())
     if at_pins and all(term.through in known for term in at_pins):
         power = at_pins
     else:
         power = tuple(
-            _part_power_term(part.name, domain) for domain in dict.fromkeys(pins.values())
+            _make_part_power_term(part.name, domain) for domain in dict.fromkeys(pins.values())
         )
-    return power if all(term.names <= set(known) for term in power) else ()
+    return power if all(term.result_names <= set(known) for term in power) else ()
 
 
-def _part_power_term(name: str, domain: Domain) -> PowerTerm:
+def _make_part_power_term(name: str, domain: Domain) -> PowerTerm:
     """Return the power term for the across and the through quantity of a part."""
     across, through = domain.across.symbol, domain.through_variable.symbol
     return PowerTerm(f"{name}.{across}", f"{name}.{through}", domain.power)
 
 
-def _pin_power_term(part: Part, pin: str, domain: Domain, build: Build) -> PowerTerm:
+def _make_pin_power_term(part: Part, pin: str, domain: Domain, build: BuiltScene) -> PowerTerm:
     """Return the term of the power into a part at a pin."""
     unit = build.scene.terminals[part.name, pin].unit
     power = domain.power if unit == domain.across.pin_unit else "across * through"
@@ -173,7 +175,7 @@ def _pin_power_term(part: Part, pin: str, domain: Domain, build: Build) -> Power
     return PowerTerm(f"{part.name}.{pin}.{across}", f"{part.name}.{pin}.{through}", power)
 
 
-def _list_probed_parts(build: Build, quantity_name: str) -> Iterator[Part]:
+def _list_probed_parts(build: BuiltScene, quantity_name: str) -> Iterator[Part]:
     """Yield the parts whose result ``PART.QUANTITY`` a probe reads."""
     for result in build.scene.probed_results:
         name, _, read = result.partition(".")
@@ -181,7 +183,7 @@ def _list_probed_parts(build: Build, quantity_name: str) -> Iterator[Part]:
             yield build.scene.parts[name]
 
 
-def resolve_dc_sweep(build: Build) -> DcSweep | None:
+def resolve_dc_sweep(build: BuiltScene) -> DcSweep | None:
     """Return the dc sweep of a scene; None for other analyses.
 
     Raises
@@ -192,7 +194,7 @@ def resolve_dc_sweep(build: Build) -> DcSweep | None:
     if selected.type != "dc":
         return None
     name, _, key = str(selected.sweep).partition(".")
-    part = scene.part(name, "analysis.sweep")
+    part = scene.get_part(name, "analysis.sweep")
     swept = build.records[part.name].settable.get(key)
     if not isinstance(swept, SweptSource):
         raise UsageError(
@@ -202,23 +204,23 @@ def resolve_dc_sweep(build: Build) -> DcSweep | None:
             expected="the dc value of a source, such as push.dc",
             hint=f"kc2spice sweep SCENE --set {selected.sweep}=FROM:TO:POINTS sweeps this key",
         )
-    unit = _unit_of_key(part, key)
-    first, last = ends = swept.range or _sweep_ends(selected, unit)
+    unit = _find_key_unit(part, key)
+    first, last = ends = swept.range or _require_sweep_ends(selected, unit)
     turns = 2 if selected.back else 1
     points = turns * (selected.points - 1) + 1
     values = np.linspace(first, first + turns * (last - first), points)
     return DcSweep(swept.source, swept.scale, unit, part.name, key, ends, values)
 
 
-def _unit_of_key(part: Part, key: str) -> str:
+def _find_key_unit(part: Part, key: str) -> str:
     """Return the SI unit of a key that a dc analysis sweeps."""
     declared = (item.unit for item in list_schema_keys(type(part.keys)) if item.name == key)
     return getattr(part.keys, "unit", None) or next(declared, None) or ""
 
 
-def _sweep_ends(selected: Analysis, unit: str) -> tuple[float, float]:
+def _require_sweep_ends(selected: Analysis, unit: str) -> tuple[float, float]:
     """Return the first and the last value of the sweep in SI units; reject an empty range."""
-    first, last = quantity(selected.from_, unit), quantity(selected.to, unit)
+    first, last = convert_quantity(selected.from_, unit), convert_quantity(selected.to, unit)
     if first == last:  # a sweep with an empty range would never end in a simulator
         got, expected = f"{first:g} … {last:g} {unit}", "two values"
         raise UsageError(

@@ -42,15 +42,15 @@ class SceneFile:
     folder: Path
     overrides: dict[tuple[str, ...], str] = field(default_factory=dict)
 
-    def parse(self) -> dict[str, Any]:
-        """Return the tables of the text."""
+    def parse_tables(self) -> dict[str, Any]:
+        """Parse the text of the file, and return its tables."""
         return parse_toml_file(self.text, self.label)
 
     def overrides_key(self, key: str) -> bool:
         """Return whether an override sets the key."""
         return tuple(key.split(".")) in self.overrides
 
-    def where(self, key: str) -> str:
+    def locate_key(self, key: str) -> str:
         """Return the override or the line that sets a key such as ``disc.layers.0.diameter``.
 
         For an empty key, return the name of the scene or file.
@@ -99,7 +99,7 @@ def open_scene(name_or_path: str | Path) -> SceneFile:
     except UnicodeDecodeError:
         raise make_encoding_error(data, name) from None
     except (FileNotFoundError, IsADirectoryError):
-        raise _missing_file_error(name, path, scenes) from None
+        raise _make_missing_file_error(name, path, scenes) from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         hint = f"check the permissions and the size of {name}"
@@ -109,7 +109,7 @@ def open_scene(name_or_path: str | Path) -> SceneFile:
     return SceneFile(name, path.stem, text, folder)
 
 
-def _missing_file_error(name: str, path: Path, scenes: Collection[str]) -> UsageError:
+def _make_missing_file_error(name: str, path: Path, scenes: Collection[str]) -> UsageError:
     """Return the error about a missing file or an unknown built-in scene."""
     listing = "kc2spice scenes lists the built-in scenes"
     if path.suffix != ".toml" and len(path.parts) == 1:

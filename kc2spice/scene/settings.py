@@ -25,8 +25,8 @@ from kc2spice.core.quantities import (
     RefinementRule,
     Section,
     Time,
-    invalid_value_error,
-    quantity,
+    convert_quantity,
+    make_invalid_value_error,
 )
 
 Action = Literal["fail", "warn", "off"]
@@ -36,8 +36,8 @@ PartNumber = Annotated[str, Field(min_length=1, max_length=40)]
 FileName = Annotated[str, Field(pattern=rf"^{_PRINTABLE_CHARACTER}+$", max_length=255)]
 
 
-class Rom(Section):
-    """Keys of a model reduction: either a fixed order, or an error tolerance (default).
+class RomKeys(Section):
+    """Keys of a model reduction: a fixed order, or an error tolerance (default).
 
     The tolerance applies in a frequency band.
     """
@@ -51,7 +51,9 @@ class Rom(Section):
         None,
         ge=1,
         le=2000,
-        description="Number of states of the reduced model; cannot be combined with tolerance",
+        description=(
+            "Number of states of the reduced model; cannot be combined with the key `tolerance`"
+        ),
     )
     # Limit 1e-10: rounding errors of double precision exceed a smaller tolerance.
     tolerance: Annotated[Ratio | None, RefinementRule(0.1, finest=1e-10)] = Field(
@@ -60,8 +62,8 @@ class Rom(Section):
         lt=1,
         validate_default=True,
         description=(
-            "Largest permitted relative error of the reduced model in the frequency band; "
-            "1e-4 by default, if order has no value"
+            "Largest permitted relative error of the reduced model in the frequency band; by "
+            "default 1e-4 if `order` is not stated"
         ),
     )
     band: tuple[Frequency, Frequency] = Field(
@@ -72,16 +74,16 @@ class Rom(Section):
     norm: Literal["pointwise", "peak"] | None = Field(
         None,
         description=(
-            "Norm that measures the error of the reduced model; by default peak if all ports are "
-            "signals, otherwise pointwise"
+            "Norm of the reduced model's error: pointwise or peak; by default peak if all "
+            "ports are signals, otherwise pointwise"
         ),
     )
 
     parameters: dict[str, tuple[float | str, float | str]] | None = Field(
         None,
         description=(
-            "Parameters of the subcircuit: up to four keys of the body, each with the range of "
-            "values for which the error estimate holds"
+            "Keys of the body that become parameters of the subcircuit: up to four keys, "
+            "each with the range in which the error estimate holds"
         ),
     )
 
@@ -90,7 +92,7 @@ class Rom(Section):
     def _require_one_target(cls, data: Any) -> Any:
         if isinstance(data, dict) and "order" in data and "tolerance" in data:
             hint = "delete the key `order`"
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 "order and tolerance are both set", "either order or tolerance", hint=hint
             )
         return data
@@ -107,7 +109,9 @@ class Rom(Section):
     def _require_nonempty_band(cls, band: tuple[float, float]) -> tuple[float, float]:
         if not 0 <= band[0] < band[1]:
             hint = 'write the lower frequency first, such as ["0 Hz", "20 kHz"]'
-            raise invalid_value_error("the frequency band is empty", "0 <= low < high", hint=hint)
+            raise make_invalid_value_error(
+                "the frequency band is empty", "0 <= low < high", hint=hint
+            )
         return band
 
     @property
@@ -116,7 +120,7 @@ class Rom(Section):
         return not {"order", "tolerance"} & self.model_fields_set
 
 
-class Solver(Section):
+class SolverKeys(Section):
     """Keys of the ngspice settings that are written to the deck."""
 
     # Limit 1e-7: with a smaller tolerance, rounding errors prevent convergence in ngspice.
@@ -126,93 +130,105 @@ class Solver(Section):
     chgtol: Annotated[Charge, RefinementRule(0.1, finest=1e-14)] = Field(
         1e-8,
         gt=0,
-        description="Charge tolerance of ngspice (option CHGTOL); in capacitors that represent "
-        "vibration modes, a charge of 1 uC is a displacement of 1 um",
+        description=(
+            "Charge tolerance of ngspice (option CHGTOL); in capacitors that represent "
+            "vibration modes, 1 uC corresponds to a displacement of 1 um"
+        ),
     )
     trtol: Ratio = Field(
         1.0,
         ge=1,
         le=10,
-        description="Factor TRTOL, by which ngspice divides its estimate of the truncation error",
+        description=(
+            "Factor by which ngspice divides its estimate of the truncation error of a time "
+            "step (option TRTOL)"
+        ),
     )
     ringing: Literal["followed", "coarse"] | None = Field(
         None,
         description=(
-            "Time resolution of body vibrations; coarse takes fewer time steps, and is accurate "
-            "enough if only the motion of other parts is of interest"
+            "Time resolution of body vibrations: followed, or coarse with fewer time steps, "
+            "which suffices if only the motion of other parts is of interest"
         ),
     )
     method: Literal["trap", "gear"] = Field(
-        "trap", description="Integration rule of the simulator: trapezoidal or Gear"
+        "trap", description="Time integration method of the simulator: trapezoidal or Gear"
     )
     max_step: Annotated[Time | None, RefinementRule(0.5)] = Field(
         None,
         gt=0,
         description=(
-            "Largest time step; by default computed from sources and resonances (kc2spice "
-            "explain prints the step)"
+            "Largest time step of the simulation; by default computed from sources and "
+            "resonances, and printed by kc2spice explain"
         ),
     )
     stop: Time = Field(
-        5e-3, gt=0, description="End of a transient, if the key `analysis.stop` has no value"
+        5e-3,
+        gt=0,
+        description="End time of a transient, used if the key `analysis.stop` has no value",
     )
     retries: Count = Field(
         3,
         ge=0,
         le=4,
-        description="Number of further attempts with other solver settings after ngspice fails",
+        description=(
+            "Number of further attempts with other solver settings after a failed run of ngspice"
+        ),
     )
 
 
 class CheckActions(Section):
     """Keys of the actions on violated checks: the run fails (exit 5), warns, or continues."""
 
-    energy: Action = Field(
-        "fail", description="Action if the energy balance of a sphere, contact or chip fails"
-    )
+    energy: Action = Field("fail", description="Action if the energy balance of a part is violated")
     touches: Action = Field(
         "fail",
         description=(
-            "Action if the number of contact events before the launch is too high for the value "
-            "of reltol"
+            "Action if a contact closes so often during the drive pulse that solver.reltol "
+            "is too large"
         ),
     )
     range: Action = Field(
         "fail",
         description=(
-            "Action if the sphere leaves the range of the force table or the contact "
-            "extends beyond its rings"
+            "Action if the sphere leaves the range of the force table, or the contact area "
+            "exceeds the modelled contact rings"
         ),
     )
     penetration: Action = Field(
         "warn",
-        description="Action if the penalty stiffness of a contact is too low or its "
-        "pressure basis too coarse",
+        description=(
+            "Action if the penalty stiffness of a contact is too low, or if its pressure "
+            "basis functions are too far apart"
+        ),
     )
     saturation: Action = Field(
-        "warn", description="Action if the controller is at its current limit for too long"
+        "warn",
+        description="Action if the output of the controller is at its current limit for too long",
     )
-    plausible: Action = Field("fail", description="Action if a key has an implausible value")
+    plausible: Action = Field("fail", description="Action if the value of a key is implausible")
     reduction: Action | None = Field(
         None,
         description=(
-            "Action if a refined run shows that the error of a metric is too large; by default "
-            "off, or warn with an error_budget"
+            "Action if a refined run shows that the error of a metric is too large; by "
+            "default off, or warn if `error_budget` is stated"
         ),
     )
     start: Action = Field(
-        "fail", description="Action if a sphere does not rest on its body at t = 0"
+        "fail", description="Action if a sphere does not rest on the body below it at t = 0"
     )
 
 
-class Bench(Section):
+class BenchKeys(Section):
     """Keys of the command ``bench``: the metrics whose errors it compares."""
 
     metric: tuple[str, ...] = Field(
         (),
         max_length=64,
-        description="Metrics whose errors the command bench compares; by default all metrics that "
-        "are numbers",
+        description=(
+            "Metrics whose errors the command kc2spice bench compares; by default all "
+            "metrics that are numbers"
+        ),
     )
 
 
@@ -226,87 +242,90 @@ class ErrorLimits(Section):
         None,
         gt=0,
         description=(
-            "Largest permitted relative difference of the launch velocity between ngspice and "
-            "the reference solution; by default computed from reltol and chgtol"
+            "Largest permitted relative difference of a sphere's launch velocity between "
+            "ngspice and the reference solution; by default computed from reltol and chgtol"
         ),
     )
     trajectory: GateLength | None = Field(
         None,
         gt=0,
         description=(
-            "Largest permitted difference of the trajectory between ngspice and the reference "
-            "solution; by default the product of the keys launch_velocity and distance"
+            "Largest permitted difference of a sphere's height between ngspice and the "
+            "reference solution; by default computed from reltol, chgtol and the sphere's "
+            "travel"
         ),
     )
     launch_full_model: Ratio | None = Field(
         None,
         gt=0,
         description=(
-            "Largest permitted relative difference of the launch velocity between reduced and "
-            "full model; by default computed from the error of the reduction"
+            "Largest permitted relative difference of a sphere's launch velocity between "
+            "reduced and full model; by default computed from the errors of time steps and "
+            "reduction"
         ),
     )
     position: Ratio = Field(
         1e-4,
         gt=0,
         description=(
-            "Largest permitted difference of the position between any two solutions of an "
-            "impact, relative to the travel"
+            "Largest permitted difference of a sphere's position between any two solutions "
+            "of an impact, relative to the sphere's travel"
         ),
     )
     rebound_velocity: Ratio = Field(
         5e-5,
         gt=0,
         description=(
-            "Largest permitted relative difference of the rebound velocity between any two "
-            "solutions"
+            "Largest permitted relative difference of a sphere's rebound velocity between "
+            "any two solutions of an impact"
         ),
     )
     separation_time: GateTime = Field(  # type: ignore[assignment]
         default="1.5 ns",
         gt=0,
         description=(
-            "Largest permitted difference of the end time of an impact between any two solutions"
+            "Largest permitted difference of the time at which an impact ends, between any "
+            "two solutions"
         ),
     )
     energy: Ratio = Field(
         1e-7,
         gt=0,
         description=(
-            "Largest permitted energy error of the reference solution, relative to the "
-            "exchanged energy"
+            "Largest permitted error of the energy balance in the reference solution, "
+            "relative to the exchanged energy"
         ),
     )
     imprint_rom: Ratio = Field(
         1e-12,
         gt=0,
         description=(
-            "Largest permitted relative difference of the static force between reduced and "
-            "full model"
+            "Largest permitted relative difference of the static contact force between the "
+            "reduced and the full model"
         ),
     )
     imprint_ngspice: Ratio = Field(
         1e-11,
         gt=0,
         description=(
-            "Largest permitted relative difference of the static force between ngspice and "
-            "the full model"
+            "Largest permitted relative difference of the static contact force between "
+            "ngspice and the full model"
         ),
     )
     harmonic_rom: Ratio = Field(
         1e-4,
         gt=0,
         description=(
-            "Largest permitted relative difference of the frequency response between reduced "
-            "and full model in the band of the reduction"
+            "Largest permitted relative difference of the frequency response between the "
+            "reduced and the full model within the reduction band"
         ),
     )
     harmonic_low: Ratio = Field(
         5e-9,
         gt=0,
         description=(
-            "Largest permitted relative difference of the frequency response between reduced "
-            "and full model below a fifth of the highest frequency"
+            "Largest permitted relative difference of the frequency response between the "
+            "reduced and the full model below a fifth of the highest frequency"
         ),
     )
     harmonic_ngspice: Ratio = Field(
@@ -322,7 +341,8 @@ class ErrorLimits(Section):
         gt=0,
         description=(
             "Largest permitted relative difference of a metric between ngspice and the "
-            "reference solution; by default 10 * solver.reltol"
+            "reference solution. Default: 10 * solver.reltol in a transient, 1e-6 in a noise "
+            "analysis, otherwise 5e-9"
         ),
     )
     waves: Ratio | None = Field(
@@ -330,30 +350,32 @@ class ErrorLimits(Section):
         gt=0,
         description=(
             "Largest permitted relative rms difference of a waveform between ngspice and the "
-            "reference solution; by default 200 * solver.reltol"
+            "reference solution. Default: 200 * solver.reltol (at most 0.05) in a transient, "
+            "1e-6 in a noise analysis, otherwise 3e-8"
         ),
     )
     lookup_slope: Ratio = Field(
         0.05,
         gt=0,
         description=(
-            "Largest permitted jump of the slope of the force table, relative to the largest slope"
+            "Largest permitted jump of the slope between segments of the force table, "
+            "relative to the largest slope"
         ),
     )
     lookup: Ratio = Field(
         3e-5,
         gt=0,
         description=(
-            "Largest permitted relative difference of the magnetic force between the table in "
-            "the netlist and a spline"
+            "Largest permitted difference of the magnetic force between the table in the "
+            "netlist and a spline, relative to the largest force"
         ),
     )
     field: Ratio = Field(
         3e-4,
         gt=0,
         description=(
-            "Largest permitted difference of the magnetic force between the table and a "
-            "denser table, relative to the largest force"
+            "Largest permitted difference of the magnetic force between the force table and "
+            "a denser table, relative to the largest force"
         ),
     )
 
@@ -363,7 +385,7 @@ ANALYSIS_UNITS = {"transient": "s", "ac": "Hz", "noise": "Hz"}
 SMALL_SIGNAL_ANALYSES = ("ac", "noise")  # analyses that are linear about an operating point
 
 
-def _default_scale(keys: dict[str, Any]) -> Literal["log", "linear"]:
+def _choose_default_scale(keys: dict[str, Any]) -> Literal["log", "linear"]:
     """Return the default spacing of frequencies: linear if the range begins at 0 Hz."""
     from_zero = keys.get("type") in SMALL_SIGNAL_ANALYSES and keys.get("start") == 0
     return "linear" if from_zero else "log"
@@ -373,38 +395,48 @@ class Analysis(Section):
     """Keys of the analysis that the simulator runs."""
 
     type: Literal["transient", "ac", "dc", "op", "noise"] = Field(
-        "transient", description="Type of analysis"
+        "transient", description="Type of analysis that the simulator runs"
     )
     stop: Time | Frequency | None = Field(
         None,
         gt=0,
-        description="End of a transient [s], or highest frequency of an ac or noise analysis [Hz]",
+        description=(
+            "End time of a transient in s, or highest frequency of an ac or noise analysis in Hz"
+        ),
     )
     start: Frequency = Field(0.0, ge=0, description="Lowest frequency of an ac or noise analysis")
     points: Annotated[Count, RefinementRule(2.0, spaces=True)] = Field(
         200,
         ge=2,
         le=200_000,
-        description="Smallest number of frequencies of a response or values of a sweep",
+        description=(
+            "Smallest number of frequencies of an ac or noise analysis, or of values of a dc sweep"
+        ),
     )
     scale: Literal["log", "linear"] = Field(
-        default_factory=_default_scale,
-        description="Spacing of the frequencies of an ac or noise analysis; a linear range can "
-        "begin at 0 Hz",
+        default_factory=_choose_default_scale,
+        description=(
+            "Spacing of the frequencies of an ac or noise analysis; only a linear range can "
+            "begin at 0 Hz"
+        ),
     )
     output: str | None = Field(
-        None, description="Output of a noise analysis: a result such as disc.u, or PART.PIN"
+        None,
+        description=(
+            "Output whose noise a noise analysis computes: a result such as disc.u, or a pin "
+            "PART.PIN"
+        ),
     )
     sweep: str | None = Field(None, description="Key that a dc analysis varies, such as PART.dc")
     from_: Any = Field(
-        0.0, alias="from", description="First value of the key that a dc analysis sweeps"
+        0.0, alias="from", description="First value of the key that a dc analysis varies"
     )
-    to: Any = Field(1.0, description="Last value of the key that a dc analysis sweeps")
+    to: Any = Field(1.0, description="Last value of the key that a dc analysis varies")
     back: bool | None = Field(
         None,
         description=(
-            "Whether a dc sweep returns to its first value; the points are numbered in the "
-            "order of computation"
+            "Whether a dc sweep continues from its last value back to its first value; its "
+            "points are numbered in the order of computation"
         ),
     )
 
@@ -416,16 +448,16 @@ class Analysis(Section):
         if stop is None or unit is None:
             return stop
         try:
-            return quantity(stop, unit)
+            return convert_quantity(stop, unit)
         except UsageError as error:
             other = "s" if unit == "Hz" else "Hz"
             hint = error.hint
             with suppress(UsageError):
-                quantity(stop, other)
+                convert_quantity(stop, other)
                 kind = info.data["type"]
                 example = "100 kHz" if unit == "Hz" else "10 ms"
                 hint = f'write for example  stop = "{example}"  in the {kind} analysis'
-            raise invalid_value_error(error.message, error.expected, hint=hint) from None
+            raise make_invalid_value_error(error.message, error.expected, hint=hint) from None
 
     @property
     def is_small_signal(self) -> bool:
@@ -433,7 +465,7 @@ class Analysis(Section):
         return self.type in SMALL_SIGNAL_ANALYSES
 
 
-class Probe(Section):
+class ProbeKeys(Section):
     """Keys of a probe: the result that it reads, and the value that becomes a metric.
 
     ``argmax`` is the frequency, time or swept value at which the result is largest.
@@ -467,42 +499,44 @@ class Probe(Section):
     ] = Field(
         "max",
         description=(
-            "Value that the probe computes from the result; `value` is the result at the "
-            "frequency or time `at`, `spl` the sound pressure level in dB"
+            "Value that the probe computes from the result; `value` is the result at the key "
+            "`at`, and `spl` is the sound pressure level in dB"
         ),
     )
     at: Place | None = Field(
         None,
-        description="Frequency, time or swept value at which the probe reads the result; "
-        "requires take = value or spl",
+        description=(
+            "Frequency, time or swept value at which the probe reads the result; requires "
+            "take = value or take = spl"
+        ),
     )
     level: Ratio | None = Field(
         None,
-        description="Value that the result crosses, in the SI unit of the result; requires "
-        "take = crossing",
+        description=(
+            "Level whose crossing by the result the probe finds, in the SI unit of the "
+            "result; requires take = crossing"
+        ),
     )
     from_: Place | None = Field(
         None,
         alias="from",
-        description="Lower end of the window of frequency, time or swept "
-        "value that the probe reads",
+        description="Lowest frequency, time or swept value that the probe reads",
     )
     to: Place | None = Field(
         None,
-        description="Upper end of the window of frequency, time or swept value that the "
-        "probe reads",
+        description="Highest frequency, time or swept value that the probe reads",
     )
     periods: Count | None = Field(
         None,
         ge=1,
         description=(
-            "Number of source periods at the end of the run that the probe reads; cannot be "
-            "combined with from and to"
+            "Number of periods of the source, counted back from the end of the run, that the "
+            "probe reads; cannot be combined with `from` and `to`"
         ),
     )
 
     @property
-    def places(self) -> dict[str, float]:
+    def read_positions(self) -> dict[str, float]:
         """Times, frequencies or swept values that the probe reads, keyed by the names of keys."""
         places = {"at": self.at, "from": self.from_, "to": self.to}
         return {key: place for key, place in places.items() if place is not None}
@@ -510,6 +544,7 @@ class Probe(Section):
     @model_validator(mode="before")
     @classmethod
     def _set_default_take(cls, data: Any) -> Any:
+        """Set ``take = "value"`` for a probe with the key ``at``."""
         return {"take": "value", **data} if isinstance(data, dict) and "at" in data else data
 
     @model_validator(mode="after")
@@ -520,29 +555,29 @@ class Probe(Section):
                 continue
             if self.take == take and not present:
                 hint = f"add  {key} = VALUE  to this probe"
-                raise invalid_value_error(
+                raise make_invalid_value_error(
                     f'{key} is missing with take = "{take}"', f"the key {key}", hint=hint
                 )
             if self.take != take and present:
                 hint = f"delete take = {self.take!r}" if key == "at" else f"delete the key {key}"
                 problem = f'{key} has no effect with take = "{self.take}"'
-                raise invalid_value_error(problem, f'{key} with take = "{take}"', hint=hint)
+                raise make_invalid_value_error(problem, f'{key} with take = "{take}"', hint=hint)
         window = (self.from_, self.to, self.periods)
         if self.at is not None and any(item is not None for item in window):
             expected = "at, or from and to, or periods"
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 "at cannot be combined with a window", expected, hint="delete the key `at`"
             )
         if self.periods is not None and (self.from_ is not None or self.to is not None):
             expected = "periods, or from and to"
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 "periods cannot be combined with from or to",
                 expected,
                 hint="delete the key `periods`",
             )
         if self.from_ is not None and self.to is not None and self.from_ >= self.to:
             hint = "exchange from and to" if self.from_ > self.to else "raise the key `to`"
-            raise invalid_value_error("the window is empty", "from < to", hint=hint)
+            raise make_invalid_value_error("the window is empty", "from < to", hint=hint)
         return self
 
 
@@ -567,17 +602,19 @@ class SceneKeys(Section):
         gt=0,
         lt=1,
         description=(
-            "Largest permitted relative error of every metric; the run refines all numerical "
-            "settings that the scene does not set, until all errors are below this value"
+            "Largest permitted relative error of every metric. A run refines all numerical "
+            "settings that the scene does not state until every error is below this value"
         ),
     )
     analysis: Analysis = Analysis()
-    probes: dict[str, Probe] = Field(default_factory=dict)
-    rom: Rom = Rom()
-    solver: Solver = Solver()
+    probes: dict[str, ProbeKeys] = Field(default_factory=dict)
+    rom: RomKeys = RomKeys()
+    solver: SolverKeys = SolverKeys()
     checks: CheckActions = CheckActions()
     gates: ErrorLimits = ErrorLimits()
-    bench: Bench = Bench()
+    bench: BenchKeys = BenchKeys()
     include: tuple[FileName, ...] = Field(
-        (), max_length=16, description="Netlist files in the scene's folder that the deck includes"
+        (),
+        max_length=16,
+        description="Netlist files in the scene's folder that the main netlist includes",
     )

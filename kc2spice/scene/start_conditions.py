@@ -8,8 +8,8 @@ from itertools import chain
 
 from kc2spice.core.domains import HEAT, TRANSLATION, Domain
 from kc2spice.core.errors import UsageError
-from kc2spice.scene.compose import DisjointGroups
 from kc2spice.scene.model import GROUND, Scene
+from kc2spice.scene.net_formation import DisjointGroups
 from kc2spice.scene.part_records import EquilibriumConditions
 
 Pairs = tuple[tuple[str, str], ...]  # pairs of pins of one part
@@ -38,7 +38,9 @@ def find_floating_nets(
 
     A part whose model is not built yet is treated as a clamp.
     """
-    return tuple(_describe_group(group, scene) for group in _floating_groups(scene, conditions))
+    return tuple(
+        _describe_group(group, scene) for group in _list_floating_groups(scene, conditions)
+    )
 
 
 def find_rigid_groups(scene: Scene, without: str = "") -> list[frozenset[str]]:
@@ -63,15 +65,15 @@ def find_start_errors(
 
     A part whose model is not built yet is treated as an elastic clamp.
     """
-    for group in _floating_groups(scene, conditions):
+    for group in _list_floating_groups(scene, conditions):
         floating = _describe_group(group, scene)
-        find = _position_errors if floating.domain.has_position else _storage_errors
+        find = _list_position_errors if floating.domain.has_position else _list_storage_errors
         yield from find(floating, group, scene, conditions)
     if scene.analysis.type == "transient":
         yield from _list_velocity_jump_errors(scene, conditions)
 
 
-def _floating_groups(
+def _list_floating_groups(
     scene: Scene, conditions: Mapping[str, EquilibriumConditions]
 ) -> Iterator[frozenset[str]]:
     """Yield groups of nets without a path to their reference."""
@@ -79,44 +81,45 @@ def _floating_groups(
     return (group for group in groups if "0" not in group)
 
 
-def _position_errors(
+def _list_position_errors(
     result: FloatingNets,
     group: frozenset[str],
     scene: Scene,
     conditions: Mapping[str, EquilibriumConditions],
 ) -> Iterator[UsageError]:
     """Yield errors about floating displacement nets that have no operating point."""
-    kind, path = scene.analysis.type, result.domain.path_to_reference
+    kind, path_to_reference = scene.analysis.type, result.domain.path_to_reference
     inertial_parts = [
         name for name, rest in conditions.items() if rest.inertial_pins and name in result.parts
     ]
     part_name = (*result.bodies, *inertial_parts, *result.parts)[0]
     pushed = _list_loading_parts(group, scene, conditions)
-    by = "pushed by " + ", ".join(pushed) if pushed else ""
+    forces = "pushed by " + ", ".join(pushed) if pushed else ""
     if kind in ("op", "dc"):
         yield UsageError(
             f"{part_name} has no support, so it has no operating point",
             where=part_name,
-            got=", ".join(filter(None, (f"analysis {kind}", by))),
-            expected=path,
+            got=", ".join(filter(None, (f"analysis {kind}", forces))),
+            expected=path_to_reference,
             hint='add a support, or use analysis.type = "transient"',
         )
-    elif by and scene.analysis.is_small_signal:
+    elif forces and scene.analysis.is_small_signal:
         yield UsageError(
             f"{part_name} has no support against a constant force, so it has no operating point "
             f"for the linear analysis",
             where=part_name,
-            got=by,
-            expected=f"no constant force, or {path}",
+            got=forces,
+            expected=f"no constant force, or {path_to_reference}",
             hint="delete the key `dc` of the source, or set weight = false",
         )
-    elif by and result.bodies:
+    elif forces and result.bodies:
         yield UsageError(
             f"{part_name} has no support against the force at t = 0, so the transient cannot "
             f"begin at rest",
             where=part_name,
-            got=by,
-            expected="a force that is zero at t = 0, such as a pulse, or a support",
+            got=forces,
+            expected=f"a force that is zero at t = 0, or {path_to_reference}",
+            hint=f"add a support to {part_name}, or use a force that is zero at t = 0",
         )
 
 
@@ -126,12 +129,12 @@ def _list_loading_parts(
     """Return the parts that apply a constant force or flow to nets of ``group`` at t = 0."""
     result = []
     for name, rest in conditions.items():
-        if not group.isdisjoint(scene.nets_of(name, rest.loaded_pins)):
+        if not group.isdisjoint(scene.get_nets(name, rest.loaded_pins)):
             result.append(name)
     return result
 
 
-def _storage_errors(
+def _list_storage_errors(
     result: FloatingNets,
     group: frozenset[str],
     scene: Scene,
@@ -170,28 +173,27 @@ def _list_velocity_jump_errors(
     """Yield an error for each initial displacement that makes the velocity of a mass jump."""
     inert: dict[str, str] = {}
     for name, rest in conditions.items():
-        inert |= dict.fromkeys(scene.nets_of(name, rest.inertial_pins), name)
+        inert |= dict.fromkeys(scene.get_nets(name, rest.inertial_pins), name)
     inert.pop("0", None)
     for name, rest in conditions.items():
         if not rest.jump_key:
             continue
         part = scene.parts[name]
-        ends = set(scene.nets_of(name, chain.from_iterable(rest.ideal)))
+        ends = set(scene.get_nets(name, chain.from_iterable(rest.ideal)))
         sides = [nets for nets in find_rigid_groups(scene, name) if nets & ends]
         nets = chain.from_iterable(map(sorted, sides))
         driven = [inert[net] for net in nets if net in inert]
         if driven and len(sides) > 1 and all(map({"0", *inert}.intersection, sides)):
             yield part.wrong(
                 rest.jump_key,
-                f"the velocity of {driven[0]} jumps with this displacement, which needs an "
-                f"infinite force",
+                f"this displacement makes the velocity of {driven[0]} jump",
                 f"{driven[0]} fixed to {part.name}",
                 "a spring or an elastic body between both parts",
                 f'use kind = "force", or join {driven[0]} to {part.name} by a spring',
             )
 
 
-def _units_of_nets(scene: Scene) -> dict[str, str]:
+def _map_nets_to_units(scene: Scene) -> dict[str, str]:
     """Return the pin unit of each net that needs a path to its reference."""
     result = {"0": ""}
     for key, terminal in scene.terminals.items():
@@ -205,10 +207,10 @@ def _group_nets(scene: Scene, pairs_of_parts: Iterable[tuple[str, Pairs]]) -> li
 
     Pairs of pins whose nets need no path, such as electrical nets, have no effect.
     """
-    union = DisjointGroups(units := _units_of_nets(scene))
+    union = DisjointGroups(units := _map_nets_to_units(scene))
     for name, pairs in pairs_of_parts:
         for pins in pairs:
-            a, b = ("0" if pin == GROUND else scene.net(name, pin) for pin in pins)
+            a, b = ("0" if pin == GROUND else scene.get_net(name, pin) for pin in pins)
             if a in units and b in units:
                 union.join(a, b)
     return list(map(frozenset, union.list_groups()))
@@ -221,8 +223,8 @@ def _describe_group(group: frozenset[str], scene: Scene) -> FloatingNets:
         if terminal.domain is not None and terminal.needs_path and scene.nets[key] in group:
             domains.setdefault(key[0], terminal.domain)
     nets = []
-    for net, unit in _units_of_nets(scene).items():
+    for net, unit in _map_nets_to_units(scene).items():
         if net in group and unit == TRANSLATION.across.pin_unit:
             nets.append(net)
-    bodies = tuple(name for name in domains if scene.parts[name].reduced)
+    bodies = tuple(name for name in domains if scene.parts[name].is_body)
     return FloatingNets(tuple(nets), tuple(domains), bodies, next(iter(domains.values())))

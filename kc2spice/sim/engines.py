@@ -8,7 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.netlist.deck import Command, Deck
+from kc2spice.netlist.deck import AnalysisCommand, Deck
 from kc2spice.scene.part_records import SampledSource
 from kc2spice.sim.ngspice import ProgressCallback, run_deck
 from kc2spice.sim.output import join_analyses
@@ -29,21 +29,21 @@ class Engine:
     progress: ProgressCallback = None
     timeout: float | None = None
     sampled: Sequence[SampledSource] = ()
-    refinements: tuple[Command, ...] = ()
+    refinements: tuple[AnalysisCommand, ...] = ()
     from_rest: bool = False
 
     def run(self, deck: Deck) -> Waveforms:
         """Run ``deck`` with the refinements, and return the waveforms in SI units.
 
-        :func:`kc2spice.sim.ngspice.run_deck` and :func:`kc2spice.sim.shared.run_shared` list the
-        errors that are raised.
+        :func:`kc2spice.sim.ngspice.run_deck` and :func:`kc2spice.sim.shared.run_in_libngspice` list
+        the errors that are raised.
         """
         if self.sampled:
             # imported here, because few scenes run in the library
-            from kc2spice.sim.shared import run_shared
+            from kc2spice.sim.shared import run_in_libngspice
 
-            functions = [item.reset_function for item in self.sampled]
-            return run_shared(deck, functions, self.progress)
+            functions = [item.record_with_reset_function for item in self.sampled]
+            return run_in_libngspice(deck, functions, self.progress)
         within = () if self.from_rest else self.refinements
         first = run_deck(
             replace(deck, refinements=within), self.directory, self.progress, self.timeout

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core.errors import MissingToolError, SimulationError, UsageError
-from kc2spice.core.packages import install_command
+from kc2spice.core.packages import make_install_command
 from kc2spice.core.untrusted_files import explain_unsafe_name
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.deck import Deck
@@ -36,8 +36,8 @@ from kc2spice.sim.output import (
     FailureKind,
     find_alteration_error,
     find_run_failure,
-    last_scale_value,
-    read_partial,
+    read_last_scale_value,
+    read_partial_vectors,
     read_raw,
     read_statistics,
 )
@@ -74,7 +74,7 @@ def find_ngspice() -> Simulator:
             "ngspice is not on this machine",
             where="PATH",
             expected="the program ngspice, version 39 or later",
-            hint=f"{install_command('ngspice')}; see also https://ngspice.sourceforge.io",
+            hint=f"{make_install_command('ngspice')}; see also https://ngspice.sourceforge.io",
         )
     options: Any = {"capture_output": True, "timeout": VERSION_TIMEOUT, "stdin": subprocess.DEVNULL}
     try:
@@ -96,7 +96,7 @@ def find_ngspice() -> Simulator:
 
 
 @cache
-def _parent_death_prefix() -> tuple[str, ...]:
+def _make_parent_death_prefix() -> tuple[str, ...]:
     """Return a prefix for commands; a command with this prefix ends when this process ends.
 
     The prefix is an empty tuple on systems without the program ``setpriv``.
@@ -156,7 +156,7 @@ def run_deck(
     _reject_large_deck(deck)
     find_ngspice()
     write_files(deck.files, directory)
-    main = directory / deck.main
+    main = directory / deck.main_file_name
     raw, log = main.with_suffix(".raw"), main.with_suffix(".log")
     unfinished = main.with_suffix(".raw.part")
     for stale in (raw, log, unfinished):
@@ -168,14 +168,14 @@ def run_deck(
         if failed is None:
             vectors = read_raw(unfinished)
             facts = {**read_statistics(text), "reltol": deck.reltol}
-            waves = Waveforms(waves_by_name(deck, vectors), facts)
+            waves = Waveforms(convert_to_waves(deck, vectors), facts)
             last = float(vectors["time"][-1]) if "time" in vectors else math.nan
             failed = find_run_failure(deck, str(main), text, last=last)
             failed = failed or find_alteration_error(deck, str(main), text)
         if failed is not None:
             place = f"the whole log is {log.name} in the same directory"
             failed.hint = "; ".join(filter(None, (failed.hint, place)))
-            partial = partial_waves(deck, read_partial(unfinished), text)
+            partial = read_partial_waves(deck, read_partial_vectors(unfinished), text)
             failed.failure = replace(failed.failure, partial=partial)
             raise failed
         unfinished.rename(raw)
@@ -203,7 +203,7 @@ def _reject_large_deck(deck: Deck) -> None:
     if size > MAX_RAW_BYTES:
         raise UsageError(
             "the waveforms of this run exceed the size limit",
-            where=deck.main,
+            where=deck.main_file_name,
             got=f"about {size:.2g} bytes: {1 + len(deck.saved_vectors)} vectors at "
             f"{deck.stop / step:.2g} points",
             expected=f"at most {MAX_RAW_BYTES:.2g}",
@@ -220,7 +220,15 @@ def _run_ngspice(
     ------
     SimulationError : the run takes longer than ``timeout``, hangs, or fills the disk.
     """
-    command = [*_parent_death_prefix(), find_ngspice().path, "-b", "-n", "-r", raw.name, main.name]
+    command = [
+        *_make_parent_death_prefix(),
+        find_ngspice().path,
+        "-b",
+        "-n",
+        "-r",
+        raw.name,
+        main.name,
+    ]
     environment = {k: v for k, v in os.environ.items() if not k.startswith("SPICE_")}
     environment["HOME"] = str(main.parent)  # without a home directory, ngspice crashes
     begin = worked = time.monotonic()
@@ -239,20 +247,20 @@ def _run_ngspice(
                 now, ticks = time.monotonic(), _read_processor_time(process.pid)
                 if ticks is None or ticks != spent:
                     worked, spent = now, ticks
-                size, at = raw.stat().st_size if raw.exists() else 0, last_scale_value(raw)
-                what = hint = ""
+                size, at = raw.stat().st_size if raw.exists() else 0, read_last_scale_value(raw)
+                problem = hint = ""
                 if timeout is not None and now - begin > timeout:
-                    what = f"ngspice did not finish within {timeout} s"
+                    problem = f"ngspice did not finish within {timeout} s"
                     hint = "raise the time limit, raise solver.reltol, or lower solver.stop"
                 elif now - worked > STALL_TIME:
-                    what = f"ngspice hangs: no processor time for {STALL_TIME:g} s"
+                    problem = f"ngspice hangs: no processor time for {STALL_TIME:g} s"
                     hint = "kc2spice doctor checks whether ngspice runs"
                 elif size > MAX_RAW_BYTES:
-                    what = f"the raw file grows beyond its limit of {MAX_RAW_BYTES:.3g} bytes"
+                    problem = f"the raw file grows beyond its limit of {MAX_RAW_BYTES:.3g} bytes"
                     hint = "raise solver.max_step or reltol, end earlier, save fewer vectors"
-                if what:
+                if problem:
                     got = f"{size} bytes at time point {at} s of {deck.stop} s"
-                    raise SimulationError(what, where=str(main.parent), got=got, hint=hint)
+                    raise SimulationError(problem, where=str(main.parent), got=got, hint=hint)
                 if progress is not None and deck.stop:
                     progress(min(1.0, (at or 0.0) / deck.stop))
                 waiting.join(POLL_INTERVAL)
@@ -271,7 +279,7 @@ def _read_processor_time(pid: int) -> int | None:
         return None
 
 
-def partial_waves(
+def read_partial_waves(
     deck: Deck, vectors: Mapping[str, np.ndarray] | None, text: str
 ) -> Waveforms | None:
     """Return the waveforms that a failed run has written; None if a vector is missing.
@@ -279,12 +287,14 @@ def partial_waves(
     ``text`` is the log of the run.
     """
     try:
-        return Waveforms(waves_by_name(deck, vectors), read_statistics(text)) if vectors else None
+        return (
+            Waveforms(convert_to_waves(deck, vectors), read_statistics(text)) if vectors else None
+        )
     except SimulationError:
         return None
 
 
-def waves_by_name(deck: Deck, vectors: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+def convert_to_waves(deck: Deck, vectors: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Return the results of a deck in SI units, keyed by name, with the scale first.
 
     The results are computed from the ngspice ``vectors``. The scale is called ``time``,
@@ -305,7 +315,7 @@ def waves_by_name(deck: Deck, vectors: Mapping[str, np.ndarray]) -> dict[str, np
             result = vectors.get(name, vectors.get(f"i({name})"))
             if result is None:
                 raise SimulationError(
-                    "the output of ngspice lacks a vector", where=deck.main, got=name
+                    "the output of ngspice lacks a vector", where=deck.main_file_name, got=name
                 )
             parts.append(sign * result)
         data[key] = factor * np.sum(parts, axis=0)
@@ -332,7 +342,7 @@ class RetrySetting:
         return replace(self, options=options, factor=factor)
 
     @property
-    def changes(self) -> str:
+    def changes_text(self) -> str:
         """Description of the settings that differ from those of the scene."""
         words = [f"{key}={value}" for key, value in self.options.items()]
         if self.factor != 1.0:
@@ -348,7 +358,7 @@ class RetrySetting:
         if not options:
             return deck
         changed = deck.with_options(options, f"retry with {self.name}: {self.why}")
-        return changed.with_steps(self.factor)
+        return changed.scale_max_step(self.factor)
 
 
 FIRST_SETTING = RetrySetting("the scene's own settings", (), "")
@@ -498,7 +508,7 @@ def run_with_retries(
                 raise
         blame = failure.cause, failure.node, failure.time, failure.part
         wall = time.perf_counter() - start
-        attempts.append(Attempt(setting.name, setting.changes, *blame, wall, points))
+        attempts.append(Attempt(setting.name, setting.changes_text, *blame, wall, points))
         if failure.cause is None:
             return RunOutcome(tried, waves, verdict, tuple(attempts))
         following = next((item for item in left if failure.kind in item.cures), None)
@@ -520,7 +530,7 @@ def run_with_retries(
             f"{setting.name}: {failure.cause}; trying {following.name}: {following.why}",
             stacklevel=2,
         )
-        log = (directory / deck.main).with_suffix(".log")
+        log = (directory / deck.main_file_name).with_suffix(".log")
         if log.is_file():  # the next attempt writes a log with this name
             log.rename(log.with_suffix(f".{len(attempts)}.log"))
         left.remove(following)

@@ -140,8 +140,8 @@ def find_failure(text: str) -> Failure:
     )
 
 
-def list_alterations(text: str) -> tuple[str, ...]:
-    """Return the log lines about cards that ngspice has changed or ignored.
+def list_changed_cards(text: str) -> tuple[str, ...]:
+    """Return the lines of the log that report changed or ignored cards.
 
     Equal lines are returned only once. If the log contains the ``.model`` card that a line belongs
     to, the returned line begins with this card.
@@ -221,7 +221,7 @@ def find_alteration_error(deck: Deck, where: str, text: str) -> FailedRunError |
     ``text`` is the log. Return None if the deck is trusted, or if ngspice ignored only model
     parameters that LTspice merely displays. The function then prints a warning for each message.
     """
-    altered = list_alterations(text)
+    altered = list_changed_cards(text)
     fatal = [] if deck.trusted else [row for row in altered if not _DISPLAYED_PARAMETER.search(row)]
     if not fatal:
         for row in altered:
@@ -262,7 +262,7 @@ class _Plot(NamedTuple):
     end: int | None
 
     @property
-    def finite(self) -> np.ndarray:
+    def finite_point_mask(self) -> np.ndarray:
         """Mask of the points that contain only finite numbers, an array of shape (points,).
 
         The imaginary part of the scale, which is in the first column, is ignored, because ngspice
@@ -295,7 +295,7 @@ def read_raw(path: Path) -> dict[str, np.ndarray]:
     first = plots[0]
     plots = [first, *(plot for plot in plots[1:] if plot.names == first.names)]
     for plot in plots:
-        if not plot.finite.all():
+        if not plot.finite_point_mask.all():
             raise _make_corrupt_file_error(path, "it contains values that are not finite")
     if len(plots) == 1:
         return first.columns(len(first.table))
@@ -336,7 +336,7 @@ def _read_plots(path: Path) -> Iterator[_Plot]:
         begin = plot.end
 
 
-def read_partial(path: Path) -> dict[str, np.ndarray] | None:
+def read_partial_vectors(path: Path) -> dict[str, np.ndarray] | None:
     """Return the vectors of an aborted run, up to the first point that is not finite.
 
     Incomplete points are omitted. Return None if fewer than two points remain.
@@ -345,11 +345,11 @@ def read_partial(path: Path) -> dict[str, np.ndarray] | None:
         plot = _read_plot(path)
     except (OSError, SimulationError):
         return None
-    good = int(np.argmin(np.append(plot.finite, False))) if plot else 0
+    good = int(np.argmin(np.append(plot.finite_point_mask, False))) if plot else 0
     return plot.columns(good) if plot and good > 1 else None
 
 
-def last_scale_value(path: Path) -> float | None:
+def read_last_scale_value(path: Path) -> float | None:
     """Return the scale value, such as the time, of the last complete point in a raw file.
 
     Return None if the file contains no complete point.
@@ -405,6 +405,6 @@ def _has_next_plot(path: Path, offset: int) -> bool:
         return stream.read(len(_PLOT_MARK)) == _PLOT_MARK
 
 
-def _make_corrupt_file_error(path: Path, what: str) -> SimulationError:
-    """Make the error for a damaged raw file; ``what`` describes the damage."""
-    return SimulationError(f"the raw file is not complete: {what}", where=str(path))
+def _make_corrupt_file_error(path: Path, damage: str) -> SimulationError:
+    """Make the error for a damaged raw file; ``damage`` describes the damage."""
+    return SimulationError(f"the raw file is damaged: {damage}", where=str(path))

@@ -26,13 +26,13 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core.errors import MissingToolError, SimulationError, UsageError
-from kc2spice.core.packages import install_command
+from kc2spice.core.packages import make_install_command
 from kc2spice.core.untrusted_files import split_lines
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.scope import INCLUDES
 from kc2spice.scene.part_records import SampledSource
-from kc2spice.sim.ngspice import partial_waves, waves_by_name
+from kc2spice.sim.ngspice import convert_to_waves, read_partial_waves
 from kc2spice.sim.output import find_alteration_error, find_run_failure, read_raw, read_statistics
 
 
@@ -75,7 +75,7 @@ class _Sampler:
     inputs: dict[str, float] = field(default_factory=dict)
     answers: dict[str, tuple[float, float]] = field(default_factory=dict)
 
-    def record_point(self, data: Any, *_: object) -> None:
+    def call_due_functions(self, data: Any, *_: object) -> None:
         """Call the Python functions whose next sampling instant has been reached.
 
         ngspice calls this method at each accepted time point.
@@ -116,7 +116,7 @@ class _Sampler:
                     step[0] = min(step[0], ahead)
 
 
-def run_shared(
+def run_in_libngspice(
     deck: Deck,
     sampled: Sequence[SampledSource] = (),
     progress: Callable[[float], None] | None = None,
@@ -148,7 +148,7 @@ def run_shared(
     library = _loaded_library
     loop = _Sampler(sampled, deck.stop, progress) if sampled or progress else None
     try:
-        ran = library.load(_flatten_deck(deck, deck.main)) and library.run(loop)
+        ran = library.load_deck(_flatten_deck(deck, deck.main_file_name)) and library.run(loop)
         if library.broken is not None:
             raise SimulationError(
                 "the Python function of the controller failed",
@@ -163,10 +163,10 @@ def run_shared(
     failed = find_run_failure(deck, deck.name, log, int(not ran), float(time[-1]))
     failed = failed or find_alteration_error(deck, deck.name, log)
     if failed is not None:
-        failed.failure = replace(failed.failure, partial=partial_waves(deck, vectors, log))
+        failed.failure = replace(failed.failure, partial=read_partial_waves(deck, vectors, log))
         raise failed
     return Waveforms(
-        waves_by_name(deck, vectors), {"accepted": float(time.size)} | read_statistics(log)
+        convert_to_waves(deck, vectors), {"accepted": float(time.size)} | read_statistics(log)
     )
 
 
@@ -209,7 +209,7 @@ class NgspiceLibrary:
         self._callbacks = (
             _SEND_CHAR(self._on_text),
             _EXIT(self._on_exit),
-            _SEND_DATA(self._guard_callback("record_point")),
+            _SEND_DATA(self._guard_callback("call_due_functions")),
             _SEND_INIT(lambda *_: 0),  # without this callback, ngspice does not send time points
             _SOURCE(self._guard_callback("set_source")),
             _SYNC(self._guard_callback("limit_step")),
@@ -219,7 +219,7 @@ class NgspiceLibrary:
             self._loaded_library.ngSpice_Init(text, None, leave, point, begin, None, None)
         self._loaded_library.ngSpice_Init_Sync(source, None, step, byref(c_int(0)), None)
 
-    def load(self, circuit: Sequence[str]) -> bool:
+    def load_deck(self, circuit: Sequence[str]) -> bool:
         """Load the lines of a deck into ngspice; return False if ngspice rejects the deck."""
         self.log, self.broken = "", None
         lines = [*map(str.encode, circuit), None]
@@ -228,23 +228,23 @@ class NgspiceLibrary:
     def run(self, loop: _Sampler | None) -> bool:
         """Run the analyses of the loaded deck; return False if ngspice reports a failure."""
         self._loop = loop
-        return self._command("run")
+        return self._send_command("run")
 
     def vectors(self) -> dict[str, np.ndarray]:
         """Return the vectors of the last analysis, keyed by the same names as in batch mode."""
         with tempfile.TemporaryDirectory(prefix="kc2spice-") as folder:
             raw = Path(folder) / "out.raw"
-            self._command("set filetype=binary")
-            self._command(f"write '{raw}'")
+            self._send_command("set filetype=binary")
+            self._send_command(f"write '{raw}'")
             return read_raw(raw) if raw.is_file() else {}
 
     def clear(self) -> None:
         """Remove the loaded circuit and its results from ngspice."""
         for text in ("destroy all", "remcirc"):
-            self._command(text)
+            self._send_command(text)
         self._loop = self.broken = None
 
-    def _command(self, text: str) -> bool:
+    def _send_command(self, text: str) -> bool:
         """Send a command to ngspice; return whether the command succeeded."""
         return not self.dead and self._loaded_library.ngSpice_Command(text.encode()) == 0
 
@@ -257,6 +257,7 @@ class NgspiceLibrary:
         """
 
         def guarded_callback(*arguments: Any) -> int:
+            """Call the Python function; store an exception instead of raising it into C."""
             try:
                 if self._loop is not None and self.broken is None:
                     getattr(self._loop, name)(*arguments)
@@ -283,20 +284,21 @@ def _load_private_copy() -> ctypes.CDLL:
 
     If the path of the file is unknown, the library is loaded without a copy.
     """
-    result = ctypes.util.find_library("ngspice")
-    if result is None:
+    library_name = ctypes.util.find_library("ngspice")
+    if library_name is None:
         raise MissingToolError(
             "libngspice is not on this machine",
             where="shared library path",
             expected="libngspice.so.0, version 39 or later",
-            hint=install_command("libngspice0"),
+            hint=make_install_command("libngspice0"),
         )
     try:
-        plain = ctypes.CDLL(result)
+        plain = ctypes.CDLL(library_name)
         # On Linux, find_library returns a name; /proc/self/maps contains the path of the library.
         maps = Path("/proc/self/maps")
-        loaded = maps.read_text("utf-8").split() if maps.is_file() else [result]
-        path = next((word for word in loaded if result in word and Path(word).is_file()), None)
+        loaded = maps.read_text("utf-8").split() if maps.is_file() else [library_name]
+        candidates = (word for word in loaded if library_name in word)
+        path = next(filter(os.path.isfile, candidates), None)
         if path is None:
             return plain
         with tempfile.TemporaryDirectory(prefix="kc2spice-") as folder:
@@ -307,9 +309,9 @@ def _load_private_copy() -> ctypes.CDLL:
     except OSError as error:
         raise MissingToolError(
             "libngspice cannot be loaded",
-            where=result,
+            where=library_name,
             got=str(error),
-            hint=install_command("libngspice0"),
+            hint=make_install_command("libngspice0"),
         ) from None
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from kc2spice.netlist.circuit import Element
-from kc2spice.netlist.elements import Line
+from kc2spice.netlist.shared_cards import Line
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.network import IDEAL_LEAD, CircuitBranch, ParallelBranches
 
@@ -21,27 +21,29 @@ _LEAD_COMMENT = "* R0 and L0: leads, which carry the current of all branches."
 _LEAK_COMMENT = "* Rleak gives a floating pin its operating point; no other direct current flows."
 
 
-def branch_cards(network: ParallelBranches, model: LinearModel) -> list[Line]:
+def write_branch_cards(network: ParallelBranches, model: LinearModel) -> list[Line]:
     """Return the cards of a network between the two pins of the port of ``model``."""
     plus, minus = model.ports[0].terminals
     result: list[Line] = []
     first = plus
     if network.lead != IDEAL_LEAD:
         first = "inner0"
-        result += [_LEAD_COMMENT, *_series_elements(network.lead, 0, plus, first)]
+        result += [_LEAD_COMMENT, *_list_branch_elements(network.lead, 0, plus, first)]
     if network.capacitance > 0:
-        result.append(Element.of("C0", first, minus, network.capacitance))
+        result.append(Element.from_words("C0", first, minus, network.capacitance))
     for index, branch in enumerate(network.branches, 1):
         result += [f"\n* Branch {index}: {_describe_branch(branch)}"]
-        result += _series_elements(branch, index, first, minus)
+        result += _list_branch_elements(branch, index, first, minus)
     if network.conductance == 0:
         band = model.certificate.band_hz if model.certificate else (1.0, 1.0)
         leak = LEAK_SHARE * float(np.abs(network.admittance(np.array(band[:1])))[0])
-        result += [f"\n{_LEAK_COMMENT}", Element.of("Rleak", plus, minus, 1 / leak)]
+        result += [f"\n{_LEAK_COMMENT}", Element.from_words("Rleak", plus, minus, 1 / leak)]
     return result
 
 
-def _series_elements(branch: CircuitBranch, index: int, plus: str, minus: str) -> Iterator[Element]:
+def _list_branch_elements(
+    branch: CircuitBranch, index: int, plus: str, minus: str
+) -> Iterator[Element]:
     """Yield the elements of a branch, which are in series from ``plus`` to ``minus``.
 
     The capacitor is the last element, so that no node within the branch floats.
@@ -52,7 +54,7 @@ def _series_elements(branch: CircuitBranch, index: int, plus: str, minus: str) -
     node = plus
     for k, (letter, value) in enumerate(present, 1):
         following = minus if k == len(present) else f"inner{index}_{k}"
-        yield Element.of(f"{letter}{index}", node, following, value)
+        yield Element.from_words(f"{letter}{index}", node, following, value)
         node = following
 
 

@@ -19,10 +19,10 @@ from kc2spice.core.errors import GateMissedError, SimulationError
 from kc2spice.netlist.circuit import Circuit, Pin
 from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.nodal import NodalCircuit
-from kc2spice.rom.entries import Entries, get_min_divisor_share
+from kc2spice.rom.entry_scales import EntryScales, get_min_relative_divisor
 from kc2spice.rom.linear_model import LinearModel, Norm, Port
 from kc2spice.rom.response import DirectResponse, Response, drop_points_near_poles, sample_band
-from kc2spice.synthesis.heat import is_heat_model
+from kc2spice.synthesis.heat_netlist import is_heat_model
 
 # displacement [m] for 1 V on a displacement pin, and charge [C] for 1 V on a charge node
 MICRO = TRANSLATION.across.factor
@@ -47,7 +47,7 @@ PERTURBATION_SPREAD = 10.0
 
 
 @dataclass(frozen=True)
-class CircuitError:
+class CircuitDeviation:
     """Largest relative error of a circuit, and the ``frequency`` [Hz] at which it occurs."""
 
     error: float
@@ -61,13 +61,13 @@ def estimate_circuit_error(
     band: tuple[float, float],
     norm: Norm = "pointwise",
     values: Mapping[str, float] | None = None,
-) -> CircuitError:
+) -> CircuitDeviation:
     """Estimate the largest relative difference between the responses of a subcircuit and its model.
 
     The ``norm`` defines the divisor of the difference, as described in
     :class:`kc2spice.rom.linear_model.Certificate`. The ports have the loads of
-    :func:`kc2spice.synthesis.realize.apply_unit_load`. The compared response of an acceleration
-    port is the force into its pin.
+    :func:`kc2spice.synthesis.realize.make_unit_load_cards`. The compared response of an
+    acceleration port is the force into its pin.
 
     Parameters
     ----------
@@ -76,18 +76,18 @@ def estimate_circuit_error(
     band : lowest and highest frequency [Hz].
     """
     circuit_response = CircuitResponse(NodalCircuit(circuit), tuple(pins), model, values or {})
-    exact = (DirectResponse if is_heat_model(model) else Response)(model.pencil.dense())
-    frequency = _select_frequencies(exact, band, circuit_response.unknowns)
+    exact = (DirectResponse if is_heat_model(model) else Response)(model.pencil.make_dense())
+    frequency = _select_frequencies(exact, band, circuit_response.equation_count)
     relative = _RelativeErrorFunction(circuit_response, exact, norm)
     error = relative(frequency)
-    if circuit_response.unknowns**2 * len(frequency) < MAX_WORK:
+    if circuit_response.equation_count**2 * len(frequency) < MAX_WORK:
         top = np.argsort(error)[-REFINED_PEAKS:]
         low, high = np.maximum(top - 1, 0), np.minimum(top + 1, len(frequency) - 1)
         near = np.unique(np.linspace(frequency[low], frequency[high], PEAK_FREQUENCIES))
         near = drop_points_near_poles(near, *exact.resonances)
         frequency, error = np.r_[frequency, near], np.r_[error, relative(near)]
     worst = int(np.nan_to_num(error, nan=np.inf).argmax())
-    return CircuitError(float(error[worst]), float(frequency[worst]))
+    return CircuitDeviation(float(error[worst]), float(frequency[worst]))
 
 
 class CircuitResponse:
@@ -105,15 +105,15 @@ class CircuitResponse:
         grounded = [pin.name for pin in pins if pin.key not in first]
         clamps = {}
         for node, port in first.items():
-            if not port.loaded and port.kind != "output":
+            if not port.is_flow_driven and port.kind != "output":
                 clamps[f"held_{node}"] = node
         self.equations = circuit.equations(values, grounded, clamps)
-        self.loads = [_unit_load(port) for port in model.ports if port.kind != "output"]
+        self.loads = [_make_unit_load(port) for port in model.ports if port.kind != "output"]
         self.rows = [port for port in model.ports if port.kind != "input"]
-        self.masses = [_model_mass(model, port) for port in self.rows]
+        self.masses = [_find_accelerated_mass(model, port) for port in self.rows]
 
     @property
-    def unknowns(self) -> int:
+    def equation_count(self) -> int:
         """Number of nodal equations of the circuit."""
         return len(self.equations.rows)
 
@@ -125,11 +125,11 @@ class CircuitResponse:
         signals.
         """
         s = 2j * np.pi * frequency
-        H = self.equations.solve(s, self.loads, list(map(_response_node, self.rows)))
+        H = self.equations.solve(s, self.loads, list(map(_get_response_vector, self.rows)))
         for row, port in enumerate(self.rows):
-            if port.domain is not None and port.loaded:
+            if port.domain is not None and port.is_flow_driven:
                 H[:, row] *= port.domain.across.factor
-            elif port.charged and port.domain is not None:
+            elif port.has_charge_output and port.domain is not None:
                 H[:, row] /= -s[:, None] / port.domain.through_variable.factor
             elif accelerates_frame(port):
                 H[:, row] *= -1.0
@@ -155,25 +155,29 @@ def accelerates_frame(port: Port) -> bool:
     return port.domain is ACCELERATION
 
 
-def _unit_load(port: Port) -> dict[str, float]:
+def _make_unit_load(port: Port) -> dict[str, float]:
     """Return the SI unit load at a port, as a value keyed by its node or its clamp current."""
     node = port.terminals[0].lower()
-    unit = port.domain.quantity(port.domain.input_side).per_unit if port.domain else 1.0
-    return {node if port.loaded else f"i(held_{node})": unit}
+    unit = (
+        port.domain.get_quantity(port.domain.input_side).pin_value_per_si_unit
+        if port.domain
+        else 1.0
+    )
+    return {node if port.is_flow_driven else f"i(held_{node})": unit}
 
 
-def _response_node(port: Port) -> str:
+def _get_response_vector(port: Port) -> str:
     """Return the node or the clamp current that is the response of a port."""
     node = port.terminals[0].lower()
-    return f"i(held_{node})" if port.conservative and not port.loaded else node
+    return f"i(held_{node})" if port.conservative and not port.is_flow_driven else node
 
 
-def _model_mass(model: LinearModel, port: Port) -> float:
+def _find_accelerated_mass(model: LinearModel, port: Port) -> float:
     """Return the mass [kg] that an acceleration port moves; zero for other ports."""
-    return reaction_mass(model, port) if accelerates_frame(port) else 0.0
+    return compute_reaction_mass(model, port) if accelerates_frame(port) else 0.0
 
 
-def reaction_mass(model: LinearModel, port: Port) -> float:
+def compute_reaction_mass(model: LinearModel, port: Port) -> float:
     """Return the mass [kg] that an acceleration pin moves.
 
     The mass is the value ``mass_kg`` of the model. If the model does not state this value, the mass
@@ -197,7 +201,7 @@ class _RelativeErrorFunction:
     circuit_response: CircuitResponse
     exact: Response
     norm: Norm
-    entries: Entries | None = None
+    entries: EntryScales | None = None
 
     def __call__(self, frequency: np.ndarray) -> np.ndarray:
         if not frequency.size:
@@ -208,11 +212,11 @@ class _RelativeErrorFunction:
         expected = self.circuit_response.convert_to_pins(H, frequency)
         if self.entries is None:
             framed = list(map(accelerates_frame, self.circuit_response.rows))
-            peak = self.exact.peaks(frequency, H)
+            peak = self.exact.find_entry_peaks(frequency, H)
             peak[framed] = np.abs(expected[:, framed]).max(axis=0)
-            self.entries = Entries.of(expected, peak, self.exact.zero)
-        share = get_min_divisor_share(self.norm)
-        apart = self.entries.relative_errors(
+            self.entries = EntryScales.from_response(expected, peak, self.exact.zero)
+        share = get_min_relative_divisor(self.norm)
+        apart = self.entries.compute_relative_errors(
             self.circuit_response.transfer(frequency) - expected, expected, share
         )
         return np.asarray(apart.max(axis=(1, 2)))
@@ -250,7 +254,7 @@ def require_circuit_tolerance(part: Subcircuit, model: LinearModel, tolerance: f
     if share <= NEGLIGIBLE_SHARE * tolerance:
         return
     total = f"{reduction.error_estimate:.2g}"
-    got = f"{total}, of which {share:.2g} at {frequency:.6g} Hz by its elements"
+    got = f"{total}, of which circuit elements cause {share:.2g} at {frequency:.6g} Hz"
     if share <= PERTURBATION_SPREAD * estimate_rounding_effect(model, frequency):
         message = (
             f"{part.name}: error estimate {got}: rounding errors of the original matrices cause "
@@ -281,7 +285,7 @@ def estimate_rounding_effect(model: LinearModel, frequency: float) -> float:
         change = random.choice([-unit, unit], size=matrix.shape)
         return np.asarray(matrix * (1 + (change + change.T) / 2))  # remains symmetric
 
-    pencil = model.pencil.dense()
+    pencil = model.pencil.make_dense()
     others = []
     for _ in range(PERTURBATION_COUNT):
         coefficients = tuple(map(round_matrix, pencil.coefficients))
@@ -291,5 +295,7 @@ def estimate_rounding_effect(model: LinearModel, frequency: float) -> float:
         exact, *changed = (item.transfer(s)[0] for item in (pencil, *others))
     except SimulationError:
         return np.inf
-    entries = Entries.of(exact[None])
-    return float(max(entries.relative_errors(item - exact, exact).max() for item in changed))
+    entries = EntryScales.from_response(exact[None])
+    return float(
+        max(entries.compute_relative_errors(item - exact, exact).max() for item in changed)
+    )

@@ -18,8 +18,8 @@ from kc2spice.netlist.library import (
     Header,
     ReductionSummary,
     Subcircuit,
-    instance_comment,
-    parameter_line,
+    write_instance_comment,
+    write_parameter_line,
 )
 from kc2spice.netlist.read import read_cards
 from kc2spice.netlist.spelling import (
@@ -48,7 +48,7 @@ def wrap_comment(text: str) -> list[str]:
     return list(map("* {}".format, lines))
 
 
-def rom_comments(reduction: ReductionSummary, certificate: Certificate) -> tuple[str, ...]:
+def write_rom_comments(reduction: ReductionSummary, certificate: Certificate) -> tuple[str, ...]:
     """Return comment lines that state the error estimate of a reduced model.
 
     The lines also state the circuit error and the errors of the compliance above the band. If
@@ -65,13 +65,13 @@ def rom_comments(reduction: ReductionSummary, certificate: Certificate) -> tuple
     return f"* rom: {reduction.summary}", first.replace("* rom:", "*  ", 1), *more
 
 
-def mesh_error_text(facts: Mapping[str, float]) -> str:
+def write_mesh_error_text(facts: Mapping[str, float]) -> str:
     """Return the text of the mesh error estimate, or the note that it is not estimated."""
     text = describe_mesh_errors(facts)
     return f"error estimate of the full model: {text}" if text else NOT_ESTIMATED
 
 
-def part_header(
+def write_part_header(
     header: Header,
     title: str,
     pins: tuple[Pin, ...],
@@ -93,11 +93,11 @@ def part_header(
     ``mesh`` is the text of the mesh error estimate. ``sign`` is the sign convention of mechanical
     pins. ``heat`` describes the heat pins.
     """
-    sign = sign if TRANSLATION.flow in map(attrgetter("flow"), pins) else FLOW_TEXT
+    sign = sign if TRANSLATION.flow_unit in map(attrgetter("flow"), pins) else FLOW_TEXT
     ends = map(attrgetter("name"), pins)
     lines = [
         f"* {format_comment(title)}",
-        instance_comment(title.partition(":")[0], ends, parameter_defaults_of(params)),
+        write_instance_comment(title.partition(":")[0], ends, format_parameter_defaults(params)),
     ]
     lines += [*header.origin(), *rom]
     facts = {"mesh": mesh, "sign": sign, "heat": heat, "validity": validity, "rating": rating}
@@ -107,17 +107,17 @@ def part_header(
     for i, p in enumerate(pins, 1):
         name, unit, flow = require_name(p.name), require_word(p.unit), require_word(p.flow)
         lines.append(f"* @pin {i} {name} unit={unit} flow={flow}")
-    lines += map(parameter_line, params)
+    lines += map(write_parameter_line, params)
     return tuple(lines)
 
 
-def netlist_pins(port: Port) -> tuple[Pin, ...]:
+def list_netlist_pins(port: Port) -> tuple[Pin, ...]:
     """Return the pins of a port; a signal pin carries no current."""
     flow = port.flow if port.conservative else "-"
     return tuple(Pin(pin, port.across, flow) for pin in port.terminals)
 
 
-def parameter_defaults_of(params: Iterable[Param]) -> dict[str, str]:
+def format_parameter_defaults(params: Iterable[Param]) -> dict[str, str]:
     """Return the default values of parameters in the syntax of netlists, keyed by name."""
     return {require_name(p.name): format_number(p.default) for p in params}
 
@@ -137,15 +137,15 @@ def render_library(
 ) -> Subcircuit:
     """Return the subcircuit of a part whose cards are in ``templates/TEMPLATE.j2``.
 
-    :func:`part_header` makes the header of the subcircuit. The template can use the ``values`` and
-    the text ``card``. This text contains the words of the ``.subckt`` card: the name, the pins, and
-    the parameters with default values.
+    :func:`write_part_header` makes the header of the subcircuit. The template can use the
+    ``values`` and the text ``card``. This text contains the words of the ``.subckt`` card: the
+    name, the pins, and the parameters with default values.
     """
     pins = tuple(Pin(item.name, item.unit, item.flow) for item in terminals)
-    settings = map("=".join, parameter_defaults_of(params).items())
+    settings = map("=".join, format_parameter_defaults(params).items())
     card = " ".join((name, *map(attrgetter("name"), pins), *settings))
     words: dict[str, Any] = {"rating": rating, "validity": validity, "mesh": mesh}
-    head = part_header(header, f"{name}: {title}", pins, params, **words)
+    head = write_part_header(header, f"{name}: {title}", pins, params, **words)
     cards = render_template(f"{template}.j2", card=card, **values)
     (circuit,) = read_cards(f"{cards}.ends {name}\n", f"{template}.j2").items
     circuit = replace(circuit, notes=(*head, "", *circuit.notes))

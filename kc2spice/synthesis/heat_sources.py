@@ -3,8 +3,8 @@
 A mode with the equation ``m z'' + d z' + w^2 z = sum_k g_k u_k`` dissipates the power ``d z'^2``
 [W]. In the netlist, the rate ``z'`` of a mode with inertia is a voltage. A mode without inertia is
 a relaxation, whose rate is ``z' = (sum_k g_k u_k - w^2 z) / d``. The dielectric loss of
-:func:`kc2spice.rom.modal.add_dielectric_loss` consists of relaxations. The functions of this module
-return a heat source for each mode of :mod:`kc2spice.synthesis.mode_cards`.
+:func:`kc2spice.rom.modal_models.add_dielectric_loss` consists of relaxations. The functions of this
+module return a heat source for each mode of :mod:`kc2spice.synthesis.mode_cards`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 
 from kc2spice.core.domains import AMBIENT, HEAT, THERMAL
 from kc2spice.netlist.circuit import Element, Pin
-from kc2spice.netlist.elements import Line
+from kc2spice.netlist.shared_cards import Line
 from kc2spice.netlist.spelling import format_number
 
 LOSS_NODE = "losses"  # inner node at which all heat flows meet
@@ -26,13 +26,13 @@ _HEAT_COMMENT = (
 _SMALLEST_DAMPING = "1p"  # smallest value of the parameter ``damping`` as a divisor
 
 
-def meter_cards() -> Iterator[Line]:
+def write_heat_meter() -> Iterator[Line]:
     """Yield the ammeter at the heat pin; all heat flows pass through the ammeter."""
     yield from _HEAT_COMMENT
-    yield Element.of(METER, HEAT, LOSS_NODE, "0")
+    yield Element.from_words(METER, HEAT, LOSS_NODE, "0")
 
 
-def moving_loss_card(index: int, velocity: tuple[str, str], power: float) -> Element:
+def write_moving_loss_card(index: int, velocity: tuple[str, str], power: float) -> Element:
     """Return the source of the heat flow from a mode with inertia.
 
     Parameters
@@ -46,14 +46,14 @@ def moving_loss_card(index: int, velocity: tuple[str, str], power: float) -> Ele
 
     Examples
     --------
-    >>> moving_loss_card(1, ("p1", "base"), 2e-3).expression
+    >>> write_moving_loss_card(1, ("p1", "base"), 2e-3).expression
     'damping*0.002*V(p1,base)*V(p1,base)'
     """
     square = "*".join(["V({},{})".format(*velocity)] * 2)
-    return heat_source(index, f"damping*{format_number(power)}*{square}")
+    return write_heat_source(index, f"damping*{format_number(power)}*{square}")
 
 
-def relaxing_loss_card(
+def write_relaxing_loss(
     index: int, drives: Sequence[tuple[float, str, str]], node: tuple[str, str], power: float
 ) -> Element:
     """Return the source of the heat flow from a mode without inertia.
@@ -72,18 +72,18 @@ def relaxing_loss_card(
 
     Examples
     --------
-    >>> relaxing_loss_card(2, [(0.5, "a", "b")], ("q2", "base"), 3e-6).expression
+    >>> write_relaxing_loss(2, [(0.5, "a", "b")], ("q2", "base"), 3e-6).expression
     '3e-06*(0.5*V(a,b)-V(q2,base))*(0.5*V(a,b)-V(q2,base))/max(damping,1p)'
     """
     sums = "+".join(f"{format_number(factor)}*V({a},{b})" for factor, a, b in drives)
     apart = f"({sums.replace('+-', '-')}-V({node[0]},{node[1]}))"
     law = f"{format_number(power)}*{apart}*{apart}/max(damping,{_SMALLEST_DAMPING})"
-    return heat_source(index, law)
+    return write_heat_source(index, law)
 
 
-def heat_source(tag: int | str, law: str) -> Element:
+def write_heat_source(tag: int | str, law: str) -> Element:
     """Return the source of a heat flow [W] with the expression ``law``.
 
     The name of the source ends with ``tag``.
     """
-    return Element.behaviour(f"Bheat{tag}", AMBIENT, LOSS_NODE, "I", law)
+    return Element.behavioural_source(f"Bheat{tag}", AMBIENT, LOSS_NODE, "I", law)

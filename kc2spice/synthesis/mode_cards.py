@@ -10,18 +10,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kc2spice.core.domains import ELECTRICAL, ROTATION, TRANSLATION
-from kc2spice.core.prefix import PREFIXES, prefix_power
+from kc2spice.core.si_prefix_format import PREFIXES, get_prefix_exponent
 from kc2spice.netlist.circuit import Element
-from kc2spice.netlist.elements import Line
 from kc2spice.netlist.prefixes import abbreviate_number
+from kc2spice.netlist.shared_cards import Line
 from kc2spice.netlist.spelling import format_number
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.modal import Resonators
+from kc2spice.rom.modal_models import Resonators
 from kc2spice.synthesis.circuit_error import MICRO
-from kc2spice.synthesis.heat_sources import meter_cards, moving_loss_card, relaxing_loss_card
+from kc2spice.synthesis.heat_sources import (
+    write_heat_meter,
+    write_moving_loss_card,
+    write_relaxing_loss,
+)
 from kc2spice.synthesis.terminals import (
     OUTWARDS_COMMENT,
-    OutputLaws,
+    OutputSourceWriter,
     PortTerminal,
     StateNodes,
     Transconductance,
@@ -29,7 +33,7 @@ from kc2spice.synthesis.terminals import (
     connect_sources,
     has_other_reference,
     port_domains,
-    port_lines,
+    write_port_cards,
 )
 
 if TYPE_CHECKING:
@@ -120,14 +124,14 @@ def write_resonators(
     The default ``weights`` give ``C = 1 uF min(1, (w / 3 w_1)^2)``. Time step control limits the
     charge error, which is ``C`` times the displacement error. The capacitances of slow modes are
     small, because slow modes have little influence on a contact, but ring long after the contact.
-    If 1 / Q is below :data:`LIGHT_DAMPING`, ``p_j = q_j + q_j' / w_j``, see :func:`_mode_cards`. A
+    If 1 / Q is below :data:`LIGHT_DAMPING`, ``p_j = q_j + q_j' / w_j``, see :func:`_write_mode`. A
     mode without inertia has only the state q with ``C q' = -G q + (G s / w^2) sum_k g_k u_k`` and
     ``C = G d / w^2``.
     """
     order = order_observable_modes(model)
     omega, damp, gain = model.omega[order], model.damp[order], model.gain[order]
     heavy = model.inertia[order] > 0
-    scale = scale_modes(gain, terminals)[:, None]
+    scale = find_largest_gains(gain, terminals)[:, None]
     numbers = range(1, len(order) + 1)
     turn = omega * heavy  # zero for modes without inertia, which have no velocity node
     light, losses = (damp < LIGHT_DAMPING * omega) * heavy, damp * heavy
@@ -149,31 +153,33 @@ def write_resonators(
     about = _describe_resonators(terminals, base, weights)
     if light.any():
         about += _LIGHT_DAMPING_COMMENT.format(quality=1 / LIGHT_DAMPING).split("\n")
-    laws = OutputLaws(terminals, states, rom.D, rom, base)
+    laws = OutputSourceWriter(terminals, states, rom.D, rom, base)
     body: list[Line] = []
     stored = []
     for t in map(laws.connect_output, terminals):
         # the sources of the charge of a clamped port are added below
         stored.append(replace(t, sums=()) if t.clamped else t)
-    body += port_lines(stored, base, weights.share)
+    body += write_port_cards(stored, base, weights.share)
     for j in range(len(order)):
         node = f"p{j + 1}" if heavy[j] else f"q{j + 1}"
         if heavy[j]:
             branch = describe_branch(damp[j], omega[j], gain[j], gain, terminals)
             body.append(f"\n* Mode {j + 1}: {describe_mode(omega[j], damp[j])}{branch}")
-            body += _mode_cards(j + 1, omega[j], damp[j], farad[j], base)
+            body += _write_mode(j + 1, omega[j], damp[j], farad[j], base)
         else:
-            body += _massless_mode_lines(j + 1, omega[j], damp[j], base)
-        body += connect_sources(drive_mode(j + 1, drive[j], terminals, base), base, node)
+            body += _write_massless_mode(j + 1, omega[j], damp[j], base)
+        body += connect_sources(make_mode_sources(j + 1, drive[j], terminals, base), base, node)
         if noise and damp[j] > 0:
             loss = f"{{damping*{format_number(damp[j])}}}"
-            body.append(Element.of(f"Rnoise{j + 1}", f"noise{j + 1}", base, loss))
-            body.append(Element.of(f"Gn{j + 1}", base, node, f"noise{j + 1}", base, force[j]))
+            body.append(Element.from_words(f"Rnoise{j + 1}", f"noise{j + 1}", base, loss))
+            body.append(
+                Element.from_words(f"Gn{j + 1}", base, node, f"noise{j + 1}", base, force[j])
+            )
         for k, t in enumerate(terminals):
             if t.clamped:
                 charge = gain[j, k] / scale[j, 0] * MICRO / t.unit  # uC per um
                 source = Transconductance(f"Gc{j + 1}{t.tag}", f"q{j + 1}", base, charge)
-                body.append(source.between(base, f"charge{t.tag}"))
+                body.append(source.write_element(base, f"charge{t.tag}"))
     return about, body
 
 
@@ -186,19 +192,19 @@ def write_losses(model: Resonators, terminals: Sequence[PortTerminal], base: str
     """
     order = order_observable_modes(model)
     omega, damp, gain = model.omega[order], model.damp[order], model.gain[order]
-    size = MICRO / scale_modes(gain, terminals)
-    yield from meter_cards()
+    size = MICRO / find_largest_gains(gain, terminals)
+    yield from write_heat_meter()
     for j in np.flatnonzero(damp > 0).tolist():
         index, q, p = j + 1, f"q{j + 1}", f"p{j + 1}"
         w, d, unit = map(float, (omega[j], damp[j], size[j]))
         if model.inertia[order[j]] > 0:
             velocity = (p, q) if d < LIGHT_DAMPING * w else (p, base)
-            yield moving_loss_card(index, velocity, d * (w * unit) ** 2)
+            yield write_moving_loss_card(index, velocity, d * (w * unit) ** 2)
             continue
         row = STATE_CONDUCTANCE * gain[j] / (unit * w**2)
-        sources = drive_mode(index, row, terminals, base)
+        sources = make_mode_sources(index, row, terminals, base)
         drives = [(float(g.value), g.plus, g.minus) for g in sources if g.value]
-        yield relaxing_loss_card(index, drives, (q, base), (w**2 * unit) ** 2 / d)
+        yield write_relaxing_loss(index, drives, (q, base), (w**2 * unit) ** 2 / d)
 
 
 def _describe_resonators(
@@ -221,7 +227,7 @@ def _describe_resonators(
     return [*lines, *_RESONATORS_COMMENT.format(**words).split("\n")]
 
 
-def _mode_cards(j: int, omega: float, damp: float, farad: float, base: str) -> Iterator[Line]:
+def _write_mode(j: int, omega: float, damp: float, farad: float, base: str) -> Iterator[Line]:
     """Yield the cards of the two integrators of one mode.
 
     If 1 / Q is below :data:`LIGHT_DAMPING`, the second state is ``p = q + q' / w``. The voltage
@@ -230,14 +236,14 @@ def _mode_cards(j: int, omega: float, damp: float, farad: float, base: str) -> I
     q, p, turn, loss = f"q{j}", f"p{j}", farad * omega, farad * damp
     light = damp < LIGHT_DAMPING * omega
     velocity = (p, q) if light else (p, base)
-    yield Element.of(f"Cq{j}", q, base, farad)
-    yield Element.of(f"Cp{j}", p, base, farad)
-    yield Element.of(f"Gq{j}", base, q, *velocity, turn)
-    yield Element.of(f"Gp{j}", p, base, q, base, turn)
+    yield Element.from_words(f"Cq{j}", q, base, farad)
+    yield Element.from_words(f"Cp{j}", p, base, farad)
+    yield Element.from_words(f"Gq{j}", base, q, *velocity, turn)
+    yield Element.from_words(f"Gp{j}", p, base, q, base, turn)
     if light:
-        yield Element.of(f"Gs{j}", base, p, *velocity, turn)
+        yield Element.from_words(f"Gs{j}", base, p, *velocity, turn)
     if loss > 0:
-        yield Element.of(f"Gd{j}", p, base, *velocity, f"{{damping*{format_number(loss)}}}")
+        yield Element.from_words(f"Gd{j}", p, base, *velocity, f"{{damping*{format_number(loss)}}}")
 
 
 def describe_mode(omega: float, damp: float) -> str:
@@ -251,7 +257,7 @@ def describe_mode(omega: float, damp: float) -> str:
     '41.2 kHz, Q 50'
     """
     hertz = omega / (2 * np.pi)
-    power = prefix_power(hertz)
+    power = get_prefix_exponent(hertz)
     quality = f"Q {omega / damp:.4g}" if damp > 0 else "undamped"
     return f"{hertz / 10.0**power:.6g} {PREFIXES[power]}Hz, {quality}"
 
@@ -289,18 +295,18 @@ def describe_branch(
     return ""
 
 
-def _massless_mode_lines(j: int, omega: float, damp: float, base: str) -> Iterator[Line]:
+def _write_massless_mode(j: int, omega: float, damp: float, base: str) -> Iterator[Line]:
     """Yield the cards of mode ``j``, which has no mass."""
     hertz, time = omega / (2 * np.pi), damp / omega**2
     yield f"\n* Without inertia, from {hertz:.6g} Hz on: relaxes within {time:.6g} s"
     if time > 0:
-        yield Element.of(
+        yield Element.from_words(
             f"Cq{j}", f"q{j}", base, f"{{damping*{format_number(STATE_CONDUCTANCE * time)}}}"
         )
-    yield Element.of(f"Gq{j}", f"q{j}", base, f"q{j}", base, STATE_CONDUCTANCE)
+    yield Element.from_words(f"Gq{j}", f"q{j}", base, f"q{j}", base, STATE_CONDUCTANCE)
 
 
-def scale_modes(gain: np.ndarray, terminals: Sequence[PortTerminal]) -> np.ndarray:
+def find_largest_gains(gain: np.ndarray, terminals: Sequence[PortTerminal]) -> np.ndarray:
     """Return the largest gain of each mode at the displacement ports.
 
     For a mode without gain at these ports, the largest gain at all ports is returned.
@@ -311,7 +317,7 @@ def scale_modes(gain: np.ndarray, terminals: Sequence[PortTerminal]) -> np.ndarr
     return np.where(scale > 0, scale, 1.0)
 
 
-def drive_mode(
+def make_mode_sources(
     index: int,
     row: np.ndarray | Sequence[Value],
     terminals: Sequence[PortTerminal],
@@ -323,7 +329,7 @@ def drive_mode(
     """
     result = []
     for t in sorted(terminals, key=lambda t: "fvs".index(t.source_letter)):
-        suffix = f"{index}{t.tag}" if t.port.paired else f"{t.pins[0]}_{index}"
+        suffix = f"{index}{t.tag}" if t.port.is_paired else f"{t.pins[0]}_{index}"
         result.append(t.weigh_input(f"G{t.source_letter}{suffix}", row, base))
     return result
 

@@ -9,10 +9,10 @@ from itertools import product
 import numpy as np
 
 from kc2spice.netlist.circuit import Element, Param, Parameters
-from kc2spice.netlist.elements import Line
+from kc2spice.netlist.shared_cards import Line
 from kc2spice.netlist.spelling import format_number
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.ranges import ModelOverRanges
+from kc2spice.rom.range_reduction import ModelOverRanges
 
 # Number of random points in the parameter range at which circuit and model are compared.
 # Circuit and model are also compared at the corners of the parameter range.
@@ -25,7 +25,7 @@ def list_parameters(model: ModelOverRanges) -> list[Param]:
     """List the netlist parameters of a model, in the order of ``model.parameter_axes``."""
     result = []
     for name, axis in model.parameter_axes.items():
-        default, unit = model.defaults.get(name, axis.middle), model.units.get(name, "-")
+        default, unit = model.defaults.get(name, axis.middle_value), model.units.get(name, "-")
         words = model.descriptions.get(name) or name
         result.append(Param(name, default, unit, words, axis.low, axis.high))
     return result
@@ -47,15 +47,15 @@ def sample_range(
         axes = zip(model.parameter_axes.values(), x, strict=True)
         values = [axis.value(float(at)) for axis, at in axes]
         by_name = dict(zip(names, values, strict=True))
-        yield model.at(dict(zip(model.parameter_axes, values, strict=True))), by_name
+        yield model.evaluate(dict(zip(model.parameter_axes, values, strict=True))), by_name
 
 
-def parameter_card(name: str, expression: str) -> Parameters:
+def write_parameter_card(name: str, expression: str) -> Parameters:
     """Return the ``.param`` card that defines the parameter ``name`` by an expression."""
     return Parameters({name: f"{{{expression}}}"})
 
 
-def range_cards(parameters: Sequence[Param]) -> Iterator[Line]:
+def write_range_checks(parameters: Sequence[Param]) -> Iterator[Line]:
     """Yield a ``.param`` card for each parameter: 1 within its range, otherwise -1."""
     yield "* 1 within the range of a parameter, -1 outside of it"
     for k, p in enumerate(parameters, 1):
@@ -63,10 +63,12 @@ def range_cards(parameters: Sequence[Param]) -> Iterator[Line]:
         low, high = format_number(p.low - room), format_number(p.high + room)
         # Within the range, the product of both differences is not negative.
         # The operators || and && are not used, because simulators spell them differently.
-        yield parameter_card(f"inside{k}", f"(({p.name}-{low})*({high}-{p.name})>=0 ? 1 : -1)")
+        yield write_parameter_card(
+            f"inside{k}", f"(({p.name}-{low})*({high}-{p.name})>=0 ? 1 : -1)"
+        )
 
 
-def range_stops(parameters: Sequence[Param], base: str) -> Iterator[Line]:
+def write_range_stops(parameters: Sequence[Param], base: str) -> Iterator[Line]:
     """Yield resistors that stop the simulator if a parameter is out of range.
 
     The resistance is 1 Ohm if the parameter is within its range, and otherwise not a number. The
@@ -75,4 +77,4 @@ def range_stops(parameters: Sequence[Param], base: str) -> Iterator[Line]:
     for k, p in enumerate(parameters, 1):
         words = f"{p.name}_must_be_{p.low:.6g}_to_{p.high:.6g}"
         suffix = re.sub(r"\W", lambda c: {".": "p", "-": "m", "+": ""}[c[0]], words)
-        yield Element.of(f"R{suffix}", "tick", base, f"{{sqrt(inside{k})}}")
+        yield Element.from_words(f"R{suffix}", "tick", base, f"{{sqrt(inside{k})}}")

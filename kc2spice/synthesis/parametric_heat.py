@@ -1,8 +1,8 @@
 """Subcircuits of heat networks whose elements depend on parameters of the subcircuit.
 
-The coordinates are the modes (:mod:`kc2spice.synthesis.heat`) of the model at the default values
-p_0 of the parameters. With the factors ``f_t(p)`` of :mod:`kc2spice.rom.matrix_terms`, the matrices
-in modal coordinates are
+The coordinates are the modes (:mod:`kc2spice.synthesis.heat_netlist`) of the model at the default
+values p_0 of the parameters. With the factors ``f_t(p)`` of :mod:`kc2spice.rom.matrix_terms`, the
+matrices in modal coordinates are
 
     K(p) = diag(1 / R) + sum_t (f_t(p) - f_t(p_0)) K_t,    E(p) = diag(C) + sum_t (...) E_t.
 
@@ -21,29 +21,34 @@ from itertools import combinations
 import numpy as np
 
 from kc2spice.netlist.circuit import Element, Param
-from kc2spice.netlist.elements import Line
 from kc2spice.netlist.library import Header, Subcircuit
+from kc2spice.netlist.shared_cards import Line
 from kc2spice.netlist.spelling import format_number, require_distinct
 from kc2spice.netlist.spelling import require_name as checked_name
 from kc2spice.rom.heat_over_ranges import HeatOverRanges
 from kc2spice.rom.matrix_terms import compute_factors
-from kc2spice.synthesis.header import mesh_error_text
-from kc2spice.synthesis.heat import (
+from kc2spice.synthesis.header import write_mesh_error_text
+from kc2spice.synthesis.heat_netlist import (
     ZERO_SHARE,
     HeatModes,
     decouple_heat,
     describe_heat_mode,
-    heat_flow_cards,
-    heat_port_cards,
+    write_heat_flows,
+    write_heat_port_cards,
 )
 from kc2spice.synthesis.parameter_ranges import (
     RANGE_STOPS,
-    parameter_card,
-    range_cards,
-    range_stops,
     sample_range,
+    write_parameter_card,
+    write_range_checks,
+    write_range_stops,
 )
-from kc2spice.synthesis.realize import UNRATED, heat_header_texts, heat_pins, make_subcircuit
+from kc2spice.synthesis.realize import (
+    UNRATED,
+    list_heat_pins,
+    make_heat_header_texts,
+    make_subcircuit,
+)
 
 # Pattern of the parameter names that the subcircuit uses internally.
 RESERVED_BY_HEAT = r"change\d+|inside\d+"
@@ -60,7 +65,7 @@ _NETWORK_COMMENTS = """\
 * the heat flow into the pin PIN: 1 V on this node is 1 W."""
 
 
-def heat_subcircuit_over_ranges(
+def make_heat_range_subcircuit(
     model: HeatOverRanges,
     name: str,
     parameters: Sequence[Param],
@@ -88,31 +93,31 @@ def heat_subcircuit_over_ranges(
         checked_name(parameter, where=f"{name}: parameters")
     require_distinct(names, RESERVED_BY_HEAT, where=name)
     values = {key: p.default for key, p in zip(model.parameter_axes, parameters, strict=True)}
-    rom = model.at(values)
-    pins, base = heat_pins(rom, name)
+    rom = model.evaluate(values)
+    pins, base = list_heat_pins(rom, name)
     network = _make_modal_network(model, parameters)
     body = [
-        *range_cards(parameters),
-        *(parameter_card(f"change{t}", text) for t, text in enumerate(network.changes, 1)),
+        *write_range_checks(parameters),
+        *(write_parameter_card(f"change{t}", text) for t, text in enumerate(network.changes, 1)),
         RANGE_STOPS,
-        *range_stops(parameters, base),
-        *heat_port_cards(network.modes, base),
+        *write_range_stops(parameters, base),
+        *write_heat_port_cards(network.modes, base),
         *network.cards(base),
     ]
     about = _NETWORK_COMMENTS.format(base=base).split("\n")
     head = header or Header(model.name, "-")
-    words = heat_header_texts(rating) | {"within": ", parameters within their ranges,"}
+    words = make_heat_header_texts(rating) | {"within": ", parameters within their ranges,"}
     others = list(sample_range(model, parameters))
     return make_subcircuit(
         rom, name, pins, base, tuple(parameters), head, (about, body), others=others,
-        mesh=mesh_error_text(rom.facts), **words,
+        mesh=write_mesh_error_text(rom.facts), **words,
     )  # fmt: skip
 
 
-def _make_modal_network(model: HeatOverRanges, parameters: Sequence[Param]) -> _Network:
-    """Return the modes at the default values, and the changes of K and E with the parameters."""
+def _make_modal_network(model: HeatOverRanges, parameters: Sequence[Param]) -> _ModalNetwork:
+    """Return the modes of a heat model, and how parameters change K and E."""
     values = {key: p.default for key, p in zip(model.parameter_axes, parameters, strict=True)}
-    rom = model.at(values)
+    rom = model.evaluate(values)
     times, shapes = decouple_heat(rom)
     gain = shapes.T @ rom.B
     size = np.abs(gain).max(axis=1)
@@ -132,7 +137,7 @@ def _make_modal_network(model: HeatOverRanges, parameters: Sequence[Param]) -> _
         changes.append(_write_change(powers, parameters, scales, start[t]))
         stiff.append(_remove_rounding_errors(shapes.T @ (units[t] * model.terms.K[t]) @ shapes))
         stored.append(_remove_rounding_errors(shapes.T @ (units[t] * model.terms.E[t]) @ shapes))
-    return _Network(modes, tuple(changes), np.array(stiff), np.array(stored))
+    return _ModalNetwork(modes, tuple(changes), np.array(stiff), np.array(stored))
 
 
 def _write_change(
@@ -161,7 +166,7 @@ def _remove_rounding_errors(matrix: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class _Network:
+class _ModalNetwork:
     """Modes at the default values of the parameters, and changes of K and E.
 
     ``changes`` are the texts of the differences ``f_t(p) - f_t(p_0)``. ``stiff`` and ``stored`` are
@@ -178,31 +183,35 @@ class _Network:
         """Yield the elements of each mode, followed by the elements between modes."""
         for j in range(len(self.modes.resistance)):
             yield describe_heat_mode(self.modes, j).replace(":", " at the defaults:", 1)
-            yield from self._mode_elements(j, base)
-            yield from heat_flow_cards(self.modes, j, base)
+            yield from self._write_mode_elements(j, base)
+            yield from write_heat_flows(self.modes, j, base)
         yield "\n* Changes of the parameters couple the modes."
         for i, j in combinations(range(len(self.modes.resistance)), 2):
             if flow := self._write_sum(0.0, self.stiff[:, i, j]):
                 a, b = f"h{i + 1}", f"h{j + 1}"
-                yield Element.of(f"Gk{i + 1}_{j + 1}", a, base, b, base, f"{{{flow}}}")
-                yield Element.of(f"Gk{j + 1}_{i + 1}", b, base, a, base, f"{{{flow}}}")
+                yield Element.from_words(f"Gk{i + 1}_{j + 1}", a, base, b, base, f"{{{flow}}}")
+                yield Element.from_words(f"Gk{j + 1}_{i + 1}", b, base, a, base, f"{{{flow}}}")
             if heat := self._write_sum(0.0, -self.stored[:, i, j]):
-                yield Element.of(f"C{i + 1}_{j + 1}", f"h{i + 1}", f"h{j + 1}", f"{{{heat}}}")
+                yield Element.from_words(
+                    f"C{i + 1}_{j + 1}", f"h{i + 1}", f"h{j + 1}", f"{{{heat}}}"
+                )
 
-    def _mode_elements(self, j: int, base: str) -> Iterator[Line]:
+    def _write_mode_elements(self, j: int, base: str) -> Iterator[Line]:
         """Yield the resistor and the capacitor of mode ``j``."""
         node, R, C = f"h{j + 1}", self.modes.resistance[j], self.modes.capacity[j]
         flow = self._write_sum(1 / R, self.stiff[:, j, j])
         changed = self.stiff[:, j, j].any()
-        yield Element.of(f"R{j + 1}", node, base, f"{{1/({flow})}}" if changed else float(R))
+        yield Element.from_words(
+            f"R{j + 1}", node, base, f"{{1/({flow})}}" if changed else float(R)
+        )
         # Capacitors between two modes represent the off-diagonal entries of E.
         # A capacitor between two modes also adds its capacitance to two diagonal entries of E.
         # The capacitance of a mode itself is therefore the sum of the mode's row in E.
         sums = self.stored[:, j].sum(axis=1)
         if sums.any():
-            yield Element.of(f"C{j + 1}", node, base, f"{{{self._write_sum(C, sums)}}}")
+            yield Element.from_words(f"C{j + 1}", node, base, f"{{{self._write_sum(C, sums)}}}")
         elif C > 0:
-            yield Element.of(f"C{j + 1}", node, base, float(C))
+            yield Element.from_words(f"C{j + 1}", node, base, float(C))
 
     def _write_sum(self, constant: float, coefficients: np.ndarray) -> str:
         """Return the text of ``constant`` plus the changes times ``coefficients``.

@@ -15,46 +15,46 @@ import numpy as np
 
 from kc2spice.core.domains import ACOUSTIC, ELECTRICAL, ROTATION, THERMAL, TRANSLATION
 from kc2spice.core.errors import UsageError
-from kc2spice.core.prefix import format_quantity
+from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.netlist.circuit import Element, Param, Parameters
-from kc2spice.netlist.elements import Line
 from kc2spice.netlist.library import Header, Subcircuit
+from kc2spice.netlist.shared_cards import Line
 from kc2spice.netlist.spelling import format_number, require_distinct
 from kc2spice.netlist.spelling import require_name as checked_name
 from kc2spice.rom.heat_over_ranges import HeatOverRanges
 from kc2spice.rom.linear_model import LinearModel, Port
-from kc2spice.rom.ranges import ModelOverRanges
+from kc2spice.rom.range_reduction import ModelOverRanges
 from kc2spice.rom.resonators_over_ranges import ResonatorsOverRanges
 from kc2spice.rom.soft_support import SOFT_SUPPORT
 from kc2spice.synthesis.circuit_error import MICRO
-from kc2spice.synthesis.header import mesh_error_text
+from kc2spice.synthesis.header import write_mesh_error_text
 from kc2spice.synthesis.mode_cards import (
     RINGING_WEIGHTS,
     StepWeights,
     describe_branch,
     describe_mode,
-    drive_mode,
-    scale_modes,
+    find_largest_gains,
+    make_mode_sources,
 )
 from kc2spice.synthesis.parameter_ranges import (
     RANGE_STOPS,
     list_parameters,
-    parameter_card,
-    range_cards,
-    range_stops,
     sample_range,
+    write_parameter_card,
+    write_range_checks,
+    write_range_stops,
 )
-from kc2spice.synthesis.parametric_heat import RESERVED_BY_HEAT, heat_subcircuit_over_ranges
+from kc2spice.synthesis.parametric_heat import RESERVED_BY_HEAT, make_heat_range_subcircuit
 from kc2spice.synthesis.realize import DAMPING_PARAMETER, UNRATED, make_subcircuit
 from kc2spice.synthesis.terminals import (
     PortTerminal,
     Transconductance,
     connect_sources,
     has_other_reference,
-    model_terminals,
+    list_subcircuit_pins,
+    make_terminals,
     port_domains,
-    port_lines,
-    subcircuit_pins,
+    write_port_cards,
 )
 
 # function that returns the text of a polynomial in the parameters with given coefficients
@@ -146,21 +146,21 @@ def parametric_subcircuit(
     if parameters is None:
         parameters = list_parameters(model)
     if isinstance(model, HeatOverRanges):
-        return heat_subcircuit_over_ranges(model, name, parameters, header, rating=rating)
+        return make_heat_range_subcircuit(model, name, parameters, header, rating=rating)
     defaults = map(attrgetter("default"), parameters)
-    rom = model.at(dict(zip(model.parameter_axes, defaults, strict=True)))
+    rom = model.evaluate(dict(zip(model.parameter_axes, defaults, strict=True)))
     require_parametric_form(model.ports, [item.name for item in parameters], name)
-    terminals = model_terminals(rom, rom.D, name)
-    pins, base = subcircuit_pins(terminals, name)
+    terminals = make_terminals(rom, rom.D, name)
+    pins, base = list_subcircuit_pins(terminals, name)
     body = [
-        *_parameter_lines(model, parameters),
+        *_write_parameter_cards(model, parameters),
         RANGE_STOPS,
-        *range_stops(parameters, base),
-        *_PortsAndModes(model, rom, terminals, base, weights).lines(),
+        *write_range_stops(parameters, base),
+        *_PortAndModeWriter(model, rom, terminals, base, weights).write_elements(),
     ]
     params = (*parameters, *([DAMPING_PARAMETER] if any(model.damped) else []))
     words = {"title": title, "rating": rating, "within": ", parameters within their ranges,"}
-    words["mesh"] = mesh_error_text(rom.facts)
+    words["mesh"] = write_mesh_error_text(rom.facts)
     head, others = header or Header(model.name, "-"), list(sample_range(model, parameters))
     about = [_describe_resonators(model.ports, base)]
     if soft := rom.facts.get(SOFT_SUPPORT):
@@ -211,44 +211,46 @@ def require_parametric_form(ports: Iterable[Port], parameters: Sequence[str], na
     require_distinct(parameters, RESERVED_BY_HEAT if heat else _RESERVED_NAME, where=name)
 
 
-def _parameter_lines(model: ResonatorsOverRanges, parameters: Sequence[Param]) -> Iterator[Line]:
+def _write_parameter_cards(
+    model: ResonatorsOverRanges, parameters: Sequence[Param]
+) -> Iterator[Line]:
     """Yield the ``.param`` cards of coordinates, of their polynomials, and of element values."""
     axis_parameters = parameters[: len(model.axes)]
-    yield from range_cards(parameters)
-    yield from _coordinate_cards(model, axis_parameters)
+    yield from write_range_checks(parameters)
+    yield from _write_coordinate_cards(model, axis_parameters)
     terms = []
     for row in model.exponents:
-        factors = _chebyshev_factors(row)
+        factors = _name_chebyshev_factors(row)
         if len(factors) > 1:
             term = "b_" + "_".join(map(str, row))
-            yield parameter_card(f"{term}", f"{'*'.join(factors)}")
+            yield write_parameter_card(f"{term}", f"{'*'.join(factors)}")
             factors = [term]
         terms.append("".join(factors))
     polynomial = partial(_write_polynomial, terms)
-    yield from _damping_cards(model, parameters[len(axis_parameters) :], polynomial)
+    yield from _write_damping_parameters(model, parameters[len(axis_parameters) :], polynomial)
     ends = np.cumsum(model.blocks)
     for at, end in zip(ends - model.blocks, ends, strict=True):
-        yield from _block_cards(model, range(at, end), polynomial)
-    yield from _capacitance_cards(model, polynomial)
+        yield from _write_block_parameters(model, range(at, end), polynomial)
+    yield from _write_capacitance_cards(model, polynomial)
 
 
-def _coordinate_cards(
+def _write_coordinate_cards(
     model: ResonatorsOverRanges, parameters: Sequence[Param]
 ) -> Iterator[Parameters]:
     """Yield the cards of the coordinates x1, x2, ... and of their Chebyshev polynomials."""
     highest = model.exponents.max(axis=0, initial=0) if len(parameters) else []
     for k, (p, axis, top) in enumerate(zip(parameters, model.axes, highest, strict=True), 1):
         slope = 2 / np.log(axis.high / axis.low)
-        yield parameter_card(
-            f"x{k}", f"{format_number(slope)}*ln({p.name}/{format_number(axis.middle)})"
+        yield write_parameter_card(
+            f"x{k}", f"{format_number(slope)}*ln({p.name}/{format_number(axis.middle_value)})"
         )
         names = ["1", f"x{k}"]
         for power in range(2, int(top) + 1):
             names.append(f"t{k}_{power}")
-            yield parameter_card(f"{names[-1]}", f"2*x{k}*{names[-2]}-{names[-3]}")
+            yield write_parameter_card(f"{names[-1]}", f"2*x{k}*{names[-2]}-{names[-3]}")
 
 
-def _chebyshev_factors(exponents: np.ndarray) -> list[str]:
+def _name_chebyshev_factors(exponents: np.ndarray) -> list[str]:
     """Return the names of the Chebyshev polynomials; ``exponents`` is the degree on each axis."""
     result = []
     for k in np.flatnonzero(exponents):
@@ -265,7 +267,7 @@ def _write_polynomial(terms: Sequence[str], coefficients: np.ndarray) -> str:
     return text.removeprefix("+") or "0"
 
 
-def _damping_cards(
+def _write_damping_parameters(
     model: ResonatorsOverRanges, loss_parameters: Sequence[Param], polynomial: Polynomial
 ) -> Iterator[Parameters]:
     """Yield the ``.param`` cards of the Rayleigh coefficients ``alpha`` and ``beta``.
@@ -277,14 +279,16 @@ def _damping_cards(
         for k, share in enumerate((loss.alpha, loss.beta)):
             if share:
                 losses[k] += (
-                    f"*exp({format_number(share)}*ln({p.name}/{format_number(loss.axis.middle)}))"
+                    f"*exp({format_number(share)}*ln({p.name}/{format_number(loss.axis.middle_value)}))"
                 )
     for k, word in enumerate(("alpha", "beta")):
         if model.damped[k]:
-            yield parameter_card(f"{word}", f"exp({polynomial(model.rayleigh[:, k])}){losses[k]}")
+            yield write_parameter_card(
+                f"{word}", f"exp({polynomial(model.rayleigh[:, k])}){losses[k]}"
+            )
 
 
-def _block_cards(
+def _write_block_parameters(
     model: ResonatorsOverRanges, modes: range, polynomial: Polynomial
 ) -> Iterator[Parameters]:
     """Yield the ``.param`` cards for a block of modes.
@@ -292,33 +296,37 @@ def _block_cards(
     The cards define the Cholesky factor ``l`` of the stiffness, the stiffness ``k``, and the gains
     ``g``.
     """
-    lower, stiff = _nonzero_entries(model)
+    lower, stiff = _find_nonzero_entries(model)
     for i in modes:
-        yield parameter_card(f"l{i + 1}_{i + 1}", f"exp({polynomial(model.diagonal[:, i])})")
+        yield write_parameter_card(f"l{i + 1}_{i + 1}", f"exp({polynomial(model.diagonal[:, i])})")
         for j in np.flatnonzero(lower[i, :i]):
-            yield parameter_card(f"l{i + 1}_{j + 1}", f"{polynomial(model.below[:, i, j])}")
+            yield write_parameter_card(f"l{i + 1}_{j + 1}", f"{polynomial(model.below[:, i, j])}")
     for i in modes:
         for j in np.flatnonzero(stiff[i, : i + 1]):
             both = np.flatnonzero(lower[i] & lower[j]) + 1
-            yield parameter_card(
+            yield write_parameter_card(
                 f"k{i + 1}_{j + 1}", _write_dot_product(f"l{i + 1}", f"l{j + 1}", both)
             )
     for i in modes:
         for k in np.flatnonzero(model.gain[:, i].any(axis=0)).tolist():
-            yield parameter_card(f"g{i + 1}_{k + 1}", f"{polynomial(model.gain[:, i, k])}")
+            yield write_parameter_card(f"g{i + 1}_{k + 1}", f"{polynomial(model.gain[:, i, k])}")
 
 
-def _capacitance_cards(model: ResonatorsOverRanges, polynomial: Polynomial) -> Iterator[Parameters]:
+def _write_capacitance_cards(
+    model: ResonatorsOverRanges, polynomial: Polynomial
+) -> Iterator[Parameters]:
     """Yield the ``.param`` cards of the capacitances ``c`` and of their Cholesky factor ``f``."""
-    electrodes = range(len(model.electrical))
+    electrodes = range(len(model.electrical_ports))
     for k in electrodes:
-        yield parameter_card(f"f{k + 1}_{k + 1}", f"exp({polynomial(model.capacitance[:, k])})")
+        yield write_parameter_card(
+            f"f{k + 1}_{k + 1}", f"exp({polynomial(model.capacitance[:, k])})"
+        )
         for n in range(k):
-            yield parameter_card(f"f{k + 1}_{n + 1}", f"{polynomial(model.shared[:, k, n])}")
+            yield write_parameter_card(f"f{k + 1}_{n + 1}", f"{polynomial(model.shared[:, k, n])}")
     for k in electrodes:
         for n in range(k + 1):
             value = _write_dot_product(f"f{k + 1}", f"f{n + 1}", range(1, n + 2))
-            yield parameter_card(f"c{k + 1}_{n + 1}", value)
+            yield write_parameter_card(f"c{k + 1}_{n + 1}", value)
 
 
 def _write_dot_product(row: str, column: str, indices: Iterable[int]) -> str:
@@ -330,13 +338,13 @@ def _write_dot_product(row: str, column: str, indices: Iterable[int]) -> str:
     return "+".join(f"{row}_{n}*{column}_{n}" for n in indices)
 
 
-def _nonzero_entries(model: ResonatorsOverRanges) -> tuple[np.ndarray, np.ndarray]:
+def _find_nonzero_entries(model: ResonatorsOverRanges) -> tuple[np.ndarray, np.ndarray]:
     """Return masks of the nonzero entries of L and of the stiffness ``L L'``; shape (q, q)."""
     lower = model.below.any(axis=0) | np.eye(model.order, dtype=bool)
     return lower, lower @ lower.T
 
 
-class _PortsAndModes:
+class _PortAndModeWriter:
     """Writer of the cards for the ports and modes of a model with parameters.
 
     ``rom`` is the model at the default values of the parameters. This model determines how the
@@ -356,19 +364,19 @@ class _PortsAndModes:
     ) -> None:
         self.model, self.terminals, self.base, self.weights = model, terminals, base, weights
         self.gain, self.omega, self.damp = rom.B, np.sqrt(np.diag(rom.K)), np.diag(rom.E)
-        self.scale = scale_modes(self.gain, terminals)
+        self.scale = find_largest_gains(self.gain, terminals)
         self.farad = weights.capacitances(self.omega, self.omega.min())
         self.electrodes = list(filter(attrgetter("port.electrical"), terminals))
 
-    def lines(self) -> Iterator[Line]:
+    def write_elements(self) -> Iterator[Line]:
         """Yield the elements of all ports, followed by the elements of all modes."""
         ports = [self._connect_port(k, t) for k, t in enumerate(self.terminals)]
-        yield from port_lines(ports, self.base, self.weights.share)
+        yield from write_port_cards(ports, self.base, self.weights.share)
         at = 0
         for size in self.model.blocks:
             yield self._describe_block(at, size)
             for i in range(at + 1, at + size + 1):
-                yield from self._mode_cards(i)
+                yield from self._write_mode(i)
             at += size
 
     def _connect_port(self, k: int, t: PortTerminal) -> PortTerminal:
@@ -377,7 +385,9 @@ class _PortsAndModes:
             sums = list[Transconductance]()
             for i in range(1, self.model.order + 1):
                 sums += (
-                    self._weigh_rate(i, k) if t.port.charged else self._weigh_state(i, k, f"{i}")
+                    self._write_rate_source(i, k)
+                    if t.port.has_charge_output
+                    else self._weigh_state(i, k, f"{i}")
                 )
             return replace(t, sums=tuple(sums))
         n, micro = self.electrodes.index(t), format_number(1 / MICRO)
@@ -385,7 +395,7 @@ class _PortsAndModes:
         for m, other in enumerate(self.electrodes):
             if m != n:
                 charge = f"{micro}*{_name_capacitance(n, m)}"
-                nodes = other.input_nodes(self.base)
+                nodes = other.get_input_nodes(self.base)
                 shared.append(Transconductance(f"u{m + 1}", *nodes, charge))
         return replace(t, capacitance=_name_capacitance(n, n), through=tuple(shared))
 
@@ -398,7 +408,7 @@ class _PortsAndModes:
             share = format_number(MICRO / self.terminals[k].unit / self.scale[i - 1])
             yield Transconductance(label, f"q{i}", self.base, f"{share}*g{i}_{k + 1}")
 
-    def _weigh_rate(self, i: int, k: int) -> Iterator[Transconductance]:
+    def _write_rate_source(self, i: int, k: int) -> Iterator[Transconductance]:
         """Yield the source that adds the rate ``w p`` of mode i to the output of port k.
 
         Nothing is yielded if the gain of the mode at the port is zero.
@@ -419,27 +429,27 @@ class _PortsAndModes:
         branch = describe_branch(damp, omega[0], gain[at], gain, self.terminals)
         return f"\n* Mode {at + 1}, at the defaults: {describe_mode(omega[0], damp)}{branch}"
 
-    def _mode_cards(self, i: int) -> Iterator[Line]:
+    def _write_mode(self, i: int) -> Iterator[Line]:
         """Yield the elements of mode i, and the sources that add its charge to the electrodes."""
         base, damped = self.base, self.model.damped
         c, w, s = self.farad[i - 1], self.omega[i - 1], self.scale[i - 1]
-        yield Element.of(f"Cq{i}", f"q{i}", base, c)
-        yield Element.of(f"Cp{i}", f"p{i}", base, c)
-        yield Element.of(f"Gq{i}", base, f"q{i}", f"p{i}", base, c * w)
-        stiff = _nonzero_entries(self.model)[1]
+        yield Element.from_words(f"Cq{i}", f"q{i}", base, c)
+        yield Element.from_words(f"Cp{i}", f"p{i}", base, c)
+        yield Element.from_words(f"Gq{i}", base, f"q{i}", f"p{i}", base, c * w)
+        stiff = _find_nonzero_entries(self.model)[1]
         for j in (np.flatnonzero(stiff[i - 1]) + 1).tolist():
             k, push = f"k{max(i, j)}_{min(i, j)}", c / w * s / self.scale[j - 1]
             stiffness = f"{{{format_number(push)}*{k}}}"
-            yield Element.of(f"Gp{i}_{j}", f"p{i}", base, f"q{j}", base, stiffness)
+            yield Element.from_words(f"Gp{i}_{j}", f"p{i}", base, f"q{j}", base, stiffness)
             losses = ["alpha"] * (damped[0] and i == j) + [f"beta*{k}"] * damped[1]
             if losses:
                 drag = f"{{damping*{format_number(push * self.omega[j - 1])}*({'+'.join(losses)})}}"
-                yield Element.of(f"Gd{i}_{j}", f"p{i}", base, f"p{j}", base, drag)
+                yield Element.from_words(f"Gd{i}_{j}", f"p{i}", base, f"p{j}", base, drag)
         gains = self.model.gain[:, i - 1]
         row = [""] * gains.shape[1]
         for n in np.flatnonzero(gains.any(axis=0)):
             row[n] = f"{format_number(c * s / w / MICRO)}*g{i}_{n + 1}"
-        drives = filter(attrgetter("value"), drive_mode(i, row, self.terminals, base))
+        drives = filter(attrgetter("value"), make_mode_sources(i, row, self.terminals, base))
         yield from connect_sources(drives, base, f"p{i}")
         for t in self.electrodes:
             charges = self._weigh_state(i, t.column or 0, f"Gc{i}{t.tag}")

@@ -18,23 +18,23 @@ from kc2spice.core.domains import HEAT, HEAT_PINS
 from kc2spice.core.errors import UsageError
 from kc2spice.core.naming import list_names
 from kc2spice.netlist.circuit import Circuit, Element, Param, Pin
-from kc2spice.netlist.elements import Line, attach_comments, pivot_cards
 from kc2spice.netlist.library import Header, ReductionSummary, Subcircuit
+from kc2spice.netlist.shared_cards import Line, attach_comments, write_pivot_cards
 from kc2spice.netlist.spelling import format_comment
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
-from kc2spice.rom.modal import Resonators, resonators
+from kc2spice.rom.modal_models import Resonators, compute_resonators
 from kc2spice.rom.network import ParallelBranches, recognise_parallel_branches
-from kc2spice.synthesis.branches import NETWORK_COMMENT, branch_cards
+from kc2spice.synthesis.branches import NETWORK_COMMENT, write_branch_cards
 from kc2spice.synthesis.circuit_error import accelerates_frame, estimate_circuit_error
 from kc2spice.synthesis.header import (
     OUTWARDS_TEXT,
-    mesh_error_text,
-    netlist_pins,
-    parameter_defaults_of,
-    part_header,
-    rom_comments,
+    format_parameter_defaults,
+    list_netlist_pins,
+    write_mesh_error_text,
+    write_part_header,
+    write_rom_comments,
 )
-from kc2spice.synthesis.heat import estimate_leak_share, heat_cards, is_heat_model
+from kc2spice.synthesis.heat_netlist import estimate_leak_share, is_heat_model, write_heat_model
 from kc2spice.synthesis.heat_sources import HEAT_PIN_ROWS, LOSS_NODE
 from kc2spice.synthesis.mode_cards import (
     RINGING_WEIGHTS,
@@ -46,16 +46,16 @@ from kc2spice.synthesis.state_blocks import write_blocks
 from kc2spice.synthesis.terminals import (
     CROSS_ROUNDING,
     INNER_NODE_PATTERN,
-    loaded_node_pattern,
+    find_reference_pin,
+    get_flow_node_pattern,
+    list_subcircuit_pins,
+    make_terminals,
     mask_charge_ports,
-    model_terminals,
-    reference_pin,
     require_distinct_pins,
-    subcircuit_pins,
 )
 
 if TYPE_CHECKING:
-    from kc2spice.rom.blocks import BlockModel
+    from kc2spice.rom.decoupled_blocks import BlockModel
 HEAT_NODE_PATTERN = r"h\d+"
 _NOISE_COMMENT = """\
 * Every loss has thermal force noise, 4 k T times its damping. A resistor of the same number of ohms
@@ -83,7 +83,7 @@ def subcircuit(
     noise: bool = False,
     heat: bool = False,
 ) -> Subcircuit:
-    """Return the subcircuit of a linear model, with pins for every port.
+    """Return the netlist subcircuit of a linear model, with pins for all ports.
 
     The order of the pins is: pairs of floating terminals for the electrical ports, pins of other
     conservative ports, signal pins, and the reference pin ``base``. A model with only signals has
@@ -166,15 +166,15 @@ def subcircuit(
             name, "a heat model, or the network of a measured response"
         )
     if network is not None:
-        return _network_subcircuit(network, rom, name, header, rating)
+        return _make_network_subcircuit(network, rom, name, header, rating)
     if is_heat_model(rom):
-        return _heat_subcircuit(rom, name, header, rating)
+        return _make_heat_subcircuit(rom, name, header, rating)
     form = _decouple_states(rom, dense)
     if noise and not isinstance(form, Resonators):
         rom = _add_noise_forces(rom)
         form = _decouple_states(rom, dense)
-    terminals = model_terminals(rom, form.D, name)
-    pins, base = subcircuit_pins([t for t in terminals if not t.is_noise], name)
+    terminals = make_terminals(rom, form.D, name)
+    pins, base = list_subcircuit_pins([t for t in terminals if not t.is_noise], name)
     if heat:
         require_distinct_pins((*pins, *HEAT_PIN_ROWS), (LOSS_NODE,), name)
     losses: list[Line] = []
@@ -194,7 +194,7 @@ def subcircuit(
     if noise:
         about = [*about, *_NOISE_COMMENT.split("\n")]
     cards = about, body
-    mesh = mesh_error_text(rom.facts)
+    mesh = write_mesh_error_text(rom.facts)
     return make_subcircuit(
         rom,
         name,
@@ -221,41 +221,46 @@ def _make_unknown_losses_error(name: str, got: str) -> UsageError:
     )
 
 
-def _network_subcircuit(
+def _make_network_subcircuit(
     network: ParallelBranches, rom: LinearModel, name: str, header: Header, rating: str
 ) -> Subcircuit:
     """Return the subcircuit of a network of R, L and C; ``rom`` contains its matrices."""
-    pins, cards = netlist_pins(rom.ports[0]), (NETWORK_COMMENT, branch_cards(network, rom))
+    pins, cards = (
+        list_netlist_pins(rom.ports[0]),
+        (NETWORK_COMMENT, write_branch_cards(network, rom)),
+    )
     require_distinct_pins(pins, (INNER_NODE_PATTERN,), name)
     title = "passive network of a measured one-port"
     return make_subcircuit(rom, name, pins, "", (), header, cards, title=title, rating=rating)
 
 
-def _heat_subcircuit(rom: LinearModel, name: str, header: Header, rating: str) -> Subcircuit:
+def _make_heat_subcircuit(rom: LinearModel, name: str, header: Header, rating: str) -> Subcircuit:
     """Return the subcircuit of the heat model ``rom``."""
-    pins, common = heat_pins(rom, name)
-    cards = heat_cards(rom, common)
+    pins, common = list_heat_pins(rom, name)
+    cards = write_heat_model(rom, common)
     base = common if len(pins) > 2 else ""  # RC circuits need no pivot cards
-    return make_subcircuit(rom, name, pins, base, (), header, cards, **heat_header_texts(rating))
+    return make_subcircuit(
+        rom, name, pins, base, (), header, cards, **make_heat_header_texts(rating)
+    )
 
 
-def heat_pins(rom: LinearModel, name: str) -> tuple[tuple[Pin, ...], str]:
+def list_heat_pins(rom: LinearModel, name: str) -> tuple[tuple[Pin, ...], str]:
     """Return the pins of a heat model, and the name of the reference pin, which is last.
 
     Raises
     ------
     UsageError : a pin has a name that the subcircuit ``name`` uses internally.
     """
-    common = reference_pin(rom.ports)
-    ends = tuple(chain.from_iterable(map(netlist_pins, rom.ports)))
+    common = find_reference_pin(rom.ports)
+    ends = tuple(chain.from_iterable(map(list_netlist_pins, rom.ports)))
     pins = (*ends, common)
     require_distinct_pins(
-        pins, (INNER_NODE_PATTERN, HEAT_NODE_PATTERN, *map(loaded_node_pattern, ends)), name
+        pins, (INNER_NODE_PATTERN, HEAT_NODE_PATTERN, *map(get_flow_node_pattern, ends)), name
     )
     return pins, common.name
 
 
-def heat_header_texts(rating: str) -> dict[str, Any]:
+def make_heat_header_texts(rating: str) -> dict[str, Any]:
     """Return title, rating and validity of a heat model, as texts for the library header."""
     return {
         "title": "reduced heat model",
@@ -291,9 +296,9 @@ def make_subcircuit(
     """
     certificate, (about, body) = rom.certificate, cards
     band = f" up to {certificate.band_hz[1]:g} Hz" if certificate else ""
-    first = ("", *pivot_cards(base)) if base else ()
+    first = ("", *write_pivot_cards(base)) if base else ()
     names, items = tuple(list_names(pins)), attach_comments([*first, *body])
-    circuit = Circuit(name, names, parameter_defaults_of(params), items)
+    circuit = Circuit(name, names, format_parameter_defaults(params), items)
     reduction = None
     if certificate is not None:
         compared = ((rom, dict[str, float]()), *others)
@@ -307,12 +312,12 @@ def make_subcircuit(
             attach_comments([*first, *body, *losses]),
         )
         circuit = replace(circuit, pins=ends, items=items)
-    head = part_header(
+    head = write_part_header(
         header,
         f"{name}: {words['title']}",
         pins,
         params,
-        rom=rom_comments(reduction, certificate) if reduction and certificate else (),
+        rom=write_rom_comments(reduction, certificate) if reduction and certificate else (),
         mesh=mesh,
         heat=HEAT_PINS if losses else "",
         sign=OUTWARDS_TEXT,
@@ -363,7 +368,7 @@ def _decouple_states(rom: LinearModel, dense: bool) -> Resonators | BlockModel:
     if modal is not None:
         return modal
     # imported here, because most models need no blocks
-    from kc2spice.rom.blocks import make_block_model
+    from kc2spice.rom.decoupled_blocks import make_block_model
 
     return make_block_model(rom, dense=dense)
 
@@ -375,7 +380,7 @@ def _decouple_modes(rom: LinearModel) -> Resonators | None:
     which a port is a signal, or the output of a port requires the velocity of a state without
     inertia.
     """
-    result = resonators(rom)
+    result = compute_resonators(rom)
     if result is None or not is_conservative(rom):
         return None
     frames = list(map(accelerates_frame, rom.ports))
@@ -407,11 +412,11 @@ def _add_noise_forces(rom: LinearModel) -> LinearModel:
         raise UsageError(
             "the noise of this model is not known",
             where=rom.name,
-            got="a first-order model, one that is not symmetric, or ports that are signals",
+            got="a first-order model, a model that is not symmetric, or signal ports",
             expected="symmetric M, E, K and conservative ports",
-            hint="use a transient or ac analysis, which needs no noise",
+            hint="use a transient or ac analysis in place of the noise analysis",
         )
-    K, E, M = rom.pencil.dense().coefficients
+    K, E, M = rom.pencil.make_dense().coefficients
     losses, shapes = np.linalg.eigh(E)
     lossy = losses > NEGLIGIBLE_LOSS * losses.max(initial=0.0)
     forces = shapes[:, lossy] * np.sqrt(losses[lossy])
@@ -421,7 +426,7 @@ def _add_noise_forces(rom: LinearModel) -> LinearModel:
     return replace(rom, M=M, E=E, K=K, rayleigh=None, B=B, C=rom.C, D=D, ports=every)
 
 
-def apply_unit_load(
+def make_unit_load_cards(
     model: LinearModel, library: Subcircuit, load: Port, tag: str = ""
 ) -> tuple[list[Element], dict[str, tuple[str, float]]]:
     """Return the cards of a subcircuit instance with a unit load, and its response vectors.
@@ -438,18 +443,18 @@ def apply_unit_load(
     for pin in library.pins:
         key = pin.name.lower()
         nodes[key] = f"{pin.name}{tag}" if key in ends else "0"
-    cards, result = [Element.of(f"X{library.name}{tag}", *nodes.values(), library.name)], {}
-    one = 1.0 if load.domain is None else load.domain.quantity(load.domain.input_side).factor
+    cards, result = [Element.from_words(f"X{library.name}{tag}", *nodes.values(), library.name)], {}
+    one = 1.0 if load.domain is None else load.domain.get_quantity(load.domain.input_side).factor
     for port in model.ports:
         node, size = nodes[port.terminals[0].lower()], ("AC", "1") if port == load else ()
-        if port.domain is not None and port.loaded:
-            drive = Element.of(f"I{node}", "0", node, "DC", "0", *size)
+        if port.domain is not None and port.is_flow_driven:
+            drive = Element.from_words(f"I{node}", "0", node, "DC", "0", *size)
             cards += [drive.with_unit(port.domain.value_unit("I"))] if size else []
             result[port.name] = (f"v({node})", port.domain.across.factor / one)
         elif port.kind == "output":
             result[port.name] = (f"v({node})", 1.0 / one)
         else:
-            drive = Element.of(f"V{node}", node, "0", "DC", "0", *size)
+            drive = Element.from_words(f"V{node}", node, "0", "DC", "0", *size)
             cards.append(drive.with_unit(port.domain.value_unit("V") if port.domain else ""))
             if port.domain is not None:
                 flow = port.domain.through_variable.factor

@@ -10,26 +10,26 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kc2spice.netlist.circuit import Element
-from kc2spice.netlist.elements import Line
+from kc2spice.netlist.shared_cards import Line
 from kc2spice.netlist.spelling import format_comment, format_number
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.synthesis.mode_cards import RINGING_WEIGHTS
 from kc2spice.synthesis.terminals import (
     INPUT_LEAK,
     OUTWARDS_COMMENT,
-    OutputLaws,
+    OutputSourceWriter,
     PortTerminal,
     StateNodes,
     connect_sources,
+    get_model_band,
     has_other_reference,
-    model_band,
     port_domains,
-    port_lines,
+    write_port_cards,
     write_weighted_sources,
 )
 
 if TYPE_CHECKING:
-    from kc2spice.rom.blocks import BlockModel
+    from kc2spice.rom.decoupled_blocks import BlockModel
 FREE_LEAK = 1e-12  # leakage conductance [S] at each state of an integrating block
 # Smallest singular value of a block below which the block counts as integrating.
 # The singular value is relative to the upper end of the band [rad/s].
@@ -52,14 +52,14 @@ def write_blocks(
 ) -> tuple[list[str], list[Line]]:
     """Return comments and the cards of blocks of states.
 
-    :func:`kc2spice.rom.blocks.make_block_model` makes the blocks. The states of the blocks are the
-    voltages of capacitors ``C = 1 / (2 pi f1)``, where f1 is the upper end of the band. The
-    conductances between states are therefore about 1 S. The states of a block are scaled to about
-    1 V for a constant input of 1 V.
+    :func:`kc2spice.rom.decoupled_blocks.make_block_model` makes the blocks. The states of the
+    blocks are the voltages of capacitors ``C = 1 / (2 pi f1)``, where f1 is the upper end of the
+    band. The conductances between states are therefore about 1 S. The states of a block are scaled
+    to about 1 V for a constant input of 1 V.
     """
     from scipy.linalg import block_diag  # imported here, because most models need no blocks
 
-    farad = 1 / (2 * np.pi * model_band(rom)[1])
+    farad = 1 / (2 * np.pi * get_model_band(rom)[1])
     B, C = model.B.copy(), model.C.copy()
     none = np.zeros((len(B), 0)), np.zeros((0, len(B))), B[:0], C[:, :0], B[:0, :0]
     F, P, Q, R, S = map(np.ndarray.copy, model.loops or none)
@@ -83,13 +83,13 @@ def write_blocks(
         np.vstack([B, Q / farad]),
         np.hstack([C, R]) / np.array(units)[:, None],
     )
-    laws = OutputLaws(terminals, states, model.D, rom, base)
+    laws = OutputSourceWriter(terminals, states, model.D, rom, base)
     wired = list(map(laws.connect_output, terminals))
-    body = list(_input_lines(terminals, base))
-    body += port_lines(wired, base, RINGING_WEIGHTS.share)
+    body = list(_write_input_cards(terminals, base))
+    body += write_port_cards(wired, base, RINGING_WEIGHTS.share)
     outputs = (t for t in wired if t.kind == "output")
     for index, t in enumerate(outputs, 1):
-        body += _output_lines(t, index, base)
+        body += _write_output_cards(t, index, base)
     at = 0
     signals: list[tuple[np.ndarray, bool | None]] = [(S, None)] if len(S) else []
     for block, drifts in [*zip(scaled_blocks, integrating, strict=True), *signals]:
@@ -99,13 +99,13 @@ def write_blocks(
         for k in range(first, at):
             index, node = k + 1, f"z{k + 1}"
             if drifts is not None:
-                body.append(Element.of(f"C{node}", node, base, farad))
+                body.append(Element.from_words(f"C{node}", node, base, farad))
             if drifts:
                 body += [
                     _INTEGRATOR_COMMENT,
-                    Element.of(f"G{node}", node, base, node, base, FREE_LEAK),
+                    Element.from_words(f"G{node}", node, base, node, base, FREE_LEAK),
                 ]
-            sums = states.sum_states(farad * states.A[k], base)
+            sums = states.write_state_sum(farad * states.A[k], base)
             inputs = write_weighted_sources(terminals, farad * states.B[k], base)
             body += connect_sources(sums, base, node, f"Ga{index}_")
             body += connect_sources(inputs, base, node, f"Gb{index}_")
@@ -115,24 +115,24 @@ def write_blocks(
     return [*OUTWARDS_COMMENT, *about] if placed else about, body
 
 
-def _input_lines(terminals: Iterable[PortTerminal], base: str) -> Iterator[Line]:
+def _write_input_cards(terminals: Iterable[PortTerminal], base: str) -> Iterator[Line]:
     """Yield the resistors at noise inputs, followed by the leakage at signal inputs."""
     inputs = [t for t in terminals if t.kind == "input"]
     for t in filter(attrgetter("is_noise"), inputs):
-        yield Element.of(f"R{t.pins[0]}", t.pins[0], base, "1")
+        yield Element.from_words(f"R{t.pins[0]}", t.pins[0], base, "1")
     signals = filterfalse(attrgetter("is_noise"), inputs)
     for index, t in enumerate(signals, 1):
         if index == 1:
             yield "* An input that is left open is zero."
-        yield Element.of(f"Gleak{index}", t.pins[0], base, t.pins[0], base, INPUT_LEAK)
+        yield Element.from_words(f"Gleak{index}", t.pins[0], base, t.pins[0], base, INPUT_LEAK)
 
 
-def _output_lines(t: PortTerminal, index: int, base: str) -> Iterator[Line]:
+def _write_output_cards(t: PortTerminal, index: int, base: str) -> Iterator[Line]:
     """Yield the cards of the signal output ``t``, whose number is ``index``."""
     node = f"sum{index}"
     yield f"\n* Output {t.pins[0]}"
-    yield Element.of(f"E{index}", t.pins[0], base, node, base, "1")
-    yield Element.of(f"Rsum{index}", node, base, "1")
+    yield Element.from_words(f"E{index}", t.pins[0], base, node, base, "1")
+    yield Element.from_words(f"Rsum{index}", node, base, "1")
     yield from connect_sources(t.sums, base, node, f"Gc{index}_")
     yield from connect_sources(t.through, base, node, f"Gt{index}_")
 

@@ -14,12 +14,12 @@ import numpy as np
 from kc2spice.core.domains import BASE, ELECTRICAL, TRANSLATION, Domain
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.netlist.circuit import Element, Pin
-from kc2spice.netlist.elements import Line
+from kc2spice.netlist.shared_cards import Line
 from kc2spice.netlist.spelling import LEAK_RATE, format_number, require_distinct
 from kc2spice.netlist.spelling import require_name as checked_name
 from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.synthesis.circuit_error import LOWEST_FREQUENCY_RATIO, MICRO, accelerates_frame
-from kc2spice.synthesis.header import netlist_pins
+from kc2spice.synthesis.header import list_netlist_pins
 
 if TYPE_CHECKING:
     pass
@@ -93,10 +93,10 @@ class Transconductance:
     minus: str
     value: Value
 
-    def between(self, a: str, b: str, prefix: str = "") -> Element:
-        """Return the netlist element of the source, whose current flows from ``a`` to ``b``."""
+    def write_element(self, a: str, b: str, prefix: str = "") -> Element:
+        """Return the source as a netlist element, with its current from ``a`` to ``b``."""
         value = write_value(self.value)
-        return Element.of(f"{prefix}{self.label}", a, b, self.plus, self.minus, value)
+        return Element.from_words(f"{prefix}{self.label}", a, b, self.plus, self.minus, value)
 
 
 def connect_sources(
@@ -104,7 +104,7 @@ def connect_sources(
 ) -> Iterator[Element]:
     """Yield the elements of ``sources``, whose currents all flow from ``a`` to ``b``."""
     for source in sources:
-        yield source.between(a, b, prefix)
+        yield source.write_element(a, b, prefix)
 
 
 @dataclass(frozen=True)
@@ -136,19 +136,19 @@ class PortTerminal:
         return self.port.kind
 
     @property
-    def label(self) -> str:
+    def port_name(self) -> str:
         """Name of the port."""
         return self.port.name
 
     @property
-    def is_frame(self) -> bool:
+    def is_frame_acceleration(self) -> bool:
         """Whether the input of the port is the acceleration of the body's frame."""
         return accelerates_frame(self.port)
 
     @property
     def is_noise(self) -> bool:
         """Whether the input of the port is a thermal noise force."""
-        return _NOISE_INPUT_NAME.fullmatch(self.label) is not None
+        return _NOISE_INPUT_NAME.fullmatch(self.port_name) is not None
 
     @property
     def source_letter(self) -> str:
@@ -156,9 +156,9 @@ class PortTerminal:
 
         The letter is ``f`` for a flow, ``s`` for the acceleration of a frame, and ``v`` otherwise.
         """
-        if self.port.loaded:
+        if self.port.is_flow_driven:
             return "f"
-        return "s" if self.is_frame else "v"
+        return "s" if self.is_frame_acceleration else "v"
 
     @property
     def unit(self) -> float:
@@ -166,7 +166,7 @@ class PortTerminal:
         domain = self.port.domain
         if domain is None:
             return 1.0
-        if self.port.loaded:
+        if self.port.is_flow_driven:
             return domain.across.factor
         return MICRO * domain.through_variable.factor
 
@@ -174,15 +174,17 @@ class PortTerminal:
     def input_unit(self) -> float:
         """SI value of the port's input that 1 V between the input nodes represents."""
         domain = self.port.domain
-        return 1.0 if domain is None else domain.quantity(domain.input_side).factor
+        return 1.0 if domain is None else domain.get_quantity(domain.input_side).factor
 
-    def driven_pins(self, base: str) -> tuple[str, str]:
+    def get_driven_pins(self, base: str) -> tuple[str, str]:
         """Return the pins between which a source drives the port."""
-        return (self.pins[0], self.pins[1]) if self.port.paired else (self.pins[0], base)
+        return (self.pins[0], self.pins[1]) if self.port.is_paired else (self.pins[0], base)
 
-    def input_nodes(self, base: str) -> tuple[str, str]:
+    def get_input_nodes(self, base: str) -> tuple[str, str]:
         """Return the nodes between which the voltage is the input of the port."""
-        return (f"f{self.pins[0]}", base) if self.port.loaded else self.driven_pins(base)
+        return (
+            (f"f{self.pins[0]}", base) if self.port.is_flow_driven else self.get_driven_pins(base)
+        )
 
     def weigh_input(
         self, label: str, row: np.ndarray | Sequence[Value], base: str
@@ -191,7 +193,7 @@ class PortTerminal:
         value = row[self.column or 0]
         if self.input_unit != 1.0 and value:
             value = scale_value(self.input_unit, value)
-        return Transconductance(label, *self.input_nodes(base), value)
+        return Transconductance(label, *self.get_input_nodes(base), value)
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,7 +210,7 @@ class StateNodes:
     B: np.ndarray
     C: np.ndarray
 
-    def sum_states(self, row: np.ndarray, base: str) -> tuple[Transconductance, ...]:
+    def write_state_sum(self, row: np.ndarray, base: str) -> tuple[Transconductance, ...]:
         """Return sources whose total current is the sum of the states weighted by ``row``."""
         result = []
         for k in np.flatnonzero(row).tolist():
@@ -233,10 +235,10 @@ def write_weighted_sources(
 
 def mask_charge_ports(rom: LinearModel) -> list[bool]:
     """Return, for each port of a model, whether its output is a charge."""
-    return list(map(attrgetter("charged"), rom.ports))
+    return list(map(attrgetter("has_charge_output"), rom.ports))
 
 
-def model_terminals(rom: LinearModel, D: np.ndarray, where: str) -> list[PortTerminal]:
+def make_terminals(rom: LinearModel, D: np.ndarray, where: str) -> list[PortTerminal]:
     """Return the terminals of a model's ports, with clamped capacitances from the matrix D.
 
     Raises
@@ -247,18 +249,20 @@ def model_terminals(rom: LinearModel, D: np.ndarray, where: str) -> list[PortTer
     result, column, row = [], 0, 0
     for port in rom.ports:
         pins = tuple(map(checked_name, port.terminals))
-        if len(pins) != (2 if port.paired else 1):
+        if len(pins) != (2 if port.is_paired else 1):
             raise UsageError(
                 "the port has a wrong number of pins",
                 where=where,
-                got=port.name,
+                got=f"{len(pins)} pins of the port {port.name}",
                 expected="two pins of an electrical port, otherwise one pin",
             )
         into = None if port.kind == "output" else column
         out = None if port.kind == "input" else row
         column += into is not None
         row += out is not None
-        clamped = _pin_capacitance(port.domain, D[out, into]) if port.charged else 0.0
+        clamped = (
+            _compute_pin_capacitance(port.domain, D[out, into]) if port.has_charge_output else 0.0
+        )
         if clamped < 0:
             raise UsageError(
                 "the clamped capacitance of a port is negative",
@@ -266,13 +270,17 @@ def model_terminals(rom: LinearModel, D: np.ndarray, where: str) -> list[PortTer
                 got=f"{clamped:.3g} F at port {port.name}",
                 expected="a positive entry of D, the clamped capacitance",
             )
-        tag = f"_{checked_name(port.name)}" if port.charged and several else ""
-        leak = INPUT_LEAK if clamped or not port.charged else _leak_conductance(rom, port)
+        tag = f"_{checked_name(port.name)}" if port.has_charge_output and several else ""
+        leak = (
+            INPUT_LEAK
+            if clamped or not port.has_charge_output
+            else _find_leak_conductance(rom, port)
+        )
         result.append(PortTerminal(port, pins, tag, into, out, clamped, leak=leak))
     return result
 
 
-def _pin_capacitance(domain: Domain | None, stored: Any) -> float:
+def _compute_pin_capacitance(domain: Domain | None, stored: Any) -> float:
     """Return the capacitance [F] at the pins of a port that stores a quantity.
 
     ``stored`` is the stored quantity, such as a charge, per unit of the across quantity in SI
@@ -282,27 +290,29 @@ def _pin_capacitance(domain: Domain | None, stored: Any) -> float:
     return float(stored) * domain.admittance
 
 
-def _leak_conductance(rom: LinearModel, port: Port) -> float:
+def _find_leak_conductance(rom: LinearModel, port: Port) -> float:
     """Return the leakage conductance [S] of an electrode without a clamped capacitance.
 
     The conductance is ``LEAK_RATE`` times the smallest charge per volt of the electrode within the
     band.
     """
-    low, high = model_band(rom)
+    low, high = get_model_band(rom)
     frequency = np.geomspace(max(low, LOWEST_FREQUENCY_RATIO * high), high, LEAK_POINTS)
     try:
         charge = np.abs(rom.select([port.name]).transfer(frequency))
     except SimulationError:  # a frequency coincides with a pole
         return INPUT_LEAK
-    return LEAK_RATE * _pin_capacitance(port.domain, charge.min()) or INPUT_LEAK
+    return LEAK_RATE * _compute_pin_capacitance(port.domain, charge.min()) or INPUT_LEAK
 
 
-def model_band(rom: LinearModel) -> tuple[float, float]:
+def get_model_band(rom: LinearModel) -> tuple[float, float]:
     """Return the lower and upper end of a model's band [Hz], by default 0 and 1 Hz."""
     return rom.certificate.band_hz if rom.certificate else rom.band or (0.0, 1.0)
 
 
-def subcircuit_pins(terminals: Sequence[PortTerminal], name: str) -> tuple[tuple[Pin, ...], str]:
+def list_subcircuit_pins(
+    terminals: Sequence[PortTerminal], name: str
+) -> tuple[tuple[Pin, ...], str]:
     """Return the pins of a subcircuit, and the name of its reference pin.
 
     The order of the pins is: pairs of pins, other conservative pins, signals, reference pin.
@@ -314,21 +324,21 @@ def subcircuit_pins(terminals: Sequence[PortTerminal], name: str) -> tuple[tuple
     paired, moving, signals = list[Pin](), list[Pin](), list[Pin]()
     inner = [INNER_NODE_PATTERN]
     for t in terminals:
-        pins = netlist_pins(t.port)
-        if t.port.loaded:
-            inner.append(loaded_node_pattern(pins[0]))
+        pins = list_netlist_pins(t.port)
+        if t.port.is_flow_driven:
+            inner.append(get_flow_node_pattern(pins[0]))
         if t.port.conservative:
-            (paired if t.port.paired else moving).extend(pins)
+            (paired if t.port.is_paired else moving).extend(pins)
         else:
             signals += pins
-    common = reference_pin(list(map(attrgetter("port"), terminals)))
+    common = find_reference_pin(list(map(attrgetter("port"), terminals)))
     # several electrical ports may share one cathode pin
     result = (*dict.fromkeys(paired), *moving, *signals, common)
     require_distinct_pins(result, inner, name)
     return result, common.name
 
 
-def loaded_node_pattern(pin: Pin) -> str:
+def get_flow_node_pattern(pin: Pin) -> str:
     """Return the pattern of the internal node names of a port whose input is a flow."""
     return f"[uf]{pin.name.lower()}"
 
@@ -338,7 +348,7 @@ def require_distinct_pins(pins: Iterable[Pin], inner: Iterable[str], name: str) 
     require_distinct(list(map(attrgetter("name"), pins)), "|".join(inner), where=checked_name(name))
 
 
-def reference_pin(ports: Sequence[Port]) -> Pin:
+def find_reference_pin(ports: Sequence[Port]) -> Pin:
     """Return the pin that is the reference of all pins that do not belong to pairs.
 
     In a model with mechanical ports, the reference pin is called ``base``. If a pin of a port is
@@ -360,7 +370,7 @@ def port_domains(ports: Iterable[Port]) -> list[Domain]:
 
 
 @dataclass(frozen=True, eq=False)
-class OutputLaws:
+class OutputSourceWriter:
     """Writer of the sources for the outputs ``y = C z + D u``.
 
     At an electrical port without a clamped capacitance, the sources provide the current ``y' = C A
@@ -385,14 +395,16 @@ class OutputLaws:
         """
         if t.row is None:
             return t
-        if t.is_frame:
+        if t.is_frame_acceleration:
             return self._make_acceleration_terminal(t)
         row, direct = self.states.C[t.row], self.D[t.row] / t.unit
-        if t.port.charged:  # a capacitor, not a source, represents the clamped capacitance
+        if (
+            t.port.has_charge_output
+        ):  # a capacitor, not a source, represents the clamped capacitance
             direct = np.where(np.abs(direct) > CROSS_ROUNDING * np.abs(direct).max(), direct, 0.0)
             direct[t.column] = 0.0
             if not t.clamped:
-                return self._connect_unclamped(t, direct)
+                return self._connect_unclamped_electrode(t, direct)
         return replace(t, sums=self._weigh_states(row), through=self._weigh_inputs_only(direct))
 
     def _make_acceleration_terminal(self, t: PortTerminal) -> PortTerminal:
@@ -402,9 +414,8 @@ class OutputLaws:
         at_once = np.abs(self.D[t.row] - self.rom.D[t.row]) > CROSS_ROUNDING * np.abs(self.D).max()
         if jump.any() or at_once.any():
             raise UsageError(
-                "the force at an acceleration port would depend on derivatives of inputs, because "
-                "the port acts on states without inertia; netlists do not support this",
-                where=t.label,
+                "netlists do not support an acceleration port that acts on states without inertia",
+                where=t.port_name,
                 got="a nonzero entry of C B in the row of the port"
                 if jump.any()
                 else "an output of the port that jumps with an input",
@@ -419,15 +430,15 @@ class OutputLaws:
         sums = self._weigh_states(-(rate @ states.A))
         return replace(t, sums=sums, through=self._weigh_inputs_only(force))
 
-    def _connect_unclamped(self, t: PortTerminal, direct: np.ndarray) -> PortTerminal:
-        """Return the terminal of an electrode, with the sources of the electrode's current.
+    def _connect_unclamped_electrode(self, t: PortTerminal, direct: np.ndarray) -> PortTerminal:
+        """Connect an electrode without clamped capacitance to the sources of its current.
 
         The electrode has no clamped capacitance.
         """
         if direct.any():
             raise UsageError(
                 "an electrode without clamped capacitance is coupled to other ports through D",
-                where=t.label,
+                where=t.port_name,
                 expected="a positive semi-definite D",
             )
         row = self.states.C[t.row]
@@ -436,7 +447,7 @@ class OutputLaws:
 
     def _weigh_states(self, row: np.ndarray) -> tuple[Transconductance, ...]:
         """Return sources whose total current is the sum of the states weighted by ``row``."""
-        return self.states.sum_states(row, self.base)
+        return self.states.write_state_sum(row, self.base)
 
     def _weigh_inputs_only(self, row: np.ndarray, mark: str = "u") -> tuple[Transconductance, ...]:
         """Return sources whose total current is the sum of the inputs weighted by ``row``.
@@ -448,66 +459,67 @@ class OutputLaws:
         return write_weighted_sources(self.terminals, row, self.base, mark=mark)
 
 
-def port_lines(terminals: Sequence[PortTerminal], base: str, share: float) -> Iterator[Line]:
-    """Yield the cards of all ports in the order: charged ports, loaded ports, frames.
+def write_port_cards(terminals: Sequence[PortTerminal], base: str, share: float) -> Iterator[Line]:
+    """Yield the cards of all ports.
 
-    The output of a charged port is a charge. The input of a loaded port is a flow, such as a force.
+    Ports with charge outputs come first, followed by flow-driven ports, and by frames.
+    The input of a flow-driven port is a flow, such as a force.
     """
-    for role in ("port.charged", "port.loaded", "is_frame"):
+    for role in ("port.has_charge_output", "port.is_flow_driven", "is_frame_acceleration"):
         for t in filter(attrgetter(role), terminals):
-            yield from _port_cards(t, base, share)
+            yield from _write_port(t, base, share)
 
 
-def _port_cards(t: PortTerminal, base: str, share: float) -> Iterator[Line]:
+def _write_port(t: PortTerminal, base: str, share: float) -> Iterator[Line]:
     """Yield the cards of the port of terminal ``t``."""
     pin, tag = t.pins[0], t.tag
-    if t.is_frame:
+    if t.is_frame_acceleration:
         yield _FRAME_COMMENT.format(pin=pin)
         yield from connect_sources(t.sums + t.through, pin, base, f"Ga{pin}_")
-    elif t.port.loaded:
+    elif t.port.is_flow_driven:
         yield (_MOTION_COMMENT if t.port.domain is TRANSLATION else _ROTATION_COMMENT).format(
             pin=pin
         )
-        yield Element.of(f"Ru{pin}", f"u{pin}", base, "1")
-        yield Element.of(f"Gf{pin}", base, f"f{pin}", pin, f"u{pin}", "1")
-        yield Element.of(f"Gp{pin}", pin, base, f"f{pin}", base, "1")
+        yield Element.from_words(f"Ru{pin}", f"u{pin}", base, "1")
+        yield Element.from_words(f"Gf{pin}", base, f"f{pin}", pin, f"u{pin}", "1")
+        yield Element.from_words(f"Gp{pin}", pin, base, f"f{pin}", base, "1")
         yield from connect_sources(t.sums, base, f"u{pin}", f"Gu{pin}_")
         yield from connect_sources(t.through, base, f"u{pin}", f"Gt{pin}_")
     elif t.clamped:
         yield from _clamped_lines(t, base, share)
     else:
-        a, b = t.driven_pins(base)
-        yield (_UNCLAMPED_COMMENT if t.port.paired else _UNCLAMPED_PIN_COMMENT).format(
-            name=t.label, **_pin_comment_values(t, base)
+        a, b = t.get_driven_pins(base)
+        yield (_UNCLAMPED_COMMENT if t.port.is_paired else _UNCLAMPED_PIN_COMMENT).format(
+            name=t.port_name, **_list_pin_comment_values(t, base)
         )
-        yield Element.of(f"Gleak{tag}", a, b, a, b, t.leak)
+        yield Element.from_words(f"Gleak{tag}", a, b, a, b, t.leak)
         for source in t.sums:
-            yield replace(source, label=f"{source.label}{tag}").between(a, b, "Gc")
+            yield replace(source, label=f"{source.label}{tag}").write_element(a, b, "Gc")
 
 
 def _clamped_lines(t: PortTerminal, base: str, share: float) -> Iterator[Line]:
     """Yield the cards of an electrical port with a clamped capacitance."""
     tag = t.tag
-    words = {"name": f" {t.label}" if tag else "", "farad": t.clamped, "share": share}
+    words = {"name": f" {t.port_name}" if tag else "", "farad": t.clamped, "share": share}
     words["seconds"] = 1 / LEAK_RATE
-    yield (_CLAMPED_COMMENT if t.port.paired else _CLAMPED_PIN_COMMENT).format(
-        **words, **_pin_comment_values(t, base)
+    yield (_CLAMPED_COMMENT if t.port.is_paired else _CLAMPED_PIN_COMMENT).format(
+        **words, **_list_pin_comment_values(t, base)
     )
-    (a, b), c = t.driven_pins(base), t.capacitance or t.clamped
+    (a, b), c = t.get_driven_pins(base), t.capacitance or t.clamped
     inverse = f"{format_number(MICRO)}/{c}" if isinstance(c, str) else MICRO / c
     leak = write_value(scale_value(LEAK_RATE, c))
-    yield Element.of(f"Cclamped{tag}", a, f"inner{tag}", write_value(scale_value(share, c)))
-    yield Element.of(f"Gmore{tag}", a, b, f"current{tag}", base, 1 - share)
-    yield Element.of(f"Gleak{tag}", a, b, a, f"inner{tag}", leak)
-    yield Element.of(f"Ginner{tag}", base, f"current{tag}", f"inner{tag}", b, "1")
+    yield Element.from_words(f"Cclamped{tag}", a, f"inner{tag}", write_value(scale_value(share, c)))
+    yield Element.from_words(f"Gmore{tag}", a, b, f"current{tag}", base, 1 - share)
+    yield Element.from_words(f"Gleak{tag}", a, b, a, f"inner{tag}", leak)
+    yield Element.from_words(f"Ginner{tag}", base, f"current{tag}", f"inner{tag}", b, "1")
     ends = f"current{tag}", f"charge{tag}"
-    yield Element.of(f"Gcharge{tag}", base, *ends, base, write_value(inverse))
-    yield Element.of(f"Gcurrent{tag}", f"inner{tag}", b, f"current{tag}", base, share)
-    yield Element.of(f"Rcharge{tag}", f"charge{tag}", base, "1")
+    yield Element.from_words(f"Gcharge{tag}", base, *ends, base, write_value(inverse))
+    yield Element.from_words(f"Gcurrent{tag}", f"inner{tag}", b, f"current{tag}", base, share)
+    yield Element.from_words(f"Rcharge{tag}", f"charge{tag}", base, "1")
     yield from connect_sources(t.sums + t.through, base, f"charge{tag}", f"Gc{tag}_")
 
 
-def _pin_comment_values(t: PortTerminal, base: str) -> dict[str, str]:
+def _list_pin_comment_values(t: PortTerminal, base: str) -> dict[str, str]:
     """Return the values that the netlist comment about a port's pin contains, keyed by name."""
     return {"pin": t.pins[0], "base": base, "across": t.port.across, "flow": t.port.flow}
 

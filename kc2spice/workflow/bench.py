@@ -38,7 +38,7 @@ import numpy as np
 
 from kc2spice.core.errors import SimulationError, UsageError, unknown
 from kc2spice.core.files import stage_directory
-from kc2spice.core.progress import Clock, Progress, ignore_progress
+from kc2spice.core.progress import Progress, StageTimer, ignore_progress
 from kc2spice.core.waveforms import write_record
 from kc2spice.report.bench_page import write_bench
 from kc2spice.scene.model import Scene
@@ -50,7 +50,7 @@ from kc2spice.scene.numerical_settings import (
 )
 from kc2spice.sim.ngspice import find_ngspice
 from kc2spice.workflow import refine
-from kc2spice.workflow.refine import RefinedRuns, metric_changes
+from kc2spice.workflow.refine import RefinedRuns, compute_metric_changes
 from kc2spice.workflow.simulate import Run
 
 DEFAULT_ERROR_LIMIT = 1e-4
@@ -81,18 +81,21 @@ class _TimedRun:
     times: list[float]
 
     @property
-    def error(self) -> float:
+    def largest_error(self) -> float:
         """Largest error of the metrics."""
         return max(self.errors.values())
 
     @property
-    def time(self) -> float:
+    def median_time(self) -> float:
         """Median of the CPU times [s]."""
         return statistics.median(self.times)
 
     def dominates(self, other: _TimedRun) -> bool:
         """Return whether this combination is better in error or time, and worse in neither."""
-        ours, theirs = (self.error, self.time), (other.error, other.time)
+        ours, theirs = (
+            (self.largest_error, self.median_time),
+            (other.largest_error, other.median_time),
+        )
         return ours != theirs and ours[0] <= theirs[0] and ours[1] <= theirs[1]
 
 
@@ -108,7 +111,7 @@ class _SettingSearch:
         # A finer mesh does not change the CPU time of the simulator.
         self.varied_settings = list(filterfalse(attrgetter("model"), (*finer, *finest)))
         self.finest = [setting.name for setting in finest if not setting.model]
-        self.runs = RefinedRuns(run, finer, Clock(), finest=finest, retries=0, most=np.inf)
+        self.runs = RefinedRuns(run, finer, StageTimer(), finest=finest, retries=0, most=np.inf)
         self.points: dict[str, _TimedRun] = {}
         self.failed: dict[str, dict[str, Any]] = {}
         self.names: tuple[str, ...] = ()
@@ -117,16 +120,18 @@ class _SettingSearch:
             where = f"bench {run.build.scene.name}"
             raise UsageError("this scene has no numerical setting to vary", where=where)
 
-    def steps_by_setting(self, combination: Combination) -> dict[str, float]:
+    def map_steps_to_settings(self, combination: Combination) -> dict[str, float]:
         """Return the refinement steps of a combination, keyed by the name of the setting."""
         return dict(zip(map(attrgetter("name"), self.varied_settings), combination, strict=True))
 
-    def run_all_at(self, steps: float) -> Run:
-        """Return the run in which every setting is refined by the same number of ``steps``."""
-        return self.runs.run_at(self.steps_by_setting((steps,) * len(self.varied_settings)))
+    def run_uniform_refinement(self, steps: float) -> Run:
+        """Return the run with each setting refined by the same number of ``steps``."""
+        return self.runs.get_refined_run(
+            self.map_steps_to_settings((steps,) * len(self.varied_settings))
+        )
 
     @cached_property
-    def unrefined_errors(self) -> Errors:
+    def errors_of_finest_settings(self) -> Errors:
         """Error of each metric due to settings that have their finest value in all runs."""
         return refine.estimate_by_coarser_runs(self.runs, {}, self.finest, self.names)
 
@@ -140,22 +145,26 @@ class _SettingSearch:
 
     def run_setting(self, combination: Combination) -> None:
         """Run a combination of settings, unless it has already run."""
-        settings = refine_settings(self.varied_settings, self.steps_by_setting(combination))
+        settings = refine_settings(self.varied_settings, self.map_steps_to_settings(combination))
         label = _describe_settings(settings)
         if label in self.points or label in self.failed:
             return
         try:
-            run = self.runs.run_at(self.steps_by_setting(combination))
-            errors = compute_metric_errors(run, self.run_all_at(REFERENCE_STEPS), self.names)
-            errors = {name: error + self.unrefined_errors[name] for name, error in errors.items()}
+            run = self.runs.get_refined_run(self.map_steps_to_settings(combination))
+            errors = compute_metric_errors(
+                run, self.run_uniform_refinement(REFERENCE_STEPS), self.names
+            )
+            errors = {
+                name: error + self.errors_of_finest_settings[name] for name, error in errors.items()
+            }
         except (SimulationError, UsageError) as error:
             why = " ".join(f"{error.message} {error.got or ''}".split())
             self.failed[label] = {"label": label, "settings": settings, "why": why}
         else:
             self.points[label] = _TimedRun(combination, settings, run, errors, [run.cpu_s])
 
-    def metric_errors_of_setting(self, setting: NumericalSetting, steps: float) -> Errors:
-        """Return the error of each metric that one value of a setting causes.
+    def compute_setting_errors(self, setting: NumericalSetting, steps: float) -> Errors:
+        """Return the error of each metric due to one value of a setting.
 
         All other settings are those of the unchanged scene. The errors of a value are at least the
         errors of every finer value.
@@ -163,45 +172,47 @@ class _SettingSearch:
         if (setting.name, steps) not in self.errors_by_setting:
             finer = REFINEMENT_STEPS[bisect_right(REFINEMENT_STEPS, steps) :]
             result = (
-                self.metric_errors_of_setting(setting, finer[0])
+                self.compute_setting_errors(setting, finer[0])
                 if finer
                 else dict.fromkeys(self.names, 0.0)
             )
             change = dict.fromkeys(self.names, np.inf)
             if (
-                point := self.points.get(_describe_settings(setting.refined_keys(steps)))
+                point := self.points.get(_describe_settings(setting.refine_keys(steps)))
             ) is not None:
-                reference = self.runs.run_at({setting.name: REFERENCE_STEPS})
+                reference = self.runs.get_refined_run({setting.name: REFERENCE_STEPS})
                 change = compute_metric_errors(point.run, reference, self.names)
             self.errors_by_setting[setting.name, steps] = {
                 n: max(result[n], change[n]) for n in self.names
             }
         return self.errors_by_setting[setting.name, steps]
 
-    def error_bound(self, point: _TimedRun) -> float:
+    def compute_error_bound(self, point: _TimedRun) -> float:
         """Return the error bound of a combination: the sum of the errors of its single values.
 
         The sum is computed for each metric; the result is the largest of these sums.
         """
         errors = [
-            *map(self.metric_errors_of_setting, self.varied_settings, point.combination),
-            self.unrefined_errors,
+            *map(self.compute_setting_errors, self.varied_settings, point.combination),
+            self.errors_of_finest_settings,
         ]
         return max(sum(map(itemgetter(name), errors)) for name in self.names)
 
-    def larger_error(self, point: _TimedRun) -> float:
+    def compute_larger_error(self, point: _TimedRun) -> float:
         """Return the larger of the error and the error bound of a combination."""
-        return max(point.error, self.error_bound(point))
+        return max(point.largest_error, self.compute_error_bound(point))
 
     def find_cheapest(self, limit: float) -> _TimedRun | None:
         """Return the fastest combination whose error is within ``limit``; None if there is none.
 
         Of several equally fast combinations, return the most accurate one.
         """
-        accurate = [point for point in self.points.values() if self.larger_error(point) <= limit]
-        least = min(map(attrgetter("time"), accurate), default=0.0)
-        fastest = [point for point in accurate if point.time <= EQUAL_TIME_RATIO * least]
-        return min(fastest, key=self.larger_error, default=None)
+        accurate = [
+            point for point in self.points.values() if self.compute_larger_error(point) <= limit
+        ]
+        least = min(map(attrgetter("median_time"), accurate), default=0.0)
+        fastest = [point for point in accurate if point.median_time <= EQUAL_TIME_RATIO * least]
+        return min(fastest, key=self.compute_larger_error, default=None)
 
     def run_combinations(self, limit: float, progress: Progress) -> None:
         """Run combinations with one changed setting, then search the fastest combinations.
@@ -223,7 +234,9 @@ class _SettingSearch:
                     where="bench",
                     got=failed["why"],
                 )
-        for bound in sorted({limit, self.larger_error(self.points[_describe_settings({})])}):
+        for bound in sorted(
+            {limit, self.compute_larger_error(self.points[_describe_settings({})])}
+        ):
             self._search_neighbours(bound, progress)
 
     def _search_neighbours(self, limit: float, progress: Progress) -> None:
@@ -237,7 +250,7 @@ class _SettingSearch:
             known = count
             start = self.find_cheapest(limit)
             direction = 1 if start is None else -1
-            start = start or min(self.points.values(), key=self.larger_error)
+            start = start or min(self.points.values(), key=self.compute_larger_error)
             progress("search", None, f"{known} settings, now {_describe_settings(start.settings)}")
             for number, steps in enumerate(start.combination):
                 neighbour = REFINEMENT_STEPS.index(steps) + direction
@@ -248,21 +261,21 @@ class _SettingSearch:
 
     def measure_times(self, repeats: int, progress: Progress) -> None:
         """Repeat the runs of all combinations except slow ones, to measure their CPU times."""
-        longest = SLOW_TIME_RATIO * self.points[_describe_settings({})].time
-        repeated = [point for point in self.points.values() if point.time <= longest]
+        longest = SLOW_TIME_RATIO * self.points[_describe_settings({})].median_time
+        repeated = [point for point in self.points.values() if point.median_time <= longest]
         for turn in range(1, repeats):
             progress("times", turn / repeats, f"round {turn} of {repeats - 1}")
             for point in repeated:
                 point.times.append(refine.repeat_timing(point.run))
 
-    def record(self, point: _TimedRun) -> dict[str, Any]:
+    def make_record(self, point: _TimedRun) -> dict[str, Any]:
         """Return the row of a combination of settings in ``bench.json``."""
         return {
             "label": _describe_settings(point.settings),
             "settings": point.settings,
-            "error": point.error,
-            "bound": self.error_bound(point),
-            "time_s": point.time,
+            "error": point.largest_error,
+            "bound": self.compute_error_bound(point),
+            "time_s": point.median_time,
             "front": not any(other.dominates(point) for other in self.points.values()),
             "own": not point.settings,
             "errors": point.errors,
@@ -302,7 +315,7 @@ def bench(
     simulator = find_ngspice()
     with stage_directory(out) as work:
         progress("models", None, "the scene as it is")
-        run = refine.evaluate_scene(scene, Clock(), trust=trust, retries=0)
+        run = refine.evaluate_scene(scene, StageTimer(), trust=trust, retries=0)
         search, requested = _SettingSearch(run), metric or scene.bench.metric
         selected = _select_metrics(run, requested)
         progress("reference", None, "all settings at their finest")
@@ -312,10 +325,10 @@ def bench(
         progress("estimate", None, "all settings and meshes one step finer")
         finest = refine_settings(
             search.varied_settings,
-            search.steps_by_setting((REFERENCE_STEPS,) * len(search.varied_settings)),
+            search.map_steps_to_settings((REFERENCE_STEPS,) * len(search.varied_settings)),
         )
         best = search.find_cheapest(error)
-        points = sorted(search.points.values(), key=attrgetter("time"))
+        points = sorted(search.points.values(), key=attrgetter("median_time"))
         record = {
             "scene": scene.name,
             "simulator": f"{simulator.name} {simulator.version}",
@@ -323,15 +336,17 @@ def bench(
             "repeats": repeats,
             "metrics": search.names,
             "left_out": {name: check.get(name) for name in selected if name not in search.names},
-            "points": list(map(search.record, points)),  # the fastest first
+            "points": list(map(search.make_record, points)),  # the fastest first
             "failed": list(search.failed.values()),
             "recommended": best
-            and {**search.record(best), "set": _format_set_options(best.settings)},
+            and {**search.make_record(best), "set": _format_set_options(best.settings)},
             "reference": {
                 "label": _describe_settings(finest),
                 "settings": finest,
-                "time_s": search.run_all_at(REFERENCE_STEPS).cpu_s,
-                "error": max(check[name] + search.unrefined_errors[name] for name in search.names),
+                "time_s": search.run_uniform_refinement(REFERENCE_STEPS).cpu_s,
+                "error": max(
+                    check[name] + search.errors_of_finest_settings[name] for name in search.names
+                ),
             },
             "estimate": search.estimate_error(),
         }
@@ -372,8 +387,8 @@ def _measure_convergence(
     ------
     SimulationError : no metric converges.
     """
-    start, finer, exact = map(search.run_all_at, (0.0, CHECK_STEPS, REFERENCE_STEPS))
-    moved, changed = metric_changes(finer, exact), metric_changes(start, exact)
+    start, finer, exact = map(search.run_uniform_refinement, (0.0, CHECK_STEPS, REFERENCE_STEPS))
+    moved, changed = compute_metric_changes(finer, exact), compute_metric_changes(start, exact)
     present = []
     for name in selected:
         comparable = name in moved and max(moved[name], changed[name]) < np.inf
@@ -400,12 +415,13 @@ def compute_metric_errors(run: Run, exact: Run, names: Sequence[str]) -> Errors:
     SimulationError : a metric is missing, or a metric with the value true or false has changed.
     """
     for name, value in exact.values.items():
-        ours = run.values.get(name)
-        if value.dtype.kind == "b" and not np.array_equal(np.nan if ours is None else ours, value):
+        run_value = run.values.get(name)
+        compared = np.nan if run_value is None else run_value
+        if value.dtype.kind == "b" and not np.array_equal(compared, value):
             raise SimulationError(
-                f"the metric {name} is {ours}, but {value} with the finest settings"
+                f"the metric {name} is {run_value}, but {value} with the finest settings"
             )
-    result = metric_changes(run, exact)
+    result = compute_metric_changes(run, exact)
     for name in names:
         if result[name] == np.inf:
             raise SimulationError(f"the result has no metric {name}")

@@ -17,15 +17,15 @@ import scipy
 from kc2spice.bodies.device import add_rayleigh_damping
 from kc2spice.bodies.readers.measured import MeasuredAdmittance
 from kc2spice.core.errors import UsageError
-from kc2spice.core.progress import Clock, Progress
-from kc2spice.fem.body_keys import Damping
-from kc2spice.parts.bodies._body_model import find_damping, loss_tangent
-from kc2spice.parts.bodies._box import VariedKey
+from kc2spice.core.progress import Progress, StageTimer
+from kc2spice.fem.body_keys import DampingKeys
+from kc2spice.parts.bodies._body_model import find_damping, read_loss_tangent
 from kc2spice.parts.bodies._linear_body import LinearBody
+from kc2spice.parts.bodies._varied_keys import VariedKey
 from kc2spice.rom.complex_constants import ComplexConstants
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.modal import compute_clamped_tangent, permittivity
-from kc2spice.rom.parametric import (
+from kc2spice.rom.modal_models import compute_clamped_tangent, compute_permittivity_ratio
+from kc2spice.rom.parametric_models import (
     DenseParametricModel,
     ParameterAxis,
     compute_modal_transfer,
@@ -89,7 +89,7 @@ class BodyFit:
         """Frequency range of the data [Hz]."""
         return float(self.data.f[0]), float(self.data.f[-1])
 
-    def full(self, values: Mapping[str, float], moved: bool = True) -> LinearModel:
+    def make_full_model(self, values: Mapping[str, float], moved: bool = True) -> LinearModel:
         """Return the full model at ``values`` of the keys, with only its first electrical port.
 
         With ``moved``, the model has the mesh of the scene ``like`` with displaced nodes.
@@ -109,7 +109,7 @@ class BodyFit:
                 expected="ranges in which every value is valid for the part",
                 hint="write a narrower range: --vary KEY=LOW:HIGH",
             ) from None
-        part = loaded.part(self.part, where=self.part)
+        part = loaded.get_part(self.part, where=self.part)
         assert isinstance(part.type, LinearBody)  # the type was checked before the fit
         rest = {k: v for k, v in values.items() if not k.startswith("damping.")}
         key, damping = (id(self.like) if moved else 0, *rest.items()), find_damping(part)
@@ -118,10 +118,10 @@ class BodyFit:
         self.counted[0] += 1
         self.progress("fit", None, f"finite element model {self.counted[0]}")
         if moved:
-            like = self.like.part(self.part, where=self.part)
-            model = part.type.full_on_mesh(part, loaded, Clock(), like)
+            like = self.like.get_part(self.part, where=self.part)
+            model = part.type.make_full_model_on_mesh(part, loaded, StageTimer(), like)
         else:
-            model = part.type.full(part, loaded, Clock())
+            model = part.type.make_full_model(part, loaded, StageTimer())
         electrical = [port.name for port in model.ports if port.electrical]
         if not electrical:
             raise UsageError(
@@ -138,42 +138,44 @@ class BodyFit:
         """Return values of the keys, keyed by their dotted names in the scene."""
         return {f"{self.part}.{key}": value for key, value in values.items()}
 
-    def full_admittance(self, values: Mapping[str, float]) -> np.ndarray:
+    def compute_full_admittance(self, values: Mapping[str, float]) -> np.ndarray:
         """Return the admittance [S] of the full model at each measured frequency."""
-        model = self.full(values, moved=False)
+        model = self.make_full_model(values, moved=False)
         pencil = project_on_modes(model, float(self.data.f[-1]))
         if self.damping.model == "ieee176":
-            return self.complex_constants_response(pencil, values)
+            return self.compute_complex_loss_response(pencil, values)
         charge = pencil.transfer(2j * np.pi * self.frequencies)[:, 0, 0]
-        return self.lossy_admittance(charge, float(model.D[0, 0]), values)
+        return self.compute_lossy_admittance(charge, float(model.D[0, 0]), values)
 
     @property
-    def damping(self) -> Damping:
+    def damping(self) -> DampingKeys:
         """Damping of the part in the scene."""
-        return find_damping(self.scene.part(self.part))
+        return find_damping(self.scene.get_part(self.part))
 
-    def complex_constants_response(self, pencil: Pencil, values: Mapping[str, float]) -> np.ndarray:
+    def compute_complex_loss_response(
+        self, pencil: Pencil, values: Mapping[str, float]
+    ) -> np.ndarray:
         """Return the admittance [S] of a reduced model with the complex constants of IEEE 176.
 
         The stiffness depends on the frequency. The stiffness in the scene applies at the frequency
         of the damping, or at the lowest resonance that a voltage excites.
         """
-        omega, gain, lowest = self.modes(pencil)
-        at = self.damping.frequency(lowest)
+        omega, gain, lowest = self.compute_voltage_modes(pencil)
+        at = self.damping.find_ratio_frequency(lowest)
         assert at is not None
-        tangent = values.get(LOSS_TANGENT_KEY, loss_tangent(self.scene.part(self.part)))
-        losses = ComplexConstants(self.loss_factor(values), tangent, at)
+        tangent = values.get(LOSS_TANGENT_KEY, read_loss_tangent(self.scene.get_part(self.part)))
+        losses = ComplexConstants(self.compute_loss_factor(values), tangent, at)
         f, electrical = self.data.f, np.array([True])
         H = losses.transfer(omega, gain, pencil.D, electrical, f)[:, 0, 0]
         return np.asarray(2j * np.pi * f * H)
 
-    def modes(self, pencil: Pencil) -> tuple[np.ndarray, np.ndarray, float]:
+    def compute_voltage_modes(self, pencil: Pencil) -> tuple[np.ndarray, np.ndarray, float]:
         """Return the modes of a reduced model, and the lowest resonance that a voltage excites.
 
         The results are the angular frequencies [rad/s] of the n modes, their voltage gains (an
         array of shape (n, 1)), and the frequency [Hz] of the resonance.
         """
-        K, _, M = pencil.dense().coefficients
+        K, _, M = pencil.make_dense().coefficients
         squares, shapes = scipy.linalg.eigh(K, M)
         rigid = squares < (2 * np.pi * self.frequencies[0]) ** 2
         omega = np.where(rigid, 0.0, np.sqrt(np.maximum(squares, 0.0)))
@@ -181,20 +183,20 @@ class BodyFit:
         share = np.divide(gain[:, 0], omega, out=np.zeros_like(omega), where=~rigid) ** 2
         return omega, gain, float(omega[share > MIN_MODE_SHARE * share.max()].min() / (2 * np.pi))
 
-    def viscous_response(
+    def compute_viscous_response(
         self, model: LinearModel, pencil: Pencil, values: Mapping[str, float]
     ) -> np.ndarray:
         """Return the admittance [S] with viscous damping in proportion to the stiffness.
 
         At the lowest resonance that a voltage excites, the Q factor is the one in ``values``.
         """
-        at = self.damping.frequency(self.modes(pencil)[2])
+        at = self.damping.find_ratio_frequency(self.compute_voltage_modes(pencil)[2])
         assert at is not None
-        damped = replace(model, rayleigh=(0.0, self.loss_factor(values) / (2 * np.pi * at)))
+        damped = replace(model, rayleigh=(0.0, self.compute_loss_factor(values) / (2 * np.pi * at)))
         charge = compute_modal_transfer(damped, self.frequencies)[:, 0, 0]
-        return self.lossy_admittance(charge, float(model.D[0, 0]), values)
+        return self.compute_lossy_admittance(charge, float(model.D[0, 0]), values)
 
-    def loss_factor(self, values: Mapping[str, float]) -> float:
+    def compute_loss_factor(self, values: Mapping[str, float]) -> float:
         """Return the loss factor ``1 / Q`` of the motion at ``values`` of the keys."""
         known = {name: values[name] for name in LOSS_FACTORS if name in values}
         if not known:
@@ -207,7 +209,7 @@ class BodyFit:
         """Frequencies [Hz] of model responses: one near zero, then those of the data."""
         return np.r_[STATIC_FREQUENCY_RATIO * self.data.f[0], self.data.f]
 
-    def lossy_admittance(
+    def compute_lossy_admittance(
         self, charge: np.ndarray, clamped: float, values: Mapping[str, float]
     ) -> np.ndarray:
         """Return the admittance [S] with dielectric loss, from the charge without this loss.
@@ -215,13 +217,16 @@ class BodyFit:
         ``charge`` is the charge per volt [C/V] at :attr:`frequencies`.
         """
         f, charge, free = self.data.f, charge[1:], float(charge[0].real)
-        tangent = values.get(LOSS_TANGENT_KEY, loss_tangent(self.scene.part(self.part)))
+        tangent = values.get(LOSS_TANGENT_KEY, read_loss_tangent(self.scene.get_part(self.part)))
         if tangent:
-            loss = permittivity(f, compute_clamped_tangent(tangent, free / clamped - 1)) - 1
+            loss = (
+                compute_permittivity_ratio(f, compute_clamped_tangent(tangent, free / clamped - 1))
+                - 1
+            )
             charge = charge + clamped * loss
         return np.asarray(2j * np.pi * f * charge)
 
-    def log_admittance_changes(
+    def compute_effects_of_causes(
         self, values: Mapping[str, float], Y: np.ndarray
     ) -> dict[str, np.ndarray]:
         """Return how much each likely cause of a misfit changes the logarithm of the admittance.
@@ -230,7 +235,7 @@ class BodyFit:
         The causes are effects that the scene can lack: losses that are not varied, and the leads of
         the measurement.
         """
-        model, w = self.full(values, moved=False), 2 * np.pi * self.data.f
+        model, w = self.make_full_model(values, moved=False), 2 * np.pi * self.data.f
         clamped = w * float(model.D[0, 0])
         names = set(map(attrgetter("key"), self.keys))
         result: dict[str, np.ndarray] = {}
@@ -241,16 +246,18 @@ class BodyFit:
             for factor, what in ((1 + DIFFERENCE_STEP, "more"), (1 - DIFFERENCE_STEP, "less")):
                 scaled = replace(model, rayleigh=(factor * alpha, factor * beta))
                 charge = compute_modal_transfer(scaled, self.frequencies)[:, 0, 0]
-                other = self.lossy_admittance(charge, float(model.D[0, 0]), values)
+                other = self.compute_lossy_admittance(charge, float(model.D[0, 0]), values)
                 result[f"{what} loss of the motion: vary damping.quality"] = np.log(other / Y)
         if not self.damping.per_material:
             pencil = project_on_modes(model, float(self.data.f[-1]))
             if self.damping.model == "rayleigh":
                 result[CONSTANT_Q_CAUSE] = np.log(
-                    self.complex_constants_response(pencil, values) / Y
+                    self.compute_complex_loss_response(pencil, values) / Y
                 )
             else:
-                result[VISCOUS_CAUSE] = np.log(self.viscous_response(model, pencil, values) / Y)
+                result[VISCOUS_CAUSE] = np.log(
+                    self.compute_viscous_response(model, pencil, values) / Y
+                )
         result |= {
             "resistance in series, of leads or electrodes: compensate the fixture": -Y,
             "inductance of leads: compensate the fixture": -1j * w * Y,
@@ -262,11 +269,11 @@ class BodyFit:
 
     def response(self, reduced: DenseParametricModel, values: Mapping[str, float]) -> np.ndarray:
         """Return the admittance [S] of a reduced model at ``values`` of the keys."""
-        model = reduced.at(values)
+        model = reduced.evaluate(values)
         if self.damping.model == "ieee176":
-            return self.complex_constants_response(model.pencil, values)
+            return self.compute_complex_loss_response(model.pencil, values)
         H = Response(model.pencil).transfer(2j * np.pi * self.frequencies)
-        return self.lossy_admittance(H[:, 0, 0], float(model.D[0, 0]), values)
+        return self.compute_lossy_admittance(H[:, 0, 0], float(model.D[0, 0]), values)
 
     def reduce(
         self, parameter_axes: ParameterAxes, degree: int | None = None
@@ -276,4 +283,4 @@ class BodyFit:
         if self.damping.model == "ieee176":
             constant |= LOSS_FACTORS.keys()
         axes = [axis for name, axis in parameter_axes.items() if name not in constant]
-        return reduce_over_parameters(self.full, axes, self.band, degree=degree)
+        return reduce_over_parameters(self.make_full_model, axes, self.band, degree=degree)

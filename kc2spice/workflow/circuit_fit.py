@@ -19,10 +19,10 @@ import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
 
 from kc2spice.core.errors import SimulationError, UsageError
-from kc2spice.core.progress import Clock, Progress
+from kc2spice.core.progress import Progress, StageTimer
 from kc2spice.equations.networks import Network
 from kc2spice.equations.scene_laws import get_scene_laws
-from kc2spice.parts.bodies._box import VariedKey, read_key_values
+from kc2spice.parts.bodies._varied_keys import VariedKey, read_key_values
 from kc2spice.reference.small_signal import LinearisedSystem
 from kc2spice.reference.system import assemble_system
 from kc2spice.scene.load import load_scene
@@ -106,8 +106,8 @@ def require_impedance(scene: Scene, part: str) -> None:
 
 def _find_network(scene: Scene, part: str) -> Network:
     """Return the network that contains the voltage and the current of the part."""
-    kind = scene.part(part, where=part).type.name
-    laws = get_scene_laws(build_models(scene, Clock()))
+    kind = scene.get_part(part, where=part).type.name
+    laws = get_scene_laws(build_models(scene, StageTimer()))
     needed = {f"{part}.v", f"{part}.i"}
     if part not in laws.parts_without_law and not needed <= laws.equations[part].results.keys():
         raise UsageError(
@@ -179,7 +179,7 @@ class CircuitFit:
         result = np.concatenate(rows)
         return np.concatenate([result.real, result.imag])
 
-    def deviation(self, x: np.ndarray) -> np.ndarray:
+    def compute_deviation(self, x: np.ndarray) -> np.ndarray:
         """Return the residuals at the logarithms ``x``; impossible values have large residuals."""
         try:
             return self.residuals(self.values(x))
@@ -192,11 +192,11 @@ class CircuitFit:
 
         The derivatives are computed by one-sided differences inside the range.
         """
-        columns, middle, first = [], np.mean(self.bounds, axis=0), self.deviation(x)
+        columns, middle, first = [], np.mean(self.bounds, axis=0), self.compute_deviation(x)
         for k in range(len(x)):
             step = np.zeros_like(x)
             step[k] = DIFFERENCE_STEP if x[k] <= middle[k] else -DIFFERENCE_STEP
-            columns.append((self.deviation(x + step) - first) / step[k])
+            columns.append((self.compute_deviation(x + step) - first) / step[k])
         return np.column_stack(columns)
 
     def solve(self) -> OptimizeResult:
@@ -210,7 +210,7 @@ class CircuitFit:
         self.residuals(values)  # this call raises the error of an invalid scene before the fit
         start = np.log(np.abs(list(values.values())))
         return least_squares(
-            self.deviation, start, self.jacobian, self.bounds,
+            self.compute_deviation, start, self.jacobian, self.bounds,
             x_scale="jac", xtol=1e-8, ftol=1e-8, max_nfev=MAX_EVALUATIONS,
         )  # fmt: skip
 

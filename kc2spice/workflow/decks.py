@@ -13,22 +13,22 @@ from typing import Any
 from kc2spice.core.domains import ELECTRICAL, SIGNAL
 from kc2spice.core.errors import UsageError
 from kc2spice.core.files import list_earlier_files
-from kc2spice.core.progress import Clock
+from kc2spice.core.progress import StageTimer
 from kc2spice.netlist.circuit import Element, Item
 from kc2spice.netlist.deck import Deck, Option
 from kc2spice.netlist.edited_deck import read_edited_deck
-from kc2spice.netlist.elements import add_title
-from kc2spice.netlist.library import Header, Subcircuit, model_comments
+from kc2spice.netlist.library import Header, Subcircuit, write_model_comments
 from kc2spice.netlist.lint import require_valid_wiring
 from kc2spice.netlist.read import split_statements
 from kc2spice.netlist.scope import INCLUDES
+from kc2spice.netlist.shared_cards import add_title
 from kc2spice.netlist.spelling import format_comment, format_number
 from kc2spice.netlist.transforms import add_noise_results
 from kc2spice.scene.analysis_cards import make_analysis_cards
 from kc2spice.scene.frames import MOTION_UNITS
-from kc2spice.scene.model import Build, NameAllocator, Part, Scene, scene_hash
+from kc2spice.scene.model import BuiltScene, NameAllocator, Part, Scene, compute_scene_hash
 from kc2spice.scene.numerical_settings import MAX_STEP_KEY, describe_plan
-from kc2spice.scene.part_records import Numerics
+from kc2spice.scene.part_records import NumericalRequirements
 from kc2spice.scene.probed_results import require_probed_results
 from kc2spice.scene.results import NOISE_WAVE
 from kc2spice.scene.start_conditions import FloatingNets, find_floating_nets, find_start_errors
@@ -43,12 +43,12 @@ HOLD_INDUCTANCE = 1e30
 
 def prepare_deck(
     scene: Scene,
-    clock: Clock,
+    clock: StageTimer,
     *,
     trust: bool = False,
     functions: Mapping[str, Any] | None = None,
     edited: Path | None = None,
-) -> tuple[Build, Deck]:
+) -> tuple[BuiltScene, Deck]:
     """Return the models and the deck of ``scene``, or its ``edited`` deck.
 
     Wiring errors state file and line, and are raised before the simulator starts. ``functions`` are
@@ -66,7 +66,7 @@ def prepare_deck(
         return with_edited_parameters(build, edits, edited), edits.deck
 
 
-def make_deck(build: Build) -> Deck:
+def make_deck(build: BuiltScene) -> Deck:
     """Return the deck of a scene with its libraries.
 
     Raises
@@ -80,11 +80,11 @@ def make_deck(build: Build) -> Deck:
     loose = find_floating_nets(scene, build.equilibrium_conditions)
     require_probed_results(build)
     results, plan = build.results, describe_plan(build)
-    header = Header(scene.name, scene_hash(scene))
+    header = Header(scene.name, compute_scene_hash(scene))
     analysis = make_analysis_cards(build)
     # a separate comment line of the deck contains the reason for the largest time step
     ours = () if scene.solver.max_step else (MAX_STEP_KEY,)
-    notes = (*header.origin(), *model_comments(plan, ours))
+    notes = (*header.origin(), *write_model_comments(plan, ours))
     libraries = list(_list_libraries(build, header))
     parts = tuple(map(itemgetter(1), libraries))
     reductions = [f"* {p.name}, rom: {p.reduction.summary}" for p in parts if p.reduction]
@@ -92,7 +92,7 @@ def make_deck(build: Build) -> Deck:
     deck = Deck(
         name=scene.name,
         title=f"{scene.name}: {scene.title}",
-        notes=(*notes, *reductions, *_step_comment_lines(build)),
+        notes=(*notes, *reductions, *_describe_largest_step(build)),
         parts=parts,
         options=tuple(_list_options(build)),
         command=analysis.command,
@@ -100,9 +100,9 @@ def make_deck(build: Build) -> Deck:
         units=results.units,
         powers=results.powers,
         measures=list_measure_cards(build, sweep_scale),
-        stop=scene.stop if scene.analysis.type == "transient" else None,
+        stop=scene.stop_time if scene.analysis.type == "transient" else None,
         max_step=build.largest_step.step if build.largest_step else None,
-        initial_voltages=_initial_voltages(build, loose),
+        initial_voltages=_list_initial_voltages(build, loose),
         may_have_loop=any(_is_controller(part, scene) for part in scene.parts.values()),
         trusted=build.trust,
         free_nets=frozenset(_list_free_nets(scene)),
@@ -111,7 +111,9 @@ def make_deck(build: Build) -> Deck:
     )
     if not build.has_noise:
         return deck
-    meters = {item.filename: part.type.noise for part, item in libraries if not part.netlist}
+    meters = {
+        item.filename: part.type.noise for part, item in libraries if not part.is_user_netlist
+    }
     noisy = {name: () if isinstance(row, str) else row for name, row in meters.items()}
     return add_noise_results(deck, NOISE_WAVE, scene.parts, noisy)
 
@@ -130,14 +132,14 @@ def _is_controller(part: Part, scene: Scene) -> bool:
     """
     measures_motion = sets_output = False
     for pin in scene.pins(part.name):
-        if pin.moving:
+        if pin.can_move:
             return False
         measures_motion |= pin.flow == SIGNAL and pin.unit in MOTION_UNITS and not pin.signal_out
         sets_output |= pin.domain is ELECTRICAL and pin.default is None
     return measures_motion and sets_output
 
 
-def _list_libraries(build: Build, header: Header) -> Iterator[tuple[Part, Subcircuit]]:
+def _list_libraries(build: BuiltScene, header: Header) -> Iterator[tuple[Part, Subcircuit]]:
     """Yield the different subcircuits, each with the first part that uses it.
 
     Raises
@@ -164,7 +166,7 @@ def _list_libraries(build: Build, header: Header) -> Iterator[tuple[Part, Subcir
 
 
 def _list_items(
-    build: Build, loose: Sequence[FloatingNets], noise_items: Iterable[Item]
+    build: BuiltScene, loose: Sequence[FloatingNets], noise_items: Iterable[Item]
 ) -> Iterator[Item]:
     """Yield the cards of parts, of noise sources, and of supports for nets that would float."""
     scene = build.scene
@@ -179,13 +181,13 @@ def _list_items(
     for group in loose:
         if group.nets:
             net = group.nets[0]
-            name = f"L{names.name(net, f'{net}_held')}"
-            inductors.append(Element.of(name, net, "0", format_number(HOLD_INDUCTANCE)))
+            name = f"L{names.allocate_name(net, f'{net}_held')}"
+            inductors.append(Element.from_words(name, net, "0", format_number(HOLD_INDUCTANCE)))
     if inductors:
         yield from add_title("held at the operating point alone: nothing else does", inductors)
 
 
-def _list_options(build: Build) -> Iterable[Option]:
+def _list_options(build: BuiltScene) -> Iterable[Option]:
     """Return the options of a deck: tolerances, then options of the parts.
 
     In analyses other than a transient, the tolerance of iterations is an option only if the scene
@@ -193,7 +195,7 @@ def _list_options(build: Build) -> Iterable[Option]:
     """
     scene = build.scene
     solver, rows = scene.solver, scene.numerics
-    part_options = _strictest_options(rows)
+    part_options = _choose_strictest_options(rows)
     if scene.analysis.type != "transient":
         if "reltol" in solver.model_fields_set:
             return [Option("reltol", solver.reltol, "relative error of iterations"), *part_options]
@@ -212,8 +214,8 @@ def _list_options(build: Build) -> Iterable[Option]:
     ]
 
 
-def _strictest_options(rows: Iterable[Numerics]) -> list[Option]:
-    """Return the options that parts require; of several values of an option, the smallest."""
+def _choose_strictest_options(rows: Iterable[NumericalRequirements]) -> list[Option]:
+    """Return the required options; repeated options get their smallest value."""
     result: dict[str, Option] = {}
     for row in rows:
         for key, (value, reason) in row.options.items():
@@ -222,14 +224,14 @@ def _strictest_options(rows: Iterable[Numerics]) -> list[Option]:
     return list(result.values())
 
 
-def _step_comment_lines(build: Build) -> Iterator[str]:
+def _describe_largest_step(build: BuiltScene) -> Iterator[str]:
     """Yield a comment on the largest time step, unless the scene sets it."""
     limit = build.largest_step
     if limit is not None and not build.scene.solver.max_step:
         yield f"* {format_comment(f'largest step {limit.step:g} s: {limit.why}')}"
 
 
-def _initial_voltages(build: Build, loose: Sequence[FloatingNets]) -> dict[str, float]:
+def _list_initial_voltages(build: BuiltScene, loose: Sequence[FloatingNets]) -> dict[str, float]:
     """Return the initial node voltages [V] of a transient, keyed by node.
 
     A net that only dampers connect to other nets begins at 0.
@@ -249,7 +251,7 @@ def _initial_voltages(build: Build, loose: Sequence[FloatingNets]) -> dict[str, 
     return result
 
 
-def _card_texts(text: str, name: str) -> list[str]:
+def _list_statements(text: str, name: str) -> list[str]:
     """Return the statements that a simulator reads from the ``text`` of the file ``name``."""
     return list(filter(None, map(attrgetter("written"), split_statements(text, name))))
 
@@ -275,7 +277,7 @@ def protect_other_decks(out: Path, files: Mapping[str, str]) -> None:
             name = card.words[-1].strip("\"'") if card.keyword in INCLUDES else ""
             if name not in files or not (out / name).is_file():
                 continue
-            if _card_texts(text(out / name), name) != _card_texts(files[name], name):
+            if _list_statements(text(out / name), name) != _list_statements(files[name], name):
                 raise UsageError(
                     f"an existing deck in this directory includes another version of {name}",
                     where=str(others[key]),

@@ -12,11 +12,11 @@ from dataclasses import replace
 from pathlib import Path
 
 from kc2spice.netlist.edited_deck import DeckEdits
-from kc2spice.scene.model import Build, Part
+from kc2spice.scene.model import BuiltScene, Part
 from kc2spice.workflow.models import replace_parts
 
 
-def with_edited_parameters(build: Build, edits: DeckEdits, path: Path) -> Build:
+def with_edited_parameters(build: BuiltScene, edits: DeckEdits, path: Path) -> BuiltScene:
     """Return ``build`` with the parameter values of an edited deck.
 
     A part is not checked if its keys cannot express its cards in the edited deck. One warning lists

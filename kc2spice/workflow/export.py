@@ -7,21 +7,21 @@ from pathlib import Path
 
 from kc2spice.core.errors import unknown
 from kc2spice.core.files import stage_directory
-from kc2spice.core.progress import Clock, Progress, ignore_progress
+from kc2spice.core.progress import Progress, StageTimer, ignore_progress
 from kc2spice.linalg.solver import require_solver, use_solver
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.printers.dialect_registry import (
-    deck_dialects,
-    dialect_names,
-    unknown_dialect_error,
+    list_deck_dialects,
+    list_dialect_names,
+    make_unknown_dialect_error,
 )
 from kc2spice.netlist.printers.plot_script import format_plot_script
 from kc2spice.netlist.transforms import make_array_deck
 from kc2spice.netlist.translate import write_dialect_files, write_symbol_files
-from kc2spice.parts.bodies._body_model import reduction_target
+from kc2spice.parts.bodies._body_model import get_reduction_settings
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.scene.model import Build, Scene
+from kc2spice.scene.model import BuiltScene, Scene
 from kc2spice.scene.resolve import resolve
 from kc2spice.sim.ngspice import write_files
 from kc2spice.synthesis.circuit_error import require_circuit_tolerance
@@ -52,16 +52,16 @@ def export_scene(
         (:func:`kc2spice.workflow.decks.protect_other_decks`).
     GateMissedError : the circuit of a body misses the tolerance of its reduction.
     """
-    known = dialect_names() if count is None else deck_dialects()
+    known = list_dialect_names() if count is None else list_deck_dialects()
     if dialect not in known:
-        if count is None or dialect not in dialect_names():
-            raise unknown_dialect_error(dialect, known)
+        if count is None or dialect not in list_dialect_names():
+            raise make_unknown_dialect_error(dialect, known)
         message = "this dialect does not support an array of copies"
         raise unknown(message, dialect, known, "--dialect", advice="leave out --count")
-    clock, selected = Clock(progress), require_solver(solver, "--solver")
+    clock, selected = StageTimer(progress), require_solver(solver, "--solver")
     with stage_directory(out) as work, use_solver(selected):
         build, deck = prepare_deck(resolve(replace(scene, ports="declared")), clock, trust=trust)
-        _require_circuits(build, deck)
+        _require_accurate_circuits(build, deck)
         with clock.time_stage("export", "netlists and symbols"):
             if count is not None:
                 deck = make_array_deck(deck, count)
@@ -73,7 +73,7 @@ def export_scene(
     return [Path(out) / name for name in sorted(files)]
 
 
-def _require_circuits(build: Build, deck: Deck) -> None:
+def _require_accurate_circuits(build: BuiltScene, deck: Deck) -> None:
     """Raise an error if the circuit of a body exceeds the tolerance of its reduction.
 
     Raises
@@ -85,6 +85,6 @@ def _require_circuits(build: Build, deck: Deck) -> None:
         circuit = circuits.get(build.libraries[part.name].lower())
         if circuit is None or not isinstance(part.type, LinearBody):
             continue
-        tolerance = reduction_target(part, build.scene).tolerance
+        tolerance = get_reduction_settings(part, build.scene).tolerance
         if tolerance is not None:
             require_circuit_tolerance(circuit, build.model(part, LinearModel), tolerance)

@@ -20,15 +20,20 @@ from kc2spice.core.argument_names import naming_arguments
 from kc2spice.core.errors import UsageError
 from kc2spice.core.files import stage_directory
 from kc2spice.core.progress import Progress, ignore_progress
-from kc2spice.parts.bodies._box import read_key_values
 from kc2spice.parts.bodies._linear_body import LinearBody
+from kc2spice.parts.bodies._varied_keys import read_key_values
 from kc2spice.report.fit_page import PlottedCurve, write_fit
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
 from kc2spice.workflow.body_fit import BodyFit
 from kc2spice.workflow.circuit_fit import CircuitFit, fit_circuit, require_impedance
 from kc2spice.workflow.fit_curves import read_curves
-from kc2spice.workflow.fit_descents import Descent, DescentResult, refine_end, run_descents
+from kc2spice.workflow.fit_descents import (
+    Descent,
+    DescentResult,
+    refine_descent_result,
+    run_descents,
+)
 from kc2spice.workflow.fit_keys import (
     format_calibrated_ranges,
     read_varied_keys,
@@ -36,8 +41,8 @@ from kc2spice.workflow.fit_keys import (
 from kc2spice.workflow.fit_record import describe_error, describe_values, match_resonances
 from kc2spice.workflow.misfit import (
     WARNING_MISFIT,
+    compute_rms_misfit,
     find_likely_cause,
-    rms_misfit,
 )
 
 # Largest permitted rms misfit relative to |Y|; a larger one indicates another resonance or part.
@@ -131,7 +136,9 @@ def fit(
     """
     loaded = load_scene(scene)
     listed = _is_list_of_curves(data)
-    if not listed and not isinstance(loaded.part(part, f"{loaded.name}:{part}").type, LinearBody):
+    if not listed and not isinstance(
+        loaded.get_part(part, f"{loaded.name}:{part}").type, LinearBody
+    ):
         data, listed = [{"file": data}], True
     if listed:
         return _fit_curves(loaded, part, data, vary, out, progress, shunt)
@@ -139,7 +146,11 @@ def fit(
     if isinstance(data, MeasuredAdmittance) and resistance is not None:
         problem = "this argument applies only to a file of gain and phase"
         raise UsageError(
-            problem, where="shunt", got=shunt, expected="a shunt with the path of a file"
+            problem,
+            where="shunt",
+            got=shunt,
+            expected="data that is the path of a file",
+            hint="leave out shunt",
         )
     # a list of curves is already handled above
     assert isinstance(data, (str, Path, MeasuredAdmittance))
@@ -151,10 +162,10 @@ def fit(
     keys = read_varied_keys(loaded, part, vary)
     body = BodyFit(loaded, part, measured, keys, progress, loaded)
     with nullcontext(Path()) if out is None else stage_directory(out) as work:
-        descent = Descent(body, {item.key: item.axis for item in keys})
+        descent = Descent(body, {item.key: item.parameter_axis for item in keys})
         ends = run_descents(descent)
-        end = refine_end(descent, ends[0])
-        start = body.response(descent.reduced, read_key_values(keys))
+        end = refine_descent_result(descent, ends[0])
+        start = body.response(descent.reduced_model, read_key_values(keys))
         record = _make_record(body, start, end, ends)
         if out is None:
             return record
@@ -288,12 +299,12 @@ def _explain_misfit(
     body: BodyFit, end: DescentResult, resonances: Sequence[Mapping[str, float | None]]
 ) -> str | None:
     """Describe the likely cause of a misfit; None if noise explains the misfit."""
-    ratio = rms_misfit(end.solved.fun, len(body.keys))
+    ratio = compute_rms_misfit(end.solved.fun, len(body.keys))
     if ratio <= WARNING_MISFIT:
         return None
     text = f"the model does not describe the data: a misfit of {ratio:.1f} times the noise"
     cause = find_likely_cause(
-        end.solved.jac, end.solved.fun, body.log_admittance_changes(end.values, end.exact)
+        end.solved.jac, end.solved.fun, body.compute_effects_of_causes(end.values, end.exact)
     )
     if cause is None and any(None in (row["measured_hz"], row["fitted_hz"]) for row in resonances):
         cause = (

@@ -16,7 +16,7 @@ from pydantic import ConfigDict, Field
 
 from kc2spice.bodies.readers.measured import MeasuredAdmittance, read_measured
 from kc2spice.core.errors import UsageError
-from kc2spice.core.key_errors import validate
+from kc2spice.core.key_errors import validate_table
 from kc2spice.core.quantities import Frequency, Section
 from kc2spice.core.toml_errors import parse_toml_file
 from kc2spice.core.untrusted_files import read_bounded
@@ -31,17 +31,29 @@ class MeasurementKeys(Section):
 
     model_config = ConfigDict(arbitrary_types_allowed=True)
 
-    file: str | Path | MeasuredAdmittance = Field(description="File of the measured impedance")
+    file: str | Path | MeasuredAdmittance = Field(
+        description="File of the measured impedance curve"
+    )
     set: dict[str, Any] = Field(
-        {}, description="Keys of the scene in this measurement, as for the option --set"
+        {},
+        description=(
+            "Values of scene keys that apply only to this measurement, written as for the "
+            "option --set"
+        ),
     )
     band: tuple[Frequency, Frequency] | None = Field(
         None,
-        description="Lowest and highest frequency of the curve that the fit uses; by default all "
-        "frequencies",
+        description=(
+            "Lowest and highest frequency of the measured curve that the fit uses; by "
+            "default all frequencies"
+        ),
     )
     predict: bool = Field(
-        False, description="Whether the curve is compared with the fit, but not fitted"
+        False,
+        description=(
+            "Whether the measured curve is only compared with the fitted model, and not used "
+            "for the fit"
+        ),
     )
 
 
@@ -49,7 +61,8 @@ class MeasurementListKeys(Section):
     """Keys of a TOML file that lists all measured curves of a fit."""
 
     curve: list[MeasurementKeys] = Field(
-        min_length=1, description="Measured curves, one table for each"
+        min_length=1,
+        description="Measured curves that are fitted together: one table for each curve",
     )
 
 
@@ -103,7 +116,7 @@ def read_curves(
         tables: Mapping[str, Any] = parse_toml_file(text, where)
     else:
         where, folder, tables = "data", Path(), {"curve": list(data)}
-    entries = validate(MeasurementListKeys, tables, f"{where}:").curve
+    entries = validate_table(MeasurementListKeys, tables, f"{where}:").curve
     curves = list(_read_entries(entries, folder, where, shunt))
     if all(curve.predict for curve in curves):
         raise UsageError(
@@ -119,6 +132,7 @@ def read_curves(
 def _read_entries(
     entries: Sequence[MeasurementKeys], folder: Path, where: str, shunt: float | None
 ) -> Iterator[MeasuredCurve]:
+    """Yield the measured curve of each entry, restricted to its ``band``."""
     for k, entry in enumerate(entries):
         file = entry.file
         measured = (

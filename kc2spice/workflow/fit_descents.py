@@ -12,12 +12,12 @@ from scipy.optimize import OptimizeResult, least_squares
 from scipy.stats import qmc
 
 from kc2spice.core.errors import UsageError
-from kc2spice.parts.bodies._box import VariedKey, read_key_values
-from kc2spice.rom.parametric import DenseParametricModel, ParameterAxis
+from kc2spice.parts.bodies._varied_keys import VariedKey, read_key_values
+from kc2spice.rom.parametric_models import DenseParametricModel, ParameterAxis
 from kc2spice.scene.load import load_scene
 from kc2spice.workflow.body_fit import DIFFERENCE_STEP, BodyFit, ParameterAxes
 from kc2spice.workflow.fit_keys import compute_log_widths, is_at_bound
-from kc2spice.workflow.misfit import noise_ratio
+from kc2spice.workflow.misfit import compute_error_scale
 
 # Number of random samples of the ranges, and number of descents.
 # The first descent begins at the values of the scene.
@@ -65,7 +65,7 @@ class Descent:
     degree: int | None = None
 
     @cached_property
-    def reduced(self) -> DenseParametricModel:
+    def reduced_model(self) -> DenseParametricModel:
         """Reduced model of the parameter ranges."""
         return self.body.reduce(self.parameter_axes, self.degree)
 
@@ -81,11 +81,11 @@ class Descent:
         values = signs * np.exp(np.clip(x, *self.bounds))
         return dict(zip(self.parameter_axes, values.tolist(), strict=True))
 
-    def deviation(self, x: np.ndarray) -> np.ndarray:
-        """Return the residuals (:meth:`log_ratio`) of the reduced model at the logarithms ``x``."""
-        return self.log_ratio(self.body.response(self.reduced, self.values(x)))
+    def compute_deviation(self, x: np.ndarray) -> np.ndarray:
+        """Return the residuals of the reduced model at the logarithms ``x`` of the values."""
+        return self.compute_log_ratio(self.body.response(self.reduced_model, self.values(x)))
 
-    def log_ratio(self, Y: np.ndarray) -> np.ndarray:
+    def compute_log_ratio(self, Y: np.ndarray) -> np.ndarray:
         """Return real and imaginary parts of log(Y / measured admittance), divided by the noise."""
         ratio = np.log(Y / self.body.Y)
         return np.concatenate([ratio.real, ratio.imag]) / self.body.noise
@@ -102,11 +102,11 @@ class Descent:
             ends[:, k] = np.clip(
                 x[k] + np.array([-DIFFERENCE_STEP, DIFFERENCE_STEP]), low[k], high[k]
             )
-            change = self.deviation(ends[1]) - self.deviation(ends[0])
+            change = self.compute_deviation(ends[1]) - self.compute_deviation(ends[0])
             columns.append(change / (ends[1, k] - ends[0, k]))
         return np.column_stack(columns)
 
-    def start(self, values: Mapping[str, float]) -> np.ndarray:
+    def compute_start_logarithms(self, values: Mapping[str, float]) -> np.ndarray:
         """Return the logarithm of the value of each key, limited to the range."""
         return np.clip(
             np.log(np.abs(list(map(values.__getitem__, self.parameter_axes)))), *self.bounds
@@ -115,8 +115,9 @@ class Descent:
     def solve(self, values: Mapping[str, float]) -> DescentResult:
         """Return the result of a descent that starts at ``values``."""
         solved = least_squares(
-            self.deviation, self.start(values), jac=self.jacobian, bounds=self.bounds,
-            x_scale="jac", xtol=1e-10, ftol=1e-10, max_nfev=60,
+            self.compute_deviation, self.compute_start_logarithms(values),
+            jac=self.jacobian, bounds=self.bounds, x_scale="jac",
+            xtol=1e-10, ftol=1e-10, max_nfev=60,
         )  # fmt: skip
         return DescentResult(self.values(solved.x), solved, self.parameter_axes)
 
@@ -125,7 +126,7 @@ def run_descents(descent: Descent) -> list[DescentResult]:
     """Return the results of all descents in the full ranges; the best result is first."""
     low, high = descent.bounds
     samples = qmc.scale(qmc.Sobol(len(low), seed=1).random(RANDOM_SAMPLES), low, high)
-    costs = [float(np.sum(descent.deviation(x) ** 2)) for x in samples]
+    costs = [float(np.sum(descent.compute_deviation(x) ** 2)) for x in samples]
     best = map(descent.values, samples[np.argsort(costs)[: DESCENT_COUNT - 1]])
     starts = [read_key_values(descent.body.keys), *best]
     return sorted(map(descent.solve, starts), key=attrgetter("cost"))
@@ -139,15 +140,15 @@ def _correct_end(descent: Descent, end: DescentResult) -> DescentResult | None:
     None if the steps do not converge within the range.
     """
     body, (low, high) = descent.body, descent.bounds
-    x = descent.start(end.values)
+    x = descent.compute_start_logarithms(end.values)
     for _ in range(MESH_CORRECTIONS):
         values = descent.values(x)
-        exact = body.full_admittance(values)
-        left, J = descent.log_ratio(exact), descent.jacobian(x)
+        exact = body.compute_full_admittance(values)
+        left, J = descent.compute_log_ratio(exact), descent.jacobian(x)
         result = OptimizeResult(fun=left, jac=J, cost=0.5 * float(left @ left))
         free = np.array([not is_at_bound(item, values[item.key]) for item in body.keys])
         U, s, Vt = np.linalg.svd(J[:, free], full_matrices=False)
-        excess = noise_ratio(left, J.shape[1])
+        excess = compute_error_scale(left, J.shape[1])
         pull = np.where(s * max(compute_log_widths(body.keys)) > 4 * excess, U.T @ left, 0.0)
         if np.abs(pull).max(initial=0.0) < CONVERGED_CHANGE * excess:
             return DescentResult(values, result, end.parameter_axes, exact)
@@ -157,7 +158,7 @@ def _correct_end(descent: Descent, end: DescentResult) -> DescentResult | None:
     return None
 
 
-def refine_end(descent: Descent, end: DescentResult) -> DescentResult:
+def refine_descent_result(descent: Descent, end: DescentResult) -> DescentResult:
     """Refine the result of a descent until the full model matches the data best.
 
     If steps with the derivatives of the reduced model do not converge, reduced models of narrower
@@ -202,6 +203,6 @@ def _narrow_range(item: VariedKey, value: float, half: float) -> ParameterAxis:
 
 def _is_at_inner_end(item: VariedKey, axis: ParameterAxis, value: float) -> bool:
     """Return whether a value is at an end of a narrow range that lies inside the full range."""
-    x = axis.coordinate(value)
+    x = axis.compute_coordinate(value)
     end = axis.high if x > 0 else axis.low
     return abs(x) > 1 - 1e-3 and not np.isclose([item.low, item.high], end).any()

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.signal import find_peaks
 
 from kc2spice.core.errors import UsageError
-from kc2spice.parts.bodies._box import VariedKey, make_varied_key, read_number_key
+from kc2spice.parts.bodies._varied_keys import VariedKey, make_varied_key, read_number_key
 from kc2spice.scene.model import Scene
 from kc2spice.workflow.sweep.grid import parse_value
 
@@ -43,7 +43,7 @@ def read_varied_keys(
     result = []
     for text, span in ends.items():
         key, _, limits = text.partition("=")
-        value, unit = read_number_key(scene.part(part, where=part), key, key)
+        value, unit = read_number_key(scene.get_part(part, where=part), key, key)
         factor = LOSS_RANGE if _LOSS_KEY.search(key) else VALUE_RANGE
         span = (_parse_range(key, limits) if limits else span) or (value / factor, value * factor)
         result.append(make_varied_key(key, unit, value, span))

@@ -11,9 +11,9 @@ import numpy as np
 
 from kc2spice.bodies.readers.measured import MeasuredAdmittance
 from kc2spice.core.errors import UsageError
-from kc2spice.parts.bodies._box import VariedKey
+from kc2spice.parts.bodies._varied_keys import VariedKey
 from kc2spice.workflow.fit_keys import compute_log_widths, find_resonances, is_at_bound
-from kc2spice.workflow.misfit import estimate_covariance, noise_ratio, rms_misfit
+from kc2spice.workflow.misfit import compute_error_scale, compute_rms_misfit, estimate_covariance
 
 # Number of standard errors that must fit into the widest range of a key.
 # A combination of keys with a larger standard error is undetermined.
@@ -48,11 +48,12 @@ def describe_values(
             where=", ".join(compress(names, unimportant)),
             got="a change below the noise of the data",
             expected="a key that changes the impedance",
+            hint="vary another key",
         )
     _, s, Vt = np.linalg.svd(J, full_matrices=False)
     scatter = estimate_covariance(J, residuals, widths)
     sigma = np.sqrt(np.diag(scatter))
-    weak = ERRORS_PER_RANGE * noise_ratio(residuals, len(keys)) > s * widths.max()
+    weak = ERRORS_PER_RANGE * compute_error_scale(residuals, len(keys)) > s * widths.max()
     parameters = {}
     for item, deviation in zip(keys, sigma.tolist(), strict=True):
         value = values[item.key]
@@ -68,7 +69,7 @@ def describe_values(
         "identifiable": not weak.any(),
         "undetermined": [dict(zip(names, row, strict=True)) for row in Vt[weak].tolist()],
         "correlation": (scatter / np.outer(sigma, sigma)).tolist(),
-        "misfit": rms_misfit(residuals, len(keys)),
+        "misfit": compute_rms_misfit(residuals, len(keys)),
     }
 
 

@@ -18,12 +18,12 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
-from kc2spice.netlist.deck import Measure
+from kc2spice.netlist.deck import MeasureCard
 from kc2spice.netlist.expression import parse_vector as parsed
 from kc2spice.netlist.spelling import format_number
-from kc2spice.scene.model import Build, Scene
-from kc2spice.scene.part_records import LargestRealPartFrequency, Vector
-from kc2spice.scene.settings import Probe
+from kc2spice.scene.model import BuiltScene, Scene
+from kc2spice.scene.part_records import LargestRealPartFrequency, PartResult
+from kc2spice.scene.settings import ProbeKeys
 
 _FUNCTIONS = {"max": "MAX", "min": "MIN", "peak_to_peak": "PP", "mean": "AVG", "rms": "RMS"}
 _OPPOSITE_EXTREMES = {"MAX": "MIN", "MIN": "MAX", "MAX_AT": "MIN_AT"}
@@ -48,12 +48,12 @@ class _MeasuredVector(NamedTuple):
     last: float
 
 
-def list_measure_cards(build: Build, sweep_scale: float) -> tuple[Measure, ...]:
+def list_measure_cards(build: BuiltScene, sweep_scale: float) -> tuple[MeasureCard, ...]:
     """Return the ``.meas`` cards of a scene, for main metrics of parts and for probes.
 
     ``sweep_scale`` is the voltage or current of a dc sweep for one SI unit of the swept key.
     """
-    count, probes = Counter[str](), dict[str, Probe | LargestRealPartFrequency]()
+    count, probes = Counter[str](), dict[str, ProbeKeys | LargestRealPartFrequency]()
     for name, part in build.scene.parts.items():
         if name not in build.scene.movers:
             metrics = part.type.main_metrics(part, build)
@@ -66,15 +66,17 @@ def list_measure_cards(build: Build, sweep_scale: float) -> tuple[Measure, ...]:
 
 
 def _list_measures(
-    build: Build, probes: Mapping[str, Probe | LargestRealPartFrequency], sweep_scale: float
-) -> Iterator[Measure]:
+    build: BuiltScene,
+    probes: Mapping[str, ProbeKeys | LargestRealPartFrequency],
+    sweep_scale: float,
+) -> Iterator[MeasureCard]:
     """Yield a ``.meas`` card for each of the ``probes`` that a card can compute."""
     for name, probe in probes.items():
         wave = _find_measured_vector(build.scene, build.results.vectors.get(probe.of), sweep_scale)
         if wave is None or not _VALID_NAME.fullmatch(name):
             continue
         if isinstance(probe, LargestRealPartFrequency):
-            yield Measure(
+            yield MeasureCard(
                 name, wave.kind, (_choose_extreme_function("MAX_AT", wave.factor), wave.text)
             )
         elif not {"from_", "to", "periods"} & probe.model_fields_set:
@@ -82,7 +84,7 @@ def _list_measures(
 
 
 def _find_measured_vector(
-    scene: Scene, result: Vector | None, sweep_scale: float
+    scene: Scene, result: PartResult | None, sweep_scale: float
 ) -> _MeasuredVector | None:
     """Return the simulator vector of a result; None if no card can read the result.
 
@@ -95,17 +97,19 @@ def _find_measured_vector(
     if kind == "dc" and scene.analysis.back:
         return None
     ((sign, text),) = result.terms
-    return _MeasuredVector(kind, text, sign * result.factor, sweep_scale, scene.stop)
+    return _MeasuredVector(kind, text, sign * result.factor, sweep_scale, scene.stop_time)
 
 
-def _list_probe_measures(name: str, probe: Probe, wave: _MeasuredVector) -> Iterator[Measure]:
+def _list_probe_measures(
+    name: str, probe: ProbeKeys, wave: _MeasuredVector
+) -> Iterator[MeasureCard]:
     """Yield the ``.meas`` card of a probe, if a card can compute this probe.
 
     In ``ac``, the card measures the magnitude of a voltage.
     """
     kind, text, factor, take = wave.kind, wave.text, wave.factor, probe.take
     if kind == "op":
-        yield Measure(name, kind, (text,), factor)
+        yield MeasureCard(name, kind, (text,), factor)
         return
     if kind == "ac":
         vector = parsed(text)
@@ -113,21 +117,21 @@ def _list_probe_measures(name: str, probe: Probe, wave: _MeasuredVector) -> Iter
             return
         text, factor = f"vm({text[2:]}", abs(factor)
     if take == "argmax":
-        yield Measure(
+        yield MeasureCard(
             name, kind, (_choose_extreme_function("MAX_AT", factor), text), 1 / wave.per_unit
         )
     elif take == "crossing" and probe.level is not None:
         words = "WHEN", f"{text}={format_number(probe.level / factor)}", "CROSS=1"
-        yield Measure(name, kind, words, 1 / wave.per_unit)
+        yield MeasureCard(name, kind, words, 1 / wave.per_unit)
     elif take == "value" and probe.at is not None:
-        yield Measure(
+        yield MeasureCard(
             name, kind, ("FIND", text, f"AT={format_number(probe.at * wave.per_unit)}"), factor
         )
     elif take == "final" and kind == "tran":
-        yield Measure(name, kind, ("FIND", text, f"AT={format_number(wave.last)}"), factor)
+        yield MeasureCard(name, kind, ("FIND", text, f"AT={format_number(wave.last)}"), factor)
     elif word := _FUNCTIONS.get(take):
         size = abs(factor) if word in ("PP", "RMS") else factor
-        yield Measure(name, kind, (_choose_extreme_function(word, factor), text), size)
+        yield MeasureCard(name, kind, (_choose_extreme_function(word, factor), text), size)
 
 
 def _choose_extreme_function(word: str, factor: float) -> str:

@@ -29,7 +29,7 @@ EQUAL_LIKELIHOOD_RATIO = 1.1
 EXPLAINED_SHARE = 0.5  # smallest fraction of the sum of squares that a likely cause removes
 
 
-def rms_misfit(residuals: np.ndarray, keys: int) -> float:
+def compute_rms_misfit(residuals: np.ndarray, keys: int) -> float:
     """Return the rms residual in units of the noise.
 
     Parameters
@@ -41,23 +41,23 @@ def rms_misfit(residuals: np.ndarray, keys: int) -> float:
 
     Examples
     --------
-    >>> rms_misfit(np.array([3.0, -3.0, 3.0, -3.0]), 2)
+    >>> compute_rms_misfit(np.array([3.0, -3.0, 3.0, -3.0]), 2)
     4.242640687119285
     """
     return float(np.sqrt(residuals @ residuals / max(len(residuals) - keys, 1)))
 
 
-def noise_ratio(residuals: np.ndarray, keys: int) -> float:
-    """Return the larger of 1 and the rms residual in units of the noise.
+def compute_error_scale(residuals: np.ndarray, keys: int) -> float:
+    """Return the rms residual in units of the noise, but at least 1.
 
-    The arguments are those of :func:`rms_misfit`.
+    The arguments are those of :func:`compute_rms_misfit`.
 
     Examples
     --------
-    >>> noise_ratio(np.array([0.5, -0.5, 0.5, -0.5]), 2)
+    >>> compute_error_scale(np.array([0.5, -0.5, 0.5, -0.5]), 2)
     1.0
     """
-    return max(1.0, rms_misfit(residuals, keys))
+    return max(1.0, compute_rms_misfit(residuals, keys))
 
 
 def estimate_covariance(J: np.ndarray, residuals: np.ndarray, widest: np.ndarray) -> np.ndarray:
@@ -76,12 +76,14 @@ def estimate_covariance(J: np.ndarray, residuals: np.ndarray, widest: np.ndarray
         Widths of the ranges of the values. The widths limit the standard errors of the jackknife.
     """
     _, s, Vt = np.linalg.svd(J, full_matrices=False)
-    more = rms_misfit(residuals, J.shape[1])
-    noise = noise_ratio(residuals, J.shape[1]) ** 2 * (Vt.T / np.maximum(s, 1e-12) ** 2) @ Vt
+    more = compute_rms_misfit(residuals, J.shape[1])
+    noise = (
+        compute_error_scale(residuals, J.shape[1]) ** 2 * (Vt.T / np.maximum(s, 1e-12) ** 2) @ Vt
+    )
     if more < MODEL_ERROR_MISFIT:
         return np.asarray(noise)
     bands = np.array_split(np.arange(len(residuals) // 2), BAND_COUNT)
-    moves = np.array([_change_without_band(J, residuals, band) for band in bands])
+    moves = np.array([_refit_without_band(J, residuals, band) for band in bands])
     moves -= moves.mean(axis=0)
     scatter = (BAND_COUNT - 1) / BAND_COUNT * moves.T @ moves
     size = np.sqrt(np.diag(scatter))
@@ -89,7 +91,7 @@ def estimate_covariance(J: np.ndarray, residuals: np.ndarray, widest: np.ndarray
     return np.asarray(noise + scatter * np.outer(limit, limit))
 
 
-def _change_without_band(J: np.ndarray, residuals: np.ndarray, band: np.ndarray) -> np.ndarray:
+def _refit_without_band(J: np.ndarray, residuals: np.ndarray, band: np.ndarray) -> np.ndarray:
     """Return the changes of the k values if the fit omits the frequencies in ``band``."""
     used = np.ones(len(residuals), dtype=bool)
     used[band] = used[band + len(residuals) // 2] = False
@@ -120,15 +122,17 @@ def find_likely_cause(
         Name of the cause; None if no cause removes more than half of the sum of squared residuals.
     """
     total = float(residuals @ residuals)
-    left = {name: _residual_with_cause(J, residuals, column) for name, column in causes.items()}
+    left = {
+        name: _compute_residual_with_cause(J, residuals, column) for name, column in causes.items()
+    }
     least = min(left.values(), default=total)
     if least >= (1 - EXPLAINED_SHARE) * total:
         return None
     return next(name for name, squares in left.items() if squares <= EQUAL_LIKELIHOOD_RATIO * least)
 
 
-def _residual_with_cause(J: np.ndarray, residuals: np.ndarray, cause: np.ndarray) -> float:
-    """Return the sum of squared residuals after a fit with a positive amount of a cause."""
+def _compute_residual_with_cause(J: np.ndarray, residuals: np.ndarray, cause: np.ndarray) -> float:
+    """Return the sum of squared residuals if an amount of ``cause`` is also fitted."""
     column = np.concatenate([cause.real, cause.imag])
     Q, _ = np.linalg.qr(J)
     column = column - Q @ (Q.T @ column)

@@ -9,26 +9,26 @@ from functools import partial
 from operator import attrgetter
 from typing import Any
 
-from kc2spice.core.progress import Clock
+from kc2spice.core.progress import StageTimer
 from kc2spice.equations.scene_laws import store_laws
 from kc2spice.netlist.library import Header
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.modal import tabulate_modes
-from kc2spice.scene.model import Build, NameAllocator, Part, Scene, scene_hash
-from kc2spice.scene.plausible import apply_check_action, check_models
+from kc2spice.rom.modal_models import tabulate_modes
+from kc2spice.scene.model import BuiltScene, NameAllocator, Part, Scene, compute_scene_hash
+from kc2spice.scene.plausibility import apply_check_action, check_model_masses
 from kc2spice.scene.probed_results import require_probed_results
-from kc2spice.scene.resolve import name_subcircuits, resolve_again, resolve_build
+from kc2spice.scene.resolve import add_results_and_sources, name_subcircuits, resolve_again
 from kc2spice.workflow.time_step import choose_largest_step, with_linearised_scene
 
 
 def build_models(
     scene: Scene,
-    clock: Clock,
+    clock: StageTimer,
     *,
     trust: bool = False,
     functions: Mapping[str, Any] | None = None,
-) -> Build:
+) -> BuiltScene:
     """Build the models of a scene's parts, or read them from the cache.
 
     With ``trust``, included netlists may execute programs and open files. ``functions`` are the
@@ -39,11 +39,11 @@ def build_models(
     UsageError : a probe reads an unknown result, which is detected before models are built, or a
         mass is implausible.
     """
-    build = Build(scene, {}, trust=trust, functions=functions or {})
+    build = BuiltScene(scene, {}, trust=trust, functions=functions or {})
     require_probed_results(build)
     models = {name: part.type.build(part, scene, clock) for name, part in scene.parts.items()}
     build = replace(build, models=models, libraries=name_subcircuits(scene))
-    for problem in apply_check_action(check_models(build), scene.checks.plausible):
+    for problem in apply_check_action(check_model_masses(build), scene.checks.plausible):
         raise problem
     build = _resolve_equations(merge_equal_subcircuits(build))
     if scene.analysis.type != "transient":
@@ -51,12 +51,14 @@ def build_models(
     return replace(build, largest_step=choose_largest_step(build))
 
 
-def _resolve_equations(build: Build) -> Build:
+def _resolve_equations(build: BuiltScene) -> BuiltScene:
     """Return the build with the results and laws of its parts, and with linearised networks."""
-    return with_linearised_scene(store_laws(resolve_build(build)))
+    return with_linearised_scene(store_laws(add_results_and_sources(build)))
 
 
-def replace_parts(build: Build, parts: Mapping[str, Part], unchecked_parts: Iterable[str]) -> Build:
+def replace_parts(
+    build: BuiltScene, parts: Mapping[str, Part], unchecked_parts: Iterable[str]
+) -> BuiltScene:
     """Return the build with changed keys of parts, and with unchanged models.
 
     For the parts ``unchecked_parts``, neither checks nor energy balances are computed.
@@ -65,42 +67,45 @@ def replace_parts(build: Build, parts: Mapping[str, Part], unchecked_parts: Iter
     return rebuild_with_scene(changed, replace(build.scene, parts=parts))
 
 
-def rebuild_with_scene(build: Build, scene: Scene) -> Build:
+def rebuild_with_scene(build: BuiltScene, scene: Scene) -> BuiltScene:
     """Return a build that reuses pins, nets and models for a scene with changed keys."""
     return _resolve_equations(replace(build, scene=resolve_again(scene)))
 
 
-def merge_equal_subcircuits(build: Build) -> Build:
+def merge_equal_subcircuits(build: BuiltScene) -> BuiltScene:
     """Return ``build`` with one subcircuit for parts of a type with equal subcircuits.
 
     The subcircuit has the name of the part type if the subcircuits of all parts of the type are
     equal. Otherwise each group of equal subcircuits has the name of its first part's subcircuit.
     """
-    header, names = Header(build.scene.name, scene_hash(build.scene)), _name_libraries(build)
+    header, names = (
+        Header(build.scene.name, compute_scene_hash(build.scene)),
+        _name_libraries(build),
+    )
     kinds: dict[str, list[Part]] = {}
     for part in build.scene.parts.values():
         if part.name in names:
             kinds.setdefault(part.type.name, []).append(part)
     for kind, parts in kinds.items():
-        if len(parts) < 2 or parts[0].reduced or parts[0].netlist:
+        if len(parts) < 2 or parts[0].is_body or parts[0].is_user_netlist:
             continue
         same_name = dict.fromkeys(map(attrgetter("name"), parts), kind)
         trial = replace(build, libraries=names | same_name)
         equal: dict[tuple[str, ...], list[str]] = {}
         for part in parts:
-            equal.setdefault(_netlist_texts(part, trial, header), []).append(part.name)
+            equal.setdefault(_list_netlist_texts(part, trial, header), []).append(part.name)
         single = len(equal) == 1 and kind not in map(str.lower, names.values())
         for group in equal.values():
             names |= dict.fromkeys(group, kind if single else names[group[0]])
     return replace(build, libraries=names)
 
 
-def _netlist_texts(part: Part, build: Build, header: Header) -> tuple[str, ...]:
+def _list_netlist_texts(part: Part, build: BuiltScene, header: Header) -> tuple[str, ...]:
     """Return the netlist texts of a part's subcircuits."""
     return tuple(map(attrgetter("text"), part.type.subcircuits(part, build, header)))
 
 
-def _name_libraries(build: Build) -> dict[str, str]:
+def _name_libraries(build: BuiltScene) -> dict[str, str]:
     """Return the library name of each part, with different names for different subcircuits.
 
     Bodies with one part number may have different subcircuits, for example with different ports.
@@ -108,22 +113,24 @@ def _name_libraries(build: Build) -> dict[str, str]:
     part.
     """
     scene, names = build.scene, dict(build.libraries)
-    header = Header(scene.name, scene_hash(scene))
+    header = Header(scene.name, compute_scene_hash(scene))
     users = [*names.values()]
     unique, equal = NameAllocator(users), dict[tuple[str, ...], str]()
     for part in scene.parts.values():
         name = build.libraries[part.name]
-        if users.count(name) < 2 or part.netlist or not isinstance(part.type, LinearBody):
+        if users.count(name) < 2 or part.is_user_netlist or not isinstance(part.type, LinearBody):
             continue
-        texts = _netlist_texts(part, build, header)
+        texts = _list_netlist_texts(part, build, header)
         if texts not in equal:
-            scene_name = part.type.scene_library(part, scene)
-            equal[texts] = unique.name(part.name, scene_name) if name in equal.values() else name
+            scene_name = part.type.make_library_name(part, scene)
+            equal[texts] = (
+                unique.allocate_name(part.name, scene_name) if name in equal.values() else name
+            )
         names[part.name] = equal[texts]
     return names
 
 
-def model_values(build: Build) -> dict[str, dict[str, float]]:
+def list_model_values(build: BuiltScene) -> dict[str, dict[str, float]]:
     """Return ``model`` of ``result.json``: characteristic values of each part's model."""
     result = {}
     for part in build.scene.parts.values():
@@ -141,7 +148,7 @@ VALUE_UNITS = {
 }  # fmt: skip
 
 
-def value_units(facts: Mapping[str, float]) -> dict[str, str]:
+def find_value_units(facts: Mapping[str, float]) -> dict[str, str]:
     """Return the SI units of a model's values; values without a unit are left out."""
     result = {}
     for name in facts:
@@ -151,18 +158,18 @@ def value_units(facts: Mapping[str, float]) -> dict[str, str]:
     return result
 
 
-def mode_tables(build: Build) -> dict[str, dict[str, Any]]:
+def tabulate_body_modes(build: BuiltScene) -> dict[str, dict[str, Any]]:
     """Return ``modes`` of ``result.json``: the modes of each body within its band."""
     result = {}
-    for name, model in build.models_of(LinearModel).items():
+    for name, model in build.find_models(LinearModel).items():
         if table := tabulate_modes(model):
             result[name] = table
     return result
 
 
-def rom_values(build: Build) -> dict[str, Any]:
+def collect_rom_values(build: BuiltScene) -> dict[str, Any]:
     """Return ``rom`` of ``result.json``, and ``roms`` if there are several reduced models."""
-    models = build.models_of(LinearModel)
+    models = build.find_models(LinearModel)
     if not models:
         return {}
     reduced = dict(zip(models, map(_describe_model, models.values()), strict=True))

@@ -27,21 +27,24 @@ from kc2spice.core.errors import (
     list_candidates,
 )
 from kc2spice.core.files import stage_directory
-from kc2spice.core.progress import Clock, Progress, follow_stage, ignore_progress
-from kc2spice.core.quantities import quantity
+from kc2spice.core.progress import Progress, StageTimer, follow_stage, ignore_progress
+from kc2spice.core.quantities import convert_quantity
 from kc2spice.core.untrusted_files import make_identifier
 from kc2spice.linalg.solver import require_solver, use_solver
-from kc2spice.netlist.deck import Deck, ac_command
-from kc2spice.netlist.elements import add_title
+from kc2spice.netlist.deck import Deck, make_ac_command
 from kc2spice.netlist.library import Header, Subcircuit
-from kc2spice.netlist.printers.dialect_registry import dialect_names, unknown_dialect_error
+from kc2spice.netlist.printers.dialect_registry import (
+    list_dialect_names,
+    make_unknown_dialect_error,
+)
 from kc2spice.netlist.printers.plot_script import format_plot_script
+from kc2spice.netlist.shared_cards import add_title
 from kc2spice.netlist.translate import write_dialect_files, write_symbol_files
-from kc2spice.parts.bodies._body_model import full_model_without_scene, scene_band
+from kc2spice.parts.bodies._body_model import find_scene_band, full_model_without_scene
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.rom.affine import AffineModel, reduce_affine
 from kc2spice.rom.band import MAX_DENSE_EQUATIONS, choose_natural_band
-from kc2spice.rom.branch_fit import fit_one_port
+from kc2spice.rom.branch_fit import POOR_DEVIATION, fit_one_port
 from kc2spice.rom.constraints import eliminate_algebraic_unknowns
 from kc2spice.rom.error_estimate import choose_default_norm
 from kc2spice.rom.heat_network import NetworkForm, parse_network_form
@@ -60,13 +63,13 @@ from kc2spice.scene.model import Scene
 from kc2spice.scene.scene_file import list_gallery
 from kc2spice.sim.ngspice import write_files
 from kc2spice.synthesis.circuit_error import require_circuit_tolerance
-from kc2spice.synthesis.heat import is_heat_model
+from kc2spice.synthesis.heat_netlist import is_heat_model
 from kc2spice.synthesis.parameter_ranges import list_parameters
 from kc2spice.synthesis.parametric_resonators import (
     parametric_subcircuit,
     require_parametric_form,
 )
-from kc2spice.synthesis.realize import apply_unit_load, subcircuit
+from kc2spice.synthesis.realize import make_unit_load_cards, subcircuit
 from kc2spice.workflow.decks import protect_other_decks
 from kc2spice.workflow.thermal_transients import (
     fit_transient_network,
@@ -288,12 +291,12 @@ def _reduce_affine(
         reduced = reduce_affine(
             model, **settings, progress=lambda done, of: progress("reduce", done / of, "")
         )
-        at_defaults = reduced.at(reduced.defaults)
+        at_defaults = reduced.evaluate(reduced.defaults)
         part = parametric_subcircuit(reduced, make_identifier(name, "rom"))
         require_circuit_tolerance(part, at_defaults, settings["tolerance"])
         files = write_parametric_model(reduced, work, name)
     parameters = {item.name: asdict(item) for item in model.parameters}
-    facts = _describe_reduced(model.name, model.model.order, at_defaults, part)
+    facts = _describe_reduced_model(model.name, model.model.order, at_defaults, part)
     return facts | {
         "full_form": describe_order(model.model),
         "parameters": parameters,
@@ -321,7 +324,7 @@ def _require_valid_port_names(model: LinearModel, name: str) -> None:
     ------
     UsageError : a port has the name of an inner node of the subcircuit, or of another pin.
     """
-    names = {port.name for port in model.ports if port.charged}
+    names = {port.name for port in model.ports if port.has_charge_output}
     D = [[float(out == into and out in names) for into in model.inputs] for out in model.outputs]
     one, B = np.eye(1), np.ones((1, len(model.inputs)))
     C = np.ones((len(model.outputs), 1))
@@ -439,10 +442,10 @@ def _fit_passive_model(
         return branches
     if conductance is not None:
         raise UsageError(
-            "parallel branches do not match the measurement of this part",
+            "no circuit of parallel branches matches the measurement",
             where=data.where,
-            got=f"an rms deviation of {left:.2g}",
-            expected="a measurement that parallel branches match",
+            got=f"an rms deviation of {left:.2g}, with the resistance of --dc",
+            expected=f"at most {POOR_DEVIATION:g}",
             hint="leave out --dc, so that a general fit extrapolates this resistance",
         )
     note = f"parallel branches leave a deviation of {left:.2g}: poles of any kind"
@@ -453,7 +456,7 @@ def _fit_passive_model(
         if branches is None:
             raise
         return branches
-    if branches is not None and _pointwise_error(general, data) > MAX_MISFIT:
+    if branches is not None and _compute_pointwise_error(general, data) > MAX_MISFIT:
         return branches
     notes.append(note)
     return general
@@ -475,7 +478,7 @@ class _ModelMisfit:
     noise: float
 
     @property
-    def exceeds(self) -> bool:
+    def exceeds_limit(self) -> bool:
         """Whether the error exceeds the limit."""
         return self.error > self.limit
 
@@ -484,11 +487,11 @@ def _compute_misfit(model: LinearModel, data: MeasuredAdmittance) -> _ModelMisfi
     """Return the error of a fitted model, its limit, and the noise of the data."""
     certificate = model.certificate
     assert certificate is not None
-    noise = data.relative_noise(certificate.norm)
+    noise = data.compute_relative_noise(certificate.norm)
     return _ModelMisfit(certificate.error_estimate, max(MAX_MISFIT, MAX_NOISE_RATIO * noise), noise)
 
 
-def _pointwise_error(model: LinearModel, data: MeasuredAdmittance) -> float:
+def _compute_pointwise_error(model: LinearModel, data: MeasuredAdmittance) -> float:
     """Return the largest relative deviation of a one-port's admittance from the samples."""
     charge = model.transfer(data.f)[:, 0, 0]
     return float(np.abs(2j * np.pi * data.f * charge / data.Y[:, 0, 0] - 1).max())
@@ -500,22 +503,21 @@ def _deviates_beyond_noise(model: LinearModel, data: MeasuredAdmittance) -> bool
     An example is a loudspeaker, whose parallel resonance is in series with a coil.
     """
     misfit = _compute_misfit(model, data)
-    return misfit.exceeds and misfit.limit == MAX_MISFIT
+    return misfit.exceeds_limit and misfit.limit == MAX_MISFIT
 
 
 def _require_small_misfit(model: LinearModel, data: MeasuredAdmittance) -> None:
     """Reject a fitted model whose error is too large, and is far above the noise of the data."""
     certificate, misfit = model.certificate, _compute_misfit(model, data)
-    if certificate is None or not misfit.exceeds:
+    if certificate is None or not misfit.exceeds_limit:
         return
-    of = "of each admittance" if certificate.norm == "pointwise" else "of an entry's peak"
+    reference = "of each admittance" if certificate.norm == "pointwise" else "of an entry's peak"
     raise GateMissedError(
         "the circuit does not describe the measurement",
         where=data.where,
-        got=f"an error of {misfit.error:.2g} {of}; {certificate.method}",
-        expected=f"at most {misfit.limit:.2g}: the larger of {MAX_MISFIT:g} and "
-        f"{MAX_NOISE_RATIO:g} times {misfit.noise:.2g}, the noise of the measured "
-        f"{data.quantity} in the admittance",
+        got=f"an error of {misfit.error:.2g} {reference}; {certificate.method}",
+        expected=f"at most {misfit.limit:.2g}, the larger of {MAX_MISFIT:g} and "
+        f"{MAX_NOISE_RATIO:g} times the noise {misfit.noise:.2g} of the admittance",
         hint="measure more points at each resonance or a narrower band; no file was written",
     )
 
@@ -524,7 +526,7 @@ def _parse_conductance(dc: str | float) -> float:
     """Return the conductance [S] at zero frequency that ``--dc`` states."""
     if dc == "open":
         return 0.0
-    resistance = quantity(dc, "Ohm", where="--dc")
+    resistance = convert_quantity(dc, "Ohm", where="--dc")
     if not 0 < resistance < math.inf:
         expected = 'a positive resistance, such as "80 mOhm", or open'
         raise UsageError("this value is not a resistance", where="--dc", got=dc, expected=expected)
@@ -555,11 +557,11 @@ def _write_reduced_model(
         if tolerance is not None:
             require_circuit_tolerance(part, reduced, tolerance)
         files = write_rom(reduced, work, name)
-    facts = _describe_reduced(model_name, unknowns, reduced, part)
+    facts = _describe_reduced_model(model_name, unknowns, reduced, part)
     return facts | {"rom": str(directory / files[0]), "files": files}
 
 
-def _describe_reduced(
+def _describe_reduced_model(
     model_name: str, unknowns: int, reduced: LinearModel, part: Subcircuit
 ) -> dict[str, Any]:
     """Return the record of a reduced model, with the error estimate of its circuit."""
@@ -595,7 +597,7 @@ def _load_scene_body(text: str, progress: Progress = ignore_progress) -> LinearM
     if not colon or Path(text).exists() or not (name in list_gallery() or name.endswith(".toml")):
         return None
     scene = load_scene(name)
-    part = scene.part(part_name, where=text)
+    part = scene.get_part(part_name, where=text)
     if not isinstance(part.type, LinearBody):
         bodies = _list_bodies(scene)
         raise UsageError(
@@ -607,10 +609,10 @@ def _load_scene_body(text: str, progress: Progress = ignore_progress) -> LinearM
             if bodies
             else f"kc2spice export {name} writes the netlists of all parts",
         )
-    full = full_model_without_scene(part, scene, Clock(progress))
+    full = full_model_without_scene(part, scene, StageTimer(progress))
     restricted = full.select(part.type.used_port_names(part, scene))
     return replace(
-        restricted, name=f"{scene.name}_{part.name}", band=scene_band(part, scene, restricted)
+        restricted, name=f"{scene.name}_{part.name}", band=find_scene_band(part, scene, restricted)
     )
 
 
@@ -649,8 +651,8 @@ def export_rom(
         the dialect cannot represent the subcircuit, or another deck uses an existing library
         (:func:`kc2spice.workflow.decks.protect_other_decks`). Nothing is written.
     """
-    if dialect not in dialect_names():
-        raise unknown_dialect_error(dialect, dialect_names())
+    if dialect not in list_dialect_names():
+        raise make_unknown_dialect_error(dialect, list_dialect_names())
     path = Path(path)
     reduced, part = _read_model_and_subcircuit(path, dense)
     deck = make_example_deck(reduced, part)
@@ -684,18 +686,18 @@ def _read_model_and_subcircuit(path: Path, dense: bool) -> tuple[LinearModel, Su
         )
     varying = read_parametric_model(path)
     defaults = {item.name: item.default for item in list_parameters(varying)}
-    return varying.at(defaults), parametric_subcircuit(varying, name, None, header)
+    return varying.evaluate(defaults), parametric_subcircuit(varying, name, None, header)
 
 
 def make_example_deck(model: LinearModel, part: Subcircuit) -> Deck:
     """Return a deck that computes the response of ``model`` to a unit input at its first port."""
     drivable = [port for port in model.ports if port.kind != "output"]
     driven = min(drivable, key=lambda port: PORT_KINDS.index(port.kind))
-    (instance, *sources), answers = apply_unit_load(model, part, driven)
+    (instance, *sources), answers = make_unit_load_cards(model, part, driven)
     words = {port.name: f".{port.domain.output_wave}" for port in model.ports if port.domain}
     low, high = model.certificate.band_hz if model.certificate else (1.0, 1e6)
     low = max(low, high / 1e3)
-    known = None if driven.domain is None else driven.domain.quantity(driven.domain.input_side)
+    known = None if driven.domain is None else driven.domain.get_quantity(driven.domain.input_side)
     what = f"1 {known.unit}" if known else "one unit"
     title = f"{part.name}: response to {what} at {driven.name}"
     return Deck(
@@ -708,5 +710,5 @@ def make_example_deck(model: LinearModel, part: Subcircuit) -> Deck:
             *add_title("the model", (instance,)),
             *add_title("what drives it, and what holds the other ports", sources),
         ),
-        command=ac_command(low, high, 400, "log"),
+        command=make_ac_command(low, high, 400, "log"),
     )

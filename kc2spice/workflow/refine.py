@@ -22,11 +22,11 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core.errors import SimulationError, UsageError, wrong
-from kc2spice.core.memory import available_bytes
+from kc2spice.core.memory import find_available_bytes
 from kc2spice.core.mesh_error import list_mesh_errors
-from kc2spice.core.progress import ERROR_BUDGET, Clock
+from kc2spice.core.progress import ERROR_BUDGET, StageTimer
 from kc2spice.core.waveforms import interpolate
-from kc2spice.parts.bodies._meshed import MeshedBody
+from kc2spice.parts.bodies._meshed_bodies import MeshedBody
 from kc2spice.scene.checks import Check, require_passed
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Part, Scene
@@ -40,9 +40,9 @@ from kc2spice.scene.settings import Action
 from kc2spice.workflow.decks import prepare_deck
 from kc2spice.workflow.simulate import (
     Run,
+    measure_simulator_cpu,
     run_simulation,
     simulate_deck,
-    simulator_cpu,
 )
 
 # Largest number of unknowns of a refined mesh; larger meshes take more than minutes of CPU time.
@@ -87,7 +87,7 @@ class RefinedRuns:
         self,
         start: Run,
         refinable: Sequence[NumericalSetting],
-        clock: Clock,
+        clock: StageTimer,
         *,
         finest: Sequence[NumericalSetting] = (),
         retries: int | None = None,
@@ -98,7 +98,7 @@ class RefinedRuns:
         self.run_cache: dict[str, Run] = {repr({}): start}
         self.refused: UsageError | None = None  # error about the latest mesh that was too large
 
-    def run_at(self, steps: RefinementSteps) -> Run:
+    def get_refined_run(self, steps: RefinementSteps) -> Run:
         """Return the run with settings refined by ``steps``.
 
         Raises the errors of :func:`kc2spice.workflow.simulate.simulate_deck`.
@@ -122,9 +122,9 @@ class RefinedRuns:
         return (*self.refinable, *self.finest)
 
     @cached_property
-    def limits(self) -> tuple[float, float]:
+    def mesh_limits(self) -> tuple[float, float]:
         """Largest number of unknowns, and largest memory [B], of a refined mesh."""
-        return MAX_MESH_UNKNOWNS, MEMORY_SHARE * available_bytes()
+        return MAX_MESH_UNKNOWNS, MEMORY_SHARE * find_available_bytes()
 
     def require_mesh_size(self, steps: RefinementSteps) -> None:
         """Reject meshes that exceed :attr:`limits` after refinement by ``steps``.
@@ -134,17 +134,17 @@ class RefinedRuns:
         UsageError : the mesh needs too many unknowns or too much memory.
         """
         for setting in self.refinable:
-            part = self._body_of_setting(setting)
+            part = self._find_body_of_setting(setting)
             if part is None or not steps.get(setting.name):
                 continue
             assert isinstance(part.type, MeshedBody)
             dimensions = part.type.dimensions(part)
             grown = (
-                setting.refined_keys(steps[setting.name])[setting.name] / setting.value
+                setting.refine_keys(steps[setting.name])[setting.name] / setting.value
             ) ** dimensions
             unknowns = grown * self.start.build.facts(part)["unknowns"]
-            need = factor_bytes(unknowns, dimensions)
-            most, memory = self.limits
+            need = estimate_factor_bytes(unknowns, dimensions)
+            most, memory = self.mesh_limits
             if unknowns > most or need > memory:
                 got = f"about {_format_size(unknowns, need)}"
                 expected = f"at most {_format_size(most, memory)}"
@@ -156,7 +156,7 @@ class RefinedRuns:
                 )
                 raise self.refused
 
-    def _body_of_setting(self, setting: NumericalSetting) -> Part | None:
+    def _find_body_of_setting(self, setting: NumericalSetting) -> Part | None:
         """Return the body whose mesh a setting refines; None if the setting refines no mesh."""
         for part in self.start.build.scene.parts.values() if setting.model else ():
             refined = setting.name.startswith(f"{part.key_prefix}.")
@@ -169,14 +169,14 @@ class RefinedRuns:
         """Whether the number of runs allows a further run."""
         return len(self.run_cache) <= self.most
 
-    def largest_mesh_error(self, names: Sequence[str], run: Run) -> float:
+    def find_largest_mesh_error(self, names: Sequence[str], run: Run) -> float:
         """Return the largest error estimate of the meshes that the settings ``names`` refine.
 
         The error estimates are those of the models in ``run``.
         """
         largest = 0.0
         for setting in self.all_settings:
-            part = self._body_of_setting(setting) if setting.name in names else None
+            part = self._find_body_of_setting(setting) if setting.name in names else None
             if part is not None:
                 errors = list_mesh_errors(run.build.facts(part))
                 largest = max([largest, *errors.values()])
@@ -188,8 +188,8 @@ def _format_size(unknowns: float, memory: float) -> str:
     return f"{unknowns:,.0f}".replace(",", " ") + f" unknowns and {memory / 1e9:.2g} GB"
 
 
-def factor_bytes(unknowns: float, dimensions: int) -> float:
-    """Return the memory [B] of a factorised stiffness matrix.
+def estimate_factor_bytes(unknowns: float, dimensions: int) -> float:
+    """Estimate the memory [B] of the factor of a stiffness matrix.
 
     For n unknowns, the number of nonzeros of the factor grows as n^(4/3) in three dimensions, and
     as n log n in a plane (A. George, SIAM J. Numer. Anal. 10 (1973) 345).
@@ -204,7 +204,7 @@ def factor_bytes(unknowns: float, dimensions: int) -> float:
 
 def evaluate_scene(
     scene: Scene,
-    clock: Clock,
+    clock: StageTimer,
     text: str = "",
     *,
     trust: bool = False,
@@ -224,12 +224,12 @@ def repeat_timing(run: Run) -> float:
     """Simulate the deck of ``run`` again and return the CPU time [s] of the simulator."""
     with tempfile.TemporaryDirectory() as folder:
         shared = bool(run.build.sampled_sources)
-        begin = simulator_cpu(shared=shared)
+        begin = measure_simulator_cpu(shared=shared)
         run_simulation(run.build, run.deck, Path(folder))
-        return simulator_cpu(shared=shared) - begin
+        return measure_simulator_cpu(shared=shared) - begin
 
 
-def metric_changes(run: Run, finer: Run) -> dict[str, float]:
+def compute_metric_changes(run: Run, finer: Run) -> dict[str, float]:
     """Return the relative change of every metric between ``run`` and ``finer``.
 
     The change of a curve is relative to its largest value. The change of a number is relative to
@@ -284,11 +284,11 @@ class RunEstimate:
     fixed: float = 0.0
 
     @property
-    def error(self) -> float:
+    def largest_error(self) -> float:
         """Largest error of all metrics."""
         return max(self.errors.values(), default=math.inf)
 
-    def record(self) -> dict[str, Any]:
+    def make_record(self) -> dict[str, Any]:
         """Return the row of the run and its estimate in ``result.json``."""
         return {
             "settings": dict(self.settings),
@@ -318,7 +318,7 @@ class ConvergedRun:
         verdict = replace(run.verdict, checks=(*run.verdict.checks, self.check))
         return replace(run, verdict=verdict)
 
-    def record(self) -> dict[str, Any]:
+    def make_record(self) -> dict[str, Any]:
         """Return the table ``convergence`` of ``result.json``."""
         return {
             "budget": self.check.limit,
@@ -327,11 +327,11 @@ class ConvergedRun:
             "shares": dict(self.shares),
             "unmoved": self.final.unmoved,
             "limits": dict(zip(("unknowns", "memory_bytes"), self.limits, strict=True)),
-            "tried": list(map(RunEstimate.record, self.tried)),
+            "tried": list(map(RunEstimate.make_record, self.tried)),
         }
 
 
-def converge_to_budget(start: Run, clock: Clock) -> ConvergedRun | None:
+def converge_to_budget(start: Run, clock: StageTimer) -> ConvergedRun | None:
     """Refine the scene until the estimated error of every metric is within ``error_budget``.
 
     Without a budget, ``checks.reduction`` requests a single estimate. The result is None if the
@@ -350,7 +350,7 @@ def converge_to_budget(start: Run, clock: Clock) -> ConvergedRun | None:
         start, find_numerical_settings(start.build), clock, finest=find_finest_settings(start.build)
     )
     if any(map(attrgetter("mesh"), runs.refinable)):
-        most, memory = runs.limits
+        most, memory = runs.mesh_limits
         text = f"meshes are refined up to {_format_size(most, memory)} of memory"
         clock.progress(ERROR_BUDGET, None, text)
     tried: list[RunEstimate] = []
@@ -364,18 +364,18 @@ def converge_to_budget(start: Run, clock: Clock) -> ConvergedRun | None:
             why = "a refined run failed"
             break
         tried.append(now)
-        if now.error <= limit or budget is None:
+        if now.largest_error <= limit or budget is None:
             break
         if now.fixed > limit:
             if any(setting.mesh for setting in runs.all_settings if setting.name in now.unmoved):
                 other = "give a mesh that is finer where its error arises"
-            why = _finest_mesh_reason(runs, now)
+            why = _explain_finest_mesh(runs, now)
             break
-        stalls = stalls + 1 if now.error > CONVERGENCE_RATIO * last else 0
+        stalls = stalls + 1 if now.largest_error > CONVERGENCE_RATIO * last else 0
         if stalls == MAX_STALLS:
-            why = f"the estimate does not shrink: {last:.2g}, then {now.error:.2g}"
+            why = f"the estimate does not shrink: {last:.2g}, then {now.largest_error:.2g}"
             break
-        last = now.error
+        last = now.largest_error
         moved = _refine_dominant_setting(runs, now, shares, limit)
         if moved is None or not runs.has_runs_left:
             why = (
@@ -386,9 +386,11 @@ def converge_to_budget(start: Run, clock: Clock) -> ConvergedRun | None:
             break
         steps = moved
     final = tried[-1] if tried else RunEstimate({}, {}, start)
-    advice = f"raise error_budget, or {other} ({why})" if why else "raise it"
+    advice = f"raise error_budget, or {other} ({why})" if why else "raise error_budget"
     worst = max(final.errors, key=final.errors.__getitem__, default="its metrics")
-    check = Check(f"error of {worst}", final.error, limit, "relative, estimated", advice, action)
+    check = Check(
+        f"error of {worst}", final.largest_error, limit, "relative, estimated", advice, action
+    )
     if final.settings:
         settings = ", ".join(final.settings)
         warnings.warn(
@@ -397,10 +399,10 @@ def converge_to_budget(start: Run, clock: Clock) -> ConvergedRun | None:
             stacklevel=2,
         )
     require_passed((check,), scene.name)
-    return ConvergedRun(final, check, tried, shares, runs.limits)
+    return ConvergedRun(final, check, tried, shares, runs.mesh_limits)
 
 
-def _finest_mesh_reason(runs: RefinedRuns, now: RunEstimate) -> str:
+def _explain_finest_mesh(runs: RefinedRuns, now: RunEstimate) -> str:
     """Return why meshes whose error exceeds the budget are not refined further."""
     if (large := runs.refused) is None:
         return f"{', '.join(now.unmoved)} cannot be refined"
@@ -415,7 +417,7 @@ def estimate_errors(runs: RefinedRuns, steps: RefinementSteps) -> RunEstimate | 
     from coarser runs (:func:`estimate_by_coarser_runs`). Runs with an ``error_budget`` and the
     command ``bench`` report this error estimate.
     """
-    now = runs.run_at(steps)
+    now = runs.get_refined_run(steps)
     finest = tuple(map(attrgetter("name"), runs.finest))
     meshes = [setting for setting in runs.refinable if setting.model]
     for fixed_settings in ([], meshes) if meshes else ([],):
@@ -443,16 +445,18 @@ def estimate_by_coarser_runs(
     change of the metric by a coarser setting. A refinement step at least halves an error, so that
     the change is not less than the remaining error.
     """
-    now = runs.run_at(steps)
-    result = dict.fromkeys(metrics, runs.largest_mesh_error(unmoved, now))
+    now = runs.get_refined_run(steps)
+    result = dict.fromkeys(metrics, runs.find_largest_mesh_error(unmoved, now))
     for setting in runs.all_settings:
         if setting.name not in unmoved:
             continue
         at = steps.get(setting.name, 0)
         coarser = None
-        if setting.refined_keys(at - 1) != setting.refined_keys(at):
+        if setting.refine_keys(at - 1) != setting.refine_keys(at):
             coarser = _try_run(runs, _add_steps(steps, [setting], -1))
-        for name, change in metric_changes(coarser, now).items() if coarser is not None else ():
+        for name, change in (
+            compute_metric_changes(coarser, now).items() if coarser is not None else ()
+        ):
             if math.isfinite(change):
                 result[name] = max(result.get(name, 0.0), change)
     return result
@@ -487,7 +491,7 @@ def _refine_dominant_setting(
             (
                 n
                 for n in range(most, 0, -1)
-                if setting.refined_keys(at + n) != setting.refined_keys(at + n + 1)
+                if setting.refine_keys(at + n) != setting.refine_keys(at + n + 1)
             ),
             0,
         )
@@ -504,18 +508,21 @@ def _refine_dominant_setting(
 def _add_steps(
     steps: RefinementSteps, moved: Sequence[NumericalSetting], by: int = 1
 ) -> RefinementSteps:
-    """Return ``steps`` with ``by`` further refinement steps of the settings ``moved``."""
+    """Return ``steps`` with ``by`` additional steps for each setting in ``moved``."""
     return {**steps, **{setting.name: steps.get(setting.name, 0) + by for setting in moved}}
 
 
 def _try_run(runs: RefinedRuns, steps: RefinementSteps) -> Run | None:
     """Return the run at ``steps``; None if the run fails, or if no further run is allowed."""
     try:
-        return runs.run_at(steps) if runs.has_runs_left else None
+        return runs.get_refined_run(steps) if runs.has_runs_left else None
     except (SimulationError, UsageError):
         return None
 
 
 def _estimate_differences(run: Run, finer: Run) -> dict[str, float]:
     """Estimate the relative error of each metric of ``run`` from its change in a ``finer`` run."""
-    return {name: REMAINDER_FACTOR * change for name, change in metric_changes(run, finer).items()}
+    return {
+        name: REMAINDER_FACTOR * change
+        for name, change in compute_metric_changes(run, finer).items()
+    }

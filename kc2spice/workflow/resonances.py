@@ -17,11 +17,11 @@ import numpy as np
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.equations.scene_laws import SceneLaws
-from kc2spice.netlist.deck import Command, with_frequencies
+from kc2spice.netlist.deck import AnalysisCommand, with_frequencies
 from kc2spice.reference.small_signal import LinearisedSystem
 from kc2spice.reference.system import assemble_system
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.scene.model import Build
+from kc2spice.scene.model import BuiltScene
 
 MAX_UNKNOWNS = 600  # the eigenvalues of systems with more unknowns would take seconds
 # Near a pole p, a response is y = R / (j w - p).
@@ -40,7 +40,7 @@ WIDENING_FACTOR = 4.0
 MAX_RESONANCES = 100
 
 
-def list_refined_analyses(command: Command, laws: SceneLaws) -> tuple[Command, ...]:
+def list_refined_analyses(command: AnalysisCommand, laws: SceneLaws) -> tuple[AnalysisCommand, ...]:
     """Return analyses with closely spaced frequencies at resonances, and at frequencies of probes.
 
     ``command`` is the analysis of the scene. The frequencies that probes read become points of an
@@ -57,42 +57,48 @@ def list_refined_analyses(command: Command, laws: SceneLaws) -> tuple[Command, .
     analysis = build.scene.analysis
     if not analysis.is_small_signal or analysis.stop is None:
         return ()
-    resonances = [(f, width) for f, width in _narrow_resonances(laws) if width > 0.0]
+    resonances = [(f, width) for f, width in _find_narrow_resonances(laws) if width > 0.0]
     step = 2 * NARROWEST_HALF_WIDTHS / (RANGE_POINTS - 1)
-    narrow = [(f, width) for f, width in resonances if step * width < _frequency_spacing(build, f)]
+    narrow = [
+        (f, width) for f, width in resonances if step * width < _compute_frequency_spacing(build, f)
+    ]
     if len(narrow) > MAX_RESONANCES:
         warnings.warn(
             f"{len(narrow)} resonances are narrower than the frequency step, and only the first "
             f"{MAX_RESONANCES} are resolved; raise analysis.points or use a narrower range",
             stacklevel=2,
         )
-    commands = [with_frequencies(command, place, place, 1) for place in _probe_frequencies(build)]
+    commands = [
+        with_frequencies(command, place, place, 1) for place in _list_probe_frequencies(build)
+    ]
     for f, width in narrow[:MAX_RESONANCES]:
-        commands += _widening_analyses(command, f, width, build)
+        commands += _list_widening_analyses(command, f, width, build)
     return tuple(commands)
 
 
-def _probe_frequencies(build: Build) -> list[float]:
+def _list_probe_frequencies(build: BuiltScene) -> list[float]:
     """Return the frequencies [Hz] that probes read within the scene's range, in ascending order."""
     analysis, result = build.scene.analysis, set[float]()
     for probe in build.scene.probes.values():
-        result.update(probe.places.values())
+        result.update(probe.read_positions.values())
     first, last = analysis.start, float(analysis.stop or 0.0)
     return sorted(f for f in result if first < f < last)
 
 
-def _widening_analyses(command: Command, f: float, width: float, build: Build) -> Iterator[Command]:
+def _list_widening_analyses(
+    command: AnalysisCommand, f: float, width: float, build: BuiltScene
+) -> Iterator[AnalysisCommand]:
     """Yield analyses around the resonance ``f`` [Hz] with increasing frequency spans."""
     analysis, reach = build.scene.analysis, NARROWEST_HALF_WIDTHS * width
     while True:
         start, stop = max(f - reach, analysis.start), min(f + reach, float(analysis.stop or 0.0))
         yield with_frequencies(command, start, stop, RANGE_POINTS)
-        if reach > _frequency_spacing(build, f):
+        if reach > _compute_frequency_spacing(build, f):
             return
         reach *= WIDENING_FACTOR
 
 
-def _frequency_spacing(build: Build, f: float) -> float:
+def _compute_frequency_spacing(build: BuiltScene, f: float) -> float:
     """Return the spacing [Hz] of the scene's frequencies near ``f``."""
     analysis = build.scene.analysis
     stop = float(analysis.stop or 0.0)
@@ -101,7 +107,7 @@ def _frequency_spacing(build: Build, f: float) -> float:
     return f * math.expm1(math.log(stop / analysis.start) / max(analysis.points - 1, 1))
 
 
-def _narrow_resonances(laws: SceneLaws) -> list[tuple[float, float]]:
+def _find_narrow_resonances(laws: SceneLaws) -> list[tuple[float, float]]:
     """Return frequency and half-width [Hz] of resonances and notches in ascending order.
 
     The frequencies are within the range of the scene. A notch is included only if a probe reads the

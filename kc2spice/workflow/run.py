@@ -12,7 +12,7 @@ from typing import Any
 from kc2spice.core import __version__
 from kc2spice.core.figure import Figure, FileWriter
 from kc2spice.core.files import stage_directory
-from kc2spice.core.progress import Clock, Progress, ignore_progress
+from kc2spice.core.progress import Progress, StageTimer, ignore_progress
 from kc2spice.core.waveforms import write_record, write_waveforms
 from kc2spice.netlist.printers.plot_script import format_plot_script
 from kc2spice.report.figures import write_pngs
@@ -20,15 +20,15 @@ from kc2spice.report.probe_figure import plot_probes
 from kc2spice.report.run_page import write_run
 from kc2spice.scene import noise_analysis
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.metrics import read_levels
+from kc2spice.scene.metrics import select_sound_levels
 from kc2spice.scene.model import Scene
 from kc2spice.scene.numerical_settings import describe_plan
 from kc2spice.scene.results import NOISE_WAVE
 from kc2spice.sim.ngspice import RetriesFailedError, Simulator, find_ngspice, write_files
-from kc2spice.synthesis.ringing import warn_of_long_run
+from kc2spice.synthesis.ringing_time import warn_of_long_run
 from kc2spice.workflow.decks import prepare_deck, protect_other_decks
-from kc2spice.workflow.models import mode_tables, model_values, value_units
-from kc2spice.workflow.orders import suggested_keys, with_larger_orders
+from kc2spice.workflow.larger_orders import suggest_keys, with_larger_orders
+from kc2spice.workflow.models import find_value_units, list_model_values, tabulate_body_modes
 from kc2spice.workflow.refine import ConvergedRun, converge_to_budget
 from kc2spice.workflow.simulate import Run, keep_failed_run, simulate_deck
 
@@ -48,8 +48,8 @@ class CompletedRun:
         build, waves, units = self.run.build, self.run.waves, self.run.deck.units
         result: list[Figure | FileWriter] = []
         if build.has_noise:
-            result += noise_analysis.noise_figures(waves, units[NOISE_WAVE])
-        levels = read_levels(build, self.run.metrics)
+            result += noise_analysis.plot_noise(waves, units[NOISE_WAVE])
+        levels = select_sound_levels(build, self.run.metrics)
         result += plot_probes(build.scene.probes, waves, units, levels)
         for part in build.scene.parts.values():
             result += part.type.figures(part, build, waves)
@@ -68,7 +68,7 @@ class CompletedRun:
         record = {
             "scene": build.scene.name,
             "version": __version__,
-            "netlist": run.deck.main,
+            "netlist": run.deck.main_file_name,
             "simulator": {
                 "name": self.simulator.name,
                 "version": self.simulator.version,
@@ -76,18 +76,20 @@ class CompletedRun:
                 "setting": attempts[-1].setting,
                 "attempts": list(map(asdict, attempts)),
             },
-            **run.facts,
-            "modes": mode_tables(build),
+            **run.result_record,
+            "modes": tabulate_body_modes(build),
             "largest_step": None if step is None else {"s": step.step, "why": step.why},
             "metrics": run.metrics,
             "metric_units": run.units,
-            "model_units": {name: value_units(row) for name, row in model_values(build).items()},
-            "checks": [check.record() for check in run.verdict.checks],
+            "model_units": {
+                name: find_value_units(row) for name, row in list_model_values(build).items()
+            },
+            "checks": [check.make_record() for check in run.verdict.checks],
             "plan": describe_plan(build),
             "wall_s": self.wall_s,
         }
         if self.converged is not None:
-            record["convergence"] = self.converged.record()
+            record["convergence"] = self.converged.make_record()
         return record
 
 
@@ -148,7 +150,7 @@ def run_scene(
     >>> Path("lamp/result.json").is_file()
     True
     """
-    clock = Clock(progress)
+    clock = StageTimer(progress)
     with stage_directory(out) as work:
         done = complete_run(scene, work, clock, out=out, trust=trust, deck=deck)
         return write_run_files(done, work, clock, keep=keep, png=png)
@@ -157,7 +159,7 @@ def run_scene(
 def complete_run(
     scene: Scene,
     work: Path,
-    clock: Clock,
+    clock: StageTimer,
     *,
     out: Path | None = None,
     trust: bool = False,
@@ -191,7 +193,7 @@ def complete_run(
                     result = simulate_deck(build, prepared_deck, work, progress=share)
                 break
             except RetriesFailedError as error:
-                suggested = suggested_keys(error, automatic) if deck is None else {}
+                suggested = suggest_keys(error, automatic) if deck is None else {}
                 if not suggested:
                     raise
                 keys = ", ".join(f"{key} = {value}" for key, value in suggested.items())
@@ -216,7 +218,7 @@ def complete_run(
 
 
 def write_run_files(
-    done: CompletedRun, work: Path, clock: Clock, *, keep: bool = False, png: bool = False
+    done: CompletedRun, work: Path, clock: StageTimer, *, keep: bool = False, png: bool = False
 ) -> dict[str, Any]:
     """Write all files of a run into ``work``; return the content of ``result.json``."""
     scene, deck, waves = done.run.build.scene, done.run.deck, done.run.waves

@@ -24,7 +24,7 @@ from kc2spice.netlist.powers import add_powers
 from kc2spice.report.html import flatten_mapping
 from kc2spice.scene.checks import Verdict
 from kc2spice.scene.metrics import compute_metrics
-from kc2spice.scene.model import Build
+from kc2spice.scene.model import BuiltScene
 from kc2spice.sim.engines import Engine
 from kc2spice.sim.ngspice import (
     ProgressCallback,
@@ -33,9 +33,9 @@ from kc2spice.sim.ngspice import (
     run_with_retries,
     write_files,
 )
-from kc2spice.workflow.models import model_values, rom_values
-from kc2spice.workflow.operating import OperatingPoint, find_operating_point
-from kc2spice.workflow.verdict import list_checks
+from kc2spice.workflow.models import collect_rom_values, list_model_values
+from kc2spice.workflow.operating_point import OperatingPoint, find_operating_point
+from kc2spice.workflow.verdict import form_verdict
 
 PARTIAL_WAVES_FILE = "waveforms.partial.npz"
 FAILURE_FILE = "failure.json"
@@ -49,7 +49,7 @@ class Run(RunOutcome):
     CPU time [s] of the simulator including all retries.
     """
 
-    build: Build
+    build: BuiltScene
     metrics: Mapping[str, Any]
     units: Mapping[str, str]
     cpu_s: float
@@ -71,12 +71,12 @@ class Run(RunOutcome):
         return self.build.scene.analysis.is_small_signal
 
     @property
-    def facts(self) -> dict[str, Any]:
+    def result_record(self) -> dict[str, Any]:
         """Content of ``result.json`` about models, simulator statistics and energies."""
         stats = self.waves.stats
         return {
-            "model": model_values(self.build),
-            **rom_values(self.build),
+            "model": list_model_values(self.build),
+            **collect_rom_values(self.build),
             # a sweep or an operating point has no time points
             "steps": {name: int(stats.get(name, 0)) for name in ("accepted", "rejected")},
             "simulator_cpu_s": stats.get("cpu_s"),
@@ -89,7 +89,7 @@ class Run(RunOutcome):
 
 
 def simulate_deck(
-    build: Build,
+    build: BuiltScene,
     deck: Deck,
     directory: Path,
     *,
@@ -148,7 +148,7 @@ def simulate_deck(
 
     def check_waves(waves: Waveforms) -> Verdict:
         """Return the checks, energy balances and error limits of the waves."""
-        result = list_checks(waves, build)
+        result = form_verdict(waves, build)
         result = replace(result, checks=(*result.checks, *point.checks))
         if deck.text is None:
             return result
@@ -160,7 +160,7 @@ def simulate_deck(
     point = find_operating_point(build, deck, laws)
     write_files(deck.files, directory)  # the netlists are written even if the simulation fails
     shared = bool(build.sampled_sources)
-    begin = simulator_cpu(shared=shared)
+    begin = measure_simulator_cpu(shared=shared)
     result = run_with_retries(
         deck,
         directory,
@@ -170,10 +170,10 @@ def simulate_deck(
     )
     if build.functions and len(result.attempts) > 1:
         names = ", ".join(build.functions)
-        message = f"functions {names}: the simulation was repeated and called them again from time "
-        message += "0 on; values that they keep between calls must be reset there"
+        message = f"the simulation was repeated, and called the functions {names} again from "
+        message += "time 0 on; a function must reset its stored values at time 0"
         warnings.warn(message, stacklevel=2)
-    used = simulator_cpu(shared=shared) - begin
+    used = measure_simulator_cpu(shared=shared) - begin
     waves = correct_waves(result.waves, build)
     waves = add_powers(waves, deck.powers)
     results = compute_metrics(waves, build)
@@ -190,7 +190,7 @@ def simulate_deck(
     )
 
 
-def correct_waves(waves: Waveforms, build: Build) -> Waveforms:
+def correct_waves(waves: Waveforms, build: BuiltScene) -> Waveforms:
     """Return the waves, with corrections that parts apply to results after a run."""
     result = dict(waves.data)
     for part in build.scene.parts.values():
@@ -199,7 +199,7 @@ def correct_waves(waves: Waveforms, build: Build) -> Waveforms:
 
 
 def run_simulation(
-    build: Build,
+    build: BuiltScene,
     deck: Deck,
     directory: Path,
     progress: ProgressCallback = None,
@@ -235,7 +235,7 @@ def choose_engine(
     return Engine(directory, progress, timeout, refinements=refinements, from_rest=from_rest)
 
 
-def simulator_cpu(*, shared: bool) -> float:
+def measure_simulator_cpu(*, shared: bool) -> float:
     """Return the CPU time [s] of all child processes that have ended.
 
     If the simulator is a ``shared`` library, the result is the CPU time of this process. On systems
@@ -257,7 +257,7 @@ def keep_failed_run(work: Path, out: Path | None, scene: str) -> Iterator[None]:
     A run that leaves the valid range of a model keeps no files, because the error states the key to
     change.
     """
-    folder = None if out is None else _failure_folder(Path(out).absolute())
+    folder = None if out is None else _choose_failure_folder(Path(out).absolute())
     try:
         yield
     except SimulationError as error:
@@ -274,7 +274,7 @@ def keep_failed_run(work: Path, out: Path | None, scene: str) -> Iterator[None]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def _failure_folder(out: Path) -> Path:
+def _choose_failure_folder(out: Path) -> Path:
     """Return a new folder ``<out>.failed`` for the files of a failed run."""
     name = f"{out.name}.failed"
     for number in ("", *range(2, 100)):

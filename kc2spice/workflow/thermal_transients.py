@@ -14,7 +14,7 @@ import numpy as np
 from kc2spice.bodies.readers.thermal_transient import ThermalTransient
 from kc2spice.core.domains import THERMAL
 from kc2spice.core.errors import GateMissedError, UsageError
-from kc2spice.core.quantities import quantity
+from kc2spice.core.quantities import convert_quantity
 from kc2spice.rom.heat_network import FosterNetwork, NetworkForm, make_network_model
 from kc2spice.rom.linear_model import Certificate, LinearModel, Norm, Port
 from kc2spice.rom.transient_fit import (
@@ -23,7 +23,7 @@ from kc2spice.rom.transient_fit import (
     compute_unsettled_share,
     fit_transient,
 )
-from kc2spice.synthesis.heat import compute_heat_modes
+from kc2spice.synthesis.heat_netlist import compute_heat_modes
 
 JUNCTION = Port("junction", THERMAL.port)
 LARGEST_MISFIT = 0.1  # deviation (rms) above which no network is written
@@ -63,8 +63,8 @@ def parse_step_power(power: str | float | None, data: ThermalTransient) -> float
             raise UsageError(
                 "this option applies only to a measured temperature",
                 where="--power",
-                got=f"{power} beside a thermal impedance, which is per watt",
-                expected="a column of the temperature",
+                got=f"{power} and a file with a thermal impedance",
+                expected="a file with a temperature",
                 hint="leave out --power",
             )
         return None
@@ -76,9 +76,9 @@ def parse_step_power(power: str | float | None, data: ThermalTransient) -> float
             expected="the power that was switched on or off at the time zero",
             hint="add for example  --power '2 W'",
         )
-    value = quantity(power, "W", where="--power")
+    value = convert_quantity(power, "W", where="--power")
     if value <= 0:
-        hint = "state its size; the direction follows from the temperature"
+        hint = "state the magnitude of the power"
         expected = 'a positive power, such as "2 W"'
         raise UsageError(
             "this is not a positive power", where="--power", got=power, expected=expected, hint=hint
@@ -99,19 +99,18 @@ def fit_transient_network(
     UsageError : the temperature changes by less than its noise, or the thermal impedance falls.
     GateMissedError : the deviation exceeds :data:`LARGEST_MISFIT`.
     """
-    samples, norm, notes = _step_samples(data, power)
+    samples, norm, notes = _make_step_samples(data, power)
     fit = fit_transient(samples)
-    size = 1.0 if norm == "pointwise" else _largest_rise(samples, fit)
+    size = 1.0 if norm == "pointwise" else _find_largest_rise(samples, fit)
     certificate = _make_certificate(samples, fit, size, norm)
-    rms, noise = fit.rms / size, fit.noise / size
+    rms, noise = fit.rms_residual / size, fit.noise / size
     if rms > LARGEST_MISFIT:
         raise GateMissedError(
             "no heat network describes the transient",
             where=data.where,
             got=f"a deviation of {rms:.2g} (rms); {certificate.method}",
-            expected=f"at most {LARGEST_MISFIT:g}, from a temperature that rises or falls at a "
-            "falling rate",
-            hint="measure where the heat enters, with a constant power from the time zero on; "
+            expected=f"at most {LARGEST_MISFIT:g}, for a temperature whose rate decreases",
+            hint="measure at the heat source, with a constant power that begins at time zero; "
             "no file was written",
         )
     warnings = list[str]()
@@ -128,7 +127,7 @@ def fit_transient_network(
         )
     first = float(samples.time[samples.time > 0].min())
     fast = float(fit.network.resistance[fit.network.time_constant < first].sum())
-    if samples.offset and fast > WARNING_UNSETTLED_RATIO * fit.network.total:
+    if samples.offset and fast > WARNING_UNSETTLED_RATIO * fit.network.total_resistance:
         notes = (
             *notes,
             f"{fast:.2g} K/W belong to time constants below the first time of {first:.3g} s: the "
@@ -183,7 +182,7 @@ def require_one_heat_port(model: LinearModel) -> None:
     )
 
 
-def _step_samples(
+def _make_step_samples(
     data: ThermalTransient, power: float | None
 ) -> tuple[StepSamples, Norm, tuple[str, ...]]:
     """Return samples of the temperature rise per watt, the norm of their deviation, and notes."""
@@ -221,9 +220,9 @@ def _step_samples(
     return StepSamples(data.time, value, one, offset=True), "peak", tuple(notes)
 
 
-def _largest_rise(samples: StepSamples, fit: TransientFit) -> float:
+def _find_largest_rise(samples: StepSamples, fit: TransientFit) -> float:
     """Return the network's largest temperature rise per watt [K/W], at the last sample."""
-    return float(fit.network.step_response(samples.time[-1:])[0])
+    return float(fit.network.compute_step_response(samples.time[-1:])[0])
 
 
 def _make_certificate(
@@ -240,9 +239,9 @@ def _make_certificate(
     of = "of each value" if norm == "pointwise" else "of the largest rise"
     text = (
         f"{len(network.resistance)} time constants from {fastest:.3g} to {slowest:.3g} s, "
-        f"{network.total:.4g} K/W at rest, fitted to {len(samples.time)} samples: largest "
-        f"deviation {deviation[largest]:.2g} {of} at {samples.time[largest]:.4g} s, rms "
-        f"{fit.rms / size:.2g}, noise of the samples {fit.noise / size:.2g}"
+        f"{network.total_resistance:.4g} K/W at rest, fitted to {len(samples.time)} samples: "
+        f"largest deviation {deviation[largest]:.2g} {of} at {samples.time[largest]:.4g} s, rms "
+        f"{fit.rms_residual / size:.2g}, noise of the samples {fit.noise / size:.2g}"
     )
     band = 1 / (2 * np.pi * after.max()), 1 / (2 * np.pi * after.min())
     return Certificate(

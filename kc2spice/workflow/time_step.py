@@ -25,13 +25,13 @@ import numpy as np
 from kc2spice.core.domains import DOMAINS
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.laws import evaluate_combinations
-from kc2spice.core.prefix import format_quantity
+from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.equations.networks import Network, get_law_name, list_pin_kinds
 from kc2spice.equations.scene_laws import get_scene_laws
-from kc2spice.scene.checks import Balance, Check
-from kc2spice.scene.model import Build
-from kc2spice.scene.part_records import StepLimit, Vector
+from kc2spice.scene.checks import Check, RunEnergyBalance
+from kc2spice.scene.model import BuiltScene
+from kc2spice.scene.part_records import PartResult, StepLimit
 
 if TYPE_CHECKING:
     from kc2spice.reference.small_signal import ExponentialSolution
@@ -66,7 +66,7 @@ FAILURE_LIMIT = 1e-2
 MAX_UNKNOWNS = 600  # the exact solution of circuits with more unknowns would take minutes
 
 
-def choose_largest_step(build: Build) -> StepLimit:
+def choose_largest_step(build: BuiltScene) -> StepLimit:
     """Return the largest time step of a transient, with the reason for it.
 
     The result is ``solver.max_step`` if the scene sets this key. Otherwise, the result is the
@@ -80,15 +80,15 @@ def choose_largest_step(build: Build) -> StepLimit:
         filter(attrgetter("overrides_others"), scales), key=attrgetter("step"), default=None
     )
     if decided is not None:
-        return StepLimit(min(decided.step, scene.stop), decided.description)
-    limits = [StepLimit(scene.stop / MIN_POINTS, f"1/{MIN_POINTS} of the run")]
+        return StepLimit(min(decided.step, scene.stop_time), decided.description)
+    limits = [StepLimit(scene.stop_time / MIN_POINTS, f"1/{MIN_POINTS} of the run")]
     limits += [StepLimit(row.step, row.description) for row in scales]
     start = min(limits, key=attrgetter("step"))
     linearised = find_linearised_scene(build)
-    if not linearised.resolved_by_error_control and start.step > NONLINEAR_STEP:
+    if not linearised.is_resolved_by_error_control and start.step > NONLINEAR_STEP:
         start = StepLimit(NONLINEAR_STEP, "not all of it is linear")
     rule, limits = INTEGRATION_RULES[scene.solver.method], [start]
-    for motion in linearised.motions:
+    for motion in linearised.exact_solutions:
         if motion is not None:
             limits.append(find_step(motion, start, rule))
     return min(limits, key=attrgetter("step"))
@@ -113,21 +113,21 @@ class LinearisedScene:
     object computes the eigenvalues of the networks when they are first needed.
     """
 
-    build: Build
+    build: BuiltScene
 
-    def belongs_to(self, build: Build) -> bool:
+    def belongs_to(self, build: BuiltScene) -> bool:
         """Return whether ``build`` has the same scene and the same models."""
         return self.build.scene is build.scene and self.build.models is build.models
 
     @property
-    def resolved_by_error_control(self) -> bool:
+    def is_resolved_by_error_control(self) -> bool:
         """Whether error control resolves all networks: each is linear, or relaxes thermally."""
-        for network, motion in zip(self.networks, self.motions, strict=True):
+        for network, motion in zip(self.networks, self.exact_solutions, strict=True):
             if motion is None or not (
                 motion.linear.exact or _is_thermal_and_aperiodic(network, motion)
             ):
                 return False
-        return not self.missing
+        return not self.parts_without_network
 
     @cached_property
     def _joined_networks(self) -> tuple[tuple[Network, ...], tuple[str, ...]]:
@@ -145,17 +145,19 @@ class LinearisedScene:
         return self._joined_networks[0]
 
     @property
-    def missing(self) -> tuple[str, ...]:
+    def parts_without_network(self) -> tuple[str, ...]:
         """Names of the parts that are in no network."""
         return self._joined_networks[1]
 
     @cached_property
-    def motions(self) -> tuple[ExponentialSolution | None, ...]:
+    def exact_solutions(self) -> tuple[ExponentialSolution | None, ...]:
         """Exact solution of each network; None if the network is too large or has no solution."""
-        return tuple(_solve_motion(network, self.build.scene.stop) for network in self.networks)
+        return tuple(
+            _solve_motion(network, self.build.scene.stop_time) for network in self.networks
+        )
 
 
-def find_linearised_scene(build: Build) -> LinearisedScene:
+def find_linearised_scene(build: BuiltScene) -> LinearisedScene:
     """Return the stored linearised networks of a build, or new networks.
 
     New networks are returned if the keys or models of the build have changed.
@@ -166,7 +168,7 @@ def find_linearised_scene(build: Build) -> LinearisedScene:
     return LinearisedScene(build)
 
 
-def with_linearised_scene(build: Build) -> Build:
+def with_linearised_scene(build: BuiltScene) -> BuiltScene:
     """Return a build that stores its linearised networks, which are then computed only once."""
     return replace(build, linearised=find_linearised_scene(build))
 
@@ -225,7 +227,7 @@ def find_step(motion: ExponentialSolution, start: StepLimit, rule: IntegrationRu
     peaks = motion.find_peak_amplitudes()
     t = motion.choose_sample_times(SAMPLE_COUNT)
     outputs = np.arange(len(motion.linear.system.names))
-    exact = motion.at(t, outputs)
+    exact = motion.evaluate_waves(t, outputs)
     real = np.abs(exact).max(axis=0) > motion.estimate_rounding()
     outputs, exact = outputs[real], exact[:, real]
     modes = motion.modes
@@ -236,12 +238,14 @@ def find_step(motion: ExponentialSolution, start: StepLimit, rule: IntegrationRu
     def is_accurate(h: float) -> bool:
         """Return whether the rule is accurate with the step ``h``."""
 
-        def discrete_rates(exact: np.ndarray) -> np.ndarray:
+        def compute_discrete_rates(exact: np.ndarray) -> np.ndarray:
             """Return the rates [1/s] of the numerical solution."""
             return np.where(resonant, rule.rates(exact, h), exact)
 
-        tried = motion.at(t, outputs, discrete_rates, lambda jw: rule.axis(jw, h))
-        amplitude, shape = largest_errors(t, tried, exact)
+        tried = motion.evaluate_waves(
+            t, outputs, compute_discrete_rates, lambda jw: rule.axis(jw, h)
+        )
+        amplitude, shape = find_largest_errors(t, tried, exact)
         points = motion.stop / h
         return (amplitude <= RMS_ERROR_LIMIT or points >= MAX_RMS_POINTS) and (
             shape <= SHAPE_ERROR_LIMIT or points >= MAX_SHAPE_POINTS
@@ -271,7 +275,7 @@ def _describe_resonance(rate: complex, quality: float) -> str:
     return f"a motion at {format_quantity(abs(rate) / (2 * math.pi), 'Hz', 4)}, {damped}"
 
 
-def largest_errors(t: np.ndarray, ours: np.ndarray, exact: np.ndarray) -> tuple[float, float]:
+def find_largest_errors(t: np.ndarray, ours: np.ndarray, exact: np.ndarray) -> tuple[float, float]:
     """Return the largest error of the rms values, and the largest error of a value, of all waves.
 
     ``ours`` and ``exact`` are arrays of shape (times, waves). The rms values are those in
@@ -293,7 +297,7 @@ def largest_errors(t: np.ndarray, ours: np.ndarray, exact: np.ndarray) -> tuple[
 
 
 def list_step_checks(
-    build: Build, waves: Waveforms, balances: Mapping[str, Balance]
+    build: BuiltScene, waves: Waveforms, balances: Mapping[str, RunEnergyBalance]
 ) -> Iterator[Check]:
     """Check the effect of the time steps on the waves of a run.
 
@@ -317,7 +321,7 @@ def list_step_checks(
         differences = []
         for name, (simulated, true) in balance.exact.items():
             if true.any():
-                errors = largest_errors(waves["time"], simulated[:, None], true[:, None])
+                errors = find_largest_errors(waves["time"], simulated[:, None], true[:, None])
                 differences.append((*errors, name))
         if differences:
             check = _make_step_check(f"steps of {part} against its exact answer", max(differences))
@@ -325,7 +329,7 @@ def list_step_checks(
 
 
 def _compare_exact_motion(
-    build: Build, waves: Waveforms
+    build: BuiltScene, waves: Waveforms
 ) -> tuple[tuple[float, float, str], set[str]]:
     """Return the largest deviation of waves of linear circuits, and the parts of these circuits.
 
@@ -333,12 +337,12 @@ def _compare_exact_motion(
     """
     exact, worst = set[str](), (0.0, 0.0, "")
     linearised = find_linearised_scene(build)
-    for network, motion in zip(linearised.networks, linearised.motions, strict=True):
-        if _has_unmodelled_neighbour(build, network, linearised.missing):
+    for network, motion in zip(linearised.networks, linearised.exact_solutions, strict=True):
+        if _has_unmodelled_neighbour(build, network, linearised.parts_without_network):
             continue
         if motion is not None and motion.linear.exact and motion.is_moving:
             worst = max(worst, _largest_deviation(network, motion, waves, build.results.vectors))
-            exact |= network.names
+            exact |= network.law_names
     return worst, exact
 
 
@@ -354,17 +358,20 @@ def _make_step_check(name: str, largest: tuple[float, float, str]) -> Check:
     )
 
 
-def _has_unmodelled_neighbour(build: Build, network: Network, missing: Sequence[str]) -> bool:
+def _has_unmodelled_neighbour(build: BuiltScene, network: Network, missing: Sequence[str]) -> bool:
     """Return whether a part without equations is joined to this network."""
-    parts, scene = set(map(get_law_name, network.names)), build.scene
+    parts, scene = set(map(get_law_name, network.law_names)), build.scene
     for name, pin in scene.nets:
-        if name in parts and not set(missing).isdisjoint(dict(scene.joined_pins(name, pin))):
+        if name in parts and not set(missing).isdisjoint(dict(scene.list_joined_pins(name, pin))):
             return True
     return False
 
 
 def _largest_deviation(
-    network: Network, motion: ExponentialSolution, waves: Waveforms, vectors: Mapping[str, Vector]
+    network: Network,
+    motion: ExponentialSolution,
+    waves: Waveforms,
+    vectors: Mapping[str, PartResult],
 ) -> tuple[float, float, str]:
     """Return the largest deviation of the waves of a network from its exact motion.
 
@@ -374,12 +381,12 @@ def _largest_deviation(
     pick = np.unique(np.linspace(0, time.size - 1, min(time.size, MAX_COMPARED_POINTS)).astype(int))
     # Points near times at which currents jump are left out.
     # An edge of a source, and therefore a jump, can begin at the end of the run.
-    corners = np.append(motion.corners, motion.stop)
+    corners = np.append(motion.corner_times, motion.stop)
     near = np.searchsorted(corners, time[pick])
     neighbours = corners[np.clip([near - 1, near], 0, corners.size - 1)]
     pick = pick[np.abs(time[pick] - neighbours).min(axis=0) > EVENT_MARGIN * motion.stop]
     at, names = time[pick], motion.linear.system.names
-    exact = dict(zip(names, motion.at(at, np.arange(len(names))).T, strict=True))
+    exact = dict(zip(names, motion.evaluate_waves(at, np.arange(len(names))).T, strict=True))
     rounding = dict(zip(names, motion.estimate_rounding(), strict=True))
     result: dict[str, tuple[np.ndarray, str]] = {}
     largest: dict[str, float] = {}
@@ -393,6 +400,6 @@ def _largest_deviation(
     worst = (0.0, 0.0, "")
     for name, (true, unit) in result.items():
         if np.abs(true).max() > MIN_RELATIVE_SIZE * largest[unit]:
-            errors = largest_errors(at, waves[name][pick][:, None], true[:, None])
+            errors = find_largest_errors(at, waves[name][pick][:, None], true[:, None])
             worst = max(worst, (*errors, name))
     return worst

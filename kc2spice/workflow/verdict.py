@@ -7,8 +7,8 @@ from dataclasses import replace
 
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.scene import noise_analysis
-from kc2spice.scene.checks import Balance, Check, Gate, Verdict
-from kc2spice.scene.model import Build
+from kc2spice.scene.checks import Check, Gate, RunEnergyBalance, Verdict
+from kc2spice.scene.model import BuiltScene
 from kc2spice.workflow.time_step import list_step_checks
 
 # relative change of a flight's height, divided by the relative change of the launch velocity
@@ -17,7 +17,7 @@ HEIGHT_PER_VELOCITY = 2.0
 BALANCE_SHARE = 0.03
 
 
-def list_checks(waves: Waveforms, build: Build) -> Verdict:
+def form_verdict(waves: Waveforms, build: BuiltScene) -> Verdict:
     """Return the verdict on a run: its checks, energy balances and error limits.
 
     Checks that the scene turns off are left out. A large ``error_budget`` raises the limits of all
@@ -25,7 +25,7 @@ def list_checks(waves: Waveforms, build: Build) -> Verdict:
     """
     scene = build.scene
     checks: list[Check] = []
-    balances: dict[str, Balance] = {}
+    balances: dict[str, RunEnergyBalance] = {}
     gates: list[tuple[str, Gate]] = []
     for name, part in scene.parts.items():
         for row in (
@@ -33,12 +33,12 @@ def list_checks(waves: Waveforms, build: Build) -> Verdict:
         ):
             if isinstance(row, Check):
                 checks.append(row)
-            elif isinstance(row, Balance):
+            elif isinstance(row, RunEnergyBalance):
                 balances[name] = row
             else:
                 gates.append((name, row))
     checks += (
-        noise_analysis.noise_checks(waves)
+        noise_analysis.check_noise(waves)
         if build.has_noise
         else list_step_checks(build, waves, balances)
     )
@@ -48,7 +48,7 @@ def list_checks(waves: Waveforms, build: Build) -> Verdict:
     checks += [
         Check(
             f"energy of {name}",
-            result.share,
+            result.relative_imbalance,
             slack * result.limit,
             "of the energy exchanged",
             result.advice,

@@ -3,7 +3,7 @@
 import runpy
 import sys
 
-from support import Deck, run_shared
+from support import Deck, run_in_libngspice
 
 RC = """* rc
 V1 a 0 PULSE(0 1 0 1n 1n 1 2)
@@ -17,7 +17,7 @@ C1 b 0 1e-9
 
 def ours():
     deck = Deck(name="rc", text=RC, vectors={"b": ("v(b)", 1.0)}, stop=1e-5)
-    print(f"ours {run_shared(deck)['b'][-1]:.4f}")
+    print(f"ours {run_in_libngspice(deck)['b'][-1]:.4f}")
 
 
 def theirs():

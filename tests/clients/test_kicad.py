@@ -54,9 +54,11 @@ def test_sheets_are_clean_and_are_the_deck(name, deck_of, kicad, run, tmp_path):
     saved = "\n".join(f".save {node}" for node in nodes)
     exported = (tmp_path / "sheet.cir").read_text()
     (tmp_path / "sheet.cir").write_text(exported.replace(".end\n", f"{saved}\n.end\n"))
-    for file in ("sheet.cir", deck.main):
+    for file in ("sheet.cir", deck.main_file_name):
         run(["ngspice", "-b", "-n", "-r", f"{file}.raw", file], tmp_path)
-    theirs, ours = (read_raw(tmp_path / f"{file}.raw") for file in ("sheet.cir", deck.main))
+    theirs, ours = (
+        read_raw(tmp_path / f"{file}.raw") for file in ("sheet.cir", deck.main_file_name)
+    )
     for node in [n for n in nodes if "ring0" in n] or nodes:  # the stroke, where there is one
         assert peak(theirs, node) == pytest.approx(peak(ours, node), rel=near), node
 

@@ -10,7 +10,7 @@ def test_newer_ngspice_agrees(deck_of, program, run, tmp_path):
     write_files(deck.files, tmp_path)
     results = []
     for k, simulator in enumerate(("ngspice", newer)):
-        run([simulator, "-b", "-n", "-r", f"{k}.raw", deck.main], tmp_path)
+        run([simulator, "-b", "-n", "-r", f"{k}.raw", deck.main_file_name], tmp_path)
         results.append(read_raw(tmp_path / f"{k}.raw"))
     older, newer = results
     assert older["time"][-1] == pytest.approx(newer["time"][-1])

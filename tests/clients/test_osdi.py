@@ -47,7 +47,7 @@ def test_compiled_modules_have_the_results_of_the_netlists(name, deck_of, progra
     for file in modules:
         run([compiler, file], tmp_path / "modules")
     run([simulator, "-b", "-n", "-r", "a.raw", f"{name}_osdi.cir"], tmp_path / "modules")
-    run([simulator, "-b", "-n", "-r", "b.raw", deck.main], tmp_path / "netlists")
+    run([simulator, "-b", "-n", "-r", "b.raw", deck.main_file_name], tmp_path / "netlists")
     ours, theirs = read_raw(tmp_path / "netlists/b.raw"), read_raw(tmp_path / "modules/a.raw")
     nodes = [n for n in theirs if re.fullmatch(r"v\(\w+\)", n) and n in ours]
     assert nodes

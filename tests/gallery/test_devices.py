@@ -13,7 +13,7 @@ import published_table
 import pytest
 from commands import run_command
 from docs_numbers import different_lines
-from support import Build, find_numerical_settings, load_scene, run_scene
+from support import BuiltScene, find_numerical_settings, load_scene, run_scene
 
 import kc2spice as kc
 
@@ -258,10 +258,10 @@ def test_bracket_of_a_stranger_becomes_a_library_by_one_command(tmp_path):
 def test_refining_the_mesh_axis_changes_the_model():
     (axis,) = (
         a
-        for a in find_numerical_settings(Build(load_scene("buzzer_7bb_20_6"), {}))
+        for a in find_numerical_settings(BuiltScene(load_scene("buzzer_7bb_20_6"), {}))
         if a.name == "disc.mesh.refine"
     )
-    models = [kc.build(load_scene("buzzer_7bb_20_6", axis.refined_keys(n)))["disc"] for n in (0, 1)]
+    models = [kc.build(load_scene("buzzer_7bb_20_6", axis.refine_keys(n)))["disc"] for n in (0, 1)]
     coarse, fine = (model.facts["resonance_short_hz"] for model in models)
     assert 0 < abs(coarse / fine - 1) < 0.01
 

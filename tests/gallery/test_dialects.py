@@ -3,7 +3,13 @@
 import re
 
 import pytest
-from support import deck_dialects, dialect_names, list_gallery, translate_deck, write_dialect_files
+from support import (
+    list_deck_dialects,
+    list_dialect_names,
+    list_gallery,
+    translate_deck,
+    write_dialect_files,
+)
 
 import kc2spice as kc
 
@@ -31,13 +37,13 @@ def test_every_scene_has_every_dialect(scene):
     deck = kc.deck(scene)
     alone = scene in NGSPICE_ALONE
     if deck.command.kind == "noise" or alone:
-        for dialect in (deck_dialects() if alone else dialect_names())[1:]:
+        for dialect in (list_deck_dialects() if alone else list_dialect_names())[1:]:
             with pytest.raises(kc.errors.UsageError, match=r"no equivalent|noise"):
                 write_dialect_files(deck, dialect)
         return
-    for dialect in dialect_names()[1:]:
+    for dialect in list_dialect_names()[1:]:
         assert write_dialect_files(deck, dialect)
-    for dialect in deck_dialects()[1:]:
+    for dialect in list_deck_dialects()[1:]:
         spoken = translate_deck(deck, dialect).vectors
         assert spoken.keys() == deck.vectors.keys()
         for name, (expression, factor) in spoken.items():

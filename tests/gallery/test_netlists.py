@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from support import (
-    Clock,
     Deck,
     LinearBody,
+    StageTimer,
     list_gallery,
     literal_value,
     load_scene,
@@ -194,7 +194,7 @@ def admittance(path, frequency, directory, **values):
     The cathode and the ambient pressure are at zero. ``values`` are those of its parameters.
     """
     (part,) = read_lib(path)
-    ends = driven_pins(path)
+    ends = get_driven_pins(path)
     pins = " ".join(pin.name if pin.name in ends else "0" for pin in part.pins)
     words = "".join(f" {name}={value!r}" for name, value in values.items())
     start, stop, points = float(frequency[0]), float(frequency[-1]), len(frequency)
@@ -211,7 +211,7 @@ def admittance(path, frequency, directory, **values):
     return np.array([waves[end] for end in ends])
 
 
-def driven_pins(path):
+def get_driven_pins(path):
     """Pins of a buzzer's library except the references, the anode first."""
     (part,) = read_lib(path)
     return [pin.name for pin in part.pins if pin.name not in ("cathode", "base", "ambient")]
@@ -243,7 +243,7 @@ def test_shipped_parameters_are_those_of_full_models(scene, tmp_path):
     assert error <= 1e-2
     thickness, eps33 = ranged(path)
     like = load_scene(scene).parts["disc"]
-    band = like.type.reduction(like, load_scene(scene)).band
+    band = like.type.choose_reduction(like, load_scene(scene)).band
     middle = {"disc.layers[0].thickness": float(np.sqrt(thickness.low * thickness.high))}
     like = load_scene(scene, middle).parts["disc"]
     for values in corners_and_inside((thickness, eps33)):
@@ -253,11 +253,13 @@ def test_shipped_parameters_are_those_of_full_models(scene, tmp_path):
             "disc.layers[1].material": {"like": "PZT-5A", "permittivity": permittivity},
         }
         part = (changed := load_scene(scene, shifted)).parts["disc"]
-        full = part.type.full_on_mesh(part, changed, Clock(), like).select(driven_pins(path))
+        full = part.type.make_full_model_on_mesh(part, changed, StageTimer(), like).select(
+            get_driven_pins(path)
+        )
         around = full.facts["resonance_short_hz"] * np.linspace(0.94, 1.06, 13)
         for f in (np.linspace(*band, 17), around):
             anode = full.inputs.index("anode")
-            rows = [full.outputs.index(name) for name in driven_pins(path)]
+            rows = [full.outputs.index(name) for name in get_driven_pins(path)]
             exact = 2j * np.pi * f * full.transfer(f)[:, rows, anode].T
             found = admittance(path, f, tmp_path, **values)
             assert np.abs(found / exact - 1).max() <= error
@@ -271,7 +273,7 @@ def test_parameters_reach_every_device_within_the_tolerances_of_its_sheet(scene,
     path = disc_library(scene)
     thickness, eps33 = ranged(path)
     plain = load_scene(scene)
-    band = plain.parts["disc"].type.reduction(plain.parts["disc"], plain).band
+    band = plain.parts["disc"].type.choose_reduction(plain.parts["disc"], plain).band
     sheet = PUBLISHED[scene]
     hertz, farads = (
         sheet[name]["value"] * (1 + sheet[name]["tolerance"] * np.array([-1, 1]))

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import run_command
-from support import Curve, Figure, Map, PageSection, Panel, write_page
+from support import ColourMap, Curve, Figure, PageSection, Panel, write_page
 
 # A response, a sweep there and back, noise, an impact, a waveform of many cycles.
 RUNS = {
@@ -306,7 +306,9 @@ def test_a_long_waveform_is_its_envelope_until_it_is_enlarged(browser, tmp_path,
 
 def test_a_map_has_its_colours_and_a_logarithmic_axis_its_powers(browser, tmp_path):
     z, ends = np.array([[1.0, 2.0], [3.0, np.nan]]), np.array([0.0, 1.0])
-    sheet = sheet_of(browser, tmp_path, Panel("a in V", "b in m", (), map=Map(ends, ends, z, "c")))
+    sheet = sheet_of(
+        browser, tmp_path, Panel("a in V", "b in m", (), map=ColourMap(ends, ends, z, "c"))
+    )
     assert sheet.ask("colour", 0, 0.2, 0.2) == [0x44, 0x01, 0x54]
     assert sheet.ask("colour", 0, 0.2, 0.8) == [0xFD, 0xE7, 0x25]
     sheet.point(0, 0.75, 0.25)

@@ -1,7 +1,7 @@
 """Refusal of meaningless input before a run, by name."""
 
 import pytest
-from support import SimulationError, UsageError, app, ngspice, quantity
+from support import SimulationError, UsageError, app, convert_quantity, ngspice
 from typer.testing import CliRunner
 
 import kc2spice as kc
@@ -48,8 +48,8 @@ def test_only_dc_analyses_accept_a_sweep(kind):
 @pytest.mark.parametrize("text", ["1 1 mm", "2 1 1 mm", "1 mm 1", "3 1 V"])
 def test_a_number_in_a_unit_is_not_a_unit(text):
     with pytest.raises(UsageError):
-        quantity(text, "V" if "V" in text else "m")
-    assert quantity("5 1/s", "Hz") == 5.0
+        convert_quantity(text, "V" if "V" in text else "m")
+    assert convert_quantity("5 1/s", "Hz") == 5.0
 
 
 @pytest.mark.parametrize(

@@ -38,7 +38,7 @@ def test_a_cathode_that_is_grounded_by_name_and_a_part_of_the_drives_name():
     tables = BODY | {"beam": BODY["beam"] | {"pins": {"cathode": "gnd"}}}
     tables |= {"beam_drive": {"part": "mass", "mass": 1e-6, "pins": {"a": "beam.tip"}}}
     deck = kc.deck(tables)
-    assert " AC 1\n" in deck.files[deck.main]
+    assert " AC 1\n" in deck.files[deck.main_file_name]
 
 
 @pytest.mark.parametrize(

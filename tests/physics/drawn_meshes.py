@@ -11,7 +11,15 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from support import MESH_ERROR_PREFIX, Chip, bimorph, device, disc, langevin, make_stack
+from support import (
+    MESH_ERROR_PREFIX,
+    StackKeys,
+    bimorph,
+    build_fe_model,
+    disc,
+    langevin,
+    make_stack,
+)
 from test_body import write
 
 SEED = 20261127
@@ -91,7 +99,7 @@ def stack(rng):
     mesh |= {"outer_rings": 4, "rings": 1, "ring_spacing": side / 10}
     table = {"side": side, "height": side * rng.uniform(0.5, 1.5), "layers": 4,
              "mounting": str(rng.choice(["roller", "glued", "free"]))}  # fmt: skip
-    return lambda refine, _: make_stack(Chip(mesh={**mesh, "refine": refine}, **table))
+    return lambda refine, _: make_stack(StackKeys(mesh={**mesh, "refine": refine}, **table))
 
 
 def from_file(draw, size, dimension, **table):
@@ -99,7 +107,7 @@ def from_file(draw, size, dimension, **table):
 
     def make(refine, home):
         write(home / "own.msh", draw, size=size, order=1, mesh=dimension)
-        return device({"mesh": "own.msh", "unit": "mm", "refine": refine, **table}, home)
+        return build_fe_model({"mesh": "own.msh", "unit": "mm", "refine": refine, **table}, home)
 
     return make
 

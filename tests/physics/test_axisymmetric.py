@@ -12,18 +12,18 @@ from scipy.special import i0, i1, j0, j1
 from support import (
     Block,
     BondedBlocks,
-    Damping,
+    DampingKeys,
     UsageError,
     compute_node_shares,
     disc,
+    find_material,
     langevin,
-    material,
 )
 
 approx = partial(pytest.approx, abs=0.0)  # its default of 1e-12 is a picofarad
-PZT = material("PZT-5A")
-STEEL = material("steel")
-UNDAMPED = Damping(ratio=0)
+PZT = find_material("PZT-5A")
+STEEL = find_material("steel")
+UNDAMPED = DampingKeys(ratio=0)
 
 
 def static(K, load, rigid=0):
@@ -37,7 +37,9 @@ def ceramic(radius, thickness, refine=1, size=None, electrode=None):
     electrodes = {"cathode": faces[:1], "anode": faces[1:]}
     block = Block(((0, radius), (0, thickness)), PZT)
     size = size or radius / 10
-    return BondedBlocks([block], electrodes, size=size, refine=refine, damping=UNDAMPED).device()
+    return BondedBlocks(
+        [block], electrodes, size=size, refine=refine, damping=UNDAMPED
+    ).build_fe_model()
 
 
 # -- patch tests ----------------------------------------------------------------------------------
@@ -49,7 +51,7 @@ def test_a_mean_is_that_of_the_full_turn():
     solid = ceramic(radius, thickness).solid
     top = solid.mesh.facets_satisfying(lambda x: x[1] > thickness * (1 - 1e-9))
     for where in ({"facets": top}, {"elements": np.arange(solid.mesh.nelements)}):
-        assert compute_node_shares(solid, **where) @ solid.places[0] ** 2 == approx(
+        assert compute_node_shares(solid, **where) @ solid.node_positions[0] ** 2 == approx(
             radius**2 / 2, rel=1e-9
         )
 
@@ -101,7 +103,7 @@ def test_a_thin_disc_bends_at_the_frequency_of_plate_theory(support):
     ]
     model = (
         disc.make_disc_blocks({"layers": layers, "support": support, "mesh": {"refine": 2}})
-        .device()
+        .build_fe_model()
         .model
     )
     values = eigh(model.K.toarray(), model.M.toarray(), eigvals_only=True)
@@ -129,7 +131,7 @@ def test_a_thin_ceramic_disc_has_the_admittance_of_the_radial_theory():
     layer = {"material": "PZT-5A", "diameter": "20 mm", "thickness": "0.4 mm"}
     model = (
         disc.make_disc_blocks({"layers": [layer], "damping": {"ratio": 0}, "mesh": {"refine": 2}})
-        .device()
+        .build_fe_model()
         .model
     )
     f = np.linspace(5e3, 200e3, 20)
@@ -169,7 +171,7 @@ def test_a_slender_langevin_resonates_as_a_transmission_line():
         "bolt": {"material": "steel", "diameter": "3 mm", "depth": "10 mm"},
     }  # fmt: skip
     model = langevin.make_langevin_blocks(keys).device().model
-    pzt = material("PZT-4")
+    pzt = find_material("PZT-4")
     circle = np.pi / 4 * 1e-6
     ring, bolt, full = circle * (100 - 16), circle * 9, circle * 100
     stack = ring / np.linalg.inv(pzt.C)[2, 2] + bolt * 211.9e9
@@ -229,6 +231,6 @@ RING = {"inner": "2 mm", "outer": "4 mm"}
 )
 def test_impossible_discs_are_refused_with_a_reason(keys, says):
     with pytest.raises(UsageError) as caught:
-        disc.make_disc_blocks(keys, "buzzer").device()
+        disc.make_disc_blocks(keys, "buzzer").build_fe_model()
     assert says in str(caught.value)
     assert "buzzer" in str(caught.value) or "axis" in says

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from pydantic import ValidationError
-from support import BimorphKeys, UsageError, make_bimorph_blocks, material
+from support import BimorphKeys, UsageError, find_material, make_bimorph_blocks
 
-PZT = material("PZT-5A")
+PZT = find_material("PZT-5A")
 
 
 def bimorph(*layers, **keys):
@@ -24,7 +24,7 @@ def test_published_harvester():
             ("PZT-5A", "0.26 mm"), (brass, "0.14 mm"), ("PZT-5A", "0.26 mm"),
             length="50.8 mm", width="31.8 mm", wiring="series", tip_mass="12 g",
         ),
-    ).device().model.facts  # fmt: skip
+    ).build_fe_model().model.facts  # fmt: skip
     assert facts["resonance_short_hz"] == pytest.approx(45.6, rel=0.025)
     assert facts["resonance_open_hz"] == pytest.approx(48.4, rel=0.025)
     coupling = [
@@ -41,7 +41,7 @@ def test_bending_of_two_layers_follows_laminate_theory_with_an_inner_field():
     """
     L, w, t = 90e-3, 1.5e-3, 0.05e-3
     keys = bimorph(("PZT-5A", t), ("PZT-5A", t), length=L, width=w, wiring="series")
-    model = make_bimorph_blocks(keys).device().model
+    model = make_bimorph_blocks(keys).build_fe_model().model
     s, d31 = np.linalg.inv(PZT.C)[:2, :2], PZT.d[2, 0]
     at_field = np.linalg.inv(s)
     at_charge = np.linalg.inv(s - d31**2 / PZT.eps_T[2, 2])
@@ -56,7 +56,11 @@ def test_bending_of_two_layers_follows_laminate_theory_with_an_inner_field():
 def test_positive_voltage_lifts_the_tip_of_a_unimorph_either_way_up():
     layers = [("steel", "0.2 mm"), ("PZT-5A", "0.2 mm")]
     for order in (layers, layers[::-1]):
-        model = make_bimorph_blocks(bimorph(*order, length="20 mm", width="4 mm")).device().model
+        model = (
+            make_bimorph_blocks(bimorph(*order, length="20 mm", width="4 mm"))
+            .build_fe_model()
+            .model
+        )
         assert model.facts["free_stroke_tip_m_per_v"] > 0
         faces = ["front_face", "back_face"]
         assert [p.name for p in model.ports] == ["tip", *faces, "base", "anode"]

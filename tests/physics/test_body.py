@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 from scipy.sparse.linalg import eigsh
-from support import BodyKeys, UsageError, bimorph, device, disc, material
+from support import BodyKeys, UsageError, bimorph, build_fe_model, disc, find_material
 
 
 def write(path, draw, *, size, order=2, mesh=3):
@@ -99,7 +99,7 @@ def test_mesh_of_a_unimorph_is_the_parametric_one(beam):
         "layers": [{"material": "steel", "thickness": "0.4 mm"},
                    {"material": "PZT-5A", "thickness": "0.3 mm"}],
     }).device().model  # fmt: skip
-    found = device(keys(), beam).model
+    found = build_fe_model(keys(), beam).model
     parametric = parametric.select([p.name for p in found.ports])
     for name, value in parametric.facts.items():
         if name != "unknowns" and not name.startswith(("mesh_error", "area_")):  # not joined faces
@@ -117,7 +117,7 @@ def test_ports_on_every_kind_of_group(coarse):
         {"name": "near", "at": ["12 mm", 0, "0.7 mm"], "axis": "z"},
         {"name": "bulk", "group": "layer0", "axis": "z"},
     ]
-    model = device(keys(ports=ports), coarse).model
+    model = build_fe_model(keys(ports=ports), coarse).model
     n = len(model.ports)
     stroke = np.real(model.transfer(np.zeros(1))[0][:-1, n - 1])
     assert stroke[0] == pytest.approx(stroke[1], rel=1e-2)
@@ -126,17 +126,17 @@ def test_ports_on_every_kind_of_group(coarse):
 
 
 def test_a_mesh_beyond_memory_is_refused_before_its_factor(coarse, monkeypatch):
-    monkeypatch.setattr("kc2spice.linalg.factor.available_bytes", lambda: 1000.0)
+    monkeypatch.setattr("kc2spice.linalg.factor.find_available_bytes", lambda: 1000.0)
     monkeypatch.setattr("kc2spice.bodies.device.compute_undamped_responses", pytest.fail)
     with pytest.raises(UsageError, match="needs more memory") as caught:
-        device(keys(), coarse)
+        build_fe_model(keys(), coarse)
     assert "coarser mesh" in str(caught.value)
     assert "reduction" not in str(caught.value)
 
 
 def test_file_unit_scales_the_body(coarse):
     small, large = (
-        device(keys(unit=unit, damping={"alpha": 0, "ratio": 0}), coarse).model.facts
+        build_fe_model(keys(unit=unit, damping={"alpha": 0, "ratio": 0}), coarse).model.facts
         for unit in ("mm", "cm")
     )
     assert large["mass_kg"] == pytest.approx(1000 * small["mass_kg"])
@@ -150,10 +150,10 @@ def test_step_file_states_its_own_unit(tmp_path):
         "groups": {"all": {"solids": [["6 mm", "1 mm", "1 mm"]]}},
         "ports": [{"name": "tip", "at": ["12 mm", 0, 0], "axis": "z"}],
     }  # fmt: skip
-    steel = material("steel").density
-    assert device(table, tmp_path).model.facts["mass_kg"] == pytest.approx(144e-9 * steel)
+    steel = find_material("steel").density
+    assert build_fe_model(table, tmp_path).model.facts["mass_kg"] == pytest.approx(144e-9 * steel)
     with pytest.raises(UsageError, match="own unit"):
-        device({**table, "unit": "m"}, tmp_path)
+        build_fe_model({**table, "unit": "m"}, tmp_path)
     text = (tmp_path / "a.step").read_text()
     assert "SI_UNIT(.MILLI.,.METRE.)" in text
     (tmp_path / "a.step").write_text(
@@ -164,7 +164,7 @@ def test_step_file_states_its_own_unit(tmp_path):
         "size": "30 mm",
         "groups": {"all": {"solids": [["60 mm", "10 mm", "10 mm"]]}},
     }
-    assert device(larger, tmp_path).model.facts["mass_kg"] == pytest.approx(144e-6 * steel)
+    assert build_fe_model(larger, tmp_path).model.facts["mass_kg"] == pytest.approx(144e-6 * steel)
 
 
 def test_axisymmetric_mesh_is_the_disc(tmp_path):
@@ -180,14 +180,14 @@ def test_axisymmetric_mesh_is_the_disc(tmp_path):
         return {(2, "disc"): [1], **{(1, name): tags for name, tags in around.items()}}
 
     write(tmp_path / "disc.msh", draw, size=0.25, mesh=2)
-    found = device({
+    found = build_fe_model({
         "mesh": "disc.msh", "unit": "mm", "axisymmetric": True, "materials": {"disc": "PZT-5A"},
         "electrodes": {"anode": "high", "cathode": "low"}, "damping": {"ratio": 0},
     }, tmp_path).model.facts  # fmt: skip
     own = disc.make_disc_blocks({
         "layers": [{"material": "PZT-5A", "diameter": "10 mm", "thickness": "0.5 mm"}],
         "damping": {"ratio": 0},
-    }).device().model.facts  # fmt: skip
+    }).build_fe_model().model.facts  # fmt: skip
     for name in ("mass_kg", "capacitance_free_f", "capacitance_clamped_f",
                  "resonance_short_hz", "resonance_open_hz"):  # fmt: skip
         assert found[name] == pytest.approx(own[name], rel=1e-3), name
@@ -243,8 +243,8 @@ def test_ring_poled_radially(tmp_path, draw, size, mesh, own):
     port = {"name": "wall", "axis": "x", "group": "outer"}
     if mesh == 3:  # the mean over a whole turn is zero: a point of the wall
         port = {"name": "wall", "axis": "x", "at": [30.25e-3, 0, 0.25e-3]}
-    facts = device({**table, "ports": [port]}, tmp_path).model.facts
-    pzt, (a, t, height) = material("PZT-5A"), (1e-3 * value for value in RING.values())
+    facts = build_fe_model({**table, "ports": [port]}, tmp_path).model.facts
+    pzt, (a, t, height) = find_material("PZT-5A"), (1e-3 * value for value in RING.values())
     breathing = 1 / (2 * np.pi * a * np.sqrt(pzt.density * np.linalg.inv(pzt.C)[0, 0]))
     assert facts["resonance_short_hz"] == pytest.approx(breathing, rel=5e-3)
     area = 2 * np.pi * a * height
@@ -259,10 +259,10 @@ def test_poling_that_twists_needs_three_dimensions(tmp_path):
     table = {"mesh": "ring.msh", "unit": "mm", "materials": {"ring": "PZT-5A"}}
     table |= {"axisymmetric": True, "electrodes": {"anode": "inner", "cathode": "outer"}}
     with pytest.raises(UsageError, match="twists"):
-        device({**table, "poling": {"ring": "tangential"}}, tmp_path)
+        build_fe_model({**table, "poling": {"ring": "tangential"}}, tmp_path)
     table["materials"] = {"ring": "quartz"}
     with pytest.raises(UsageError, match="isotropic about its axis"):
-        device(table, tmp_path)
+        build_fe_model(table, tmp_path)
 
 
 def stacked(boxes, *, join=False, sizes=()):
@@ -294,7 +294,7 @@ PLATES = [(0, 0, 0, 6, 2, 1), (0, 0, 1, 6, 2, 0.5)]
 
 
 def plates(home, **changes):
-    return device({
+    return build_fe_model({
         "mesh": "plates.msh", "unit": "mm", "materials": {"box0": "steel", "box1": "PZT-5A"},
         "fixed": ["low0"], "electrodes": {"anode": "high1", "cathode": "low1"}, **changes,
     }, home)  # fmt: skip
@@ -338,7 +338,7 @@ def test_rigid_motion_of_a_piece_is_no_resonance(tmp_path):
     """A ceramic that lies loose on a plate: its lowest resonance is that of a free bar poled across
     its thickness, ``1 / (2 length sqrt(density s11))``; damping is stated there."""
     write(tmp_path / "plates.msh", stacked(PLATES), size=1)
-    pzt = material("PZT-5A")
+    pzt = find_material("PZT-5A")
     free_bar = 1 / (2 * 6e-3 * np.sqrt(pzt.density * np.linalg.inv(pzt.C)[0, 0]))
     model = plates(tmp_path, merge=0, damping={"ratio": 0.01}).model
     assert model.facts["resonance_short_hz"] == pytest.approx(free_bar, rel=0.03)
@@ -351,7 +351,7 @@ def test_solids_hinged_at_an_edge_have_no_resonance_there(tmp_path):
     write(tmp_path / "plates.msh", stacked(corner, join=True), size=1)
     found = plates(tmp_path)
     assert found.shift > 0
-    lowest = material("PZT-5A")
+    lowest = find_material("PZT-5A")
     bending = 0.5e-3 / (3e-3) ** 2 * np.sqrt(lowest.C[0, 0] / lowest.density)
     assert found.model.facts["resonance_short_hz"] > 0.05 * bending
 
@@ -372,7 +372,7 @@ def test_modes_have_the_specified_damping(coarse, damping, wanted):
     """Ratios of the eigenvectors of the undamped body, ``phi' E phi / (2 omega)``."""
     ports = [{"name": "tip", "group": "end", "axis": "z"}]
     plain = {"materials": {"layer0": "steel", "layer1": "steel"}, "poling": {}, "electrodes": {}}
-    model = device(keys(**plain, ports=ports, damping=damping), coarse).model
+    model = build_fe_model(keys(**plain, ports=ports, damping=damping), coarse).model
     squares, modes = eigsh(model.K, 4, M=model.M, sigma=0.0)
     E = model.rayleigh[0] * model.M + model.rayleigh[1] * model.K
     omega = np.sqrt(squares)
@@ -389,8 +389,8 @@ def test_damping_of_each_material(coarse):
     table = {"layer0": lossy, "layer1": {**lossy, "quality": 50}}
     ports = [{"name": "tip", "group": "end", "axis": "z"}]
     changes = {"materials": table, "poling": {}, "electrodes": {}, "ports": ports}
-    each = device(keys(**changes, damping={"per_material": True}), coarse).model
-    whole = device(keys(**changes, damping={"quality": 50}), coarse).model
+    each = build_fe_model(keys(**changes, damping={"per_material": True}), coarse).model
+    whole = build_fe_model(keys(**changes, damping={"quality": 50}), coarse).model
     f = np.array([each.facts["resonance_hz"]])
     # rounding of entries, times the square of the highest natural frequency over the first
     assert each.transfer(f) == pytest.approx(whole.transfer(f), rel=5e-10)
@@ -413,7 +413,7 @@ def test_damping_of_each_material(coarse):
 ])  # fmt: skip
 def test_errors_name_the_group(coarse, changes, message):
     with pytest.raises(UsageError, match=message):
-        device(keys(**changes), coarse)
+        build_fe_model(keys(**changes), coarse)
 
 
 def test_pick_that_misses_names_its_point(tmp_path):
@@ -424,7 +424,7 @@ def test_pick_that_misses_names_its_point(tmp_path):
         "ports": [{"name": "tip", "at": ["12 mm", 0, 0], "axis": "z"}],
     }  # fmt: skip
     with pytest.raises(UsageError, match="no face contains") as error:
-        device(table, tmp_path)
+        build_fe_model(table, tmp_path)
     assert error.value.where == "body: groups.foot.at"
 
 
@@ -445,4 +445,4 @@ def test_the_electrode_called_ground_is_the_return_of_all_others():
     keys = BodyKeys(
         mesh="x.msh", materials={"a": "PZT-5A"}, electrodes={"ground": "low", "anode": "top"}
     )
-    assert [port.pins for port in keys.every_port] == [("anode", "ground")]
+    assert [port.pins for port in keys.all_ports] == [("anode", "ground")]

@@ -34,7 +34,7 @@ def test_every_buzzer_of_the_gallery_has_published_numbers():
 @pytest.mark.parametrize("name", BUZZERS)
 def test_resonance_and_capacitance_are_those_of_the_sheet_or_a_stated_miss(name):
     published = PUBLISHED[name]
-    model = disc.make_disc_blocks(keys_of(name)).device().model
+    model = disc.make_disc_blocks(keys_of(name)).build_fe_model().model
     predicted = {
         "resonance_hz": model.facts["resonance_short_hz"],
         "capacitance_f": model.facts["capacitance_free_f"],

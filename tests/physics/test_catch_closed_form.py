@@ -10,21 +10,21 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 from scipy.special import j0, j1, struve
-from support import Catch, EMTable, Ring, compute_catch_table
+from support import CatchKeys, MagnetostaticTable, RingKeys, compute_catch_table
 
 MU0 = 4e-7 * np.pi
 # Ten times the default air cylinder: truncation falls with its cube, to 3e-5 of max|F0|.
 RADIUS = 1e-3
-FREE = Catch(mu_r=1.0, air_radius=0.1, air_height=0.3, positions=13)
+FREE = CatchKeys(mu_r=1.0, air_radius=0.1, air_height=0.3, positions=13)
 
 
-def dipole_moment(catch: Catch, radius: float = RADIUS) -> float:
+def dipole_moment(catch: CatchKeys, radius: float = RADIUS) -> float:
     """Moment [A m^2] of a sphere of remanence B_r: V M with M = 3 B_r / (mu0 (mu_r + 2))."""
     volume = 4 / 3 * np.pi * radius**3
     return volume * 3 * catch.remanence / (MU0 * (catch.mu_r + 2))
 
 
-def coil_field(coil: Ring, turns: int, y: np.ndarray) -> np.ndarray:
+def coil_field(coil: RingKeys, turns: int, y: np.ndarray) -> np.ndarray:
     """Axial field [T] of 1 A in a thick solenoid."""
     density = turns / ((coil.outer - coil.inner) * coil.height)
 
@@ -36,7 +36,7 @@ def coil_field(coil: Ring, turns: int, y: np.ndarray) -> np.ndarray:
     return MU0 * density / 2 * (half(z + coil.height / 2) - half(z - coil.height / 2))
 
 
-def coil_inductance(one: Ring, other: Ring, turns: int) -> float:
+def coil_inductance(one: RingKeys, other: RingKeys, turns: int) -> float:
     """Self or mutual inductance [H] of two equal coils, from the Hankel form of A_phi.
 
     ``M = mu0 pi n^2 int P(k)^2 Z(k) dk`` with ``P = int a J1(k a) da`` over the thickness and ``Z``
@@ -62,11 +62,11 @@ def coil_inductance(one: Ring, other: Ring, turns: int) -> float:
 
 
 @pytest.fixture(scope="module")
-def table() -> EMTable:
+def table() -> MagnetostaticTable:
     return compute_catch_table(FREE, RADIUS)
 
 
-def test_flux_of_the_sphere_is_its_moment_times_the_coil_field(table: EMTable) -> None:
+def test_flux_of_the_sphere_is_its_moment_times_the_coil_field(table: MagnetostaticTable) -> None:
     for k, coil in enumerate((FREE.lower, FREE.upper)):
         dipole = dipole_moment(FREE) * coil_field(coil, FREE.turns, table.y)
         of_ring = table.flux0[:, k] - dipole
@@ -74,7 +74,7 @@ def test_flux_of_the_sphere_is_its_moment_times_the_coil_field(table: EMTable) -
         assert np.mean(of_ring) < 0  # its field in the bore opposes its magnetisation
 
 
-def test_inductances_agree_with_the_hankel_integral(table: EMTable) -> None:
+def test_inductances_agree_with_the_hankel_integral(table: MagnetostaticTable) -> None:
     own = coil_inductance(FREE.lower, FREE.lower, FREE.turns)
     mutual = coil_inductance(FREE.lower, FREE.upper, FREE.turns)
     assert own == pytest.approx(43.8e-3, rel=1e-3)
@@ -90,7 +90,7 @@ def test_inductances_agree_with_the_hankel_integral(table: EMTable) -> None:
 )
 def test_moment_of_a_permeable_sphere(mu_r: float, radius: float, error: float) -> None:
     # Ring reduced to a far sliver: only the sphere is permeable, and outside it is a dipole.
-    sliver = Ring(height=0.2e-3, outer=8.2e-3, inner=8e-3, y=2.5e-3)
+    sliver = RingKeys(height=0.2e-3, outer=8.2e-3, inner=8e-3, y=2.5e-3)
     catch = FREE.model_copy(update={"mu_r": mu_r, "ring": sliver, "positions": 5})
     table = compute_catch_table(catch, radius)
     step = 1e-6  # central difference at a scale of 1 mm: 1e-7 of the slope

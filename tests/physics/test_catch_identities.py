@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 from skfem import Basis, ElementTriP2, Functional
-from support import LOWER, SPHERE, Catch, assemble_field, compute_catch_table
+from support import LOWER, SPHERE, CatchKeys, compute_catch_table, make_field_assembler
 from support import magnet_field as magmesh
 
 RADIUS = 1e-3
@@ -14,7 +14,7 @@ RADIUS = 1e-3
 def test_polarity_reverses_only_the_ring_magnet() -> None:
     span = {"y_min": -2.5e-3, "y_max": 7.5e-3, "positions": 5}
     table, turned = (
-        compute_catch_table(Catch(polarity=way, **span), RADIUS)
+        compute_catch_table(CatchKeys(polarity=way, **span), RADIUS)
         for way in ("parallel", "antiparallel")
     )
     # The ring's pull on the sphere as magnetised by a coil turns too: 3e-3 of c1 at mu_r 1.06.
@@ -27,7 +27,7 @@ def test_polarity_reverses_only_the_ring_magnet() -> None:
 @pytest.mark.slow
 def test_force_is_the_slope_of_flux_and_inductance() -> None:
     # Positions every 62.5 um so that the derivative of a spline is no limit.
-    table = compute_catch_table(Catch(y_min=-0.5e-3, y_max=1.5e-3, positions=33), RADIUS)
+    table = compute_catch_table(CatchKeys(y_min=-0.5e-3, y_max=1.5e-3, positions=33), RADIUS)
     inner = slice(3, -3)
     flux = CubicSpline(table.y, table.flux0)(table.y, 1)[inner]
     inductance = CubicSpline(table.y, table.inductance)(table.y, 1)[inner]
@@ -41,10 +41,10 @@ def test_force_is_the_slope_of_flux_and_inductance() -> None:
 
 def test_coil_is_pushed_back() -> None:
     """Lorentz force on the lower coil in the sphere's field, which the shell knows nothing of."""
-    catch = Catch(mu_r=1.0, air_radius=0.1, air_height=0.3)
+    catch = CatchKeys(mu_r=1.0, air_radius=0.1, air_height=0.3)
     pitch = magmesh.choose_lattice_pitch(catch, RADIUS, 0.25e-3)
     bore = magmesh.make_bore(catch, RADIUS, pitch, 0.0, 1e-3)
-    system = assemble_field(catch, bore)(1e-3 - 4 * pitch)
+    system = make_field_assembler(catch, bore)(1e-3 - 4 * pitch)
     fields = system.solve(system.loads)
     stator = magmesh.mesh_stator(catch, bore)
     r, y = stator.p[:, stator.t].mean(axis=1)

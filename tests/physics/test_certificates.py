@@ -10,8 +10,8 @@ from mor_families import damped_chain
 from scipy import sparse
 from support import (
     LinearModel,
+    ReductionTask,
     ResponsePod,
-    Task,
     build_intermediate_model,
     certify,
     disc,
@@ -95,7 +95,9 @@ def test_error_and_rounding_of_the_intermediate_model_are_in_the_certificate():
     full = LinearModel(M=M, E=E, K=K, B=B, C=C)
     intermediate = build_intermediate_model(full.pencil, band, 1e-8, np.inf)
     worse = replace(intermediate, error=2e-3, floor=1e-3)
-    basis = ResponsePod(two_sided=True).basis(Task.of(full, full.pencil, worse, band, "pointwise"))
+    basis = ResponsePod(two_sided=True).basis(
+        ReductionTask.from_models(full, full.pencil, worse, band, "pointwise")
+    )
     estimate = certify(basis, basis.size).certificate.error_estimate
     assert 3e-3 <= estimate < 3.1e-3
 
@@ -107,7 +109,7 @@ def test_the_estimate_covers_rounding_errors_of_a_thin_free_plate():
         {"material": "PZT-5A", "diameter": "14 mm", "thickness": "0.12 mm",
          "electrodes": "12.8 mm"},
     ]  # fmt: skip
-    found = disc.make_disc_blocks({"layers": layers, "damping": {"quality": 50}}).device()
+    found = disc.make_disc_blocks({"layers": layers, "damping": {"quality": 50}}).build_fe_model()
     full = found.model.select(["anode"])
     rom = reduce_model(full, tolerance=1e-6, band=(288.0, 9600.0))
     pole = full.facts["resonance_short_hz"]

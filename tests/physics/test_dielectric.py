@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 from support import (
-    Clock,
     MeasuredAdmittance,
+    StageTimer,
     UsageError,
-    ac_command,
     build_models,
     fit_foster_network,
     ignore_progress,
+    make_ac_command,
     make_example_deck,
 )
 
@@ -61,7 +61,7 @@ def models():
     scenes = [
         kc.load_scene(BUZZER, {**keys, "disc.damping.loss_tangent": t}) for t in (0.0, TANGENT)
     ]
-    return [build_models(scene, Clock(ignore_progress)).models["disc"] for scene in scenes]
+    return [build_models(scene, StageTimer(ignore_progress)).models["disc"] for scene in scenes]
 
 
 def test_a_body_has_its_clamped_capacitance_complex(models):
@@ -124,7 +124,7 @@ def test_a_tangent_that_the_clamped_body_cannot_have_is_refused():
 
 
 def test_a_full_model_without_loss_prints_a_note():
-    with pytest.warns(UserWarning, match="loss_tangent: 0.02: .* neglects it"):
+    with pytest.warns(UserWarning, match="neglects the loss tangent 0.02"):
         kc.build(kc.load_scene(BUZZER, {"disc.damping.loss_tangent": TANGENT}))
 
 
@@ -132,7 +132,7 @@ def test_ngspice_has_the_response_of_the_lossy_model(models):
     model = models[1].select(["anode"])
     deck = make_example_deck(model, kc.subcircuit(model, "lossy"))
     low, high = 1e3, model.certificate.band_hz[1]
-    waves = kc.simulate(replace(deck, command=ac_command(low, high, 50, "linear"))).waves
+    waves = kc.simulate(replace(deck, command=make_ac_command(low, high, 50, "linear"))).waves
     f = np.linspace(low, high, 50)
     Y = 2j * np.pi * f * model.transfer(f)[:, 0, 0]
     assert np.abs(waves["anode.current"] / Y - 1).max() < 1e-6
@@ -159,4 +159,4 @@ def test_a_body_without_dielectric_loss_is_an_error():
     lossy = {"disc.damping.loss_tangent": 0.02}
     box = {"disc.rom.parameters": {"damping.quality": [20.0, 90.0]}}
     with pytest.raises(UsageError, match="cannot contain a dielectric loss"):
-        build_models(kc.load_scene(BUZZER, lossy | box), Clock(ignore_progress))
+        build_models(kc.load_scene(BUZZER, lossy | box), StageTimer(ignore_progress))

@@ -16,11 +16,11 @@ from support import (
     disc,
     enrich_model,
     evaluate_shape_functions,
+    find_material,
     make_enrichment,
-    material,
 )
 
-STEEL, PZT = material("steel"), material("PZT-5A").poled((0, 0, 1))
+STEEL, PZT = find_material("steel"), find_material("PZT-5A").rotate_z_axis((0, 0, 1))
 
 
 def skewed(mesh):
@@ -73,8 +73,8 @@ def expand(solid, enrichment):
     basis = rule(solid)
     functions = evaluate_shape_functions(solid, basis.X)
     places, _ = cubic(np.asarray(basis.global_coordinates()))
-    n, rows = solid.places.shape[1], places.size
-    A = np.zeros((rows, n + enrichment.count))
+    n, rows = solid.node_positions.shape[1], places.size
+    A = np.zeros((rows, n + enrichment.function_count))
     row = np.arange(rows).reshape(places.shape)
     for local, function in enumerate(basis.basis):
         A[row, basis.element_dofs[local][:, None]] += np.asarray(function[0])
@@ -92,7 +92,7 @@ def test_cubic_polynomials_are_in_the_span(name):
     enrichment = make_enrichment(solid)
     coefficients, remainder = expand(solid, enrichment)
     assert remainder < 1e-11
-    at_nodes, _ = cubic(solid.places)
+    at_nodes, _ = cubic(solid.node_positions)
     np.testing.assert_allclose(coefficients[: len(at_nodes)], at_nodes, atol=1e-10)
     functions = np.abs(coefficients[len(at_nodes) :])
     assert functions.max() > 1e-3  # quadratic functions alone do not span them
@@ -103,10 +103,10 @@ def test_energy_of_cubic_fields_is_that_of_their_gradients(name):
     """Displacement along z and potential both cubic, from the gradients in closed form."""
     solid = solid_of(name, PZT)
     enrichment = make_enrichment(solid)
-    d, count = solid.components, enrichment.count
+    d, count = solid.component_count, enrichment.function_count
     more = assemble_enrichment(enrichment, np.ones((count, d), bool), np.ones(count, bool))
     coefficients, _ = expand(solid, enrichment)
-    node, function = np.split(coefficients, [solid.places.shape[1]])
+    node, function = np.split(coefficients, [solid.node_positions.shape[1]])
     along_z = np.eye(d)[-1]
     u, w = np.kron(node, along_z), np.kron(function, along_z)
     full = assemble_solid(solid)
@@ -143,7 +143,7 @@ def test_modes_are_those_of_cubic_triangles():
     mesh = MESHES["triangles"].translated((1e5, 0.0))
     solid = Solid(mesh, (STEEL,), np.zeros(mesh.nelements, int), axisymmetric=True)
     enrichment = make_enrichment(solid)
-    count, full = enrichment.count, assemble_solid(solid)
+    count, full = enrichment.function_count, assemble_solid(solid)
     more = assemble_enrichment(enrichment, np.ones((count, 2), bool), np.zeros(count, bool))
     K = np.block([[full.K_uu.toarray(), more.K_nodes.T.toarray()],
                   [more.K_nodes.toarray(), more.K.toarray()]])  # fmt: skip
@@ -198,7 +198,7 @@ def direct(device, answers):
 @pytest.mark.parametrize("support", ["free", "clamped"])
 def test_corrections_are_those_of_a_direct_solution(support):
     """Corrections of few vectors and of all unknowns agree to a twentieth."""
-    device = disc.make_disc_blocks({"layers": LAYERS, "support": support}).device()
+    device = disc.make_disc_blocks({"layers": LAYERS, "support": support}).build_fe_model()
     answers = compute_undamped_responses(device.model, device.shift)
     corrections = correct_responses(device, answers)
     first, products = direct(device, answers)

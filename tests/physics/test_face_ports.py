@@ -10,17 +10,17 @@ from support import (
     BodyKeys,
     BondedBlocks,
     UsageError,
-    device,
+    build_fe_model,
     disc,
+    find_material,
     list_outer_faces,
-    material,
 )
 
 import kc2spice as kc
 
 RADIUS, THICKNESS = 20e-3, 0.2e-3
 PLATE = ((0.0, RADIUS), (0.0, THICKNESS))
-ALUMINIUM = material("aluminium", "plate")
+ALUMINIUM = find_material("aluminium", "plate")
 LAYERS = [
     {"material": "brass", "diameter": 20e-3, "thickness": 0.2e-3},
     {"material": "PZT-5A", "diameter": 14e-3, "thickness": 0.22e-3, "electrodes": 12.8e-3},
@@ -51,7 +51,7 @@ def test_a_clamped_plate_yields_the_volume_of_the_closed_form_and_converges():
             size=RADIUS / 20,
             refine=refine,
         )
-        front, back = static_response(plate.device().model)
+        front, back = static_response(plate.build_fe_model().model)
         assert front[1] == pytest.approx(back[0], rel=1e-9)  # reciprocity
         assert front[1] == pytest.approx(-front[0], rel=1e-6)  # a pressure squeezes it by 1e-7
         errors.append(abs(front[0] / volume - 1))
@@ -75,14 +75,14 @@ def test_a_free_block_moves_as_a_rigid_body(box, area):
     block = BondedBlocks([Block(box, ALUMINIUM)], faces=list_outer_faces(box), size=size)
     hertz, thickness = 100.0, box[-1][1]
     per_mass = area**2 / (ALUMINIUM.density * area * thickness * (2 * math.pi * hertz) ** 2)
-    front, back = static_response(block.device().model, hertz)
+    front, back = static_response(block.build_fe_model().model, hertz)
     assert [front[0], back[1]] == pytest.approx([-per_mass] * 2, rel=3e-5)
     assert [front[1], back[0]] == pytest.approx([per_mass] * 2, rel=3e-5)
 
 
 def test_a_step_of_layers_belongs_to_the_front():
     """All of the upper surface counts: the ceramic and the ring of brass around it."""
-    model = disc.make_disc_blocks({"layers": LAYERS}).device().model
+    model = disc.make_disc_blocks({"layers": LAYERS}).build_fe_model().model
     front, back = port_numbers(model, "front_face", "back_face")
     H = static_response(model, 20.0)
     assert H[front, front] == pytest.approx(H[back, back], rel=1e-6)
@@ -92,7 +92,7 @@ def test_a_step_of_layers_belongs_to_the_front():
 
 
 def test_a_pressure_charges_the_electrodes_as_a_voltage_moves_the_volume():
-    model = disc.make_disc_blocks({"layers": LAYERS, "support": "clamped"}).device().model
+    model = disc.make_disc_blocks({"layers": LAYERS, "support": "clamped"}).build_fe_model().model
     H = model.transfer(np.array([1e3, 3e3]))
     assert np.abs(H - H.transpose(0, 2, 1)).max(axis=0) == pytest.approx(
         0.0, abs=1e-9 * np.abs(H).max()
@@ -138,7 +138,7 @@ KEYS = {
 def test_a_face_of_a_mesh_is_that_of_the_same_disc(tmp_path):
     write_disc(tmp_path / "plate.msh", 10.0, 1.0)
     ports = [{"name": name, "kind": "face", "group": name} for name in ("top", "bottom")]
-    body = static_response(device(BodyKeys(**KEYS, ports=ports), tmp_path).model)
+    body = static_response(build_fe_model(BodyKeys(**KEYS, ports=ports), tmp_path).model)
     box = ((0.0, 10e-3), (0.0, 1e-3))
     blocks = BondedBlocks(
         [Block(box, ALUMINIUM)],
@@ -146,14 +146,14 @@ def test_a_face_of_a_mesh_is_that_of_the_same_disc(tmp_path):
         faces=list_outer_faces(box),
         size=0.5e-3,
     )
-    assert body == pytest.approx(static_response(blocks.device().model), rel=3e-3)
+    assert body == pytest.approx(static_response(blocks.build_fe_model().model), rel=3e-3)
 
 
 def test_a_face_inside_a_body_is_refused(tmp_path):
     write_disc(tmp_path / "plate.msh", 10.0, 1.0)
     ports = [{"name": "top", "kind": "face", "group": "middle"}]
     with pytest.raises(UsageError, match="on the surface of the body") as caught:
-        device(BodyKeys(**KEYS, ports=ports), tmp_path)
+        build_fe_model(BodyKeys(**KEYS, ports=ports), tmp_path)
     assert "middle" in caught.value.got
 
 

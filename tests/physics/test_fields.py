@@ -9,32 +9,32 @@ from skfem.mesh import MeshHex, MeshQuad, MeshTet, MeshTet2, MeshTri, MeshTri2
 from support import (
     OBLIQUE_SHIFT,
     BoundaryConditions,
-    Chip,
-    Damping,
+    DampingKeys,
     FieldProbe,
     Port,
     PortLoad,
     Solid,
+    StackKeys,
     UsageError,
     compute_largest_principal_stress,
     compute_lowest_modes,
     compute_node_shares,
     disc,
-    draw_deformed,
+    draw_deformed_body,
     draw_modes,
     evaluate_at_nodes,
     find_extremes,
+    find_material,
     langevin,
     load_scene,
     make_device,
     make_stack,
-    material,
     recover_motion,
     spread_force,
     write_vtu,
 )
 
-PZT = material("PZT-5A")
+PZT = find_material("PZT-5A")
 SIZE = np.array([4e-3, 1e-3, 0.5e-3])
 
 
@@ -64,12 +64,14 @@ def pulled(solid, damping=None):
     electrodes = {"anode": at(solid, 2, SIZE[2]), "cathode": at(solid, 2, 0.0)}
     return make_device(solid, BoundaryConditions(
         fixed.ravel(), electrodes, "cathode", shapes=[pull],
-        damping=damping or Damping(ratio=0.02),
+        damping=damping or DampingKeys(ratio=0.02),
     ))  # fmt: skip
 
 
 def at_points(probe, z, voltages):
-    T, E = probe.stress(*probe.compute_nodal_values(z[:, None], voltages[:, None]))
+    T, E = probe.compute_stress_and_field(
+        *probe.compute_nodal_values(z[:, None], voltages[:, None])
+    )
     return T[..., 0], E[..., 0]
 
 
@@ -85,13 +87,17 @@ def test_uniform_stress_and_field_are_exact(kind):
     force, voltage = 3.0, 20.0
     motion = recover_motion(device, time, {"pull": np.full(3, force), "anode": np.full(3, voltage)})
     for gauss in (False, True):
-        stress, field = at_points(FieldProbe(device, gauss=gauss), *motion.at(1e-6))
+        stress, field = at_points(
+            FieldProbe(device, gauss=gauss), *motion.find_nearest_sample(1e-6)
+        )
         pressure = force / (SIZE[1] * SIZE[2])
         assert stress[:, 0] == pytest.approx(pressure, rel=1e-6)
         assert np.abs(stress[:, 1:]).max() < 1e-6 * pressure
         assert field[:, 2] == pytest.approx(-voltage / SIZE[2], rel=1e-6)
     strain = np.linalg.inv(PZT.C)[0, 0] * pressure - PZT.d[2, 0] * voltage / SIZE[2]
-    stretched = evaluate_at_nodes(device, *motion.at(1e-6))["displacement"][:, 0].max()
+    stretched = evaluate_at_nodes(device, *motion.find_nearest_sample(1e-6))["displacement"][
+        :, 0
+    ].max()
     assert stretched == pytest.approx(strain * SIZE[0], rel=1e-6)
     stress, field, opposing = find_extremes(motion)
     assert (stress.quantity, stress.unit, stress.limit) == ("principal_stress", "Pa", 76e6)
@@ -115,7 +121,7 @@ SANDWICH = {
 
 
 def chip(**keys):
-    kick = Chip(layers=6, layer_thickness=60e-6, **keys)
+    kick = StackKeys(layers=6, layer_thickness=60e-6, **keys)
     return make_stack(kick, 2e6)
 
 
@@ -123,9 +129,9 @@ def test_free_disc_and_free_stack_have_a_uniform_field_and_no_stress():
     """Poled against it or along it, strains are d' E and nothing else."""
     still = np.linspace(0, 1e-6, 3)
     for device, thick, height, sign in (
-        (disc.make_disc_blocks({"layers": [CERAMIC]}).device(), 1e-3, 1e-3, 1),
+        (disc.make_disc_blocks({"layers": [CERAMIC]}).build_fe_model(), 1e-3, 1e-3, 1),
         (
-            disc.make_disc_blocks({"layers": [CERAMIC | {"poling": "down"}]}).device(),
+            disc.make_disc_blocks({"layers": [CERAMIC | {"poling": "down"}]}).build_fe_model(),
             1e-3,
             1e-3,
             -1,
@@ -138,14 +144,14 @@ def test_free_disc_and_free_stack_have_a_uniform_field_and_no_stress():
         assert stress.value < 1e-4 * e33 * 30 / thick
         assert field.value == pytest.approx(30 / thick, rel=1e-6)
         assert opposing.value == pytest.approx(sign * 30 / thick, rel=1e-6)
-        top = evaluate_at_nodes(device, *motion.at(0.0))["displacement"][:, 2]
+        top = evaluate_at_nodes(device, *motion.find_nearest_sample(0.0))["displacement"][:, 2]
         m = device.solid.materials[0]
         d33 = abs(np.linalg.solve(m.C, m.e[2])[2])
         assert np.ptp(top) == pytest.approx(d33 * 30 / thick * height, rel=1e-4)
 
 
 @pytest.mark.parametrize(("device", "port", "symmetric"), [
-    (lambda: langevin.make_langevin_blocks(SANDWICH).device(), "front", 1),
+    (lambda: langevin.make_langevin_blocks(SANDWICH).build_fe_model(), "front", 1),
     (lambda: chip(mounting="glued", bottom_cap={"thickness": 1e-4}), "ring2", 4),
     (lambda: chip(preload_spring=1, top_cap={"thickness": 1e-4, "material": "steel"}), "ring0", 4),
 ])  # fmt: skip
@@ -154,7 +160,7 @@ def test_every_section_of_a_pressed_body_carries_the_total_force(device, port, s
     device, force = device(), -50.0
     motion = recover_motion(device, np.linspace(0, 1e-6, 3), {port: np.full(3, force)})
     probe = FieldProbe(device, gauss=True)
-    axial = at_points(probe, *motion.at(0.0))[0][:, 2]
+    axial = at_points(probe, *motion.find_nearest_sample(0.0))[0][:, 2]
     basis = probe.basis
     where = np.asarray(basis.global_coordinates())
     weights = np.broadcast_to(basis.dx, where.shape[1:])
@@ -175,7 +181,7 @@ def test_fields_of_merged_layers_are_refused():
 
 def test_motion_is_that_of_the_full_model():
     """Against modes of the dense matrices and scipy's integration of the state space."""
-    device = pulled(plate(), Damping(ratio=0.05))
+    device = pulled(plate(), DampingKeys(ratio=0.05))
     model = device.model
     time = np.linspace(0, 2e-5, 801)
     inputs = np.column_stack([np.sin(4e5 * time) * (time < 1e-5), 30 * np.clip(time / 1e-6, 0, 1)])
@@ -194,14 +200,14 @@ def test_motion_is_that_of_the_full_model():
 
 
 def test_a_free_body_falls_by_newtons_law():
-    solid = plate(MeshHex, material("steel"))
+    solid = plate(MeshHex, find_material("steel"))
     fixed = np.zeros(3 * solid.basis(1).N, bool)
     everywhere = spread_force(
         compute_node_shares(solid, elements=np.arange(solid.mesh.nelements)), np.eye(3)[2], solid
     )
     push = PortLoad(Port("push", "mechanical"), everywhere)
     device = make_device(
-        solid, BoundaryConditions(fixed, shapes=[push], damping=Damping(ratio=0.01, at=1e6))
+        solid, BoundaryConditions(fixed, shapes=[push], damping=DampingKeys(ratio=0.01, at=1e6))
     )
     time = np.linspace(0, 1e-3, 50)
     force = np.where(time > 0, 1e-3, 0.0)
@@ -278,9 +284,9 @@ def test_a_picture_shows_the_surface_in_the_colour_of_its_stress(kind):
     """A bar under 1 N has one stress; its picture is front, top and right side."""
     device = pulled(plate(kind))
     model = device.model
-    z = model.pencil.dense().coefficients[0]
+    z = model.pencil.make_dense().coefficients[0]
     z = np.linalg.solve(z, model.B[:, [p.name for p in model.ports].index("pull")])
-    panel, factor = draw_deformed(device, z, np.zeros(device.drive.shape[1]))
+    panel, factor = draw_deformed_body(device, z, np.zeros(device.drive.shape[1]))
     L, b, h = SIZE * 1e3
     shown = panel.map.z[np.isfinite(panel.map.z)]
     assert shown == pytest.approx(1 / (b * h), rel=1e-3)  # MPa
@@ -293,7 +299,7 @@ def test_a_picture_shows_the_surface_in_the_colour_of_its_stress(kind):
 
 def test_shapes_of_modes_are_those_of_the_matrices():
     device = pulled(plate())
-    K, _, M = device.model.pencil.dense().coefficients
+    K, _, M = device.model.pencil.make_dense().coefficients
     exact = np.sqrt(eigh(K, M, eigvals_only=True)) / (2 * np.pi)
     hertz, columns = compute_lowest_modes(device, 4, np.inf)
     assert len(hertz) == 4

@@ -53,7 +53,7 @@ def found_and_off(name, noise):
     seed = [int(1e4 * noise), len(name)]
     draw, true = np.random.default_rng(seed), {}
     for key in keys:
-        value = kc.load_scene(scene).part(part).keys.model_dump()
+        value = kc.load_scene(scene).get_part(part).keys.model_dump()
         for word in key.replace("[", ".").replace("]", "").split("."):
             value = value[int(word) if word.isdigit() else word]
         true[key] = value * np.exp(draw.uniform(-1, 1) * (0.7 if "damping" in key else 0.08))
@@ -224,10 +224,10 @@ def test_the_command_writes_values_for_set_and_a_page(tmp_path, capsys, monkeypa
     found = json.loads(capsys.readouterr().out)
     assert found["overrides"] == "out/fit.toml"
     assert "measured" in (tmp_path / found["page"]).read_text()
-    fitted = kc.load_scene(BUZZER, ["out/fit.toml"]).part("disc").keys.layers[0].thickness
+    fitted = kc.load_scene(BUZZER, ["out/fit.toml"]).get_part("disc").keys.layers[0].thickness
     value, sigma = (found["parameters"]["layers[0].thickness"][key] for key in ("value", "sigma"))
     assert fitted == value == pytest.approx(0.105e-3, rel=3e-3)
-    boxed = kc.load_scene(BUZZER, ["out/fit.toml", "out/box.toml"]).part("disc").keys.rom
+    boxed = kc.load_scene(BUZZER, ["out/fit.toml", "out/box.toml"]).get_part("disc").keys.rom
     ((key, ends),) = boxed.parameters.items()  # what ranges become in a netlist: test_parameters
     half = max(2 * sigma, 1.1e-3 * value)
     assert key == "layers[0].thickness"
@@ -245,7 +245,8 @@ def test_keys_that_cannot_be_varied(vary):
     data = MeasuredAdmittance("part", "part.csv", f, (2e-9j * np.pi * f)[:, None, None])
     with pytest.raises(
         kc.errors.UsageError,
-        match=r"is not a number|has no keys|not a valid range|not a range|vary is missing|twice",
+        match=r"is not a number|cannot be varied|has no keys|not a valid range|not a range|"
+        r"vary is missing|twice",
     ):
         kc.fit(BUZZER, "disc", data, vary)
 

@@ -10,12 +10,12 @@ from support import (
     LinearModel,
     Port,
     assemble_system,
-    constant_waveform,
     declare_point_mass,
-    element,
     integrate_steps,
     laws,
-    linear_waveform,
+    make_constant_waveform,
+    make_element_law,
+    make_linear_waveform,
     solve_ac,
     solve_operating_point,
 )
@@ -44,8 +44,8 @@ def risen(t: np.ndarray) -> np.ndarray:
 
 
 def test_steps_follow_a_closed_form_with_an_error_of_second_order() -> None:
-    force = laws.IdealSource("f", "force", linear_waveform(((0.0, 0.0), (RAMP, 1.0))))
-    still = laws.IdealSource("v", "voltage", constant_waveform(0.0))
+    force = laws.IdealSource("f", "force", make_linear_waveform(((0.0, 0.0), (RAMP, 1.0))))
+    still = laws.IdealSource("v", "voltage", make_constant_waveform(0.0))
     body = laws.PortBody("x", oscillator(), KICK)
     joins = {"a": ("x.tip", "f.out"), "b": ("x.anode", "v.out")}
     system, errors = assemble_system((body, force, still), joins), []
@@ -69,9 +69,9 @@ def test_a_body_at_its_ports_is_the_same_as_with_its_states() -> None:
     found = []
     for body in (states, laws.PortBody("x", full, KICK)):
         parts = (
-            body, element("c", "capacitor", 2e-9), element("k", "spring", 3e4),
+            body, make_element_law("c", "capacitor", 2e-9), make_element_law("k", "spring", 3e4),
             DeclaredLaw("lifted", declare_point_mass(1e-3, -30.0), (1e-3, -30.0, 0.0, 0.0)),
-            laws.IdealSource("f", "force", constant_waveform(0.1), 1.0),
+            laws.IdealSource("f", "force", make_constant_waveform(0.1), 1.0),
         )  # fmt: skip
         joins = {"a": ("x.tip", "k.a", "lifted.a", "f.out"), "b": ("x.anode", "c.a")}
         system = assemble_system(parts, joins)

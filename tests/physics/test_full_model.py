@@ -5,7 +5,14 @@ import oracle
 import pytest
 from closed_forms import hertz
 from scipy import sparse
-from support import Chip, LinearModel, SimulationError, make_stack, make_surrogate, reduce_model
+from support import (
+    LinearModel,
+    SimulationError,
+    StackKeys,
+    make_stack,
+    make_surrogate,
+    reduce_model,
+)
 
 from bench.usual.contact import contact_surface
 from bench.usual.statics import imprint
@@ -16,7 +23,7 @@ SMALL = {"sectors": 4, "rings": 2, "ring_spacing": 300e-6, "outer_rings": 2}
 
 @pytest.mark.slow
 def test_surrogate_is_checked_against_direct_solutions():
-    full = make_stack(Chip(layers=3, mesh={**SMALL, "order": 2})).model
+    full = make_stack(StackKeys(layers=3, mesh={**SMALL, "order": 2})).model
     model, error = make_surrogate(full, (0.0, 500e3))
     assert error < 1e-10
     frequency = np.array([1.23e5, 4.56e5])
@@ -58,7 +65,7 @@ def test_imprint_of_an_isotropic_chip_follows_hertz():
     lame, shear = young * nu / (1 + nu) / (1 - 2 * nu), young / 2 / (1 + nu)
     c = {"c11": lame + 2 * shear, "c12": lame, "c13": lame, "c33": lame + 2 * shear,
          "c44": shear, "c66": shear}  # fmt: skip
-    kick = Chip(
+    kick = StackKeys(
         side=3e-3, layers=40,
         material={"stiffness": c, "stress_coupling": {"e31": 0.0, "e33": 0.0, "e15": 0.0}},
         mesh={"rings": 10, "ring_spacing": 25e-6, "outer_rings": 11},
@@ -72,7 +79,7 @@ def test_imprint_of_an_isotropic_chip_follows_hertz():
 
 def test_mass_damping_reaches_the_response_and_its_reduction():
     """A small chip whose damping is mostly alpha M, against its matrices."""
-    kick = Chip(layers=3, mesh=SMALL, damping={"alpha": 3e5, "ratio": 1e-3})
+    kick = StackKeys(layers=3, mesh=SMALL, damping={"alpha": 3e5, "ratio": 1e-3})
     system = quarter(kick)
     assert system.K_pp.shape[0] == 0  # one element a layer: nothing to eliminate
     M, K = system.M.toarray(), system.K_uu.toarray()

@@ -30,9 +30,9 @@ from support import (
     branch,
     compute_node_shares,
     duplicate_face_nodes,
+    evaluate_functions_at_point,
     find_common_faces,
     find_face_nodes,
-    find_point_shares,
     find_thermal_material,
     load_thermal_library,
     make_heat_model,
@@ -388,7 +388,7 @@ def test_quadratic_elements_converge_with_the_fourth_power_of_their_size():
         cold = mesh.facets_satisfying(
             lambda x: (x[0] > 1e-2 - 1e-9) | (x[1] < 1e-9) | (x[1] > 1e-2 - 1e-9)
         )
-        free = np.setdiff1d(np.arange(solid.count), find_face_nodes(solid.geometry, cold))
+        free = np.setdiff1d(np.arange(solid.node_count), find_face_nodes(solid.geometry, cold))
         E, K = (matrix[free][:, free].toarray() for matrix in assemble_heat(solid))
         rate = scipy.linalg.eigh(K, E, eigvals_only=True, subset_by_index=[0, 0])[0]
         errors.append(rate * COPPER.capacity / 401.0 / exact - 1)
@@ -428,10 +428,10 @@ def test_split_nodes_separate_two_materials_and_no_others():
     between = find_common_faces(geometry, first, second)
     split = duplicate_face_nodes(geometry, between)
     # quadratic nodes on the line, without the one that the other quarters join
-    assert split.places.shape[1] - geometry.places.shape[1] == 2 * 2
+    assert split.node_positions.shape[1] - geometry.node_positions.shape[1] == 2 * 2
     pieces = HeatSolid(split, tuple([COPPER] * 4))
     _, K = assemble_heat(pieces)
-    assert np.abs(K @ np.ones(pieces.count)).max() < 1e-9
+    assert np.abs(K @ np.ones(pieces.node_count)).max() < 1e-9
 
 
 def test_a_point_has_no_resistance_and_no_mesh_error():
@@ -439,7 +439,7 @@ def test_a_point_has_no_resistance_and_no_mesh_error():
     solid, bottom, top = cylinder(8, COPPER)
     fixed = find_face_nodes(solid.geometry, bottom)
     disc = Port("disc", "thermal"), compute_node_shares(solid.geometry, facets=top)
-    spot = Port("spot", "thermal"), np.eye(solid.count)[-1]
+    spot = Port("spot", "thermal"), np.eye(solid.node_count)[-1]
     alone = make_heat_model(solid, HeatBoundaryConditions(fixed=fixed, sources=[disc])).model.facts
     setup = HeatBoundaryConditions(fixed=fixed, sources=[disc, spot], points=frozenset({"spot"}))
     assert make_heat_model(solid, setup).model.facts == pytest.approx(alone, rel=1e-12)
@@ -571,7 +571,7 @@ def test_the_file_of_temperatures_holds_right_handed_hexahedra(tmp_path):
     bottom = geometry.mesh.facets_satisfying(lambda p: p[2] < 1e-9)
     source, fixed = (Port("in", "thermal"), np.ones(125) / 125), find_face_nodes(geometry, bottom)
     heat = make_heat_model(solid, HeatBoundaryConditions(sources=[source], fixed=fixed))
-    write_temperatures(tmp_path / "a.vtu", heat, 300.0 * geometry.places[2])
+    write_temperatures(tmp_path / "a.vtu", heat, 300.0 * geometry.node_positions[2])
     found = meshio.read(tmp_path / "a.vtu")
     (block,) = found.cells
     assert block.type == "hexahedron27"
@@ -618,7 +618,7 @@ def test_temperatures_inside_a_wall_follow_the_series(tmp_path):
 def cooled_line():
     """A line of copper of 5 cm and 1 m2, cold at the bottom, with a heat flow into the top."""
     geometry = Solid(MeshLine(np.linspace(0.0, 0.05, 9)), (), np.zeros(8, int))
-    heights = geometry.places[0]
+    heights = geometry.node_positions[0]
     top = np.asarray(heights == heights.max(), float)
     setup = HeatBoundaryConditions(
         fixed=np.flatnonzero(heights == 0), sources=[(Port("face", "thermal"), top)]
@@ -632,7 +632,7 @@ def test_temperatures_under_a_ramp_do_not_depend_on_steps():
     ends = []
     for count in (5, 20_000):  # steps above and below the limit for short steps
         t = np.linspace(0.0, 10.0, count)
-        ends.append(recover_temperatures(heat, t, {"face": 1e4 * t}).at(10.0))
+        ends.append(recover_temperatures(heat, t, {"face": 1e4 * t}).find_nearest_rises(10.0))
     assert ends[1] == pytest.approx(ends[0], rel=1e-8, abs=1e-8 * ends[0].max())
 
 
@@ -642,7 +642,7 @@ def test_a_body_starts_in_equilibrium_with_the_first_heat_flow():
     field = recover_temperatures(heat, t, {"face": np.full(11, 1e5)})
     for instant in (0.0, 10.0):
         wanted = 1e5 / COPPER.conductivity[0] * heights
-        assert field.at(instant) == pytest.approx(wanted, rel=1e-9, abs=1e-9)
+        assert field.find_nearest_rises(instant) == pytest.approx(wanted, rel=1e-9, abs=1e-9)
 
 
 @pytest.mark.parametrize(("changes", "words"), [
@@ -662,6 +662,6 @@ def test_points_are_found_in_their_quadrilateral():
     mesh = MeshQuad.init_tensor(np.array([0.0, 1.0, 1.2, 1.4]), np.array([0.0, 1.0]))
     solid = HeatSolid(Solid(mesh, (), np.zeros(3, int)), (COPPER,))
     point = np.array([0.95, 0.3])
-    shares = find_point_shares(solid, point)
+    shares = evaluate_functions_at_point(solid, point)
     assert shares.sum() == pytest.approx(1.0)
-    assert solid.geometry.places @ shares == pytest.approx(point, abs=1e-12)
+    assert solid.geometry.node_positions @ shares == pytest.approx(point, abs=1e-12)

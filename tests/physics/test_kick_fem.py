@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scipy.sparse.linalg import eigsh
-from support import Chip, choose_level_spans, make_stack
+from support import StackKeys, choose_level_spans, make_stack
 
 from bench.usual.system import quarter
 
@@ -12,8 +12,8 @@ SMALL = {"sectors": 4, "rings": 2, "ring_spacing": 300e-6, "outer_rings": 2}
 VARIANTS = [{}, {"refine": 2}, {"order": 2}]
 
 
-def small_kick(layers: int = 3, **mesh) -> Chip:
-    return Chip(layers=layers, mesh={**SMALL, **mesh})
+def small_kick(layers: int = 3, **mesh) -> StackKeys:
+    return StackKeys(layers=layers, mesh={**SMALL, **mesh})
 
 
 @pytest.mark.parametrize("change", VARIANTS)
@@ -29,7 +29,7 @@ def test_several_layers_in_an_element_move_resonances_and_compliance_by_little()
     """Against one element for each of 60 layers; the error is stated as (m / n)^2."""
     facts, soft = {}, {}
     for several in (1, 5):
-        tall = Chip(height=6e-3, layers=60, mesh={**SMALL, "layers_per_element": several})
+        tall = StackKeys(height=6e-3, layers=60, mesh={**SMALL, "layers_per_element": several})
         assert choose_level_spans(tall).sum() == 60
         assert choose_level_spans(tall).max() == several
         model = make_stack(tall).model
@@ -44,7 +44,7 @@ def test_several_layers_in_an_element_move_resonances_and_compliance_by_little()
 
 def test_quadratic_and_refined_meshes_approach_one_resonance():
     def first(**mesh) -> float:
-        system = quarter(Chip(layers=4, mesh={**SMALL, "rings": 1, **mesh}))
+        system = quarter(StackKeys(layers=4, mesh={**SMALL, "rings": 1, **mesh}))
         assert mesh == {} or system.K_pp.shape[0] > 0
         return np.sqrt(eigsh(system.K_uu, 1, M=system.M, sigma=0.0)[0][0])
 

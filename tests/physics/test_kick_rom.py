@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from support import Chip, make_stack, reduce_model, relative_error
+from support import StackKeys, compute_relative_error, make_stack, reduce_model
 
 SMALL = {"sectors": 4, "rings": 2, "ring_spacing": 300e-6, "outer_rings": 2}
 
@@ -12,12 +12,12 @@ BAND = (0.0, 500e3)
 
 @pytest.fixture(scope="module")
 def default():
-    return make_stack(Chip()).model
+    return make_stack(StackKeys()).model
 
 
 @pytest.fixture(scope="module")
 def model():
-    return make_stack(Chip(layers=3, mesh={**SMALL, "refine": 2})).model
+    return make_stack(StackKeys(layers=3, mesh={**SMALL, "refine": 2})).model
 
 
 @pytest.mark.parametrize("order", [1, 5, 9, 20, 40])
@@ -46,7 +46,7 @@ def test_few_states_reach_the_tolerance(default, tolerance, states):
     frequency = np.linspace(0, 500e3, 463)
     exact = reduce_model(default, order=70, band=BAND).transfer(frequency)
     rom = reduce_model(default, tolerance=tolerance, band=BAND)
-    error = relative_error(rom.transfer(frequency), exact)
+    error = compute_relative_error(rom.transfer(frequency), exact)
     assert rom.order <= states
     assert error <= rom.certificate.error_estimate <= tolerance
     assert rom.certificate.passive

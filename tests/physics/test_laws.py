@@ -15,10 +15,10 @@ from support import (
     assemble_system,
     declare_contact,
     declare_point_mass,
-    element,
-    linear_waveform,
+    make_element_law,
+    make_linear_waveform,
+    make_sine_waveform,
     measured,
-    sine_waveform,
     solve_ac,
     solve_operating_point,
     solve_transient,
@@ -47,8 +47,9 @@ def balanced(result: Trajectory, share: float) -> bool:
 def test_the_ramp_response_of_an_rlc_circuit_is_the_matrix_exponential() -> None:
     r, ind, c, edge = 100.0, 1e-3, 1e-6, 20e-6
     system = assemble_system(
-        [L.IdealSource("v", "voltage", linear_waveform(((0, 0), (edge, 1)))),
-         element("r", "resistor", r), element("l", "inductor", ind), element("c", "capacitor", c)],
+        [L.IdealSource("v", "voltage", make_linear_waveform(((0, 0), (edge, 1)))),
+         make_element_law("r", "resistor", r), make_element_law("l", "inductor", ind),
+         make_element_law("c", "capacitor", c)],
         {"in": ["v.out", "r.a"], "mid": ["r.b", "l.a"], "out": ["l.b", "c.a"]},
     )  # fmt: skip
     times = np.linspace(0.0, 1e-3, 101)
@@ -100,9 +101,9 @@ def test_every_element_reports_its_flow() -> None:
              "spring": value * t, "damper": value + 0 * t}  # fmt: skip
     for drive, found in kinds.items():
         for kind in found:
-            ramp = L.IdealSource("ramp", drive, linear_waveform(((0, 0), (stop, stop))))
+            ramp = L.IdealSource("ramp", drive, make_linear_waveform(((0, 0), (stop, stop))))
             system = assemble_system(
-                [ramp, element("e", kind, value)], {"net": ["ramp.out", "e.a"]}
+                [ramp, make_element_law("e", kind, value)], {"net": ["ramp.out", "e.a"]}
             )
             waves = solve_transient(system, stop, 1e-9, t).waves
             np.testing.assert_allclose(waves["e.a.through"], exact[kind], atol=1e-9 * value)
@@ -123,8 +124,8 @@ def test_piezo_with_a_resistor_as_its_load() -> None:
     system = assemble_system(
         [
             piezo("p"),
-            element("load", "resistor", 1e4),
-            L.IdealSource("push", "force", linear_waveform(((0, 0), (1e-4, 1))), 1.0),
+            make_element_law("load", "resistor", 1e4),
+            L.IdealSource("push", "force", make_linear_waveform(((0, 0), (1e-4, 1))), 1.0),
         ],
         {"hot": ["p.anode", "load.a"], "tip": ["p.top", "push.out"]},
     )
@@ -156,7 +157,7 @@ def test_falling_mass_without_a_start_has_no_equilibrium() -> None:
 
 def test_a_shaken_mass_pulls_at_what_shakes_it() -> None:
     size, f, m = 1e-6, 1e3, 1e-3
-    parts = [L.IdealSource("table", "displacement", sine_waveform(size, f)), mass("block", m)]
+    parts = [L.IdealSource("table", "displacement", make_sine_waveform(size, f)), mass("block", m)]
     system = assemble_system(parts, {"x": ["table.out", "block.a"]})
     times = np.linspace(0.0, 2e-3, 41)
     result = solve_transient(system, 2e-3, 1e-9, times)
@@ -168,8 +169,8 @@ def test_a_shaken_mass_pulls_at_what_shakes_it() -> None:
 def test_inductors_in_series_share_the_voltage_of_a_ramp() -> None:
     """Index 2: v = (L1 + L2) i', with as much at each as its inductance."""
     system = assemble_system(
-        [L.IdealSource("v", "voltage", linear_waveform(((0, 0), (1e-3, 1)))),
-         element("one", "inductor", 1e-3), element("two", "inductor", 2e-3)],
+        [L.IdealSource("v", "voltage", make_linear_waveform(((0, 0), (1e-3, 1)))),
+         make_element_law("one", "inductor", 1e-3), make_element_law("two", "inductor", 2e-3)],
         {"in": ["v.out", "one.a"], "mid": ["one.b", "two.a"]},
     )  # fmt: skip
     times = np.linspace(0.0, 1e-3, 11)
@@ -182,7 +183,7 @@ def test_free_ringing_under_a_falling_ball_is_resolved() -> None:
     """112 periods, with the energy that they lose."""
     edge, stop, ball = 1e-4, 5e-3, 1e-9
     system = assemble_system(
-        [piezo("p"), L.IdealSource("push", "force", linear_waveform(((0, 0), (edge, 1)))),
+        [piezo("p"), L.IdealSource("push", "force", make_linear_waveform(((0, 0), (edge, 1)))),
          mass("ball", ball, 9.81, (1e-2, 0.0)),
          touching("touch", 1e5)],
         {"tip": ["p.top", "push.out", "touch.a"], "y": ["ball.a", "touch.b"], "gnd": ["p.anode"]},
@@ -211,7 +212,7 @@ def test_rounding_of_a_derivative_does_not_shorten_the_steps() -> None:
         "x": f"({gain!r}*(v - followed) - x - 0.1*tanh(x))/{lag!r}",
     }
     declared = Declaration("follower", "derivative", Section, branches, states=states)
-    source = L.IdealSource("s", "voltage", sine_waveform(1e3, 0.5 / np.pi))
+    source = L.IdealSource("s", "voltage", make_sine_waveform(1e3, 0.5 / np.pi))
     joins = {"net": ("s.out", "d.p"), L.GROUND: ("d.n",)}
     system = assemble_system([source, DeclaredLaw("d", declared, ())], joins)
     run = solve_transient(system, 1.0, 1.5e-9)
@@ -235,7 +236,7 @@ def test_a_step_of_a_signal_saturates_what_follows_it() -> None:
     follower = Declaration(
         "follower", "amplifier", Section, (measured(voltage("v", "q", "n")),), states=states
     )
-    source = L.IdealSource("s", "voltage", linear_waveform(((0.0, 0.0), (1.0, 1.0))))
+    source = L.IdealSource("s", "voltage", make_linear_waveform(((0.0, 0.0), (1.0, 1.0))))
     laws = [source, DeclaredLaw("a", step, ()), DeclaredLaw("b", follower, ())]
     joins = {"in": ("s.out", "a.p"), "out": ("a.q", "b.q"), L.GROUND: ("a.n", "b.n")}
     run = solve_transient(assemble_system(laws, joins), 1.0, 1e-9, np.linspace(0, 1, 101))

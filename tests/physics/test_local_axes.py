@@ -7,7 +7,14 @@ import numpy as np
 import pytest
 import skfem
 from pydantic import ValidationError
-from support import BodyKeys, UsageError, device, find_extremes, find_parents, recover_motion
+from support import (
+    BodyKeys,
+    UsageError,
+    build_fe_model,
+    find_coarse_elements,
+    find_extremes,
+    recover_motion,
+)
 
 FR4 = {
     "density": 1900,
@@ -111,7 +118,7 @@ def bar(home, name, direction, axes, **changes):
         ports.append({"name": f"tip{k}", "group": "end", "axis": axis})
     table = {"mesh": name, "unit": "mm", "materials": {"b0": FR4}, "axes": {"b0": axes}}
     table |= {"fixed": ["root"], "ports": ports, "damping": {"ratio": 0}}
-    model = device({**table, **changes}, home).model
+    model = build_fe_model({**table, **changes}, home).model
     return np.real(model.transfer(np.zeros(1))[0])
 
 
@@ -152,9 +159,9 @@ def test_ring_poled_per_element_is_poled_radially(tmp_path, form):
     table = {"mesh": "ring.msh", "unit": "mm", "materials": {"ring": "PZT-5A"}}
     table |= {"electrodes": {"anode": "inner", "cathode": "outer"}, "damping": {"ratio": 0}}
     table |= {"axisymmetric": dimension == 2}
-    exact = device({**table, "poling": {"ring": "radial"}}, tmp_path).model
-    read = device({**table, "poling": {"ring": {"file": "p.csv"}}}, tmp_path).model
-    unpoled = device(table, tmp_path).model
+    exact = build_fe_model({**table, "poling": {"ring": "radial"}}, tmp_path).model
+    read = build_fe_model({**table, "poling": {"ring": {"file": "p.csv"}}}, tmp_path).model
+    unpoled = build_fe_model(table, tmp_path).model
     wanted = capacitances(exact)
     rel = 1e-9 if dimension == 2 else 5e-3
     assert capacitances(read) == pytest.approx(wanted, rel=rel)
@@ -182,7 +189,7 @@ def bend(home, poling, **changes):
         "ports": [{"name": "tip", "group": "end", "axis": "z"}],
         "damping": {"ratio": 0},
     }
-    return device(BodyKeys.model_validate({**table, **changes}), home)
+    return build_fe_model(BodyKeys.model_validate({**table, **changes}), home)
 
 
 @pytest.mark.slow
@@ -230,11 +237,11 @@ def test_parts_of_an_element_fill_it(kind):
     fine = coarse.refined(2)
     basis = [skfem.Basis(mesh, skfem.ElementVector(mesh.elem())) for mesh in (coarse, fine)]
     whole, parts = (each.dx.sum(axis=1) for each in basis)
-    parents = find_parents(coarse, fine)
+    parents = find_coarse_elements(coarse, fine)
     assert np.bincount(parents, parts) == pytest.approx(whole, rel=1e-12)
     curved = {skfem.MeshTet: skfem.MeshTet2, skfem.MeshTri: skfem.MeshTri2}
     if kind in curved:
-        assert (find_parents(curved[kind].from_mesh(coarse), fine) == parents).all()
+        assert (find_coarse_elements(curved[kind].from_mesh(coarse), fine) == parents).all()
 
 
 @pytest.mark.parametrize(("lines", "message"), [
@@ -272,7 +279,7 @@ def test_hoop_poling_of_a_section_is_refused(tmp_path):
     table |= {"materials": {"ring": "PZT-5A"}, "poling": {"ring": {"file": "p.csv"}}}
     table |= {"electrodes": {"anode": "inner", "cathode": "outer"}}
     with pytest.raises(UsageError, match="row 3: the poling is not in the plane"):
-        device(table, tmp_path)
+        build_fe_model(table, tmp_path)
 
 
 @pytest.mark.parametrize(("axes", "message"), [

@@ -11,9 +11,9 @@ from support import (
     Solid,
     UsageError,
     assemble_solid,
-    device,
+    build_fe_model,
+    find_material,
     make_quadratic_mesh,
-    material,
     read_mesh,
     reject_folded_elements,
 )
@@ -55,7 +55,7 @@ def body(home, made_of="PZT-5A", **changes):
         "ports": [{"name": "tip", "group": "x_high", "axis": "z"},
                   {"name": "long", "group": "x_high", "axis": "x"}],
     }  # fmt: skip
-    return device({**table, **changes}, home).model
+    return build_fe_model({**table, **changes}, home).model
 
 
 @pytest.fixture(scope="module")
@@ -117,7 +117,7 @@ def test_quadrilaterals_of_a_ring_agree_with_triangles(tmp_path, order, full):
             "mesh": "ring.msh", "unit": "mm", "axisymmetric": True,
             "materials": {"ring": "PZT-5A"}, "electrodes": {"anode": "top", "cathode": "bottom"},
         }  # fmt: skip
-        facts.append(device(table, home).model.facts)
+        facts.append(build_fe_model(table, home).model.facts)
     ring, other = facts
     assert ring["mass_kg"] == pytest.approx(7750 * np.pi * 75e-9, rel=1e-9)
     for name in ("resonance_short_hz", "capacitance_free_f"):
@@ -171,8 +171,8 @@ def test_patch_of_distorted_elements_has_constant_strain_and_field(kind):
     reject_folded_elements(points, blocks, "m")
     mesh, _, parent = make_quadratic_mesh(points, blocks)
     assert len(parent) == mesh.nelements
-    solid = Solid(mesh, (material("PZT-5A"),), np.zeros(mesh.nelements, int))
-    full, places = assemble_solid(solid), solid.places.T
+    solid = Solid(mesh, (find_material("PZT-5A"),), np.zeros(mesh.nelements, int))
+    full, places = assemble_solid(solid), solid.node_positions.T
     slope = np.array([[1.0, 0.3, -0.2], [0.1, -0.4, 0.5], [0.2, 0.6, 0.7]])
     field = np.array([0.4, -0.3, 0.8])
     u, phi = (places @ slope.T).ravel(), places @ field
@@ -201,8 +201,8 @@ def mode_errors(solid, free, exact, wave_number):
     ``free`` are the nodes that move, along x only. ``exact`` is the shape over x. The amplitude is
     that of the least error.
     """
-    full, x = assemble_solid(solid), solid.places[0]
-    d = solid.components
+    full, x = assemble_solid(solid), solid.node_positions[0]
+    d = solid.component_count
     M, K = (matrix[::d, ::d][free][:, free] for matrix in (full.M, full.K_uu))
     values, modes = eigsh(K, 2, M, sigma=0.0)
     lowest = values.argmin()
@@ -226,7 +226,7 @@ def rod(count, kind, order=2):
     points, blocks = blocks_of(*grid(cells, np.divide(cells, count)), kind)
     mesh, *_ = make_quadratic_mesh(points, blocks)
     solid = Solid(mesh, (unit_material(),), np.zeros(mesh.nelements, int), order=order)
-    free = np.flatnonzero(solid.places[0] > 1e-9)
+    free = np.flatnonzero(solid.node_positions[0] > 1e-9)
     return mode_errors(solid, free, lambda x: np.sin(np.pi / 2 * x), np.pi / 2)
 
 
@@ -244,7 +244,7 @@ def disc(count, kind, order=2):
         block = CellBlock(halves, 3, np.array([[0, 0], [1, 0], [0, 1]], float))
     mesh, *_ = make_quadratic_mesh(points, [block])
     solid = Solid(mesh, (unit_material(),), np.zeros(mesh.nelements, int), axisymmetric=True)
-    free = np.flatnonzero(solid.places[0] > 1e-9)
+    free = np.flatnonzero(solid.node_positions[0] > 1e-9)
     wave_number = jnp_zeros(1, 1)[0]
     return mode_errors(solid, free, lambda r: j1(wave_number * r), wave_number)
 

@@ -7,21 +7,21 @@ import numpy as np
 import pytest
 from drawn_meshes import box_groups, drawn, rows
 from support import (
-    Chip,
-    Clock,
     Header,
+    StackKeys,
+    StageTimer,
     Waveforms,
     bimorph,
+    build_fe_model,
     build_models,
     compute_energy_products,
     compute_undamped_responses,
     describe_plan,
-    device,
     disc,
+    find_material,
     langevin,
     load_scene,
     make_stack,
-    material,
 )
 from test_body import section, slabs, write
 
@@ -31,13 +31,15 @@ REST = 0.6  # of the change from half as fine to fine, that is left: from quadra
 
 
 def round_body(**table):
-    return lambda refine, _: disc.make_disc_blocks({**table, "mesh": {"refine": refine}}).device()
+    return lambda refine, _: disc.make_disc_blocks(
+        {**table, "mesh": {"refine": refine}}
+    ).build_fe_model()
 
 
 def beam(**table):
     return lambda refine, _: bimorph.make_bimorph_blocks(
         {**table, "mesh": {"refine": refine}}
-    ).device()
+    ).build_fe_model()
 
 
 def sandwich(**table):
@@ -49,14 +51,14 @@ def sandwich(**table):
 def chip(**table):
     mesh = {"sectors": 6, "outer_rings": 8}
     return lambda refine, _: make_stack(
-        Chip(side=5e-3, height=5e-3, layers=8, mesh={**mesh, "refine": refine}, **table)
+        StackKeys(side=5e-3, height=5e-3, layers=8, mesh={**mesh, "refine": refine}, **table)
     )
 
 
 def own(draw, size, mesh=3, order=1, **table):
     def make(refine, home):
         write(home / "own.msh", draw, size=size, order=order, mesh=mesh)
-        return device({"mesh": "own.msh", "unit": "mm", "refine": refine, **table}, home)
+        return build_fe_model({"mesh": "own.msh", "unit": "mm", "refine": refine, **table}, home)
 
     return make
 
@@ -253,7 +255,7 @@ def test_uniform_strain_has_no_error():
     """A free plate in a uniform field: every element has the strain that recovery finds."""
     found = round_body(**layers((PZT, 1, 10)))(1, None).model.facts
     assert found["mesh_error_capacitance"] == pytest.approx(1e-4)  # the least that is stated
-    exact = material(PZT).eps_T[2, 2] * np.pi * 25e-6 / 1e-3
+    exact = find_material(PZT).eps_T[2, 2] * np.pi * 25e-6 / 1e-3
     assert found["capacitance_free_f"] == pytest.approx(exact, rel=1e-4)
 
 
@@ -293,7 +295,7 @@ def test_run_explain_and_header_state_the_error(tmp_path):
     """A mesh of 236 tetrahedra, 10 mm long and 0.3 mm thin."""
     shutil.copy(DATA / "coarse_unimorph.msh", tmp_path)
     (tmp_path / "s.toml").write_text(COARSE)
-    build = build_models(load_scene(tmp_path / "s.toml"), Clock())
+    build = build_models(load_scene(tmp_path / "s.toml"), StageTimer())
     part = build.scene.parts["uni"]
     facts = build.facts(part)
     for word, (name, right) in zip(

@@ -7,28 +7,28 @@ import pytest
 from support import (
     SPACING_NOTE,
     TEST_CURRENTS,
-    Catch,
-    Clock,
-    Damping,
+    CatchKeys,
+    DampingKeys,
     Header,
     LoopModel,
-    Ring,
+    RingKeys,
+    StageTimer,
     TransverselyIsotropicSphere,
     build_models,
+    choose_compared_count,
     choose_pressure_basis,
     compare_rings,
     compute_catch_table,
     compute_sphere_compliance,
     compute_test_forces,
-    count_compared_positions,
     describe_plan,
     export_rom,
+    find_material,
     list_mesh_errors,
+    list_model_values,
     load_part_types,
     load_scene,
-    material,
-    model_sphere,
-    model_values,
+    make_sphere_model,
     moving_conductor,
     read_rom,
     write_rom,
@@ -41,13 +41,13 @@ UNKNOWN = "mesh: error not estimated, because the matrices state no mesh"
 
 def stated(tables, name, overrides=None):
     """Statements of ``explain``, of the result and of the header about one part."""
-    build = build_models(load_scene(tables, overrides or {}), Clock())
+    build = build_models(load_scene(tables, overrides or {}), StageTimer())
     part = build.scene.parts[name]
     (detail,) = (row["detail"] for row in describe_plan(build)["parts"] if row["part"] == name)
     (made,) = part.type.subcircuits(part, build, Header("s", "-"))
     head = made.text[: made.text.index(".subckt")].replace("\n*  ", "")
     (line,) = (line for line in head.splitlines() if line.startswith("* mesh: "))
-    return detail, model_values(build).get(name, {}), line.removeprefix("* ")
+    return detail, list_model_values(build).get(name, {}), line.removeprefix("* ")
 
 
 def chain(tmp_path):
@@ -93,9 +93,9 @@ def test_a_reduced_file_contains_the_facts_of_its_model(tmp_path):
 
 
 LARGER = {
-    "ring": Ring(height=4e-3, outer=9e-3, inner=5e-3, y=4e-3),
-    "lower": Ring(height=3e-3, outer=5e-3, inner=3e-3, y=2e-3),
-    "upper": Ring(height=3e-3, outer=5e-3, inner=3e-3, y=6e-3),
+    "ring": RingKeys(height=4e-3, outer=9e-3, inner=5e-3, y=4e-3),
+    "lower": RingKeys(height=3e-3, outer=5e-3, inner=3e-3, y=2e-3),
+    "upper": RingKeys(height=3e-3, outer=5e-3, inner=3e-3, y=6e-3),
     "air_radius": 25e-3, "air_height": 60e-3,
 }  # fmt: skip
 
@@ -111,9 +111,10 @@ LARGER = {
 )
 def test_error_of_the_force_table_is_that_of_its_mesh(changes, radius):
     """Against a mesh three times as fine."""
-    coarse = Catch(positions=9, y_min=-2e-3, y_max=6e-3, **changes)
+    coarse = CatchKeys(positions=9, y_min=-2e-3, y_max=6e-3, **changes)
     table, exact = (
-        compute_catch_table(Catch(**{**coarse.model_dump(), "refine": n}), radius) for n in (1, 3)
+        compute_catch_table(CatchKeys(**{**coarse.model_dump(), "refine": n}), radius)
+        for n in (1, 3)
     )
     errors = {
         "force": compute_test_forces(table, TEST_CURRENTS)
@@ -127,7 +128,7 @@ def test_error_of_the_force_table_is_that_of_its_mesh(changes, radius):
 
 
 def test_heights_of_the_coarser_mesh_are_some_of_the_table():
-    assert [count_compared_positions(count) for count in (4, 5, 9, 24, 41, 161)] == [
+    assert [choose_compared_count(count) for count in (4, 5, 9, 24, 41, 161)] == [
         4,
         5,
         5,
@@ -152,14 +153,16 @@ def test_a_conductor_states_its_rings():
     text = f"flux, force and loss {100 * facts['mesh_error_rings']:.2g} %"
     assert f"error estimate of its {facts['rings']:.0f} rings: {text}" in detail
     assert header == f"mesh: error estimate of its {facts['rings']:.0f} rings: {text}"
-    build = build_models(load_scene("levitated_disc", rings), Clock())
+    build = build_models(load_scene("levitated_disc", rings), StageTimer())
     errors = {row["key"]: row["error"] for row in describe_plan(build)["settings"]}
     assert errors["conductor.rings"] == facts["mesh_error_rings"]
     assert errors["conductor.tolerance"] is None
     part = build.scene.parts["conductor"]
     found, keys = build.model(part, LoopModel), part.keys
     fixed = [
-        s for m in keys.magnets.values() for s in moving_conductor.surface_currents(m, m.remanence)
+        s
+        for m in keys.magnets.values()
+        for s in moving_conductor.compute_surface_currents(m, m.remanence)
     ]
     body = moving_conductor._divide_body(keys, 1600, found.frequency)
     coils = moving_conductor.windings(keys)
@@ -187,11 +190,11 @@ def test_a_contact_by_pressure_states_that_its_mesh_has_no_estimate():
 def test_an_elastic_sphere_states_its_mesh():
     """Against cells half as large: its compliance under a patch, and its first mode."""
     body, shape = (
-        TransverselyIsotropicSphere(1e-3, material("steel"), Damping(ratio=1e-3)),
+        TransverselyIsotropicSphere(1e-3, find_material("steel"), DampingKeys(ratio=1e-3)),
         choose_pressure_basis(20e-6, 2e-4),
     )
     shares = compute_sphere_compliance(body, shape).shares
-    coarse, fine = (model_sphere(body, shares, shape, refine) for refine in (1, 2))
+    coarse, fine = (make_sphere_model(body, shares, shape, refine) for refine in (1, 2))
     soft = [
         m.B[:, 0] @ m.pencil.factorise_shifted_stiffness(0.0).solve(m.B[:, 0])
         for m in (coarse, fine)

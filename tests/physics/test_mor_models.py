@@ -9,8 +9,8 @@ import pytest
 from scipy.linalg import eig
 from support import (
     LinearModel,
+    ReductionTask,
     ResponsePod,
-    Task,
     UsageError,
     build_intermediate_model,
     reduce_model,
@@ -130,13 +130,15 @@ def test_random_models_are_stable_and_passive_at_every_order(seed, step):
     model = LinearModel(**families.as_files(matrices), name="random")
     band = (0.0, top)
     intermediate = build_intermediate_model(model.pencil, band, 1e-5, 1e-5)
-    found = ResponsePod().basis(Task.of(model, model.pencil, intermediate, band, "pointwise"))
+    found = ResponsePod().basis(
+        ReductionTask.from_models(model, model.pencil, intermediate, band, "pointwise")
+    )
     omega = 2 * np.pi * top
     for order in {*range(1, found.size + 1, step), found.size}:
-        claim = found.proof(order)
+        claim = found.prove_order_stability(order)
         assert claim.stable
         assert claim.passive
-        rom = found.pencil.leading_model(order)
+        rom = found.pencil.truncate_to_order(order)
         K, E, M = (omega**k * P for k, P in enumerate(rom.coefficients))
         poles = oracle.poles((K, E, M))
         assert (poles.real <= 1e-9 * np.abs(poles)).all()  # rounding of poles on the axis

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from support import Chip, ChipMesh, UsageError, load_scene, make_stack, make_stack_setup
+from support import ChipMesh, StackKeys, UsageError, load_scene, make_stack, make_stack_setup
 
 MESH = ChipMesh(sectors=4, rings=2, outer_rings=4)
 
 
 def chip(mounting, layers=4):
-    return Chip(mounting=mounting, layers=layers, mesh=MESH)
+    return StackKeys(mounting=mounting, layers=layers, mesh=MESH)
 
 
 @pytest.mark.parametrize("order", [1, 2])
@@ -55,7 +55,7 @@ def test_a_free_chip_moves_as_a_whole():
 @pytest.mark.slow
 def test_the_usual_chip_glued_down():
     """Stroke and resonance as on the paper's mesh; the roller's are 2.351 um and 270 kHz."""
-    facts = make_stack(Chip(mounting="glued")).model.facts
+    facts = make_stack(StackKeys(mounting="glued")).model.facts
     assert facts["free_stroke_ring0_m_per_100v"] == pytest.approx(1.983e-6, abs=0.5e-9)
     assert facts["resonance_short_hz"] == pytest.approx(308e3, abs=0.5e3)
 

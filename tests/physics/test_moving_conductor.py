@@ -11,8 +11,8 @@ from scipy.linalg import eigh
 from scipy.special import j1, spherical_jn
 from support import (
     MAX_RING_ERROR,
-    Clock,
     DeclaredLaw,
+    StageTimer,
     UsageError,
     Winding,
     declare_moving_body,
@@ -140,7 +140,7 @@ def test_currents_above_the_frequency_of_the_loops_are_a_warning(drive, analysis
         (check,) = [c for c in result.checks if c.name.startswith("highest frequency")]
         assert check.passed == passed
         part = load_scene(tables).parts["disc"]
-        full = part.type.build(part, load_scene(tables), Clock(ignore_progress), full=True)
+        full = part.type.build(part, load_scene(tables), StageTimer(ignore_progress), full=True)
         assert full.frequency >= 2 * (100e3 if analysis is None else check.value)
 
 
@@ -163,7 +163,7 @@ def test_finer_rings_detect_rings_that_are_too_coarse():
     for count in (20, 200):
         scene = load_scene(over(Winding(5e-3, 2e-3, 2e-3, -2e-3, 50.0), radius=10e-3, rings=count))
         part = scene.parts["disc"]
-        ring_errors[count] = part.type.build(part, scene, Clock(ignore_progress)).ring_error
+        ring_errors[count] = part.type.build(part, scene, StageTimer(ignore_progress)).ring_error
     assert ring_errors[20] > MAX_RING_ERROR > ring_errors[200]
 
 
@@ -171,7 +171,9 @@ def test_a_coil_of_many_layers_has_its_inductance():
     """Of Brooks' coil: ``1.6994e-6 radius turns^2`` with a square section of 2/3 of the mean radius
     (F. W. Grover, Inductance Calculations, ch. 13)."""
     coil = Winding(30e-3, 20e-3, 20e-3, 0.0, 100.0)
-    assert coil.couple_winding(coil) == pytest.approx(1.6994e-6 * 30e-3 * 100**2, rel=1e-3)
+    assert coil.compute_coupling_inductance(coil) == pytest.approx(
+        1.6994e-6 * 30e-3 * 100**2, rel=1e-3
+    )
 
 
 @pytest.mark.slow
@@ -232,13 +234,13 @@ def test_energy_and_force_of_a_state_follow_from_one_coenergy():
     found = reduce_to_loops(
         divide_section(0, 65e-3, 0, 3e-3, 60), coils, [], 2e-3, 22e-3, ALUMINIUM, 1e3, 1e-3
     )
-    law = DeclaredLaw("c", declare_moving_body(part, found).with_loop_pin, (ALUMINIUM,))
+    law = DeclaredLaw("c", declare_moving_body(part, found).declaration_with_loop_pin, (ALUMINIUM,))
     first = len(law.across_inputs)
     rng = np.random.default_rng(5)
     for _ in range(5):
         e = rng.normal(size=first + len(law.states))
         e[2] = rng.uniform(3e-3, 20e-3)
-        currents, slopes = e[first:], law.store(e, ())[1]
+        currents, slopes = e[first:], law.evaluate_storage(e, ())[1]
         force = law.evaluate(e, ())[0][2]
         for k in (2, first, first + 4):
             step = np.zeros(e.size)

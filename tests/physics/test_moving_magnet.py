@@ -7,7 +7,7 @@ import pytest
 from closed_forms import MU_0, circles
 from scipy.integrate import quad, solve_ivp
 from scipy.special import j1
-from support import UsageError, Winding, demagnetising_factor, make_current_loop
+from support import UsageError, Winding, compute_demagnetising_factor, make_current_loop
 
 import kc2spice as kc
 
@@ -70,10 +70,15 @@ def test_a_magnet_has_the_demagnetising_factor_of_its_shape():
 
         return 2 / tall * sum(quad(share, a, a + 10, limit=200)[0] for a in range(0, 400, 10))
 
-    assert demagnetising_factor(0.0, 1.0, 2.0) == pytest.approx(0.3116, abs=1e-4)
+    assert compute_demagnetising_factor(0.0, 1.0, 2.0) == pytest.approx(0.3116, abs=1e-4)
     for tall in (0.5, 1.07, 8.0):
-        assert demagnetising_factor(0.0, 1.0, tall) == pytest.approx(of_charges(tall), abs=1e-5)
-    whole, inner = demagnetising_factor(0.0, 1.0, 1.0), demagnetising_factor(0.5, 1.0, 1.0)
+        assert compute_demagnetising_factor(0.0, 1.0, tall) == pytest.approx(
+            of_charges(tall), abs=1e-5
+        )
+    whole, inner = (
+        compute_demagnetising_factor(0.0, 1.0, 1.0),
+        compute_demagnetising_factor(0.5, 1.0, 1.0),
+    )
     assert 0.0 < inner < whole  # its hole brings its faces' ends closer to its middle
 
 

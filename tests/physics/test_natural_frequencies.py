@@ -93,5 +93,7 @@ def test_resonances_are_those_of_the_matrices(free, dashpot):
 def test_a_response_at_a_pole_is_an_error_with_the_frequency():
     K = np.array([[1.0, -1.0], [-1.0, 1.0]])
     with pytest.raises(SimulationError) as caught:
-        LinearModel(M=np.eye(2), K=sparse.csc_array(K), B=np.eye(2)).pencil.solver(0.0)
+        LinearModel(M=np.eye(2), K=sparse.csc_array(K), B=np.eye(2)).pencil.factorise_polynomial(
+            0.0
+        )
     assert "at s = 0" in caught.value.got

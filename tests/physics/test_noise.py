@@ -165,5 +165,5 @@ def test_frequencies_that_miss_a_resonance_are_noticed(points, passed):
     """An undamped circuit of the user's own, whose resonance no equations tell."""
     f = np.linspace(100.0, 300.0, points)
     density = 1 / np.abs(1 - (f / 201.3) ** 2 + 1j * f / 201.3 / 500)
-    (check,) = noise_analysis.noise_checks(Waveforms({"frequency": f, NOISE_WAVE: density}, {}))
+    (check,) = noise_analysis.check_noise(Waveforms({"frequency": f, NOISE_WAVE: density}, {}))
     assert check.passed is passed

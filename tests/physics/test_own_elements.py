@@ -9,7 +9,7 @@ import own_elements
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import eigh
-from support import Chip, make_stack_setup
+from support import StackKeys, make_stack_setup
 
 from bench.usual.contact import contact_surface
 from bench.usual.statics import imprint
@@ -17,12 +17,14 @@ from bench.usual.system import quarter
 from bench.usual.transient import Ball, transient
 
 RADIUS, PENALTY, MASS = 1e-3, 1e8, 8e-6
-CHIP = Chip(layers=2, mesh={"sectors": 4, "rings": 2, "ring_spacing": 100e-6, "outer_rings": 2})
+CHIP = StackKeys(
+    layers=2, mesh={"sectors": 4, "rings": 2, "ring_spacing": 100e-6, "outer_rings": 2}
+)
 
 
 @pytest.fixture(scope="module")
 def own():
-    x, y, z = make_stack_setup(CHIP)[0].places
+    x, y, z = make_stack_setup(CHIP)[0].node_positions
     plane = np.column_stack([x, y])[z == 0]
     M, K, k, c, free, top = own_elements.chip(plane, 5, np.unique(z))
     return M, K, k, c, own_elements.ring_shapes(free, top, (0, 1, 2), 5)

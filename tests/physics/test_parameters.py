@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from scipy.stats import norm, qmc
 from support import (
-    Clock,
     LinearModel,
     ParameterAxis,
     Port,
     RangeTask,
     SimulationError,
+    StageTimer,
     UsageError,
     parametric_subcircuit,
     reduce_over_parameters,
@@ -79,7 +79,7 @@ def test_ngspice_gives_fresh_full_models_within_the_certified_error(deck):
         fresh = kc.load_scene(_with({}), {f"disc.{KEY}": t, f"disc.{LOSS}": q})
         part = fresh.parts["disc"]
         like = kc.load_scene(_with({}), {f"disc.{KEY}": np.sqrt(1.1e-4 * 1.3e-4)}).parts["disc"]
-        full = part.type.full_on_mesh(part, fresh, Clock(), like).select(["anode"])
+        full = part.type.make_full_model_on_mesh(part, fresh, StageTimer(), like).select(["anode"])
         exact = 2j * np.pi * f * full.transfer(f)[:, 0, 0]
         current = found.waves["disc.current"][::4]
         largest = max(largest, float(np.abs(current / exact - 1).max()))
@@ -132,10 +132,10 @@ def test_modes_that_cross_or_repel_in_the_box_do_not_jump(repelling, norm):
     assert found.certificate.norm == norm
     f, share = np.linspace(0.1, 1, 200) * band[1], 1.0 if norm == "peak" else 1e-6
     for a in np.linspace(0.7, 1.4, 41):
-        H, exact = (model.transfer(f) for model in (found.at({"a": a}), full({"a": a})))
+        H, exact = (model.transfer(f) for model in (found.evaluate({"a": a}), full({"a": a})))
         error = np.abs(H - exact) / np.maximum(np.abs(exact), share * np.abs(exact).max(axis=0))
         assert error.max() < found.certificate.error_estimate
-        K = found.at({"a": a}).K
+        K = found.evaluate({"a": a}).K
         assert np.linalg.eigvalsh(K).min() > 0
 
 
@@ -156,7 +156,8 @@ def test_the_error_estimate_is_valid_at_the_corners_of_the_ranges():
     f = np.linspace(0.1, 1, 150) * found.certificate.band_hz[1]
     for a, b in ((low, low), (low, high), (high, low), (high, high)):
         H, exact = (
-            model.transfer(f) for model in (found.at({"a": a, "b": b}), full({"a": a, "b": b}))
+            model.transfer(f)
+            for model in (found.evaluate({"a": a, "b": b}), full({"a": a, "b": b}))
         )
         error = np.abs(H - exact) / np.maximum(np.abs(exact), 1e-6 * np.abs(exact).max(axis=0))
         assert error.max() < found.certificate.error_estimate
@@ -177,7 +178,7 @@ def test_polynomials_of_a_thin_plate_have_a_higher_degree():
     )
     f = np.linspace(0.1, 1, 200) * found.certificate.band_hz[1]
     for a in np.linspace(0.7, 1.4, 41):
-        H, exact = (model.transfer(f) for model in (found.at({"a": a}), thin_plate({"a": a})))
+        H, exact = (model.transfer(f) for model in (found.evaluate({"a": a}), thin_plate({"a": a})))
         assert np.abs(H / exact - 1).max() < found.certificate.error_estimate < 1e-2
 
 
@@ -206,7 +207,9 @@ def test_the_notch_of_a_transfer_between_ports_is_within_the_tolerance():
     for a in (0.83, 0.97, 1.1):
         notch = np.sqrt((4 * a + a * a) / (1 + a)) / (2 * np.pi)
         f = notch * np.linspace(1 - 1e-4, 1 + 1e-4, 201)
-        H, exact = (model.transfer(f)[:, 0, 1] for model in (found.at({"a": a}), full({"a": a})))
+        H, exact = (
+            model.transfer(f)[:, 0, 1] for model in (found.evaluate({"a": a}), full({"a": a}))
+        )
         assert np.abs(H / exact - 1).max() < tolerance
 
 
@@ -263,7 +266,7 @@ def test_matrices_have_no_parameters_and_a_box_no_matrices():
     ],
 )
 def test_invalid_parameter_ranges_are_errors_before_the_mesh(parameters, word, monkeypatch):
-    monkeypatch.setattr("kc2spice.bodies.device.BondedBlocks.device", None)
+    monkeypatch.setattr("kc2spice.bodies.device.BondedBlocks.build_fe_model", None)
     with pytest.raises(UsageError, match=word):
         kc.run(kc.load_scene(_with(parameters)))
 
@@ -313,9 +316,9 @@ def test_a_free_chain_over_a_range_has_its_closed_form():
     for value in (2e3, 2.9e3, 4.6e3):
         soft = value * (1 + b * s)
         exact = (m2 * s**2 + soft) / (s**2 * (m1 * m2 * s**2 + (m1 + m2) * soft))
-        answer = reduced.at({"k": value}).transfer(f)[:, 0, 0]
+        answer = reduced.evaluate({"k": value}).transfer(f)[:, 0, 0]
         assert np.abs(answer / exact - 1).max() < 1e-4
-    assert reduced.at({"k": 3e3}).facts["soft_support_hz"] == pytest.approx(5e-5)
+    assert reduced.evaluate({"k": 3e3}).facts["soft_support_hz"] == pytest.approx(5e-5)
     text = kc.parametric_subcircuit(reduced, "chain").text
     assert "A soft support with a resonance of" in text
 
@@ -357,7 +360,9 @@ def test_sensitivities_are_the_slopes_of_full_models(deck):
 
     def resonance(share: float) -> float:
         other = with_values(part, {KEY: share * part.keys.layers[1].thickness})
-        return part.type.full_on_mesh(other, scene, Clock(), part).facts["resonance_short_hz"]
+        return part.type.make_full_model_on_mesh(other, scene, StageTimer(), part).facts[
+            "resonance_short_hz"
+        ]
 
     told = kc.run(scene).metrics["sensitivity"]
     slope = (resonance(1.01) - resonance(0.99)) / (0.02 * resonance(1.0))
@@ -379,7 +384,9 @@ def test_monte_carlo_of_ngspice_has_mean_and_spread_of_fresh_full_models(tmp_pat
     def resonance(thickness: float, modulus: float) -> float:
         keys = {"layers[1].thickness": thickness, "layers[0].material.youngs_modulus": modulus}
         other = with_values(part, keys)
-        return part.type.full_on_mesh(other, scene, Clock(), part).facts["resonance_short_hz"]
+        return part.type.make_full_model_on_mesh(other, scene, StageTimer(), part).facts[
+            "resonance_short_hz"
+        ]
 
     nominal = np.array([120e-6, 110e9])
     draws = norm.ppf(qmc.LatinHypercube(2, rng=1).random(30))
@@ -407,8 +414,10 @@ def thick(**values: float | str) -> kc.Scene:
 def buzzer(values: dict) -> LinearModel:
     """The disc with its electrical port, on the mesh of the scene above."""
     scene = thick(**values)
-    part = scene.part("disc")
-    return part.type.full_on_mesh(part, scene, Clock(), thick().part("disc")).select(["anode"])
+    part = scene.get_part("disc")
+    return part.type.make_full_model_on_mesh(
+        part, scene, StageTimer(), thick().get_part("disc")
+    ).select(["anode"])
 
 
 def two_masses(values):
@@ -423,7 +432,7 @@ def test_frequencies_may_cross_within_the_box():
     f = np.linspace(0.05, 0.5, 200)
     for k in (1.1, 1.97, 2.0, 2.05, 3.7):
         exact = two_masses({"k": k}).transfer(f)
-        assert made.at({"k": k}).transfer(f) == pytest.approx(exact, rel=1e-6, abs=1e-9)
+        assert made.evaluate({"k": k}).transfer(f) == pytest.approx(exact, rel=1e-6, abs=1e-9)
 
 
 @pytest.mark.slow
@@ -485,7 +494,7 @@ def test_parameters_outside_of_the_box_are_refused():
     made = reduce_over_parameters(two_masses, [ParameterAxis("k", 1.0, 4.0)], (0.01, 0.5), degree=3)
     for values in ({"k": 4.1}, {"k": -2.0}, {}):
         with pytest.raises(UsageError, match="outside"):
-            made.at(values)
+            made.evaluate(values)
 
 
 @pytest.mark.slow
@@ -522,13 +531,13 @@ def test_the_chip_over_height_damping_and_d33_is_within_its_certificate():
     boxed = {"tolerance": 1e-3, "band": [0, 700e3], "parameters": ranges}
     whole = scene(boxed)
     part = whole.parts["kick"]
-    found = part.type.build_over_ranges(part, whole, Clock())
+    found = part.type.reduce_body_over_ranges(part, whole, StageTimer())
     f, draw = np.linspace(5e3, 700e3, 25), np.random.default_rng(4)
     for _ in range(50):
         values = {
             key: axis.value(draw.uniform(-1, 1)) for key, axis in found.parameter_axes.items()
         }
-        full = part.type.full(with_values(part, values), whole, Clock())
+        full = part.type.make_full_model(with_values(part, values), whole, StageTimer())
         exact = full.select([port.name for port in found.ports]).transfer(f)
         base = np.maximum(np.abs(exact), 1e-6 * np.abs(exact).max(axis=0))
         error = (np.abs(found.at(values).transfer(f) - exact) / base).max()

@@ -11,18 +11,18 @@ import numpy as np
 import pytest
 from closed_forms import half_space, hertz
 from support import (
-    Build,
-    Chip,
+    BuiltScene,
     ContactPair,
     PressureBasis,
+    StackKeys,
     Waveforms,
     choose_pressure_basis,
     compute_local_compliance,
     compute_stresses_under_force,
     compute_surface_compliance,
+    find_material,
     fit_indentation_law,
     load_scene,
-    material,
     solve_contact_forces,
 )
 
@@ -60,14 +60,14 @@ def without_mean(S):
 
 @cache
 def body(name, cells=3):
-    chip = Chip(material=steel() if name == "steel" else ceramic())
+    chip = StackKeys(material=steel() if name == "steel" else ceramic())
     return compute_surface_compliance(chip, EVEN, cells)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["steel", "ceramic"])
 def test_rings_of_pressure_dent_as_on_a_half_space(name):
-    E = STEEL if name == "steel" else modulus(material("THP51").C)
+    E = STEEL if name == "steel" else modulus(find_material("THP51").C)
     S = body(name)[:COUNT, :COUNT]
     expected = without_mean(half_space(E, NODES))
     error = np.abs(without_mean(S) - expected).max(axis=1) / np.abs(expected).max()
@@ -79,7 +79,7 @@ def test_rings_of_pressure_dent_as_on_a_half_space(name):
 def graded(spacing):
     """Basis, its compliance beyond a half-space of the same body, and its gaps."""
     shape = choose_pressure_basis(spacing, PATCH)
-    S = compute_surface_compliance(Chip(material=steel()), shape)
+    S = compute_surface_compliance(StackKeys(material=steel()), shape)
     whole = (body("steel")[:COUNT, :COUNT] - half_space(STEEL, NODES))[5, 11]
     return shape, S - whole, sphere_gap(R, shape.distances)
 
@@ -110,7 +110,7 @@ def test_stress_below_a_sphere_is_that_of_hertz_and_huber():
     shape, S, gap = graded(5e-6)
     depth, nu = 6e-6, 0.291
     found = compute_stresses_under_force(
-        Chip(material=steel()), shape, solve_contact_forces(S, gap, np.array([depth]))[0]
+        StackKeys(material=steel()), shape, solve_contact_forces(S, gap, np.array([depth]))[0]
     )
     a = np.sqrt(R * depth)
     p0 = 2 * STEEL * a / (np.pi * R)
@@ -126,10 +126,10 @@ def test_stress_below_a_sphere_is_that_of_hertz_and_huber():
 @pytest.mark.slow  # the potentials of 33 layers
 def test_a_chip_is_stiffer_than_its_ceramic_and_converges():
     """Fields stiffen a dent that is as wide as a layer is thick; meshes agree."""
-    coarse, fine = (compute_surface_compliance(Chip(), EVEN, cells) for cells in (3, 6))
+    coarse, fine = (compute_surface_compliance(StackKeys(), EVEN, cells) for cells in (3, 6))
     np.testing.assert_allclose(coarse[1:, 1:], fine[1:, 1:], rtol=1e-3)
     assert 0.05 < 1 - fine[0, 0] / body("ceramic")[0, 0] < 0.15
-    added = compute_local_compliance(Chip(), EVEN).compliance
+    added = compute_local_compliance(StackKeys(), EVEN).compliance
     assert np.linalg.eigvalsh(added)[0] > 0
 
 
@@ -153,13 +153,13 @@ def test_a_contact_deeper_than_its_law_is_reported():
     """A contact as wide as half the patch of ``a`` is ``a^2 / (4 R)`` deep, by Hertz."""
     scene = load_scene("impact", [*SMALL, "contact.spacing=20 um"])
     contact, radius = scene.parts["contact"], scene.parts["sphere"].keys.radius
-    limit = ContactPair(contact, scene).a.patch ** 2 / (4 * radius)
+    limit = ContactPair(contact, scene).lower_surface.patch ** 2 / (4 * radius)
     for depth, passed in ((0.5 * limit, True), (2.0 * limit, False)):
         none = np.zeros(3)
         data = {"time": np.array([0.0, 1.0, 2.0]), "sphere.y": radius - depth * np.ones(3),
                 "kick.u.patch": none, "contact.force": none,
                 "contact.force.patch": none}  # fmt: skip
-        checks = contact.type.checks(contact, Build(scene, {}), Waveforms(data, {}))
+        checks = contact.type.checks(contact, BuiltScene(scene, {}), Waveforms(data, {}))
         found = [c for c in checks if getattr(c, "name", "") == "depth of the contact"]
         assert [check.passed for check in found] == [passed]
         assert found[0].value == pytest.approx(depth)

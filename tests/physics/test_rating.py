@@ -6,7 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support import Build, Certificate, LinearModel, Port, Waveforms, load_scene, resolve_build
+from support import (
+    BuiltScene,
+    Certificate,
+    LinearModel,
+    Port,
+    Waveforms,
+    add_results_and_sources,
+    load_scene,
+)
 
 ROOT = Path(__file__).parents[2]
 ONE = np.eye(1)
@@ -38,7 +46,7 @@ def test_a_run_beyond_the_rating_prints_a_warning(volts, passed):
     chip, scene = part_of("kick_and_catch", "kick")
     data = {"time": np.array([0.0, 1.0]), "kick.voltage": np.array([0.0, volts])}
     waves = Waveforms(data, {})
-    build = resolve_build(Build(scene, {"kick": MODEL}))
+    build = add_results_and_sources(BuiltScene(scene, {"kick": MODEL}))
     found = [c for c in chip.type.checks(chip, build, waves) if "rating" in getattr(c, "name", "")]
     assert [(c.passed, c.is_fatal, c.unit) for c in found] == [(passed, False, "V")]
 
@@ -49,7 +57,7 @@ def test_the_rating_holds_in_every_analysis(scale):
     chip, scene = part_of("kick_and_catch", "kick")
     volts = np.array([1.0, -2e4]) * (1j if scale == "frequency" else 1.0)
     waves = Waveforms({scale: np.array([1.0, 2.0]), "kick.voltage": volts}, {})
-    build = resolve_build(Build(scene, {"kick": MODEL}))
+    build = add_results_and_sources(BuiltScene(scene, {"kick": MODEL}))
     found = [c for c in chip.type.checks(chip, build, waves) if "rating" in getattr(c, "name", "")]
     assert [(c.passed, c.value) for c in found] == [(False, 2e4)]
 
@@ -68,6 +76,8 @@ def test_a_sweep_beyond_the_certified_band_prints_a_warning(top, passed):
     certificate = Certificate((0.0, 5e5), 1e-3, "made up", True, True)
     model = replace(MODEL, certificate=certificate)
     waves = Waveforms({"frequency": np.array([1e3, top])}, {})
-    checks = chip.type.checks(chip, resolve_build(Build(scene, {"kick": model})), waves)
+    checks = chip.type.checks(
+        chip, add_results_and_sources(BuiltScene(scene, {"kick": model})), waves
+    )
     found = [c for c in checks if "band" in c.name]
     assert [(c.passed, c.is_fatal, c.unit) for c in found] == [(passed, False, "Hz")]

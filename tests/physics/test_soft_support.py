@@ -5,7 +5,7 @@ import warnings
 
 import numpy as np
 import pytest
-from support import Clock, load_scene, support_softly
+from support import StageTimer, load_scene, support_softly
 
 import kc2spice as kc
 
@@ -31,9 +31,9 @@ def test_a_free_disc_with_a_face_has_a_loss_tangent():
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         scene = load_scene("buzzer_7bb_20_6", {"disc.damping.loss_tangent": tangent})
-        model = scene.parts["disc"].type.build(scene.parts["disc"], scene, Clock())
+        model = scene.parts["disc"].type.build(scene.parts["disc"], scene, StageTimer())
     part = scene.parts["disc"]
-    full = part.type.device(part, scene).model
+    full = part.type.get_fe_model(part, scene).model
     names = ["anode", "front_face"]
     f = np.array([700.0, 1e3, 3e3, 6.2e3, 6.4e3, 12e3])
     answers = []

@@ -6,23 +6,23 @@ from scipy.optimize import brentq
 from skfem.mesh import MeshHex, MeshTet, MeshTet2
 from support import (
     BoundaryConditions,
-    Damping,
+    DampingKeys,
     Port,
     PortLoad,
     Solid,
     UsageError,
     assemble_solid,
     compute_node_shares,
+    find_material,
     make_device,
-    material,
     spread_force,
 )
 
-STEEL = material({"density": 7800, "youngs_modulus": "200 GPa", "poisson_ratio": 0.3})
+STEEL = find_material({"density": 7800, "youngs_modulus": "200 GPa", "poisson_ratio": 0.3})
 # without lateral contraction, clamps do what beam theory says
-SLENDER = material({"density": 7800, "youngs_modulus": "200 GPa", "poisson_ratio": 0.0})
-PZT = material("PZT-5A")
-UNDAMPED = Damping(ratio=0)
+SLENDER = find_material({"density": 7800, "youngs_modulus": "200 GPa", "poisson_ratio": 0.0})
+PZT = find_material("PZT-5A")
+UNDAMPED = DampingKeys(ratio=0)
 
 
 def box(size, cuts, made_of, hexahedra=False):
@@ -49,7 +49,7 @@ def end(solid, axis, value):
 
 def make_fixed_mask(solid, *pairs):
     """Mask with the displacements of nodes fixed along axes."""
-    mask = np.zeros((places(solid).shape[1], solid.components), bool)
+    mask = np.zeros((places(solid).shape[1], solid.component_count), bool)
     for nodes, axes in pairs:
         mask[np.ix_(nodes, axes)] = True
     return mask.ravel()
@@ -66,7 +66,7 @@ def distorted(kind):
 
 @pytest.mark.parametrize("kind", [MeshTet, MeshHex])
 def test_patch_of_anisotropic_piezoelectric(kind):
-    made_of = material("quartz").poled((0.3, -0.5, 0.8))
+    made_of = find_material("quartz").rotate_z_axis((0.3, -0.5, 0.8))
     mesh = distorted(kind)
     solid = Solid(mesh, (made_of,), np.zeros(mesh.nelements, int))
     full, x = assemble_solid(solid), places(solid)
@@ -153,7 +153,7 @@ def test_longitudinal_wave_converges_with_the_fourth_power(axis, kind):
         fixed = make_fixed_mask(solid, *sides)
         model = make_device(
             solid,
-            BoundaryConditions(fixed, shapes=[squeeze, pull], damping=Damping(ratio=0, at=1e5)),
+            BoundaryConditions(fixed, shapes=[squeeze, pull], damping=DampingKeys(ratio=0, at=1e5)),
         ).model
         frequencies = np.sort(np.abs(model.select(["pull"]).poles().imag))
         first = frequencies[frequencies > 1e3][0] / (2 * np.pi)

@@ -8,23 +8,23 @@ from closed_forms import half_space, hertz
 from scipy.optimize import brentq
 from scipy.special import spherical_jn
 from support import (
-    Damping,
+    DampingKeys,
     PressureBasis,
     TransverselyIsotropicSphere,
     choose_pressure_basis,
+    compute_resonators,
     compute_sphere_compliance,
+    find_material,
     fit_indentation_law,
-    material,
-    model_sphere,
+    make_sphere_model,
     reduce_model,
-    resonators,
 )
 
 R = 1e-3
 E, NU, DENSITY = 211.9e9, 0.291, 7860.0
 MU, LAME = E / 2 / (1 + NU), E * NU / (1 + NU) / (1 - 2 * NU)
 
-BODY = TransverselyIsotropicSphere(R, material("steel"), Damping(ratio=1e-3))
+BODY = TransverselyIsotropicSphere(R, find_material("steel"), DampingKeys(ratio=1e-3))
 
 
 def tractions(n, U, dU, V, dV, div, r):
@@ -73,10 +73,10 @@ def test_the_sphere_oscillates_at_the_frequency_of_lamb():
     # the oblate mode of nu = 0.291: 0.842 c / 2R (Love 1944, article 196: 0.840 of nu = 1/4)
     assert expected[0] * 2 * R / np.sqrt(MU / DENSITY) == pytest.approx(0.842, abs=2e-3)
     wide = PressureBasis(np.array([0.0, 60e-6, 120e-6]))
-    model = model_sphere(BODY, np.array([0.4, 0.6]), wide)
+    model = make_sphere_model(BODY, np.array([0.4, 0.6]), wide)
     assert model.facts["mass_kg"] == pytest.approx(4 / 3 * np.pi * R**3 * DENSITY, rel=2e-5)
     small = reduce_model(model, tolerance=1e-3, band=(0.0, 3e6))
-    swings = np.sort(resonators(small).omega)[: len(expected)] / 2 / np.pi
+    swings = np.sort(compute_resonators(small).omega)[: len(expected)] / 2 / np.pi
     np.testing.assert_allclose(swings, expected, rtol=2e-4)
 
 
@@ -93,7 +93,7 @@ def test_the_indentation_of_two_elastic_sides_follows_hertz(plane):
     S, shape, own = *dents(), E / (1 - NU**2)
     whole = (S - half_space(own, shape.nodes))[-1, 0]
     local = S - whole + half_space(plane, shape.nodes)
-    law = fit_indentation_law(shape, local, shape.distances**2 / (2 * R))
+    law = fit_indentation_law(shape, local, shape.mean_gap_radii**2 / (2 * R))
     modulus = 1 / (1 / own + 1 / plane)
     for d in (1e-6, 2e-6, 3e-6):
         s = np.sqrt(d / law.depth)

@@ -6,27 +6,27 @@ from closed_forms import rod_resonance
 from skfem.mesh import MeshHex
 from support import (
     BoundaryConditions,
-    Chip,
     Port,
     PortLoad,
     Solid,
+    StackKeys,
     UsageError,
     compute_node_shares,
+    find_material,
     make_device,
     make_stack,
-    material,
     reduce_model,
     spread_force,
-    validate,
+    validate_table,
 )
 
-PZT = material("PZT-5A")
+PZT = find_material("PZT-5A")
 S33 = np.linalg.inv(PZT.C)[2, 2]
 SMALL = {"sectors": 4, "rings": 1, "outer_rings": 2, "order": 2}
 
 
 def stack(**keys):
-    return make_stack(Chip(**{"material": "PZT-5A", "layers": 2, "mesh": SMALL} | keys)).model
+    return make_stack(StackKeys(**{"material": "PZT-5A", "layers": 2, "mesh": SMALL} | keys)).model
 
 
 @pytest.mark.slow
@@ -79,7 +79,7 @@ def test_a_spring_on_the_top_face_reduces_the_stroke():
 )
 def test_a_slender_stack_with_caps_resonates_as_a_line(cap):
     """Electrodes shorted, the ceramic is a rod of 1/s33; caps below and above lengthen it."""
-    made_of = material(cap) if cap else PZT
+    made_of = find_material(cap) if cap else PZT
     modulus = 1 / np.linalg.inv(made_of.C)[2, 2]
     facts = stack(
         side=0.6e-3, layers=20, layer_thickness=0.4e-3,
@@ -144,7 +144,7 @@ def test_shear_agrees_with_solid_elements_over_the_whole_section():
 )
 def test_impossible_stacks_are_refused(keys, says):
     with pytest.raises(UsageError, match=says):
-        validate(Chip, keys, "stack")
+        validate_table(StackKeys, keys, "stack")
 
 
 def test_a_free_stack_is_reduced_as_a_free_body():

@@ -4,20 +4,20 @@ import device
 import pytest
 from support import (
     ContactForce,
-    Control,
     Header,
+    PidKeys,
     SphereKeys,
-    coils_subcircuit,
+    compute_ring_gaps,
     declare_contact,
     declare_sphere,
     load_scene,
-    opamp_subcircuit,
-    pid_subcircuit,
-    ring_gaps,
+    make_coils_subcircuit,
+    make_opamp_subcircuit,
+    make_pid_subcircuit,
     run_deck,
     subcircuit,
 )
-from support import declared_subcircuit as declared
+from support import make_declared_subcircuit as declared
 
 LOOP = {
     "name": "loop", "kick": {"drive": {"voltage": 80.0}}, "contact": {"rings": "all"},
@@ -45,15 +45,15 @@ def parts(header, model, radii, table):
     """The subcircuits of kick and catch, by name."""
     ball = SphereKeys()
     rings = tuple(f"ring{i}" for i in range(6))
-    gaps = tuple(ring_gaps(radii, ball.radius).tolist())
+    gaps = tuple(compute_ring_gaps(radii, ball.radius).tolist())
     made = (
         subcircuit(model.linear(), "kick", header),
         declared(header, "sphere", declare_sphere(ball.mass, ball.radius, 9.81), {}),
         declared(header, "contact", declare_contact(rings, gaps, ContactForce(4e8)), {}),
-        coils_subcircuit(header, table, "catch", apart=False, points=81),
-        coils_subcircuit(header, table, points=81),
-        opamp_subcircuit(header),
-        pid_subcircuit(header, Control()),
+        make_coils_subcircuit(header, table, "catch", apart=False, points=81),
+        make_coils_subcircuit(header, table, points=81),
+        make_opamp_subcircuit(header),
+        make_pid_subcircuit(header, PidKeys()),
     )
     return {part.name: part for part in made}
 

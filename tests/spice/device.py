@@ -5,21 +5,21 @@ from typing import Any
 
 import numpy as np
 from support import (
-    Build,
+    BuiltScene,
     Certificate,
-    Clock,
     Deck,
-    EMTable,
+    MagnetostaticTable,
     Port,
     Resonators,
+    StageTimer,
+    add_results_and_sources,
     build_models,
     choose_largest_step,
+    form_verdict,
     ignore_progress,
-    list_checks,
     load_scene,
     make_deck,
     name_subcircuits,
-    resolve_build,
     run_deck,
     solve_laws,
 )
@@ -60,7 +60,7 @@ def magnets():
     scale = 0.325 / abs(coil(np.array(1.5e-3)))
     sizes = np.array([1e-4, scale, scale, 0.01, 0.0, 0.01])
     heights = np.array([2.5e-3, 1e-3, 4e-3, 1e-3, 0.0, 4e-3])
-    return EMTable(
+    return MagnetostaticTable(
         y=y, coefficients=sizes * coil(y[:, None] - heights), flux0=np.zeros((41, 2)),
         inductance=np.tile([[0.044, 0.007], [0.007, 0.044]], (41, 1, 1)),
         resistance=np.array([1596.0, 1596.0]), unknowns=0,
@@ -81,22 +81,22 @@ def built(scene, model=None, table=None, others=False, **words):
         if part.type.name == "ring_magnet_coils" and table is not None:
             models[part.name] = table
         if others and part.name not in models:
-            models[part.name] = part.type.build(part, scene, Clock(ignore_progress))
-    result = resolve_build(Build(scene, models, name_subcircuits(scene), **words))
+            models[part.name] = part.type.build(part, scene, StageTimer(ignore_progress))
+    result = add_results_and_sources(BuiltScene(scene, models, name_subcircuits(scene), **words))
     timed = scene.analysis.type == "transient"
     return replace(result, largest_step=choose_largest_step(result)) if timed else result
 
 
 def models(scene, *sets):
     """A scene, by its name, file or tables, with what its parts are made of."""
-    return build_models(load_scene(scene, list(sets)), Clock(ignore_progress))
+    return build_models(load_scene(scene, list(sets)), StageTimer(ignore_progress))
 
 
 def both(scene, folder):
     """Waves of ngspice and of the independent integrator for a scene, and its failed checks."""
     build = models(scene)
     waves = run_deck(make_deck(build), folder)
-    failed = [check for check in list_checks(waves, build).checks if not check.passed]
+    failed = [check for check in form_verdict(waves, build).checks if not check.passed]
     return waves, solve_laws(build, waves).results, failed
 
 

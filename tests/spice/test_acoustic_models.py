@@ -5,8 +5,8 @@ import pytest
 import scipy
 from support import (
     NodalCircuit,
-    dialect_names,
     export_scene,
+    list_dialect_names,
     load_scene,
     make_example_deck,
     run_deck,
@@ -220,7 +220,7 @@ def test_the_emitted_ports_are_passive(tmp_path):
         assert np.linalg.eigvalsh(Y + Y.conj().T).min() >= -1e-9 * np.abs(Y).max()
 
 
-@pytest.mark.parametrize("dialect", dialect_names())
+@pytest.mark.parametrize("dialect", list_dialect_names())
 def test_every_dialect_has_the_acoustic_pins(tmp_path, dialect):
     resonator(tmp_path)
     scene = scene_of(tmp_path, driven("neck", "mouth"))

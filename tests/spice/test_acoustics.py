@@ -12,10 +12,10 @@ from support import (
     Element,
     Header,
     Ratio,
-    ac_command,
     branch,
-    declared_subcircuit,
     load_scene,
+    make_ac_command,
+    make_declared_subcircuit,
     run_deck,
     verify_scenes,
 )
@@ -153,7 +153,9 @@ def test_noise_of_a_resistance_is_that_of_nyquist(tmp_path):
 
 def driven(pin, part):
     """A part between a pin and ground, and a current of 1 A into the pin."""
-    return Element.of("X1", pin, "0", part), Element.of("I1", "0", pin, "DC", "0", "AC", "1")
+    return Element.from_words("X1", pin, "0", part), Element.from_words(
+        "I1", "0", pin, "DC", "0", "AC", "1"
+    )
 
 
 class HornKeys(kc.Section):
@@ -177,7 +179,7 @@ def test_declared_branches_of_sound_keep_their_units(tmp_path):
         content="0.5*loss*flow^2",
     )
     values = {"compliance": COMPLIANCE, "mass": MASS, "loss": LOSS}
-    part = declared_subcircuit(Header("demo", "0"), "horn", horn, values)
+    part = make_declared_subcircuit(Header("demo", "0"), "horn", horn, values)
     assert [(pin.name, pin.unit, pin.flow) for pin in part.pins] == [
         ("in", *DOMAINS["acoustic"].units),
         ("out", *DOMAINS["acoustic"].units),
@@ -188,7 +190,7 @@ def test_declared_branches_of_sound_keep_their_units(tmp_path):
         parts=(part,),
         items=driven("in", "horn"),
         vectors={"pressure": ("v(in)", 1.0)},
-        command=ac_command(RESONANCE / 3, 3 * RESONANCE, 21, "log"),
+        command=make_ac_command(RESONANCE / 3, 3 * RESONANCE, 21, "log"),
     )
     waves = run_deck(deck, tmp_path)
     exact = 1e-6 * impedance(2j * np.pi * waves["frequency"].real)
@@ -211,7 +213,9 @@ def test_declared_branches_of_rotation_keep_their_units(tmp_path):
         energy="0.5*stiffness*angle^2",
         content="0.5*damping*angle_rate^2",
     )
-    part = declared_subcircuit(Header("demo", "0"), "rod", rod, {"stiffness": 0.3, "damping": 2e-3})
+    part = make_declared_subcircuit(
+        Header("demo", "0"), "rod", rod, {"stiffness": 0.3, "damping": 2e-3}
+    )
     assert [(pin.unit, pin.flow) for pin in part.pins] == [DOMAINS["rotation"].units] * 2
     deck = Deck(
         name="rod",
@@ -219,7 +223,7 @@ def test_declared_branches_of_rotation_keep_their_units(tmp_path):
         parts=(part,),
         items=driven("tip", "rod"),
         vectors={"angle": ("v(tip)", 1.0)},
-        command=ac_command(1.0, 1e3, 13, "log"),
+        command=make_ac_command(1.0, 1e3, 13, "log"),
     )
     waves = run_deck(deck, tmp_path)
     s = 2j * np.pi * waves["frequency"].real

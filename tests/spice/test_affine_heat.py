@@ -48,7 +48,7 @@ def test_a_heat_model_with_parameters_follows_the_full_model(h, scale):
     E, K, B = fin(h, scale)
     s = 2j * np.pi * frequency
     exact = np.array([(B.T @ np.linalg.solve(K + one * E, B))[0, 0] for one in s])
-    model = reduced.at({"h": h, "scale": scale})
+    model = reduced.evaluate({"h": h, "scale": scale})
     assert model.transfer(frequency)[:, 0, 0] == pytest.approx(exact, rel=1e-4)
     assert re.search(r"@param h=0.1 unit=W/K range=0.01..1", part.text)
 
@@ -73,7 +73,7 @@ def test_files_of_heat_with_parameters_become_a_netlist(tmp_path):
     E, K, B = fin(0.5)
     frequency = np.array([0.01, 1.0])
     exact = [(B.T @ np.linalg.solve(K + 2j * np.pi * f * E, B))[0, 0] for f in frequency]
-    assert again.at({"h": 0.5}).transfer(frequency)[:, 0, 0] == pytest.approx(exact, rel=1e-4)
+    assert again.evaluate({"h": 0.5}).transfer(frequency)[:, 0, 0] == pytest.approx(exact, rel=1e-4)
     export_rom(result["rom"], tmp_path / "lib")
     body = {"part": "netlist", "file": str(tmp_path / "lib" / "fin_rom.lib"), "subckt": "fin_rom"}
     body |= {
@@ -103,7 +103,7 @@ def test_terms_that_heat_models_cannot_have_are_refused():
         kc.AffineModel(model.model, [("M", np.eye(STATES), lambda p: p["h"])], model.parameters)
     squared = ("K", np.diag(np.eye(STATES)[-1]), lambda p: p["h"] ** 2)
     affine = kc.AffineModel(
-        kc.LinearModel(E=np.eye(STATES), K=model.model.pencil.dense().coefficients[0],
+        kc.LinearModel(E=np.eye(STATES), K=model.model.pencil.make_dense().coefficients[0],
                        B=model.model.B, ports=model.model.ports),
         [squared], model.parameters[:1],
     )  # fmt: skip

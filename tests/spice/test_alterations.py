@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from support import SimulationError, list_alterations
+from support import SimulationError, list_changed_cards
 
 import kc2spice as kc
 
@@ -97,11 +97,11 @@ UNALTERED = (
 
 @pytest.mark.parametrize("line", ALTERED)
 def test_alterations_are_read(line):
-    assert list_alterations(f"Doing analysis\n{line}\r\n{line}\n") == (line,)
+    assert list_changed_cards(f"Doing analysis\n{line}\r\n{line}\n") == (line,)
 
 
 def test_other_notes_are_no_alterations():
-    assert list_alterations("\n".join(UNALTERED)) == ()
+    assert list_changed_cards("\n".join(UNALTERED)) == ()
 
 
 def test_an_alteration_names_its_model():
@@ -109,6 +109,6 @@ def test_an_alteration_names_its_model():
         "Warning: Model issue on line 5 :\n  .model sw sw(ron=1 vser=2) ...\n"
         "unrecognized parameter (vser) - ignored\n"
     )
-    assert list_alterations(log) == (
+    assert list_changed_cards(log) == (
         ".model sw sw(ron=1 vser=2): unrecognized parameter (vser) - ignored",
     )

@@ -13,7 +13,7 @@ REDUNDANT = sorted(number for number, part in PARTS.items() if part.redundant)
 
 
 def device(number):
-    return kc.load_scene(number).part("device")
+    return kc.load_scene(number).get_part("device")
 
 
 def relay(keys, detail):

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from device import built
-from support import SimulationError, list_checks, require_passed
+from support import SimulationError, form_verdict, require_passed
 
 BALANCES = {"sphere", "contact", "kick"}
 ALL = {
@@ -19,7 +19,7 @@ ALL = {
 
 
 def judged(waves, scene, table, model):
-    return list_checks(waves, built(scene, model, table))
+    return form_verdict(waves, built(scene, model, table))
 
 
 def violated(waves, scene, table, model):

@@ -85,7 +85,7 @@ def test_newtons_cradle_against_plain_equations(tmp_path):
         return np.r_[y[5:], (np.r_[0.0, force] - np.r_[force, 0.0]) / mass]
 
     start = np.r_[-1e-6, np.zeros(4), 1.0, np.zeros(4)]
-    plain = solve_ivp(rates, (0, scene.stop), start, method="DOP853", rtol=1e-11, atol=1e-14)
+    plain = solve_ivp(rates, (0, scene.stop_time), start, method="DOP853", rtol=1e-11, atol=1e-14)
     speeds = np.array([waves[f"sphere{k}.v"] for k in range(1, 6)])
     assert np.abs(speeds.sum(axis=0) - 1.0).max() < 1e-9
     assert (speeds[:, -1] ** 2).sum() == pytest.approx(1.0, rel=1e-4)

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from device import built
 from support import (
-    Clock,
     RetriesFailedError,
+    StageTimer,
     UsageError,
     complete_run,
     load_scene,
     make_deck,
     repeat_timing,
-    run_shared,
+    run_in_libngspice,
     verify_scenes,
 )
 
@@ -40,8 +40,8 @@ def scene(analysis=None, **digits):
 
 def ran(loaded, function):
     build = built(loaded, functions={"digits": function})
-    part = loaded.part("digits")
-    return run_shared(make_deck(build), [part.type.settable(part, build)["out"]])
+    part = loaded.get_part("digits")
+    return run_in_libngspice(make_deck(build), [part.type.settable_quantities(part, build)["out"]])
 
 
 @pytest.mark.parametrize(("output", "factor"), [("voltage", 1.0), ("current", 2e3)])
@@ -66,21 +66,23 @@ def test_inputs_are_si_and_the_output_is_held_from_the_delay_on(output, factor):
 def test_a_file_runs_only_when_it_is_trusted(tmp_path):
     (tmp_path / "law.py").write_text("def control(time, inputs):\n    return 7.0\n")
     loaded = replace(scene(file="law.py"), home=tmp_path)
-    part = loaded.part("digits")
+    part = loaded.get_part("digits")
     with pytest.raises(UsageError, match="runs a Python file") as caught:
         built(loaded)
     assert "--trust" in caught.value.hint
     with pytest.raises(UsageError, match="runs a Python file"):
         verify_scenes([loaded], tmp_path / "out")
     assert verify_scenes([loaded], tmp_path / "out", trust=True)["scenes"]["controlled"]["passed"]
-    call = part.type.settable(part, built(loaded, trust=True))["out"].call
-    node = loaded.net("digits", "y")
+    call = part.type.settable_quantities(part, built(loaded, trust=True))["out"].call
+    node = loaded.get_net("digits", "y")
     assert call(0.0, {node: 1.0}) == 7.0
 
 
 def test_a_run_in_this_process_states_it_and_can_be_timed_again(tmp_path):
     """The simulator's own process can neither call functions nor be timed for one that does."""
-    done = complete_run(scene(), tmp_path, Clock(), functions={"digits": lambda time, inputs: 1.0})
+    done = complete_run(
+        scene(), tmp_path, StageTimer(), functions={"digits": lambda time, inputs: 1.0}
+    )
     assert done.record["simulator"]["engine"] == "shared"
     assert done.run.cpu_s > 0
     assert repeat_timing(done.run) > 0
@@ -93,9 +95,9 @@ def test_files_that_are_no_function_are_refused(tmp_path):
     ):
         (tmp_path / "law.py").write_text(text)
         loaded = replace(scene(file="law.py"), home=tmp_path)
-        part = loaded.part("digits")
+        part = loaded.get_part("digits")
         with pytest.raises(UsageError, match=words):
-            part.type.settable(part, built(loaded, trust=True))
+            part.type.settable_quantities(part, built(loaded, trust=True))
 
 
 def test_impossible_controllers_are_refused():

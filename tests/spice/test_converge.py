@@ -4,7 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
-from support import ERROR_BUDGET, Caller, Clock, list_mesh_errors, refine
+from support import ERROR_BUDGET, OutputRecipient, StageTimer, list_mesh_errors, refine
 
 import kc2spice as kc
 
@@ -95,15 +95,15 @@ def test_meshes_are_refined_within_limits_that_are_stated_first(monkeypatch):
     monkeypatch.setattr(refine, "MAX_MESH_UNKNOWNS", 1000)
     said = []
     scene = kc.load_scene(DISC, {"error_budget": 0.2})
-    own = refine.evaluate_scene(scene, Clock())
+    own = refine.evaluate_scene(scene, StageTimer())
     done = refine.converge_to_budget(
-        own, Clock(lambda stage, done, text: said.append((stage, text)))
+        own, StageTimer(lambda stage, done, text: said.append((stage, text)))
     )
     facts = own.build.facts(scene.parts["disc"])
     assert 250 < facts["unknowns"] < 1000  # four times as many are too many
     assert said[0][0] == "error budget"
     assert "up to 1 000 unknowns and" in said[0][1]
-    assert done.record()["limits"]["unknowns"] == 1000
+    assert done.make_record()["limits"]["unknowns"] == 1000
     assert done.final.unmoved == ("disc.mesh.refine",)
     mesh = max(value for name, value in facts.items() if name.startswith("mesh_error_"))
     assert min(done.final.errors.values()) >= mesh > 1e-3
@@ -112,9 +112,9 @@ def test_meshes_are_refined_within_limits_that_are_stated_first(monkeypatch):
 def refined_disc(monkeypatch, most, budget):
     """The disc with a budget and a limit of unknowns, and on a mesh eight times as fine."""
     monkeypatch.setattr(refine, "MAX_MESH_UNKNOWNS", most)
-    own = refine.evaluate_scene(kc.load_scene(DISC, {"error_budget": budget}), Clock())
-    exact = refine.evaluate_scene(kc.load_scene(DISC, {"disc.mesh.refine": 8}), Clock())
-    return refine.converge_to_budget(own, Clock()), exact
+    own = refine.evaluate_scene(kc.load_scene(DISC, {"error_budget": budget}), StageTimer())
+    exact = refine.evaluate_scene(kc.load_scene(DISC, {"disc.mesh.refine": 8}), StageTimer())
+    return refine.converge_to_budget(own, StageTimer()), exact
 
 
 @pytest.mark.slow
@@ -137,7 +137,7 @@ def test_the_error_at_the_limit_is_that_of_each_metric(monkeypatch):
     done, exact = refined_disc(monkeypatch, 2500, 1e-4)
     assert done.final.settings["disc.mesh.refine"] == 2
     assert done.final.unmoved == ("disc.mesh.refine",)
-    true = refine.metric_changes(done.final.run, exact)
+    true = refine.compute_metric_changes(done.final.run, exact)
     for name, error in true.items():
         assert done.final.errors[name] >= error, name
     mesh = max(
@@ -148,13 +148,13 @@ def test_the_error_at_the_limit_is_that_of_each_metric(monkeypatch):
 
 def test_memory_of_a_factor_is_that_of_its_fill():
     """A chip of 152 000 unknowns took 5.8 GB, a disc of 145 000 a fraction of a gigabyte."""
-    assert refine.factor_bytes(152e3, 3) == pytest.approx(5.8e9, rel=0.05)
-    assert refine.factor_bytes(145e3, 2) < 0.5e9
+    assert refine.estimate_factor_bytes(152e3, 3) == pytest.approx(5.8e9, rel=0.05)
+    assert refine.estimate_factor_bytes(145e3, 2) < 0.5e9
 
 
 @pytest.mark.parametrize(("as_json", "quiet"), [(False, False), (True, False), (False, True)])
 def test_limits_of_meshes_are_printed_outside_of_a_terminal(capsys, as_json, quiet):
-    with Caller(as_json, quiet).progress() as progress:
+    with OutputRecipient(as_json, quiet).open_progress_display() as progress:
         progress(ERROR_BUDGET, None, "meshes are refined up to 1 000 unknowns")
         progress("reduce", 0.5, "reduction of disc")
     said = "error budget: meshes are refined up to 1 000 unknowns\n"

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from support import dialect_names
+from support import list_dialect_names
 
 import kc2spice as kc
 
@@ -127,7 +127,7 @@ def test_verify_passes_in_time_and_warns_of_the_excursion():
     assert check.value > check.limit == 1e-4
 
 
-@pytest.mark.parametrize("dialect", dialect_names())
+@pytest.mark.parametrize("dialect", list_dialect_names())
 def test_every_dialect_has_it(dialect, tmp_path):
     assert kc.export(scene({name: SHEET[name] for name in BASIS}), tmp_path, dialect=dialect)
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from support import dialect_names
+from support import list_dialect_names
 
 import kc2spice as kc
 
@@ -91,6 +91,6 @@ def test_sheets_that_no_relay_has_are_errors(keys, message):
         kc.load_scene(scene(PULSE, 0.01, **keys))
 
 
-@pytest.mark.parametrize("dialect", dialect_names())
+@pytest.mark.parametrize("dialect", list_dialect_names())
 def test_every_dialect_has_it(dialect, tmp_path):
     assert kc.export(scene(PULSE, 0.01, operate_time=0.01), tmp_path, dialect=dialect)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from support import dialect_names
+from support import list_dialect_names
 
 import kc2spice as kc
 
@@ -174,7 +174,7 @@ def test_verify_compares_netlist_and_equations():
     assert result["passed"]
 
 
-@pytest.mark.parametrize("dialect", dialect_names())
+@pytest.mark.parametrize("dialect", list_dialect_names())
 def test_every_dialect_has_them(dialect, tmp_path):
     for kind, keys in (("bvd", {n: sheet()[n] for n in SETS[2]}), ("crystal", WATCH)):
         files = kc.export(scene(kind=kind, **keys), tmp_path / kind, dialect=dialect)

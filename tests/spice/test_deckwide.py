@@ -118,4 +118,4 @@ def test_an_edited_deck_that_changes_the_meaning_of_parts_is_rejected(tmp_path, 
             lambda text, line=line: text.replace(".tran", f"{line}\n.tran"),
         )
         with pytest.raises(UsageError, match=said):
-            read_edited_deck(make_deck(build), tmp_path / "edited" / deck.main)
+            read_edited_deck(make_deck(build), tmp_path / "edited" / deck.main_file_name)

@@ -13,17 +13,17 @@ import pytest
 from networks import FUNCTIONS, H, Network
 from support import TWO_TERMINAL_TABLE as TABLE
 from support import (
-    Build,
+    BuiltScene,
     ContactForce,
     Header,
     contact,
-    declared_subcircuit,
-    dialect_names,
     find_dialect,
     law,
+    list_dialect_names,
     list_gallery,
     load_part_types,
     load_scene,
+    make_declared_subcircuit,
     parse_toml,
     print_module,
     write_dialect_files,
@@ -32,7 +32,7 @@ from support import (
 import kc2spice as kc
 
 DECLARED = {n: kind for n, kind in load_part_types().items() if hasattr(kind, "declaration")}
-DIALECTS = dialect_names()
+DIALECTS = list_dialect_names()
 PLAIN = {row.name for row in TABLE}  # cards of a deck, of which there is no module
 PRINTED = [(n, d) for n in sorted(DECLARED) for d in DIALECTS if d != "verilog-a" or n not in PLAIN]
 SIZES = {
@@ -118,7 +118,7 @@ def printed(name, dialect):
         return own[0]
     text = "\n".join(files.values())
     lines = [line for line in text.splitlines() if line[:1] in tuple("RCLV") and name in line]
-    nodes = {scene.net(part.name, pin): pin for pin in ("a", "b")}
+    nodes = {scene.get_net(part.name, pin): pin for pin in ("a", "b")}
     cards = [line.split() for line in lines if line[1:].startswith(name)]
     placed = [[c, nodes.get(a, a), nodes.get(b, b), *rest] for c, a, b, *rest in cards]
     return "\n".join(map(" ".join, placed))
@@ -189,7 +189,7 @@ def inputs(own, state, rates, drops):
 def get_law_name(name, **keys):
     scene, part = example(name)
     part = replace(part, keys=part.keys.model_copy(update=keys))
-    laws = part.type.law(part, Build(scene, {})).laws
+    laws = part.type.law(part, BuiltScene(scene, {})).laws
     (found,) = (law for law in laws if law.name == part.name)  # besides the law of a mass
     return found
 
@@ -203,12 +203,12 @@ def worst_law(name, **keys):
         drops = {b.name: stated_.answer(b, state, rates) for b in stated_.d.branches
                  if b.kind in FLOWS}  # fmt: skip
         e, de = inputs(own, state, rates, drops)
-        mode = own.mode(e)
+        mode = own.find_initial_mode(e)
         out, _ = own.evaluate(e, mode)
-        _, by = own.store(e, mode)
+        _, by = own.evaluate_storage(e, mode)
         rises, n = by @ de, len(own.states)
         through = out[: len(own.flows)].copy()
-        through[list(own.charged)] += rises[n:]
+        through[list(own.storing_flow_indices)] += rises[n:]
         # a current's voltage changes its flux and drops: that is the residual of its row
         errors += [abs(out[len(own.flows) + k] / rises[k] - 1) for k in range(n)]
         brought, converted = 0.0, 0.0
@@ -237,10 +237,10 @@ def worst_slope(name):
     for state, rates in found:
         drops = {b.name: 1.0 for b in stated_.d.branches}
         e, _ = inputs(own, state, rates, drops)
-        mode = own.mode(e)
+        mode = own.find_initial_mode(e)
         for made, (value, by) in (
             (own._flow_function, own.evaluate(e, mode)),
-            (own._storage_function, own.store(e, mode)),
+            (own._storage_function, own.evaluate_storage(e, mode)),
         ):  # fmt: skip
             for j in range(e.size):
                 moved = made(*(e + 1j * H * np.eye(e.size)[j]), *mode, *own.values)
@@ -329,7 +329,7 @@ def worst_cards(kind, dialect):
     """Largest difference of a contact's printed forces from its law, relative to the largest; at
     rest where they follow with a lag, whose square of time the cards leave out."""
     normal, made = NORMALS[kind], Header("law", "0")
-    part = declared_subcircuit(made, "contact", pressing(normal), {})
+    part = make_declared_subcircuit(made, "contact", pressing(normal), {})
     text = part.text
     if dialect == "verilog-a":
         (text,) = print_module(part).values()
@@ -371,7 +371,7 @@ def test_the_law_of_a_contact_follows_its_declaration(kind):
         e = np.array(
             [(speeds if across.rate else known)[across.pin] for across in own.across_inputs]
         )
-        mode = own.mode(e)
+        mode = own.find_initial_mode(e)
         out, by = own.evaluate(e, mode)
         np.testing.assert_allclose(out, wanted, rtol=1e-12, atol=1e-12)
         flows = own._flow_function

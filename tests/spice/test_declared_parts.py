@@ -7,26 +7,26 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from scipy.special import ellipk
 from support import (
-    Build,
+    BuiltScene,
     Declaration,
     DeclaredPart,
     Printer,
     Waveforms,
+    add_results_and_sources,
     assemble_system,
     branch,
-    dialect_names,
     displacement,
+    form_verdict,
     get_scene_laws,
-    list_checks,
+    list_dialect_names,
     load_scene,
     measured,
     parttype,
-    resolve_build,
     solve_laws,
     solve_transient,
-    subcircuit_items,
     voltage,
     write_dialect_files,
+    write_subcircuit_items,
 )
 
 import kc2spice as kc
@@ -40,7 +40,8 @@ def both(scene, name):
     waves = kc.run(scene).waves
     scale = next(iter(waves))
     law = solve_laws(
-        resolve_build(Build(load_scene(scene), {})), Waveforms({scale: waves[scale]}, {})
+        add_results_and_sources(BuiltScene(load_scene(scene), {})),
+        Waveforms({scale: waves[scale]}, {}),
     ).results
     return waves[scale], waves[name], law[name]
 
@@ -94,7 +95,7 @@ def test_a_charge_behind_ideal_sources_flows_as_it_changes():
 def test_a_coil_in_motion_takes_few_steps():
     """The flux depends on the stroke: an error estimate by its slope at an earlier step sees an
     error that no shorter step makes smaller, and needs tens of thousands of them for this."""
-    (network,) = get_scene_laws(Build(load_scene("loudspeaker"), {})).networks
+    (network,) = get_scene_laws(BuiltScene(load_scene("loudspeaker"), {})).networks
     assert (
         solve_transient(assemble_system(network.laws, network.joins), 5e-3, 1e-9).time.size < 2000
     )
@@ -176,13 +177,13 @@ def test_a_force_that_is_off_is_in_the_balance():
     """Of the stop of a plate, by a hundredth; the run itself keeps 1e-3 of what is turned over."""
     scene = load_scene("plate_pull_in", {"solver.stop": "6 ms"})
     waves = kc.run(scene).waves
-    build = resolve_build(Build(scene, {}))
+    build = add_results_and_sources(BuiltScene(scene, {}))
     wrong = {**waves, "plate.force": 1.01 * waves["plate.force"]}
     good, bad = (
-        dict(list_checks(Waveforms(data, {}), build).balances)["plate"]
+        dict(form_verdict(Waveforms(data, {}), build).balances)["plate"]
         for data in ({**waves}, wrong)
     )
-    assert good.share < good.limit < bad.share
+    assert good.relative_imbalance < good.limit < bad.relative_imbalance
 
 
 def test_beyond_its_limit_a_part_fails_by_name():
@@ -285,7 +286,8 @@ def test_states_and_signals_are_those_of_the_stated_controller(monkeypatch):
     }  # fmt: skip
     ngspice = kc.run(scene).waves
     laws = solve_laws(
-        resolve_build(Build(load_scene(scene), {})), Waveforms({"time": ngspice["time"]}, {})
+        add_results_and_sources(BuiltScene(load_scene(scene), {})),
+        Waveforms({"time": ngspice["time"]}, {}),
     ).results
     corners = 0.5e-3 + np.array([0.0, edge, 1e-3, 1e-3 + edge])
 
@@ -310,7 +312,7 @@ def test_states_and_signals_are_those_of_the_stated_controller(monkeypatch):
         owner = np.searchsorted([piece.t[-1] for piece in pieces[:-1]], waves["time"])
         exact = [pieces[k].sol(t)[1] for k, t in zip(owner, waves["time"], strict=True)]
         np.testing.assert_allclose(waves["regulator.integral"], exact, rtol=limit)
-    for dialect in dialect_names()[1:]:
+    for dialect in list_dialect_names()[1:]:
         assert write_dialect_files(kc.deck(scene), dialect)
 
 
@@ -324,7 +326,9 @@ def test_a_law_with_a_step_is_not_linear():
         content="above(v - 1)*v",
     )
     assert not stepped.linear
-    assert "V(a,b)-1>0" in "\n".join(Printer().lines(subcircuit_items(stepped)))
+    assert "V(a,b)-1>0" in "\n".join(
+        Printer().print_cards_as_lines(write_subcircuit_items(stepped))
+    )
 
 
 class PusherKeys(kc.Section):
@@ -360,8 +364,8 @@ def test_a_measured_branch_supplies_no_energy(monkeypatch):
     exact = 2e-3 * np.maximum(times - 1e-6, 0.0) ** 2 / 2e-3
     for x in found:
         np.testing.assert_allclose(x[-1], exact[-1], rtol=1e-4)
-    build = resolve_build(Build(load_scene(scene), {}))
-    balance = dict(list_checks(Waveforms(dict(kc.run(scene).waves), {}), build).balances)["pusher"]
+    build = add_results_and_sources(BuiltScene(load_scene(scene), {}))
+    balance = dict(form_verdict(Waveforms(dict(kc.run(scene).waves), {}), build).balances)["pusher"]
     assert balance.scale > 0
     assert balance.missing < 1e-3 * balance.scale
 

@@ -13,15 +13,15 @@ from support import (
     Header,
     UsageError,
     declare_contact,
-    dialect_names,
     find_dialect,
+    list_dialect_names,
     parse_subcircuits,
     print_module,
     run_deck,
     translate_deck,
     write_dialect_files,
 )
-from support import declared_subcircuit as declared
+from support import make_declared_subcircuit as declared
 
 pp.ParserElement.set_default_whitespace_chars(" \t\n")
 
@@ -154,7 +154,7 @@ def test_every_card_of_the_loop_is_in_the_grammar(loop, dialect):
     assert set(translated) == set(loop.files)
     for name, text in translated.items():
         before, after = len(cards(loop.files[name])), len(cards(text))
-        if name != loop.main:  # .save cards are merged and options dropped there
+        if name != loop.main_file_name:  # .save cards are merged and options dropped there
             assert before == after
         for line in cards(text):
             card.parse_string(line)
@@ -261,7 +261,7 @@ def test_decks_for_xyce_contain_its_deviations():
 def test_unknown_dialects_are_refused(loop):
     with pytest.raises(UsageError, match="this dialect does not exist") as caught:
         translate_deck(loop, "hspice")
-    assert caught.value.expected == "one of " + ", ".join(dialect_names())
+    assert caught.value.expected == "one of " + ", ".join(list_dialect_names())
 
 
 # ---------------------------------------------------------------------------------- meaning
@@ -309,8 +309,8 @@ def test_expressions_have_equal_values_in_all_spellings(dialect):
 def test_libraries_for_ltspice_run_the_same_in_ngspice(loop, tmp_path):
     """ngspice reads all of LTspice's spellings but ``table``, so it can judge the rest."""
     spoken = translate_deck(loop, "ltspice").files
-    files = {n: t.replace("table(", "pwl(") for n, t in spoken.items() if n != loop.main}
-    short = loop.files[loop.main].replace(" 5m 0 ", " 700u 0 ")
+    files = {n: t.replace("table(", "pwl(") for n, t in spoken.items() if n != loop.main_file_name}
+    short = loop.files[loop.main_file_name].replace(" 5m 0 ", " 700u 0 ")
     own = replace(loop, text=short, options=(), stop=0.0007)
     twin = replace(own, parts=(), more=files)
     first, second = run_deck(own, tmp_path / "own"), run_deck(twin, tmp_path / "twin")

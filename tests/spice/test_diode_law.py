@@ -16,8 +16,8 @@ from support import (
     assemble_system,
     get_scene_laws,
     integrate_steps,
-    linear_waveform,
     load_scene,
+    make_linear_waveform,
     solve_operating_point,
     solve_transient,
 )
@@ -217,7 +217,7 @@ def test_a_high_voltage_has_an_operating_point():
     """Without a limit, the first iterate of 10 kV overflows the exponential function."""
     junction = Junction("d", IS, N, 0.0, CJO, TT, 100.0)
     for volt in (1e4, -1e4):
-        source = L.IdealSource("s", "current", linear_waveform([(0.0, volt / 100)]))
+        source = L.IdealSource("s", "current", make_linear_waveform([(0.0, volt / 100)]))
         joins = {"a": ("s.out", "d.anode"), L.GROUND: ("s.ret", "d.cathode")}
         v = solve_operating_point(assemble_system([junction, source], joins))["d.anode"]
         assert current(v) == pytest.approx(volt / 100, rel=1e-9)

@@ -36,7 +36,7 @@ def run_disc(loads, source, analysis):
 
 def respond(output, source, f):
     """Response of the full model at a frequency [Hz]."""
-    model = disc.make_disc_blocks(BODY).device().model
+    model = disc.make_disc_blocks(BODY).build_fe_model().model
     return model.transfer(f)[:, model.outputs.index(output), model.inputs.index(source)]
 
 

@@ -14,8 +14,8 @@ from support import (
     assemble_system,
     find_replayed_nets,
     get_scene_laws,
-    linear_waveform,
     load_scene,
+    make_linear_waveform,
     solve_transient,
 )
 from support import laws as L
@@ -200,7 +200,7 @@ def off(ours, exact):
 def test_a_law_a_netlist_and_equations_by_hand_agree(name, tmp_path, monkeypatch):
     equations, load, wave, stop, start, results, keys = CASES[name]
     for driver in (LinearDrive, PwmDrive):
-        monkeypatch.setattr(driver, "load", lambda self, part, build: COILS)
+        monkeypatch.setattr(driver, "compute_coil_load", lambda self, part, build: COILS)
     largest = stop / (8000 if name == "half_bridge" else 2000)
     scene = {
         "name": "driven", "analysis": {"type": "transient", "stop": stop},
@@ -256,10 +256,10 @@ def test_a_controller_commands_a_driver_by_its_law(model, table):
     setpoint = law.values[law.declaration.parameters.index("setpoint")]
     speed, stop, on = 0.01, 4e-3, 1e-6
     first = setpoint - speed * stop / 2
-    path = linear_waveform(
+    path = make_linear_waveform(
         ((0.0, 1e6 * first), (stop, 1e6 * (first + speed * stop)))
     )  # um, a signal
-    enabled = linear_waveform(((0.0, 0.0), (on, 0.0), (1.01 * on, 1.0)))
+    enabled = make_linear_waveform(((0.0, 0.0), (on, 0.0), (1.01 * on, 1.0)))
     sources = [L.IdealSource("y", "signal", path), L.IdealSource("enable", "signal", enabled)]
     joins = {"y": ("y.out", "control.y"), "enable": ("enable.out", "control.enable")}
     run = solve_transient(

@@ -7,7 +7,7 @@ from support import (
     Amplifier,
     AmplifierKeys,
     ChargeDrive,
-    ChargeKeys,
+    ChargeDriveKeys,
     CoilLoad,
     HalfBridge,
     HalfBridgeKeys,
@@ -15,7 +15,7 @@ from support import (
     LinearDriverKeys,
     PwmDrive,
     PwmKeys,
-    opamp_subcircuit,
+    make_opamp_subcircuit,
     parameters,
     run_deck,
 )
@@ -36,7 +36,7 @@ Xop in n out vcc vee 0 {part} gbw=1.1e6
 R1 n 0 1000
 R2 out n 10000
 .ac dec 4 100 1e6"""
-    deck = bench([opamp_subcircuit(header, level)], cards, {"out": ("v(out)", 1.0)})
+    deck = bench([make_opamp_subcircuit(header, level)], cards, {"out": ("v(out)", 1.0)})
     waves = run_deck(deck, tmp_path)
     pole = 1 + 1j * waves["frequency"] / 1e5
     np.testing.assert_allclose(waves["out"], 11 / pole, rtol=2e-5)  # 0.1 Ohm and the finite gain
@@ -54,7 +54,7 @@ Rlow low 0 1000
 .options reltol=1e-5
 .tran 1e-07 1e-04 0 1e-07"""
     vectors = {"out": ("v(out)", 1.0), "low": ("v(low)", 1.0)}
-    waves = run_deck(bench([opamp_subcircuit(header, "slew")], cards, vectors, 1e-4), tmp_path)
+    waves = run_deck(bench([make_opamp_subcircuit(header, "slew")], cards, vectors, 1e-4), tmp_path)
     t, out = waves["time"], waves["out"]
     assert out[0] == pytest.approx(0.01, rel=1e-3)
     rising = (t > 12e-6) & (t < 18e-6)
@@ -72,12 +72,12 @@ Rlow low 0 1000
 def test_amplifier_follows_by_one_pole(header, tmp_path):
     """``e (1 + 0.1 Y) = A(s) (command - e) / 20`` at its output, with the chip's and the feedback's
     admittance Y."""
-    part = Amplifier().netlist(header, "amplifier", parameters(AmplifierKeys()))
+    part = Amplifier().render_subcircuit(header, "amplifier", parameters(AmplifierKeys()))
     cards = """Vcommand command 0 AC 1
 Xdriver command out 0 amplifier bandwidth=1e6 resistance=5
 Cchip out 0 1e-08
 .ac dec 3 1e4 1e7"""
-    parts = [opamp_subcircuit(header, "slew"), part]
+    parts = [make_opamp_subcircuit(header, "slew"), part]
     waves = run_deck(bench(parts, cards, {"out": ("v(out)", 1.0)}), tmp_path)
     s = 2j * np.pi * waves["frequency"].real
     chip = 5 + 1 / (s * 1e-8)
@@ -98,7 +98,7 @@ Xdriver command out 0 {name} {cards}
 
 
 def test_half_bridge_limits_current_and_charge(header, tmp_path):
-    part = HalfBridge().netlist(header, "half_bridge", parameters(HalfBridgeKeys()))
+    part = HalfBridge().render_subcircuit(header, "half_bridge", parameters(HalfBridgeKeys()))
     waves = charging(header, [part], "half_bridge",
                      "resistance=0.1 current_limit=3 reservoir=1e-07 supply_resistance=1e6",
                      tmp_path)  # fmt: skip
@@ -110,7 +110,7 @@ def test_half_bridge_limits_current_and_charge(header, tmp_path):
 
 def test_the_voltage_drop_of_the_half_bridge_is_that_of_its_transistor(header, tmp_path):
     """``i = limit (1 - (1 - v / 9 V)^2)`` at a gate of 12 V and a threshold of 3 V."""
-    part = HalfBridge().netlist(header, "half_bridge", parameters(HalfBridgeKeys()))
+    part = HalfBridge().render_subcircuit(header, "half_bridge", parameters(HalfBridgeKeys()))
     cards = "current_limit=6 resistance=2 reservoir=1"
     waves = charging(header, [part], "half_bridge", cards, tmp_path, load="Rload out 0 23")
     i = np.interp(8e-6, waves["time"], waves["i"])
@@ -120,14 +120,14 @@ def test_the_voltage_drop_of_the_half_bridge_is_that_of_its_transistor(header, t
 
 def test_charge_drive_gives_its_charge_to_any_capacitance(header, tmp_path):
     """A volt of command is 150 nC, whatever the chip has: 15 V across 100 nF from 10 V."""
-    part = ChargeDrive().netlist(header, "charge", parameters(ChargeKeys()))
+    part = ChargeDrive().render_subcircuit(header, "charge", parameters(ChargeDriveKeys()))
     cards = """Vcommand command 0 PULSE(0 10 1e-06 1e-07 1e-07 1)
 Xdriver command anode cathode 0 charge
 Cchip anode cathode 1e-07
 .options reltol=1e-5 trtol=1
 .tran 1e-08 3e-05 0 1e-07"""
     vectors = {"a": ("v(anode)", 1.0), "c": ("v(cathode)", 1.0)}
-    parts = [opamp_subcircuit(header, "slew"), part]
+    parts = [make_opamp_subcircuit(header, "slew"), part]
     waves = run_deck(bench(parts, cards, vectors, 3e-5), tmp_path)
     assert waves["a"][-1] - waves["c"][-1] == pytest.approx(15.0, rel=2e-3)  # finite gain
 
@@ -150,7 +150,7 @@ Lcoils middle ret {LOAD.inductance}
 def test_linear_drive_closes_like_one_pole(header, tmp_path):
     """The amplifier of five times the bandwidth adds 2 % to the pole. The command that bypasses
     the controller adds 3 % well below the pole."""
-    part = LinearDrive().netlist(
+    part = LinearDrive().render_subcircuit(
         header, "linear", *LinearDrive().adapt_to_load(LinearDriverKeys(), LOAD)
     )
     cards = f"""Vwanted wanted 0 AC 100
@@ -158,7 +158,7 @@ Xdriver wanted drive ret 0 linear
 Rcoils drive middle {LOAD.resistance}
 Lcoils middle ret {LOAD.inductance}
 .ac dec 1 5e2 5e4"""
-    parts = [opamp_subcircuit(header, "slew"), part]
+    parts = [make_opamp_subcircuit(header, "slew"), part]
     waves = run_deck(bench(parts, cards, {"i": ("i(lcoils)", 1.0)}), tmp_path)
     f = waves["frequency"].real / LinearDriverKeys().bandwidth
     np.testing.assert_allclose(np.abs(waves["i"]), np.abs(1 / (1 + 1j * f)), rtol=0.03)
@@ -167,8 +167,10 @@ Lcoils middle ret {LOAD.inductance}
 def test_linear_drive_is_bound_by_its_rails(header, tmp_path):
     """The rail over all resistance at the end, and the rail over L at the start."""
     drive = LinearDriverKeys(rail=48.0)
-    part = LinearDrive().netlist(header, "linear", *LinearDrive().adapt_to_load(drive, LOAD))
-    parts = [opamp_subcircuit(header, "slew"), part]
+    part = LinearDrive().render_subcircuit(
+        header, "linear", *LinearDrive().adapt_to_load(drive, LOAD)
+    )
+    parts = [make_opamp_subcircuit(header, "slew"), part]
     waves = stepped(parts, "linear", "", tmp_path, 5e-4, ask=10.0)
     total = LOAD.resistance + 100.0 + 1.0 + 0.1
     assert waves["i"][-1] == pytest.approx(48 / total, rel=5e-3)
@@ -180,8 +182,8 @@ def test_linear_drive_is_bound_by_its_rails(header, tmp_path):
 def test_pwm_follows_with_the_ripple_of_the_inductance(header, tmp_path):
     drive = PwmKeys()
     parts = [
-        opamp_subcircuit(header),
-        PwmDrive().netlist(header, "pwm", *PwmDrive().adapt_to_load(drive, LOAD)),
+        make_opamp_subcircuit(header),
+        PwmDrive().render_subcircuit(header, "pwm", *PwmDrive().adapt_to_load(drive, LOAD)),
     ]
     waves = stepped(parts, "pwm", "", tmp_path, 1e-3, ask=1.0)
     t, i = waves["time"], waves["i"]

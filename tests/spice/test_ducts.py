@@ -193,7 +193,7 @@ def test_a_sealed_box_has_an_operating_point(tmp_path):
 
 FAULTS = [
     ({"part": "cavity", "volume": -1.0}, "out of range"),
-    ({"part": "cavity", "volume": 1e-6, "surface": 4.8e-4}, "smaller than that of a sphere"),
+    ({"part": "cavity", "volume": 1e-6, "surface": 4.8e-4}, "smaller than the surface of a sphere"),
     ({"part": "vent", "length": 0.01, "radius": 1e-3, "area": 1e-6}, "two sizes"),
     ({"part": "vent", "length": 0.01}, "no size"),
     ({"part": "tube", "length": 0.0, "radius": 1e-3}, "out of range"),

@@ -8,7 +8,14 @@ import json
 import warnings
 
 import pytest
-from support import Balance, Clock, export_scene, prepare_deck, run_scene, run_simulation
+from support import (
+    RunEnergyBalance,
+    StageTimer,
+    export_scene,
+    prepare_deck,
+    run_scene,
+    run_simulation,
+)
 
 import kc2spice as kc
 
@@ -63,12 +70,14 @@ def test_the_balance_detects_undeclared_energy(scene, old, new, tmp_path):
     """The scene's keys against the run of a netlist with another value."""
     name = SCENES[scene][0]
     loaded = kc.load_scene(scene)
-    _, deck = prepare_deck(loaded, Clock(), edited=edited(scene, tmp_path, old, new))
-    build, _ = prepare_deck(loaded, Clock())
+    _, deck = prepare_deck(loaded, StageTimer(), edited=edited(scene, tmp_path, old, new))
+    build, _ = prepare_deck(loaded, StageTimer())
     waves = run_simulation(build, deck, tmp_path)
     part = loaded.parts[name]
-    (balance,) = [row for row in part.type.checks(part, build, waves) if isinstance(row, Balance)]
-    assert balance.share > 1.5 * balance.limit
+    (balance,) = [
+        row for row in part.type.checks(part, build, waves) if isinstance(row, RunEnergyBalance)
+    ]
+    assert balance.relative_imbalance > 1.5 * balance.limit
 
 
 def test_a_library_with_other_cards_is_not_checked_and_states_the_reason(tmp_path):

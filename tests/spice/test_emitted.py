@@ -18,9 +18,9 @@ from support import (
     ResonatorsOverRanges,
     app,
     estimate_circuit_error,
+    evaluate_polynomials,
     parameter_ranges,
     parametric_subcircuit,
-    polynomials,
     read_cards,
     require_circuit_tolerance,
     run_deck,
@@ -141,14 +141,14 @@ def test_parametric_circuits_are_compared_at_corners_and_inside(monkeypatch):
     assert sum(0.5 < at["length"] < 2.0 for at in points) >= 4
     part = parametric_subcircuit(model, "bar", [parameter])
     assert part.reduction.circuit_error < 1e-9
-    spelled = polynomials(np.array([[1.0]]), exponents)  # what x1 = 1 must give
+    spelled = evaluate_polynomials(np.array([[1.0]]), exponents)  # what x1 = 1 must give
     assert spelled.tolist() == [[1.0, 1.0]]
     text = part.text.replace("l1_1={exp(", "l1_1={exp(1e-6*x1+")
     assert text != part.text
     circuit = read_cards(text, part.filename).subcircuits[0]
     errors = {}
     for value in (1.0, 2.0):
-        exact = model.at({"length": value})
+        exact = model.evaluate({"length": value})
         errors[value] = estimate_circuit_error(
             circuit, part.pins, exact, BAND, values={"length": value}
         )

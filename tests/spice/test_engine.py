@@ -45,7 +45,7 @@ RC = "V1 a 0 PULSE(0 1 0 1n)\nR1 a b 1k\nC1 b 0 1u\n.options acct\n.tran 1u {}"
 def test_incomplete_files_are_refused(content, tmp_path):
     path = tmp_path / "a.raw"
     path.write_bytes(content)
-    with pytest.raises(SimulationError, match="not complete"):
+    with pytest.raises(SimulationError, match="the raw file is damaged"):
         read_raw(path)
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from device import both
-from support import LinearModel, Port, UsageError, inert_ports, load_scene
+from support import LinearModel, Port, UsageError, list_inertial_pins, load_scene
 
 MASS, G = 1e-6, 9.81
 BOX = {"part": "mass", "mass": MASS}
@@ -45,7 +45,7 @@ def test_one_stated_start_makes_the_other_zero(keys, start, tmp_path):
 @pytest.mark.parametrize("shape", [{"sine": {"frequency": 1e3}}, {"pwl": [[0, 0], [1, 1e-6]]}])
 def test_a_jump_of_velocity_is_refused_where_nothing_yields(shape):
     table = {"part": "source", "kind": "displacement", "pins": {"out": "box.a"}}
-    with pytest.raises(UsageError, match="infinite force") as caught:
+    with pytest.raises(UsageError, match=r"makes the velocity of .* jump") as caught:
         load_scene({"name": "free", "box": BOX, "table": table | shape, **STEPS})
     assert caught.value.where == f"scene, key table.{next(iter(shape))}"
     joint = {"part": "spring", "stiffness": 1.0, "pins": {"a": "table.out", "b": "box.a"}}
@@ -57,7 +57,7 @@ def test_a_jump_of_velocity_is_refused_where_nothing_yields(shape):
 def test_a_jump_of_the_load_moves_only_massless_states(light, D, found):
     M, ports = np.diag([1.0, light]), [Port("tip", "mechanical")]
     model = LinearModel(M=M, E=0 * M, K=np.eye(2), B=[[1.0], [1.0]], D=[[D]], ports=ports)
-    assert inert_ports(model) == found
+    assert list_inertial_pins(model) == found
 
 
 def test_two_masses_on_a_spring_keep_their_momentum(tmp_path):

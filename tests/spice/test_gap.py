@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 from support import (
-    Build,
-    Clock,
-    Neglected,
+    BuiltScene,
+    NeglectedEffect,
+    StageTimer,
     UsageError,
     Waveforms,
+    add_results_and_sources,
     build_models,
     count_film_branches,
     evaluate_tree,
     ignore_progress,
     load_scene,
     make_bimorph_blocks,
-    resolve_build,
 )
 
 import kc2spice as kc
@@ -126,7 +126,7 @@ def test_the_branches_of_a_film_follow_from_the_band(top):
         < count_film_branches(scene.parts["plate"], scene)
     )
     told = scene.parts["plate"].type.notes(scene.parts["plate"], scene)
-    (row,) = [n for n in told if isinstance(n, Neglected) and "terms of the film" in n.effect]
+    (row,) = [n for n in told if isinstance(n, NeglectedEffect) and "terms of the film" in n.effect]
     damping = found.imag / (2 * np.pi * top)
     missed = abs(damping / blech(top)[1] - 1)
     assert missed == pytest.approx(float(row.error.split()[0]) / 100, abs=1e-3)
@@ -147,7 +147,7 @@ def test_too_few_branches_are_a_warning(timed):
 def test_an_unstable_branch_fails_a_sweep():
     """A body that comes nearer, or goes, while the voltage falls."""
     scene = load_scene(loop())
-    part, build = scene.parts["plate"], resolve_build(Build(scene, {}))
+    part, build = scene.parts["plate"], add_results_and_sources(BuiltScene(scene, {}))
     for rise, passed in ((1e-7, True), (-1e-7, False)):
         volts = np.linspace(10, 8, 21)
         waves = Waveforms({"sweep": volts, "plate.v": volts,
@@ -344,6 +344,6 @@ def test_forces_that_cancel_in_a_film_do_not_set_the_step(branches):
     tables = pulsed(branches=branches)
     del tables["shake"]["pulse"]
     tables["shake"]["sine"] = {"amplitude": HEIGHT, "frequency": 1e5}
-    limit = build_models(load_scene(tables), Clock(ignore_progress)).largest_step
+    limit = build_models(load_scene(tables), StageTimer(ignore_progress)).largest_step
     assert 1e-5 / 200 < limit.step < 1e-5 / 50
     assert "a motion" not in limit.why

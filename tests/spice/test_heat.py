@@ -7,8 +7,8 @@ import pytest
 import scipy
 from support import (
     NodalCircuit,
-    dialect_names,
     export_scene,
+    list_dialect_names,
     literal_value,
     load_scene,
     verify_scenes,
@@ -224,7 +224,7 @@ def test_reduced_heat_models_keep_static_resistances():
     np.testing.assert_allclose(small.transfer([0.0])[0].real, exact, rtol=1e-9)
 
 
-@pytest.mark.parametrize("dialect", dialect_names())
+@pytest.mark.parametrize("dialect", list_dialect_names())
 def test_all_dialects_write_heat_models_and_elements(tmp_path, dialect):
     slab(tmp_path, [0.4, 0.1], [0.2, 0.05], {"top": 0, "foot": 1})
     pins = 'pins = { top = "drive.out" }\n'

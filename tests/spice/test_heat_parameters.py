@@ -12,9 +12,9 @@ from support import (
     SimulationError,
     UsageError,
     compare_responses,
-    dialect_names,
     export_scene,
     find_thermal_material,
+    list_dialect_names,
     verify_scenes,
 )
 
@@ -352,7 +352,7 @@ FANNED = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("dialect", dialect_names())
+@pytest.mark.parametrize("dialect", list_dialect_names())
 def test_all_dialects_write_films_as_parameters(tmp_path, dialect):
     """Without the film to ambient, the body at the corner of the ranges keeps all of its heat."""
     written = export_scene(kc.load_scene(FANNED), tmp_path / dialect, dialect)

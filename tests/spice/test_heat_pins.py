@@ -12,8 +12,8 @@ from support import (
     Number,
     SimulationError,
     UsageError,
-    dialect_names,
     find_resistance_coefficient,
+    list_dialect_names,
     multiply_trees,
 )
 
@@ -241,7 +241,7 @@ def test_a_netlist_that_gives_off_too_little_heat_fails_the_balance(monkeypatch)
 
 def test_every_dialect_and_the_symbol_have_the_pins_of_heat(tmp_path):
     scene, _ = heated_scene("voice_coil")
-    for dialect in dialect_names():
+    for dialect in list_dialect_names():
         files = kc.export(scene, tmp_path / dialect, dialect=dialect)
         texts = [path.read_text("utf-8") for path in map(Path, files) if "part" in path.name]
         texts = texts or [path.read_text("utf-8") for path in map(Path, files)]

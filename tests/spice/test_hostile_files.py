@@ -5,7 +5,7 @@ import os
 
 import pytest
 from hostile import meshes, readers
-from support import api, material
+from support import api, find_material
 
 READING = readers.COMMANDS | {
     "bench": ("bench", "hostile.toml", "-o", "out"),
@@ -111,5 +111,5 @@ def test_an_honest_mesh_is_read_in_every_format(name, home):
     (home / name).write_bytes(data)
     mesh_scene(home, name, more)
     model = api.build(str(home / "hostile.toml"))["bar"]
-    expected = meshes.VOLUME * material("steel").density
+    expected = meshes.VOLUME * find_material("steel").density
     assert model.facts["mass_kg"] == pytest.approx(expected, rel=1e-9)

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 from scipy.integrate import trapezoid
-from support import Clock, UsageError, load_scene, prepare_deck
+from support import StageTimer, UsageError, load_scene, prepare_deck
 
 import kc2spice as kc
 
@@ -130,7 +130,7 @@ def test_the_heat_of_a_resonator_is_the_real_part_of_its_admittance():
 @pytest.mark.parametrize("kind", ["bimorph", "langevin", "piezo_stack", "bvd", "crystal"])
 def test_heat_is_the_work_less_the_stored_energy(kind):
     scene, _ = driven(kind, reltol=1e-6)
-    build, _ = prepare_deck(load_scene(scene), Clock())
+    build, _ = prepare_deck(load_scene(scene), StageTimer())
     result = kc.run(scene)
     waves, t = result.waves, result.time
     work = trapezoid(waves["part.voltage"] * waves["part.current"], t)

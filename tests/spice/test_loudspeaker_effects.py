@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scipy.special import j1, struve
-from support import dialect_names
+from support import list_dialect_names
 
 import kc2spice as kc
 
@@ -223,7 +223,7 @@ def test_noise_is_that_of_the_real_part_of_the_impedance():
     np.testing.assert_allclose(np.abs(waves["noise"]), expected, rtol=2e-3)
 
 
-@pytest.mark.parametrize("dialect", dialect_names())
+@pytest.mark.parametrize("dialect", list_dialect_names())
 def test_every_dialect_has_all_effects(dialect, tmp_path):
     load = {"part": "acoustic_resistor", "resistance": 2e4}
     tables = scene(SEMI | {"creep": 0.1}, {"front": "load.a"}, {"load": load})
@@ -236,7 +236,7 @@ def test_every_dialect_has_all_effects(dialect, tmp_path):
         ({"leb": 1e-4}, {}, "semi-inductance"),
         ({"rss": 100.0}, {}, "no inductance in parallel"),
         ({"creep": 0.9, "rms": 0.2}, {}, "higher losses at fs"),
-        ({"sd": None}, {"front": "load.a"}, "area of the cone is missing"),
+        ({"sd": None}, {"front": "load.a"}, "needs the area of its cone"),
         ({"sd": 0.5}, {"front": "load.a"}, "smaller than the mass of the air"),
     ],
 )

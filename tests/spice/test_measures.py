@@ -5,7 +5,7 @@ import subprocess
 
 import numpy as np
 import pytest
-from support import Clock, find_ngspice, prepare_deck, translate_deck, write_files
+from support import StageTimer, find_ngspice, prepare_deck, translate_deck, write_files
 
 import kc2spice as kc
 
@@ -25,7 +25,7 @@ SWEPT = {
 def printed(deck, directory):
     """Measured values by name, as ngspice prints them without a raw file."""
     write_files(deck.files, directory)
-    command = [find_ngspice().path, "-b", "-n", deck.main]
+    command = [find_ngspice().path, "-b", "-n", deck.main_file_name]
     text = subprocess.run(command, cwd=directory, capture_output=True, text=True, check=True).stdout
     rows = re.findall(r"(?m)^(\w+) +=\s+(\S+)", text)
     return {name: float(value) for name, value in rows}
@@ -33,7 +33,7 @@ def printed(deck, directory):
 
 def run(scene, directory):
     """Values that ngspice prints, and the result of the program."""
-    _, deck = prepare_deck(scene, Clock())
+    _, deck = prepare_deck(scene, StageTimer())
     assert deck.measures
     values = printed(deck, directory)
     assert {m.name.lower() for m in deck.measures} <= values.keys()
@@ -81,10 +81,10 @@ def test_a_resonance_frequency_is_that_of_the_largest_point(tmp_path):
 
 
 def test_only_the_analysis_that_a_measure_belongs_to_has_it():
-    _, deck = prepare_deck(kc.load_scene("loudspeaker"), Clock())
-    assert ".meas tran " in deck.files[deck.main]
+    _, deck = prepare_deck(kc.load_scene("loudspeaker"), StageTimer())
+    assert ".meas tran " in deck.files[deck.main_file_name]
     operating = deck.with_command(kc.deck("loudspeaker").command.__class__("op", ()))
-    assert ".meas" not in operating.files[operating.main]
+    assert ".meas" not in operating.files[operating.main_file_name]
 
 
 DISCHARGE = {
@@ -104,7 +104,7 @@ DISCHARGE = {
 
 
 def test_crossings_and_values_are_those_that_ngspice_prints(tmp_path):
-    _, deck = prepare_deck(kc.load_scene(DISCHARGE), Clock())
+    _, deck = prepare_deck(kc.load_scene(DISCHARGE), StageTimer())
     values, metrics = printed(deck, tmp_path), kc.run(DISCHARGE).metrics
     tau, begin = 1e-3, 0.1005e-3
     assert values["half_s"] == pytest.approx(metrics["half_s"], rel=2e-6)
@@ -151,13 +151,13 @@ def test_an_operating_point_prints_the_values_of_its_probes(tmp_path):
         "analysis": {"type": "op"},
         "probes": {"moved_m": {"of": "push.x", "take": "final"}},
     }
-    _, deck = prepare_deck(kc.load_scene(scene), Clock())
-    text = deck.files[deck.main]
+    _, deck = prepare_deck(kc.load_scene(scene), StageTimer())
+    text = deck.files[deck.main_file_name]
     (factor, node) = re.search(r"(?m)^\* moved_m in SI units is (\S+) times (\S+)$", text).groups()
     assert f".print op {node}" in text
     assert ".meas" not in text
     write_files(deck.files, tmp_path)
-    command = [find_ngspice().path, "-b", "-n", deck.main]
+    command = [find_ngspice().path, "-b", "-n", deck.main_file_name]
     shown = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True).stdout
     value = float(re.search(rf"(?mi)^\s*{re.escape(node[2:-1])}\s+(\S+)$", shown)[1])
     assert value * float(factor) == pytest.approx(kc.run(scene).metrics["moved_m"], rel=2e-6)
@@ -179,18 +179,18 @@ MEASURED = {
 
 @pytest.mark.parametrize("dialect", MEASURED)
 def test_measurements_have_the_syntax_of_other_simulators(dialect):
-    _, deck = prepare_deck(kc.load_scene(DISCHARGE), Clock())
+    _, deck = prepare_deck(kc.load_scene(DISCHARGE), StageTimer())
     lines = translate_deck(deck, dialect).text.split("\n")
     assert set(MEASURED[dialect]) <= set(lines)
     assert "* Main metrics in SI units" in lines
 
 
 def test_scales_and_magnitudes_have_the_syntax_of_other_simulators():
-    _, deck = prepare_deck(kc.load_scene("gap_biased"), Clock())
+    _, deck = prepare_deck(kc.load_scene("gap_biased"), StageTimer())
     xyce, ltspice = (translate_deck(deck, dialect).text for dialect in ("xyce", "ltspice"))
     assert re.search(r"(?m)^\.measure AC voltage_hz MAX VM\(\w+\) OUTPUT=FREQ$", xyce)
     assert "LTspice prints no .meas ac voltage_hz MAX_AT" in ltspice
-    _, deck = prepare_deck(kc.load_scene("loudspeaker"), Clock())
+    _, deck = prepare_deck(kc.load_scene("loudspeaker"), StageTimer())
     xyce, ltspice = (translate_deck(deck, dialect).text for dialect in ("xyce", "ltspice"))
     scaled = r"(?m)^\.meas\w* TRAN (\w+) (?:PARAM |EQN \{)1e-06\*\1_raw\}?$"
     assert re.search(scaled, xyce)
@@ -200,7 +200,7 @@ def test_scales_and_magnitudes_have_the_syntax_of_other_simulators():
 @pytest.mark.parametrize("dialect", ["ltspice", "xyce"])
 def test_no_measure_scales_one_that_a_dialect_lacks(dialect):
     """Neither gives the place of a maximum of a sweep, so none is multiplied by the unit."""
-    _, deck = prepare_deck(kc.load_scene(STRETCHED), Clock())
+    _, deck = prepare_deck(kc.load_scene(STRETCHED), StageTimer())
     text = translate_deck(deck, dialect).text
     assert re.search(r"(?m)^\.meas\w* DC rest_m (PARAM |EQN \{)1e-06\*rest_m_raw", text)
     assert not re.search(r"(?m)^\.meas.*largest_m", text)

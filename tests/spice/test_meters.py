@@ -129,13 +129,13 @@ def test_flows_into_a_net_sum_to_zero(tmp_path):
     })  # fmt: skip
     build = models(scene)
     waves = simulate_deck(build, make_deck(build), tmp_path).waves
-    at_mass = [("mass", "a"), *scene.joined_pins("mass", "a")]
+    at_mass = [("mass", "a"), *scene.list_joined_pins("mass", "a")]
     acting = compute_pin_forces(build, waves)
     forces = [acting[end] for end in at_mass]
     assert len(forces) == 5
     assert forces[1].max() == pytest.approx(0.1, rel=1e-3)  # the source pushes upwards
     assert np.abs(sum(forces)).max() < 1e-6 * max(np.abs(f).max() for f in forces)
-    at_drive = [("drive", "out"), *scene.joined_pins("drive", "out")]
+    at_drive = [("drive", "out"), *scene.list_joined_pins("drive", "out")]
     read = [find_flows(build.records[n].vectors, p).items() for n, p in at_drive]
     amperes = [sign * waves[name] for rows in read for name, (_, sign) in rows]
     assert len(amperes) == 3

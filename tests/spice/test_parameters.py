@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from device import deck_of
 from support import (
-    Chip,
-    Command,
+    AnalysisCommand,
     Deck,
+    StackKeys,
     make_stack,
     reduce_model,
     require_valid_wiring,
@@ -61,7 +61,7 @@ def with_words(deck, subcircuit, words):
 
 def short(deck):
     first, _, *rest = deck.command.words
-    return replace(deck, command=Command("tran", (first, repr(STOP), *rest)), stop=STOP)
+    return replace(deck, command=AnalysisCommand("tran", (first, repr(STOP), *rest)), stop=STOP)
 
 
 SECTIONS = {
@@ -114,5 +114,5 @@ Xkick anode 0 ring0 ring1 ring2 ring3 ring4 ring5 0 kick {given}
 
 
 def chip(damping, header):
-    device = make_stack(Chip(damping=damping, mesh={"sectors": 4, "outer_rings": 3})).model
+    device = make_stack(StackKeys(damping=damping, mesh={"sectors": 4, "outer_rings": 3})).model
     return subcircuit(reduce_model(device, order=30, band=(0.0, 500e3)), "kick", header)

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from device import bench
 from support import (
-    Control,
-    coils_subcircuit,
-    current_products,
+    PidKeys,
+    compute_current_products,
     find_failure,
-    opamp_subcircuit,
-    pid_subcircuit,
+    make_coils_subcircuit,
+    make_opamp_subcircuit,
+    make_pid_subcircuit,
     run_deck,
 )
 
@@ -29,7 +29,7 @@ Rcoils drive ret 3192
     if control.ki:
         ideal = "v(xpid.state_integral)", 1 / control.ki
         vectors["integral"] = ideal if control.form == "ideal" else ("v(xpid.i)", -10.0 / 2e3)
-    parts = [opamp_subcircuit(header), pid_subcircuit(header, control, load=load)]
+    parts = [make_opamp_subcircuit(header), make_pid_subcircuit(header, control, load=load)]
     return bench(parts, cards, vectors, stop)
 
 
@@ -38,7 +38,7 @@ FORMS = pytest.mark.parametrize("form", ["opamps", "ideal"])
 
 @FORMS
 def test_controller_is_clamped_silent_before_enable_and_does_not_wind_up(header, form, tmp_path):
-    control = Control(form=form)
+    control = PidKeys(form=form)
     # 3 ms far below the set point, then just above it
     position = "0 1000 3e-03 1000 3.01e-03 2501 4e-03 2501"
     waves = run_deck(controller(header, control, position, 4e-3, 1e-3), tmp_path)
@@ -55,14 +55,14 @@ def test_controller_is_clamped_silent_before_enable_and_does_not_wind_up(header,
 @pytest.mark.parametrize(("how", "form"), [("export", "ideal"), ("instance", "opamps")])
 def test_controller_has_the_specified_gains(header, how, form, tmp_path):
     """Small signals by ``KP + KI / s + KD s / (1 + s rolloff)``, exported or set in the deck."""
-    control = Control(kp=3e4, ki=3e5, kd=12.0, rolloff=2e-7, form=form)
+    control = PidKeys(kp=3e4, ki=3e5, kd=12.0, rolloff=2e-7, form=form)
     given = f"kp={control.kp} ki={control.ki} kd={control.kd} rolloff={control.rolloff}"
-    exported = control if how == "export" else Control(form=form)
+    exported = control if how == "export" else PidKeys(form=form)
     cards = f"""Vy y 0 DC 2500 AC 1
 Venable enable 0 1
 Xpid y enable command 0 pid {given if how == "instance" else ""}
 .ac dec 5 100 3e5"""
-    parts = [opamp_subcircuit(header), pid_subcircuit(header, exported, output=False)]
+    parts = [make_opamp_subcircuit(header), make_pid_subcircuit(header, exported, output=False)]
     waves = run_deck(bench(parts, cards, {"out": ("v(command)", 1e-2)}), tmp_path)
     s = 2j * np.pi * waves["frequency"]
     law = control.kp + control.ki / s + control.kd * s / (1 + s * control.rolloff)
@@ -77,14 +77,14 @@ Xpid y enable command 0 pid {given if how == "instance" else ""}
 @FORMS
 def test_a_disabled_controller_starts_again_from_zero(header, form, tmp_path):
     """1 um above the set point all the time, with an integral that reaches ten times kp e."""
-    control = Control(form=form, kp=1e3, ki=1e7, kd=0.0)
+    control = PidKeys(form=form, kp=1e3, ki=1e7, kd=0.0)
     cards = """Vy y 0 2501
 Venable enable 0 PULSE(0 1 1e-06 1e-08 1e-08 1e-03 1.5e-03)
 Xpid y enable drive ret 0 pid
 Rcoils drive ret 3192
 .options reltol=1e-5 trtol=1
 .tran 1e-06 2.0e-03 0 1e-06"""
-    parts = [opamp_subcircuit(header), pid_subcircuit(header, control)]
+    parts = [make_opamp_subcircuit(header), make_pid_subcircuit(header, control)]
     waves = run_deck(bench(parts, cards, {"i": ("@rcoils[i]", 1.0)}, 2e-3), tmp_path)
     for start in (1e-6, 1.501e-3):  # an emptied integral is that of a microsecond
         t = start + np.array([50e-6, 450e-6])
@@ -102,10 +102,10 @@ Iupper 0 up {i2}
 Xcoil lp 0 up 0 y v 0 coil
 .op"""
     vectors = {"force": ("i(vv)", 1.0), "lower": ("v(lp)", 1.0), "upper": ("v(up)", 1.0)}
-    waves = run_deck(bench([coils_subcircuit(header, table)], cards, vectors), tmp_path)
+    waves = run_deck(bench([make_coils_subcircuit(header, table)], cards, vectors), tmp_path)
 
     def coenergy(y, i1, i2):
-        return float(table.coenergy.terms(y) @ current_products(i1, i2))
+        return float(table.coenergy.terms(y) @ compute_current_products(i1, i2))
 
     h, d = 1e-7, 1e-4
     force = (coenergy(y + h, i1, i2) - coenergy(y - h, i1, i2)) / (2 * h)

@@ -12,7 +12,7 @@ from support import format_plot_script, load_scene, write_files
 def test_every_curve_of_the_command_file_is_drawn(name, model, table, tmp_path):
     deck = deck_of(load_scene(name), model, table)
     ((file, text),) = format_plot_script(deck).items()
-    assert f"ngspice {file}" in deck.files[deck.main]
+    assert f"ngspice {file}" in deck.files[deck.main_file_name]
     plots = re.findall(r"(?m)^plot (.*)$", text)
     assert plots
     for k, words in enumerate(plots):  # without a screen: as a picture

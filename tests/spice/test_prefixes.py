@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from support import (
     Deck,
+    format_with_prefix,
     literal_value,
     read_parameter,
     read_value,
     run_deck,
-    with_prefix,
     with_prefixes,
 )
 
@@ -53,7 +53,7 @@ def read_by_ngspice(kind, texts, folder):
 @pytest.mark.parametrize("kind", CARDS)
 def test_ngspice_reads_the_same_double(kind, tmp_path):
     plain = read_by_ngspice(kind, NUMBERS, tmp_path / "plain")
-    spelled = [with_prefix(text) for text in NUMBERS]
+    spelled = [format_with_prefix(text) for text in NUMBERS]
     assert sum(text != other for text, other in zip(NUMBERS, spelled, strict=True)) > 500
     assert np.array_equal(read_by_ngspice(kind, spelled, tmp_path / "prefix"), plain)
     read = read_value if kind in ("value", "waveform") else read_parameter
@@ -68,12 +68,12 @@ def test_plain_prefixes_would_be_other_doubles(tmp_path):
 
 def test_our_reader_reads_the_true_value():
     for text in NUMBERS:
-        assert literal_value(with_prefix(text)) == float(Decimal(text))
+        assert literal_value(format_with_prefix(text)) == float(Decimal(text))
 
 
 def test_numbers_are_those_of_an_engineer():
     for text in draw(300):
-        spelled = with_prefix(text)
+        spelled = format_with_prefix(text)
         mantissa = re.match(r"[\d.]+", spelled)[0]
         assert spelled == text or 0.1 <= float(mantissa) < 1000
 

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from support import Clock, UsageError, decks, load_scene
+from support import StageTimer, UsageError, decks, load_scene
 
 import kc2spice as kc
 
@@ -117,14 +117,14 @@ def test_names_are_checked_before_any_model_is_built(of, near, monkeypatch):
 
     monkeypatch.setattr(type(load_scene(BEAM).parts["b"].type), "build", build)
     with pytest.raises(UsageError) as caught:
-        decks.prepare_deck(load_scene({**BEAM, "probes": {"u": {"of": of}}}), Clock())
+        decks.prepare_deck(load_scene({**BEAM, "probes": {"u": {"of": of}}}), StageTimer())
     assert near in f"{caught.value.expected} {caught.value.hint}"
 
 
 def test_motions_at_ports_that_nothing_is_joined_to_are_offered():
     """``PART.u.PIN`` of every port: a probe alone keeps it."""
     with pytest.raises(UsageError) as caught:
-        decks.prepare_deck(load_scene({**BEAM, "probes": {"u": {"of": "b.u"}}}), Clock())
+        decks.prepare_deck(load_scene({**BEAM, "probes": {"u": {"of": "b.u"}}}), StageTimer())
     assert "b.u.tip" in caught.value.expected
     assert "b.u.middle" in caught.value.expected
 

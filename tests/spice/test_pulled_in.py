@@ -118,6 +118,6 @@ def test_a_linear_scene_needs_no_operating_point(monkeypatch):
     def refused(*_):
         raise AssertionError("a second run of the simulator")
 
-    monkeypatch.setattr("kc2spice.workflow.operating.run_deck", refused)
+    monkeypatch.setattr("kc2spice.workflow.operating_point.run_deck", refused)
     probes = {"i": {"of": "bender.current", "take": "max"}}
     assert kc.run(bent(probes=probes)).record["operating_point"] == {}

@@ -10,18 +10,18 @@ from support import (
     SampledSource,
     SimulationError,
     declare_sphere,
-    opamp_subcircuit,
+    make_opamp_subcircuit,
     pyspice_subcircuit,
     run_deck,
-    run_shared,
+    run_in_libngspice,
 )
-from support import declared_subcircuit as declared
+from support import make_declared_subcircuit as declared
 
 
 def test_shared_engine_gives_the_batch_engines_points(varied, model, table, tmp_path):
     deck = deck_of(varied(**{"solver.stop": 0.6e-3}), model, table)
     shares = []
-    shared, batch = run_shared(deck, progress=shares.append), run_deck(deck, tmp_path)
+    shared, batch = run_in_libngspice(deck, progress=shares.append), run_deck(deck, tmp_path)
     assert set(shared.data) == set(batch.data)
     np.testing.assert_allclose(shared["time"], batch["time"], rtol=1e-12, atol=1e-18)
     for name in ("sphere.y", "contact.force", "kick.current"):
@@ -55,13 +55,13 @@ def test_failing_function_is_reported():
         raise ZeroDivisionError("no answer")
 
     with pytest.raises(SimulationError, match="the Python function of the controller failed"):
-        run_shared(rc(), sampled(broken))
+        run_in_libngspice(rc(), sampled(broken))
 
 
 def test_failing_circuit_is_reported_and_leaves_the_engine_usable():
     with pytest.raises(SimulationError):
-        run_shared(rc(RC.replace("R1 a b 1000", "Xr a b nothing_of_this_name")))
-    assert run_shared(rc())["time"][-1] == pytest.approx(1e-4)
+        run_in_libngspice(rc(RC.replace("R1 a b 1000", "Xr a b nothing_of_this_name")))
+    assert run_in_libngspice(rc())["time"][-1] == pytest.approx(1e-4)
 
 
 def test_parts_are_pyspice_subcircuits(header):
@@ -71,11 +71,11 @@ def test_parts_are_pyspice_subcircuits(header):
     part = declared(header, "sphere", declare_sphere(1e-5, 1e-3, 9.81), {})
     circuit = Circuit("a sphere in Python")
     circuit.subcircuit(pyspice_subcircuit(part))
-    circuit.subcircuit(pyspice_subcircuit(opamp_subcircuit(header)))
+    circuit.subcircuit(pyspice_subcircuit(make_opamp_subcircuit(header)))
     circuit.X("ball", "sphere", "v", "bottom", "y", circuit.gnd, mass=2e-5)
     circuit.I("push", circuit.gnd, "v", 2e-5 * 9.81 + 2e-5)
     text = str(circuit)
     assert text.count(".subckt sphere v bottom y base") == 1
     text += ".tran 1e-06 1e-03 uic\n.save v(v)\n.end\n"
     deck = Deck(name="ball", text=text, vectors={"v": ("v(v)", 1.0)}, stop=1e-3)
-    assert run_shared(deck)["v"][-1] == pytest.approx(1e-3, rel=1e-6)  # 1 m/s^2 for 1 ms
+    assert run_in_libngspice(deck)["v"][-1] == pytest.approx(1e-3, rel=1e-6)  # 1 m/s^2 for 1 ms

@@ -237,7 +237,9 @@ def test_a_listener_without_a_surface_is_refused():
 
 
 def test_a_band_beyond_the_network_warns_before_the_simulation():
-    with pytest.warns(UserWarning, match=r"holds up to 20\.\d+ kHz, the analysis ends at 30 kHz"):
+    with pytest.warns(
+        UserWarning, match=r"valid up to 20\.\d+ kHz, but the analysis ends at 30 kHz"
+    ):
         load_scene(front("free_piston") | {"analysis": SWEEP | {"stop": "30 kHz"}})
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -13,9 +13,9 @@ from scipy import sparse
 from scipy.linalg import eigh
 from scipy.sparse.linalg import splu
 from support import (
-    Clock,
     GateMissedError,
     Kc2spiceError,
+    StageTimer,
     export_rom,
     export_scene,
     list_varied_keys,
@@ -177,7 +177,7 @@ def stated(part):
     return float(error), norm
 
 
-def require_within(found, exact, part, peak=None):
+def require_values_in_ranges(found, exact, part, peak=None):
     error, norm = stated(part)
     peak = np.abs(exact).max(axis=0) if peak is None else peak
     size = peak if norm == "peak" else np.maximum(np.abs(exact), FLOOR * peak)
@@ -284,12 +284,12 @@ def test_bodies(family, seed, tmp_path):
     refused(export_scene, scene, tmp_path / "out")
     (part,) = read_lib(tmp_path / "out" / "scene_body.lib")
     body = scene.parts["body"]
-    full = body.type.build(body, scene, Clock(), full=True)
-    rom = body.type.build(body, scene, Clock())
+    full = body.type.build(body, scene, StageTimer(), full=True)
+    rom = body.type.build(body, scene, StageTimer())
     modes = np.abs(rom.poles().imag) / (2 * np.pi)
     f = frequencies(rng, band, np.unique(modes), POINTS if family == "disc" else FEW)
     exact = as_frames_force(refined(full, f), full.ports, f, full.facts.get("mass_kg"))
-    require_within(ngspice(part, full.ports, f, tmp_path), exact, part)
+    require_values_in_ranges(ngspice(part, full.ports, f, tmp_path), exact, part)
 
 
 # Ranges of a body by the share of its sizes, its support, and the port that a force pushes.
@@ -344,12 +344,14 @@ def test_parametric_bodies(family, tmp_path):
             key: float(low + at * (high_ - low))
             for at, (key, (low, high_)) in zip(x, ranges.items(), strict=True)
         }
-        full = body.type.full_on_mesh(with_values(body, values), scene, Clock(), middle).select(
-            ports
-        )
+        full = body.type.make_full_model_on_mesh(
+            with_values(body, values), scene, StageTimer(), middle
+        ).select(ports)
         f = frequencies(rng, (0.01 * high, high), points=POINTS if make is disc else FEW)
         named = {names[key]: value for key, value in values.items()}
-        require_within(ngspice(library, full.ports, f, tmp_path, named), full.transfer(f), library)
+        require_values_in_ranges(
+            ngspice(library, full.ports, f, tmp_path, named), full.transfer(f), library
+        )
 
 
 # --- foreign matrices -----------------------------------------------------------------------------
@@ -420,7 +422,9 @@ def test_foreign_matrices(make, seed, tmp_path):
     (part,) = read_lib(tmp_path / "out" / "rnd_rom.lib")
     f = frequencies(rng, (low, high), np.unique(w / (2 * np.pi)))
     ports = kc.read_model(tmp_path / "rnd.npz").ports
-    require_within(ngspice(part, ports, f, tmp_path), np.array(exact(2j * np.pi * f)), part)
+    require_values_in_ranges(
+        ngspice(part, ports, f, tmp_path), np.array(exact(2j * np.pi * f)), part
+    )
 
 
 # --- measured parts -------------------------------------------------------------------------------
@@ -463,4 +467,4 @@ def test_measured_parts(seed, tmp_path):
     )
     found = ngspice(part, ports, f[at], tmp_path)[:, 0, 0] * 2j * np.pi * f[at]
     peak = np.abs(1 / Z).max()[None, None]
-    require_within(found[:, None, None], 1 / Z[at][:, None, None], part, peak)
+    require_values_in_ranges(found[:, None, None], 1 / Z[at][:, None, None], part, peak)

@@ -45,7 +45,7 @@ def slowest(E, K):
 
 def condensed(model, case):
     """E, K and B of the full model with the case at the ambient temperature."""
-    K, E = (np.asarray(part) for part in model.pencil.dense().coefficients)
+    K, E = (np.asarray(part) for part in model.pencil.make_dense().coefficients)
     names = [port.name for port in model.ports]
     B = model.B
     if case is not None:

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from support import Check, RetriesFailedError, app, suggested_keys
+from support import Check, RetriesFailedError, app, suggest_keys
 from typer.testing import CliRunner
 
 SCENE = """name = "bar_on_file"
@@ -225,7 +225,7 @@ def test_an_order_that_the_run_chose_doubles_until_the_body_is_fine(automatic, n
     """An order of the scene itself stays; so does one whose double takes too many solutions."""
     error = RetriesFailedError("a check of the result failed")
     error.violated, error.suggested = (Check("reduction of bar", 0.2, 0.1, loaded=True),), {}
-    keys = suggested_keys(error, automatic)
+    keys = suggest_keys(error, automatic)
     assert keys == ({} if next_order is None else {"bar.rom.order": next_order})
     error.violated += (Check("rating of bar", 2.0, 1.0),)
-    assert not suggested_keys(error, automatic)
+    assert not suggest_keys(error, automatic)

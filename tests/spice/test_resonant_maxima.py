@@ -212,7 +212,7 @@ def test_all_frequencies_are_about_one_operating_point(edited, scene_file, tmp_p
     if edited:
         for name, text in result.deck.files.items():
             (tmp_path / name).write_text(text)
-        main = tmp_path / result.deck.main
+        main = tmp_path / result.deck.main_file_name
         main.write_text(main.read_text().replace(".end\n", "* edited\n.end\n"))
         result = kc.run(path, deck=main)
     roots = np.roots([c, 0.0, k, -F0])

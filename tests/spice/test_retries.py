@@ -9,7 +9,7 @@ from support import (
     Deck,
     RetriesFailedError,
     Verdict,
-    list_checks,
+    form_verdict,
     make_deck,
     run_deck,
     run_with_retries,
@@ -37,7 +37,7 @@ def test_a_result_of_too_coarse_steps_is_run_again(varied, model, table, tmp_pat
             tmp_path,
             batch(tmp_path),
             retries=3,
-            judge=lambda waves: list_checks(waves, build),
+            judge=lambda waves: form_verdict(waves, build),
         )
     books = [f"energy of {part}" for part in ("sphere", "contact", "kick")]
     assert done.attempts[0].cause.split(":")[0] in books
@@ -50,7 +50,7 @@ def test_a_result_of_too_coarse_steps_is_run_again(varied, model, table, tmp_pat
 def test_failures_that_no_tolerance_prevents_are_not_repeated(scene, loop, model, table, tmp_path):
     def beyond(waves):
         far = waves.data | {"sphere.y": waves["sphere.y"] + 1.0}
-        return list_checks(dataclasses.replace(waves, data=far), built(scene, model, table))
+        return form_verdict(dataclasses.replace(waves, data=far), built(scene, model, table))
 
     with pytest.raises(RetriesFailedError, match="table left") as caught:
         run_with_retries(loop, tmp_path, batch(tmp_path), retries=3, judge=beyond)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import device
 import numpy as np
 import pytest
-from support import Clock, load_scene, make_deck, prepare_deck, ringing, run_deck
+from support import StageTimer, load_scene, make_deck, prepare_deck, ringing_time, run_deck
 
 KICK = {
     "name": "rings", "kick": {"drive": {"voltage": "100 V", "start": "1 us"}}, "contact": {},
@@ -29,19 +29,19 @@ def test_ngspice_needs_the_expected_number_of_time_points(damping, tmp_path):
     build = device.built(scene, model)
     deck = make_deck(build)
     taken = run_deck(deck, tmp_path)["time"].size
-    expected = ringing.estimate_ringing("kick", build.models["kick"], 59e-6, deck.reltol)
+    expected = ringing_time.estimate_ringing("kick", build.models["kick"], 59e-6, deck.reltol)
     assert 0.75 < expected.points / taken < 1.35
 
 
 def test_a_long_ringing_is_announced_before_the_run(monkeypatch):
     build = device.built(load_scene(KICK), chip(0.0))
-    monkeypatch.setattr(ringing, "MANY_POINTS", 2e3)
+    monkeypatch.setattr(ringing_time, "MANY_POINTS", 2e3)
     with pytest.warns(UserWarning, match=r"kick rings at up to .*Hz .* time points, .* s of CPU"):
-        ringing.warn_of_long_run(build, make_deck(build))
+        ringing_time.warn_of_long_run(build, make_deck(build))
     damped = device.built(load_scene(KICK), chip(0.05))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        ringing.warn_of_long_run(damped, make_deck(damped))
+        ringing_time.warn_of_long_run(damped, make_deck(damped))
 
 
 def test_a_run_of_many_short_steps_is_announced_with_their_cause():
@@ -53,11 +53,11 @@ def test_a_run_of_many_short_steps_is_announced_with_their_cause():
         "load": {"part": "resistor", "resistance": 1e3, "pins": {"b": "gnd"}},
         "analysis": {"type": "transient", "stop": 10.0},
     }
-    build, deck = prepare_deck(load_scene(scene), Clock())
+    build, deck = prepare_deck(load_scene(scene), StageTimer())
     with pytest.warns(UserWarning, match=r"1e\+06 time points.* is 10 .s \(not all of it is line"):
-        ringing.warn_of_long_run(build, deck)
+        ringing_time.warn_of_long_run(build, deck)
     shorter = {**scene, "analysis": {"type": "transient", "stop": 2.0}}
-    build, deck = prepare_deck(load_scene(shorter), Clock())
+    build, deck = prepare_deck(load_scene(shorter), StageTimer())
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        ringing.warn_of_long_run(build, deck)
+        ringing_time.warn_of_long_run(build, deck)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from device import deck_of
-from support import Clock, Waveforms, build_models, load_scene, run_deck, solve_laws
+from support import StageTimer, Waveforms, build_models, load_scene, run_deck, solve_laws
 
 import kc2spice as kc
 
@@ -40,7 +40,9 @@ def test_noise_has_its_rms_and_is_white_between_samples(tmp_path):
 def test_the_reading_follows_a_step_by_its_pole_and_offset_in_ngspice_and_by_its_law():
     scene = sensed(100e-6, offset=OFFSET)
     ngspice = kc.run(scene).waves
-    law = solve_laws(build_models(scene, Clock()), Waveforms({"time": ngspice["time"]}, {})).results
+    law = solve_laws(
+        build_models(scene, StageTimer()), Waveforms({"time": ngspice["time"]}, {})
+    ).results
     # ngspice's steps; the edge of a nanosecond, of which half is a delay
     for waves, limit in ((ngspice, 1e-3), (law, 1e-7)):
         late = np.maximum(waves["time"] - 10e-6 - 0.5e-9, 0.0)
@@ -69,7 +71,7 @@ def test_control_through_a_sensor_equals_the_laws(eye):
         data["control"]["pins"] = {"y": "eye.out"}
     scene = load_scene(data)
     ngspice = kc.run(scene).waves
-    build = build_models(scene, Clock())
+    build = build_models(scene, StageTimer())
     law = solve_laws(build, Waveforms({"time": ngspice["time"]}, {})).results
     for name, limit in (("sphere.y", 1e-9), ("control.error", 1e-9), ("sphere.v", 1e-5)):
         found = np.interp(law["time"], ngspice["time"], ngspice[name])

@@ -7,12 +7,12 @@ import pytest
 import scipy.io
 from scipy.integrate import solve_ivp
 from support import (
-    Build,
+    BuiltScene,
     SceneFile,
     UsageError,
     _make_scene,
     describe_plan,
-    dialect_names,
+    list_dialect_names,
     load_scene,
 )
 
@@ -80,7 +80,7 @@ def test_masses_in_time_follow_coupled_equations():
     result = kc.run(scene)
     (body,) = kc.build(scene).values()
     rom = kc.reduce(body, order=6, band=(0.0, 2e3))
-    K, E, M = rom.pencil.dense().coefficients
+    K, E, M = rom.pencil.make_dense().coefficients
     ports = [port.name for port in rom.ports]
     c, b = rom.C[ports.index("tip")], rom.B[:, ports.index("base")]
     M, E, K = (X + s * np.outer(c, c) for X, s in zip((M, E, K), (MASS, 0.1, SPRING), strict=True))
@@ -146,13 +146,13 @@ def test_a_stop_on_the_frame_meets_relative_displacements():
 def test_explain_states_the_reference_of_displacements():
     scene = load_scene(beam(own={"part": "mass", "mass": 1e-3, "pins": {"a": "k.a"}},
                             k={"part": "spring", "stiffness": 10.0}))  # fmt: skip
-    lines = describe_plan(Build(scene, {}))["frames"]
+    lines = describe_plan(BuiltScene(scene, {}))["frames"]
     assert "beam.tip, m.a: relative to the frame that beam.base shakes; gnd is that frame" in lines
     assert "own.a, k.a: absolute" in lines
     still = load_scene(
         beam(beam=beam()["beam"] | {"pins": {}}, shaker=None, analysis={"type": "op"})
     )
-    assert describe_plan(Build(still, {}))["frames"] == [
+    assert describe_plan(BuiltScene(still, {}))["frames"] == [
         "all displacements are absolute: they count from gnd, which is at rest"
     ]
 
@@ -217,7 +217,7 @@ def test_a_netlist_on_a_shaken_body_warns(tmp_path: Path):
 def test_dialects_have_the_frame_too(tmp_path: Path):
     from support import export_scene
 
-    for dialect in dialect_names()[1:]:
+    for dialect in list_dialect_names()[1:]:
         export_scene(load_scene(beam()), tmp_path / dialect, dialect=dialect)
     assert "along_frame" in (tmp_path / "xyce" / "mass.lib").read_text()
 

@@ -6,8 +6,8 @@ import pytest
 from support import (
     CONSERVATIVE,
     SPICE_UNITS,
-    Clock,
     Element,
+    StageTimer,
     export_scene,
     prepare_deck,
     write_dialect_files,
@@ -34,7 +34,7 @@ PUSHED = {
 
 
 def deck_of(scene):
-    return prepare_deck(kc.load_scene(scene), Clock())[1]
+    return prepare_deck(kc.load_scene(scene), StageTimer())[1]
 
 
 def units(deck):
@@ -57,7 +57,7 @@ def test_elements_carry_the_unit_of_their_value():
 def test_decks_state_units_that_are_not_the_simulators_own(dialect):
     def lines(scene):
         deck = deck_of(scene)
-        return write_dialect_files(deck, dialect)[deck.main].split("\n")
+        return write_dialect_files(deck, dialect)[deck.main_file_name].split("\n")
 
     heat = lines(HEATED)
     stated = "* Units of the nodes: 1 V = 1 K (temperatures), 1 A = 1 W (heat flows)."

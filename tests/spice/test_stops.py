@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
-from support import Build, Waveforms, load_scene, resolve_build, solve_laws
+from support import BuiltScene, Waveforms, add_results_and_sources, load_scene, solve_laws
 
 import kc2spice as kc
 
@@ -83,7 +83,8 @@ def test_both_kinds_of_loss_are_those_of_ngspice_and_of_the_integrator(restituti
     scene["solver"]["stop"] = 3e-3
     waves = kc.run(scene).waves
     law = solve_laws(
-        resolve_build(Build(load_scene(scene), {})), Waveforms({"time": waves["time"]}, {})
+        add_results_and_sources(BuiltScene(load_scene(scene), {})),
+        Waveforms({"time": waves["time"]}, {}),
     ).results
     exact = bounces(restitution, 1)[0, 1]
     if damping:

@@ -6,7 +6,7 @@ import sys
 import time
 
 import pytest
-from support import SceneInput, dask_workers, engine, local_workers
+from support import SceneInput, engine, make_dask_connector, make_local_worker_pool
 
 pytest.importorskip("distributed")
 
@@ -46,7 +46,7 @@ def test_a_killed_worker_and_a_restarted_scheduler_lose_no_point(tmp_path):
             daemons["c"] = start(*worker)
 
     try:
-        workers = dask_workers(address, 1, patience=60.0)
+        workers = make_dask_connector(address, 1, patience=60.0)
         distributed = engine.run_sweep(study, tmp_path / "dask", workers, interfere)
     finally:
         for process in daemons.values():
@@ -54,7 +54,7 @@ def test_a_killed_worker_and_a_restarted_scheduler_lose_no_point(tmp_path):
             process.wait()
     assert (distributed["points"], distributed["failed"]) == (16, 0)
     assert done == sorted(set(done))  # each row is recorded once
-    local = engine.run_sweep(study, tmp_path / "local", local_workers(2))
+    local = engine.run_sweep(study, tmp_path / "local", make_local_worker_pool(2))
     tables = [(tmp_path / name / "sweep.csv").read_bytes() for name in ("dask", "local")]
     assert tables[0] == tables[1]
     assert local["failed"] == 0

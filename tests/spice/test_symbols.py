@@ -17,8 +17,8 @@ asy_reader = pytest.importorskip("spicelib.editor.asy_reader")
 def deck(parts, loop):
     """A loop, and an operational amplifier whose output nothing else is wired to."""
     nodes = "sphere_y", "0", "spare", "0", "0", "0"
-    amplifier = Element.of("Xamp", *nodes, "opamp", a0="1e5")
-    mirror = Element.of("Fmirror", "mirror", "0", "Vkick_drive", 0.5)
+    amplifier = Element.from_words("Xamp", *nodes, "opamp", a0="1e5")
+    mirror = Element.from_words("Fmirror", "mirror", "0", "Vkick_drive", 0.5)
     items = (*loop.items, amplifier, mirror)
     return replace(loop, parts=(*loop.parts, parts["opamp"]), items=items)
 
@@ -137,7 +137,7 @@ def require_nets_of_elements(named, elements):
         name = element.name
         reference = name if name[-1].isdigit() else f"{name}1"
         nets = [named.pop((reference, k)) for k, _ in enumerate(element.nodes, 1)]
-        assert tuple(nets) == element.ends
+        assert tuple(nets) == element.lower_case_nodes
 
 
 def test_the_sheet_has_the_connections_of_the_deck(written, files, deck):

@@ -12,10 +12,10 @@ from support import (
     Section,
     TableFunction,
     UsageError,
-    coils_subcircuit,
     current,
-    declared_subcircuit,
     displacement,
+    make_coils_subcircuit,
+    make_declared_subcircuit,
     run_deck,
     voltage,
 )
@@ -43,7 +43,7 @@ def list_functions(points):
 
 
 def write_spring(header, declaration, points=41):
-    return declared_subcircuit(header, "leaf", declaration, {}, tables=list_functions(points))
+    return make_declared_subcircuit(header, "leaf", declaration, {}, tables=list_functions(points))
 
 
 def sweep_force(header, declaration, points, tmp_path):
@@ -77,8 +77,8 @@ def test_a_lookup_is_constant_beyond_its_ends(header, tmp_path):
 @pytest.mark.parametrize(
     ("physics", "message"),
     [
-        ({"energy": "bend(x)*stiff(x)"}, "cannot contain a function or product of tables"),
-        ({"energy": "exp(bend(x)/1e-3)"}, "cannot contain a function or product of tables"),
+        ({"energy": "bend(x)*stiff(x)"}, "cannot contain functions or products of tables"),
+        ({"energy": "exp(bend(x)/1e-3)"}, "cannot contain functions or products of tables"),
         ({"energy": "bend(x) + bend(2*x)"}, "differ in their arguments or ranges"),
         (
             {"branches": (SPRING, voltage("v", "p", "n")), "content": "0.5*v^2*stiff(x)"},
@@ -149,7 +149,7 @@ Xcoil lp 0 up 0 y v 0 coil
     vectors = {
         "lower": ("v(xcoil.i1)", 1.0), "upper": ("v(xcoil.i2)", 1.0), "force": ("i(bv)", 1.0),
     }  # fmt: skip
-    deck = bench([coils_subcircuit(header, strong, points=401)], cards, vectors, stop)
+    deck = bench([make_coils_subcircuit(header, strong, points=401)], cards, vectors, stop)
     waves = run_deck(deck, tmp_path)
     t = waves["time"]
     slopes, solution = integrate_coils(

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 from device import bench, deck_of
-from support import coils_subcircuit, load_scene, run_deck
+from support import load_scene, make_coils_subcircuit, run_deck
 
 RINGS = ("ring0", "ring1", "ring2", "ring3", "ring4", "ring5")
 COPIES = 40
@@ -52,7 +52,7 @@ def coils_ring(header, table, tmp_path, values=""):
         ]  # fmt: skip
         vectors[f"i{k}"] = (f"v(xcoil{k}.i1)", 1.0)
     cards += [".options reltol=1e-3 trtol=7 chgtol=1e-11", ".tran 1e-06 3e-04 0 6e-06"]
-    deck = bench([coils_subcircuit(header, coils, points=21)], "\n".join(cards), vectors, 3e-4)
+    deck = bench([make_coils_subcircuit(header, coils, points=21)], "\n".join(cards), vectors, 3e-4)
     return run_deck(deck, tmp_path), vectors
 
 

@@ -5,9 +5,9 @@ import re
 import pytest
 from support import (
     Circuit,
-    Clock,
     Element,
     Printer,
+    StageTimer,
     normalise_element,
     prepare_deck,
     read_cards,
@@ -36,11 +36,11 @@ def test_libraries_read_back_to_the_trees_they_are_printed_from(loop):
 
 
 def test_decks_read_back_to_the_trees_they_are_printed_from(loop):
-    again = read_cards(loop.files[loop.main], loop.main, title=True)
+    again = read_cards(loop.files[loop.main_file_name], loop.main_file_name, title=True)
     cards = [Printer().card(item) for item in loop.circuit.items]
     assert [Printer().card(item) for item in again.items] == cards
     assert [item.notes for item in again.items] == [item.notes for item in loop.circuit.items]
-    lines = [item.where for item in loop.located_trees[loop.main].items]
+    lines = [item.where for item in loop.located_trees[loop.main_file_name].items]
     assert lines == [item.where for item in again.items]
 
 
@@ -56,16 +56,16 @@ def test_the_head_states_the_fields_of_a_library(loop):
         assert part.text.startswith(f"* {part.title}\n")
     (kick,) = (part for part in loop.parts if part.reduction)
     assert f"* rom: {kick.reduction.summary}\n" in kick.text
-    assert f"* {kick.name}, rom: {kick.reduction.summary}\n" in loop.files[loop.main]
+    assert f"* {kick.name}, rom: {kick.reduction.summary}\n" in loop.files[loop.main_file_name]
 
 
 @pytest.fixture
 def duffing(tmp_path):
     """The deck and the path of a deck that somebody may edit."""
-    _, deck = prepare_deck(kc.load_scene("duffing"), Clock())
+    _, deck = prepare_deck(kc.load_scene("duffing"), StageTimer())
     for name, text in deck.files.items():
         (tmp_path / name).write_text(text)
-    return deck, tmp_path / deck.main
+    return deck, tmp_path / deck.main_file_name
 
 
 def test_an_edited_deck_is_read_once(duffing, monkeypatch):
@@ -80,12 +80,12 @@ def test_an_edited_deck_is_read_once(duffing, monkeypatch):
         raise AssertionError("read again")
 
     monkeypatch.setattr(decks, "read_cards", unread)
-    assert edited.files[edited.main].count("gmin") == 1
+    assert edited.files[edited.main_file_name].count("gmin") == 1
     changed = edited.with_options({"gmin": "1e-14"}, "a test")
     changed = changed.with_results({"more": ("v(more)", 1.0)})
-    assert edited.option_value("gmin") == "1e-13"
-    assert changed.option_value("gmin") == "1e-14"
-    text = changed.with_command(decks.Command("op", ())).files[edited.main]
+    assert edited.find_option_text("gmin") == "1e-13"
+    assert changed.find_option_text("gmin") == "1e-14"
+    text = changed.with_command(decks.AnalysisCommand("op", ())).files[edited.main_file_name]
     assert "\n.op\n" in text
     assert ".tran" not in text
     assert any(item.name == "Xspring" for item in changed.scope.elements)
@@ -108,6 +108,6 @@ def test_the_times_of_an_edited_deck_are_those_of_its_card(duffing):
     path.write_text(re.sub(r"(?m)^\.tran .*", ".tran 1u 2m 0 3u", path.read_text()))
     edited = read_edited_deck(deck, path).deck
     assert (edited.stop, edited.max_step) == (2e-3, 3e-6)
-    halved = deck.with_steps(0.5)
+    halved = deck.scale_max_step(0.5)
     assert halved.command.words[3] == repr(deck.max_step / 2)
-    assert halved.with_steps(0.5).max_step == deck.max_step / 4
+    assert halved.scale_max_step(0.5).max_step == deck.max_step / 4

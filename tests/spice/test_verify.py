@@ -12,11 +12,11 @@ from device import built, models
 from hard_cases.kit import kick
 from support import (
     DOMAINS,
-    Clock,
-    Difference,
+    FullModelDifference,
     Gate,
     LinearModel,
     Port,
+    StageTimer,
     Waveforms,
     bodies,
     find_last_rest,
@@ -122,7 +122,7 @@ def test_each_solution_is_compared_with_both_others(wrong, tmp_path, monkeypatch
 
 def test_points_that_steps_do_not_resolve_are_not_compared():
     """Excluded are points within the step of an event, and beside a step of one model only."""
-    steps = Difference(np.arange(6.0), {}, np.arange(6) == 4, (0.5,))
+    steps = FullModelDifference(np.arange(6.0), {}, np.arange(6) == 4, (0.5,))
     points = np.array([0.0, 0.2, 0.8, 1.0, 2.9, 3.0, 4.5, 5.0])
     assert steps.mask_equal_modes(points).tolist() == [
         True,
@@ -264,7 +264,7 @@ def missed_gates(build, text, folder):
     rom, band = build.model(part, LinearModel), (0.0, 500e3)
     libraries = tuple(parse_subcircuits(text, "chip.lib"))
     frequency, found = bodies.simulate_netlist_response(
-        part, build, libraries, Clock(ignore_progress), folder, band
+        part, build, libraries, StageTimer(ignore_progress), folder, band
     )
     gate = build.scene.gates.harmonic_ngspice
     limits = bodies.list_netlist_checks("kick", rom, frequency, found, gate)
@@ -353,7 +353,7 @@ def test_a_wrong_launch_fails_despite_a_large_pointwise_error(faster, model):
     build = built(study, vague)
     launched = Waveforms(
         {
-            "time": (t := np.linspace(0.0, study.stop, 400)),
+            "time": (t := np.linspace(0.0, study.stop_time, 400)),
             "contact.force": 1e-3 * (t < 20e-6),
             "sphere.v": np.minimum(t / 20e-6, 1.0),
         },

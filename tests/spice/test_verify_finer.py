@@ -8,18 +8,18 @@ import pytest
 from films import FILM
 from support import (
     MESH_QUANTITIES,
-    Build,
-    Clock,
+    BuiltScene,
     RefinementRule,
-    Rom,
+    RomKeys,
     SceneLaws,
+    StageTimer,
     app,
     build_models,
     find_part_type,
     find_section,
     ignore_progress,
+    list_type_names,
     load_scene,
-    type_names,
 )
 from typer.testing import CliRunner
 
@@ -78,13 +78,13 @@ def discretisations(schema, prefix=""):
     """Dotted keys of a schema that are marked as the fineness of a model."""
     for name, declared in schema.model_fields.items():
         inner = find_section(declared.annotation)
-        if inner is not None and inner is not Rom:
+        if inner is not None and inner is not RomKeys:
             yield from discretisations(inner, f"{prefix}{name}.")
         if any(isinstance(mark, RefinementRule) and mark.model for mark in declared.metadata):
             yield f"{prefix}{name}"
 
 
-@pytest.mark.parametrize("name", type_names())
+@pytest.mark.parametrize("name", list_type_names())
 def test_verify_refines_each_key_of_a_discretisation(name):
     kind = find_part_type(name)
     assert set(discretisations(kind.schema)) <= set(kind.discretisations)
@@ -112,7 +112,7 @@ def test_verify_halves_the_mesh_of_a_body(refine, passed, tmp_path, monkeypatch)
     assert found["passed"] is passed
     assert {"capacitance", "stroke"} <= {c["name"].split(", ")[-1] for c in record["checks"]}
     hertz = [
-        build_models(load_scene(DISC, {"disc.mesh.refine": n}), Clock(ignore_progress)).models[
+        build_models(load_scene(DISC, {"disc.mesh.refine": n}), StageTimer(ignore_progress)).models[
             "disc"
         ]
         for n in (refine, 2 * refine)
@@ -176,5 +176,7 @@ def test_verify_has_a_closer_field_of_a_magnet_in_time(tolerance, passed, tmp_pa
 def test_verify_halves_the_basis_of_a_pressure(spacing, passed):
     scene = load_scene("impact", {"contact.shape": "pressure", "contact.spacing": spacing})
     (part,) = scene.list_parts("contact")
-    (check,) = part.type.finer_mesh(part, Build(scene, {}), Clock(ignore_progress), 1e9)
+    (check,) = part.type.compare_with_finer_mesh(
+        part, BuiltScene(scene, {}), StageTimer(ignore_progress), 1e9
+    )
     assert check.passed is passed

@@ -4,7 +4,14 @@ import re
 from pathlib import Path
 
 import pytest
-from support import Clock, build_models, did_you_mean, material, parse_toml, quantity
+from support import (
+    StageTimer,
+    build_models,
+    convert_quantity,
+    did_you_mean,
+    find_material,
+    parse_toml,
+)
 
 import kc2spice as kc
 
@@ -202,9 +209,9 @@ def test_a_poling_that_is_no_vector(poling, advice):
 )
 def test_an_unknown_output_of_a_noise_analysis_precedes_the_models(output, advice, monkeypatch):
     scene = kc.load_scene("buzzer_noise", [f"analysis.output={output}"])
-    monkeypatch.setattr(type(scene.part("disc").type), "build", lambda *_: pytest.fail("built"))
+    monkeypatch.setattr(type(scene.get_part("disc").type), "build", lambda *_: pytest.fail("built"))
     with pytest.raises(kc.errors.UsageError) as caught:
-        build_models(scene, Clock())
+        build_models(scene, StageTimer())
     assert caught.value.hint == advice
 
 
@@ -223,11 +230,11 @@ def test_a_density_in_another_unit():
     ceramic = {"youngs_modulus": "60 GPa", "poisson_ratio": 0.3}
     for density in (7.75, 7.75e6):
         with pytest.raises(kc.errors.UsageError) as caught:
-            material(ceramic | {"density": density})
+            find_material(ceramic | {"density": density})
         advised = re.match(r'write  density = "(.*)"  if', caught.value.hint)[1]
-        assert material(ceramic | {"density": advised}).density == 7750
+        assert find_material(ceramic | {"density": advised}).density == 7750
     diamond = {"youngs_modulus": "1143 GPa", "poisson_ratio": 0.07, "density": 3515}
-    assert material(diamond).density == 3515
+    assert find_material(diamond).density == 3515
 
 
 def test_a_source_of_small_signals_without_an_analysis(cli):
@@ -285,20 +292,20 @@ def test_keys_of_scenes_with_one_action(scene, overrides, head, advice):
 )  # fmt: skip
 def test_a_table_of_a_material(table, hint, correction):
     with pytest.raises(kc.errors.UsageError) as caught:
-        material(table)
+        find_material(table)
     assert caught.value.hint == hint
     if correction is not None:
-        assert material(table | correction).density > 0
+        assert find_material(table | correction).density > 0
 
 
 def test_components_of_a_tensor_that_are_missing():
     """Six independent stiffnesses of a hexagonal crystal, one of which follows from two others."""
     table = {"density": 7750, "symmetry": "6mm", "stiffness": {"c11": "121 GPa", "c12": "75 GPa"}}
     with pytest.raises(kc.errors.UsageError) as caught:
-        material(table)
+        find_material(table)
     assert caught.value.hint == "add c13, c33, c44"
     table["stiffness"] |= {"c13": "75 GPa", "c33": "111 GPa", "c44": "21 GPa"}
-    assert material(table).C[5, 5] == pytest.approx((121e9 - 75e9) / 2)
+    assert find_material(table).C[5, 5] == pytest.approx((121e9 - 75e9) / 2)
 
 
 @pytest.mark.parametrize(
@@ -570,9 +577,9 @@ def test_litres_in_words():
 )
 def test_prefixes_in_words_and_in_another_letter_case(typed, unit, advice):
     with pytest.raises(kc.errors.UsageError) as caught:
-        quantity(typed, unit)
+        convert_quantity(typed, unit)
     assert caught.value.hint == f'write  "{advice}"'
-    quantity(advice, unit)
+    convert_quantity(advice, unit)
 
 
 @pytest.mark.parametrize(

@@ -212,14 +212,14 @@ def test_a_sweep_without_a_number_ends_at_the_first_good_point():
 def test_overrides_of_a_loaded_scene_keep_those_before():
     scene = kc.load_scene(kc.load_scene(PULSE, {"upper.resistance": 7.0}), {"analysis.stop": 1e-3})
     assert scene.parts["upper"].keys.resistance == 7.0
-    assert scene.stop == 1e-3
+    assert scene.stop_time == 1e-3
     assert kc.load_scene(scene) is scene
 
 
 def edited(tmp_path, change):
     deck = kc.deck(PULSE)
-    path = tmp_path / deck.main
-    path.write_text(change(deck.files[deck.main]))
+    path = tmp_path / deck.main_file_name
+    path.write_text(change(deck.files[deck.main_file_name]))
     return path
 
 

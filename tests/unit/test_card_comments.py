@@ -4,7 +4,7 @@ import re
 from itertools import chain
 
 import pytest
-from support import Declaration, branch, subcircuit_items
+from support import Declaration, branch, write_subcircuit_items
 
 import kc2spice as kc
 
@@ -28,7 +28,7 @@ class Keys(kc.Section):
 def comments(kind: str) -> str:
     storage = branch(kind)
     stored = Declaration("store", "store", Keys, (storage,), coenergy=f"0.5*c*{storage.name}^2")
-    notes = chain.from_iterable(item.notes for item in subcircuit_items(stored))
+    notes = chain.from_iterable(item.notes for item in write_subcircuit_items(stored))
     return re.sub(r"\s*\n\*\s+", " ", "\n".join(notes))
 
 

@@ -5,7 +5,7 @@ import meshio
 import numpy as np
 import pytest
 import skfem
-from support import UsageError, device, material, read_mesh
+from support import UsageError, build_fe_model, find_material, read_mesh
 
 SUFFIXES = (".unv", ".inp", ".bdf", ".vtu", ".med", ".exo")
 LIBRARIES = {".med": "h5py", ".exo": "netCDF4"}
@@ -193,8 +193,8 @@ WRITERS = {".inp": write_abaqus, ".bdf": write_nastran, ".vtu": write_vtu,
 def measures(result, body, skin):
     """Volume of all elements and area of the skin; those of the half disc are turned once."""
     mesh = result.mesh
-    assert len(result.group(body, "x", 0).members) == mesh.nelements
-    facets = result.group(skin, "x", 1).members
+    assert len(result.get_group(body, "x", 0).members) == mesh.nelements
+    facets = result.get_group(skin, "x", 1).members
     values = []
     for basis in (
         skfem.Basis(mesh, mesh.elem(), intorder=6),
@@ -254,8 +254,10 @@ def test_mass_of_a_ball_from_a_half_plane(tmp_path):
         "mesh": "a.inp", "unit": "mm", "axisymmetric": True, "materials": {"body": "steel"},
         "ports": [{"name": "top", "group": "skin", "axis": "z"}],
     }  # fmt: skip
-    facts = device(table, tmp_path).model.facts
-    assert facts["mass_kg"] == pytest.approx(material("steel").density * 4e-9 * np.pi / 3, rel=1e-4)
+    facts = build_fe_model(table, tmp_path).model.facts
+    assert facts["mass_kg"] == pytest.approx(
+        find_material("steel").density * 4e-9 * np.pi / 3, rel=1e-4
+    )
 
 
 NODES = "".join(f"{k},{x},{y},0\n" for k, (x, y) in enumerate(

@@ -41,7 +41,7 @@ MISTAKES = {
     "pow": (HEAT, "content", "pow(temperature, 2)", "do not support this function", "write x^2"),
     "the name of the quantity": (FLUID, "content", "g*volume_velocity^2", "unknown name",
                                  "coordinate of 'volume_velocity' is flow"),
-    "a loss of a position": (MOTION, "content", "g*x^2", "no effect", "x_rate"),
+    "a loss of a position": (MOTION, "content", "g*x^2", "no variable that causes", "x_rate"),
 }  # fmt: skip
 
 
@@ -112,10 +112,10 @@ def test_a_text_that_is_no_unit_is_an_error_of_the_declaration(unit):
 
 def test_a_negative_power_is_a_quotient():
     declaration = Declaration("part", "a part", Keys, HEAT, content="g*temperature^(-2)")
-    slope = declaration.direct_flow(HEAT[0])
+    slope = declaration.derive_direct_flow(HEAT[0])
     assert slope == Declaration(
         "part", "a part", Keys, HEAT, content="g/temperature^2"
-    ).direct_flow(HEAT[0])
+    ).derive_direct_flow(HEAT[0])
 
 
 def test_an_unknown_part_type_states_how_to_add_types():

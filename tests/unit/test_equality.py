@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support import RecordedWave, Waveforms, have_same_content, material
+from support import RecordedWave, Waveforms, find_material, have_same_content
 
 import kc2spice as kc
 
@@ -41,14 +41,14 @@ def test_no_class_with_arrays_has_the_equality_that_dataclass_generates():
 
 
 def test_materials_are_equal_by_their_constants():
-    pzt = material("PZT-5A")
+    pzt = find_material("PZT-5A")
     same = replace(pzt, C=pzt.C.copy(), e=pzt.e.copy())
     assert pzt == pzt  # Python 3.13 compares the arrays of one object too
     assert pzt == same
     assert (pzt, 1) == (same, 1)
     assert pzt != replace(pzt, C=pzt.C * (1 + 1e-15))
     assert pzt != replace(pzt, quality=pzt.quality + 1)
-    assert pzt != material("PZT-5H")
+    assert pzt != find_material("PZT-5H")
     assert pzt != "PZT-5A"
 
 

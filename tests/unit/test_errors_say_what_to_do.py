@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 from scipy import sparse
-from support import _fit_power_series, material
+from support import _fit_power_series, find_material
 
 import kc2spice as kc
 
@@ -148,7 +148,7 @@ def test_an_order_that_a_model_does_not_have():
 
 def test_a_number_for_the_stiffness_of_a_material():
     table = {"density": 7800, "stiffness": 3.0}
-    refused(lambda: material(table), "stiffness: not a table", "3.0")
+    refused(lambda: find_material(table), "stiffness: not a table", "3.0")
 
 
 def test_frequencies_of_a_band_may_have_units():

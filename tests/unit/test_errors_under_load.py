@@ -36,7 +36,7 @@ def test_responses_to_recorded_loads_are_those_of_scipy(dashpot):
     model = chain(4, dashpot, ratio=0.02)
     t = np.unique(np.r_[np.linspace(0, 2e-2, 400), 3e-3 + np.linspace(0, 1e-5, 20)])
     load = np.interp(t, [0, 3e-3, 3.01e-3, 8e-3, 8.01e-3], [0.0, 0.0, 2.0, 2.0, -1.0])[:, None]
-    K, E, M = model.pencil.dense().coefficients
+    K, E, M = model.pencil.make_dense().coefficients
     A = np.block([[np.zeros((4, 4)), np.eye(4)], [-K / M[0, 0], -E / M[0, 0]]])
     B = np.r_[np.zeros((4, 1)), model.B / M[0, 0]]
     even = np.linspace(0, 2e-2, 40_001)
@@ -78,11 +78,11 @@ def test_models_without_the_motions_that_a_load_excites_are_off():
 
 def test_a_richer_model_is_made_of_the_full_one():
     full = chain(500, ratio=0.01)
-    rich = ReductionsByOrder(full).enriched(10, (0.0, 1e3))
+    rich = ReductionsByOrder(full).make_enriched_model(10, (0.0, 1e3))
     assert rich.order == 70
     f = np.linspace(0, 1e3, 50)
     np.testing.assert_allclose(rich.transfer(f), full.transfer(f), rtol=1e-6)
-    assert ReductionsByOrder(chain(40)).enriched(10, (0.0, 1e3)).order == 40
+    assert ReductionsByOrder(chain(40)).make_enriched_model(10, (0.0, 1e3)).order == 40
 
 
 def test_loads_that_cancel_count_by_themselves():

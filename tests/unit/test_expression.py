@@ -3,7 +3,14 @@
 import operator
 
 import pytest
-from support import Binary, Choice, ExpressionWriter, Number, Unary, parse_expression
+from support import (
+    BinaryOperation,
+    ConditionalExpression,
+    ExpressionWriter,
+    Number,
+    UnaryOperation,
+    parse_expression,
+)
 
 OPERATORS = {
     "+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv,
@@ -17,11 +24,11 @@ def worth(tree):
     match tree:
         case Number(text):
             return float(text)
-        case Unary(op, value):
+        case UnaryOperation(op, value):
             return {"-": operator.neg, "+": operator.pos, "!": operator.not_}[op](worth(value))
-        case Binary(op, left, right):
+        case BinaryOperation(op, left, right):
             return OPERATORS[op](worth(left), worth(right))
-        case Choice(test, yes, no):
+        case ConditionalExpression(test, yes, no):
             return worth(yes) if worth(test) else worth(no)
     raise TypeError(tree)
 
@@ -57,7 +64,7 @@ VALUES = [
 def test_an_expression_keeps_its_value(text, value, written):
     tree = parse_expression(text)
     assert worth(tree) == value
-    assert ExpressionWriter().write(tree) == written
+    assert ExpressionWriter().write_tree(tree) == written
     assert parse_expression(written) == tree
 
 

@@ -27,9 +27,9 @@ type = "op"
 
 def test_joined_pins_share_a_net(scene_file):
     scene = load_scene(scene_file(DIVIDER))
-    assert scene.net("supply", "out") == scene.net("upper", "a")
-    assert scene.net("upper", "b") == scene.net("lower", "a") != scene.net("upper", "a")
-    assert scene.net("lower", "b") == scene.net("supply", "ret") == "0"
+    assert scene.get_net("supply", "out") == scene.get_net("upper", "a")
+    assert scene.get_net("upper", "b") == scene.get_net("lower", "a") != scene.get_net("upper", "a")
+    assert scene.get_net("lower", "b") == scene.get_net("supply", "ret") == "0"
     assert describe_nets(scene) == (
         "supply.out -- upper.a",
         "gnd: supply.ret, lower.b",
@@ -45,7 +45,7 @@ def test_connections_apply_in_both_directions_and_through_other_pins():
         "c": {"part": "resistor", "resistance": 1.0, "pins": {"a": "b.a"}},
     }
     scene = load_scene(tables | {"analysis": {"type": "op"}})
-    assert set(scene.joined_pins("b", "a")) == {("a", "a"), ("c", "a")}
+    assert set(scene.list_joined_pins("b", "a")) == {("a", "a"), ("c", "a")}
 
 
 def test_a_pin_that_is_named_leaves_its_default():
@@ -56,8 +56,8 @@ def test_a_pin_that_is_named_leaves_its_default():
         "two": {"part": "resistor", "resistance": 1.0, "pins": {"a": "one.b"}},
     }
     scene = load_scene(tables | {"analysis": {"type": "op"}})
-    assert scene.net("one", "b") == scene.net("two", "a") != "0"
-    assert scene.net("two", "b") == "0"
+    assert scene.get_net("one", "b") == scene.get_net("two", "a") != "0"
+    assert scene.get_net("two", "b") == "0"
 
 
 def _changed(old, new):
@@ -139,7 +139,7 @@ MISTAKES = {
     ),
     "a name that another part brings along": (
         '[kick]\n[kick_drive]\npart = "resistor"\nresistance = 1.0\npins = { a = "kick.anode" }\n',
-        2, "kick_drive", ["this name is already used", "kick brings a part of this one along"],
+        2, "kick_drive", ["this name is already used", "kick_drive, which kick adds to the scene"],
     ),
     "a part called ground": (
         DIVIDER + '\n[gnd]\npart = "resistor"\n', 18, "gnd", ["name of a part is not valid"],

@@ -12,11 +12,11 @@ from support import (
     Printer,
     ReductionSummary,
     join_comments,
-    part_header,
     read_cards,
-    rom_comments,
     run_deck,
     with_parameters,
+    write_part_header,
+    write_rom_comments,
 )
 
 import kc2spice as kc
@@ -32,7 +32,7 @@ NETLISTS = Path(__file__).parents[2] / "netlists"
 def test_a_bound_is_rounded_upwards(error, written):
     certificate = Certificate((0.0, 5e5), error, "residual", True, True)
     reduction = ReductionSummary(7, (0.0, 5e5), "pointwise", error, 1e-12, 3.0)
-    first, second, *_ = lines = rom_comments(reduction, certificate)
+    first, second, *_ = lines = write_rom_comments(reduction, certificate)
     assert first == f"* rom: order=7 band=0.0..500000.0 Hz norm=pointwise error={written}"
     assert second.startswith("*   (residual; emitted circuit")
     told = "\n".join(lines).replace("\n*   ", " ")
@@ -42,7 +42,7 @@ def test_a_bound_is_rounded_upwards(error, written):
 def test_a_head_has_an_instance_to_copy_and_lines_of_100_characters():
     pins = (Pin("plus", "V", "A"), Pin("base", "um", "N"))
     long = "a body of " + "many words, " * 30
-    lines = part_header(Header("scene", "0"), "part: title", pins, rating=long, validity=long)
+    lines = write_part_header(Header("scene", "0"), "part: title", pins, rating=long, validity=long)
     head = "\n".join(lines)
     assert "\n* use: X1 plus base part\n" in head
     assert max(map(len, head.splitlines())) <= 100

@@ -41,7 +41,7 @@ def random_network(seed, modes):
 @pytest.mark.parametrize("seed", range(30))
 def test_the_ladder_of_a_random_network_is_positive_and_equivalent(seed):
     network = random_network(seed, 1 + seed)
-    ladder = network.ladder()
+    ladder = network.convert_to_ladder()
     assert (ladder.resistance > 0).all()
     assert (ladder.capacity > 0).all()
     s = 2j * np.pi * np.geomspace(1e-5, 1e7, 25)
@@ -61,19 +61,19 @@ def test_two_cells_follow_the_closed_form():
     values, vectors = map(np.real, np.linalg.eig(A))  # complex in newer versions of numpy
     residues = vectors[0] * np.linalg.solve(vectors, [1 / 0.1, 0.0])
     network = FosterNetwork(residues * -1 / values, times)
-    found = network.ladder()
+    found = network.convert_to_ladder()
     np.testing.assert_allclose(found.resistance, ladder.resistance, rtol=1e-10)
     np.testing.assert_allclose(found.capacity, ladder.capacity, rtol=1e-10)
 
 
 def test_equal_time_constants_are_one_mode():
     network = FosterNetwork(np.array([1.0, 2.0, 4.0]), np.array([0.5, 0.5, 3.0]))
-    assert len(network.ladder().capacity) == 2
+    assert len(network.convert_to_ladder().capacity) == 2
 
 
 def test_only_ladder_matrices_are_recognised_as_a_ladder():
     network = random_network(4, 5)
-    ladder = network.ladder()
+    ladder = network.convert_to_ladder()
     found = find_heat_ladder(ladder.linear(PORT))
     np.testing.assert_allclose(found.resistance, ladder.resistance, rtol=1e-14)
     np.testing.assert_allclose(found.capacity, ladder.capacity, rtol=1e-9)

@@ -3,7 +3,7 @@
 import re
 
 import pytest
-from support import Clock, build_models, ignore_progress, load_scene, make_deck
+from support import StageTimer, build_models, ignore_progress, load_scene, make_deck
 
 SMALL = ("kick.layers=2", "kick.mesh.sectors=4", "kick.mesh.rings=1", "kick.mesh.outer_rings=1",
          "rom.order=6", "contact.rings=all", "catch.positions=4")  # fmt: skip
@@ -11,9 +11,11 @@ SMALL = ("kick.layers=2", "kick.mesh.sectors=4", "kick.mesh.rings=1", "kick.mesh
 
 def deck(*overrides):
     """The main text of a small loop."""
-    build = build_models(load_scene("kick_and_catch", [*SMALL, *overrides]), Clock(ignore_progress))
+    build = build_models(
+        load_scene("kick_and_catch", [*SMALL, *overrides]), StageTimer(ignore_progress)
+    )
     made = make_deck(build)
-    return made.files[made.main]
+    return made.files[made.main_file_name]
 
 
 @pytest.mark.parametrize(

@@ -56,7 +56,7 @@ def test_a_singular_matrix_needs_its_factor():
     )  # fmt: skip
     D = sparse.diags_array(1 / np.sqrt(line.diagonal()))
     scaled = sparse.csc_array(D @ line @ D)
-    assert not stability._lanczos_is_positive(scaled, np.zeros(n, dtype=bool), 2.0)
+    assert not stability._is_positive_by_lanczos(scaled, np.zeros(n, dtype=bool), 2.0)
     assert stability.is_semidefinite(line)
 
 

@@ -37,7 +37,7 @@ def test_entries_are_swept_and_drawn():
     assert layers(scene)[0].thickness == 3e-4
     assert layers(scene)[1].thickness == values["beam.layers[1].thickness"]
     assert layers(scene)[2].material == "PZT-5H"
-    assert found.runs == {"netlists": 24, "ngspice": 24}
+    assert found.run_counts == {"netlists": 24, "ngspice": 24}
 
 
 @pytest.mark.parametrize(

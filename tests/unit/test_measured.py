@@ -10,9 +10,9 @@ import pytest
 import scipy
 import skrf
 from support import (
-    ac_command,
     fit_multiport,
     is_measured,
+    make_ac_command,
     make_example_deck,
     read_measured,
     read_rom,
@@ -159,7 +159,7 @@ def test_a_measurement_becomes_a_circuit_within_its_stated_deviation(tmp_path):
     peaks = [np.sqrt(b.elastance / b.inductance) / (2 * np.pi) for b in branches]
     assert peaks == pytest.approx([52e3, 66e3], rel=2e-4)
     deck = make_example_deck(rom, kc.subcircuit(rom, "part"))
-    waves = kc.simulate(replace(deck, command=ac_command(40e3, 80e3, 401, "linear"))).waves
+    waves = kc.simulate(replace(deck, command=make_ac_command(40e3, 80e3, 401, "linear"))).waves
     assert np.abs(waves["anode.current"] / Y - 1).max() == pytest.approx(
         found["error_estimate"], rel=1e-3
     )
@@ -192,7 +192,7 @@ def test_a_measured_two_port_becomes_a_passive_circuit(tmp_path):
     sources = sum(line[:1] in "GE" for line in part.text.splitlines())
     assert sources < 6 * rom.order  # each input its own states, loops closed by waves
     deck = make_example_deck(rom, part)
-    waves = kc.simulate(replace(deck, command=ac_command(f[0], f[-1], len(f), "linear"))).waves
+    waves = kc.simulate(replace(deck, command=make_ac_command(f[0], f[-1], len(f), "linear"))).waves
     for k in range(2):
         seen = np.abs(waves[f"port{k + 1}.current"] - noisy[:, k, 0]).max()
         assert seen <= 1.001 * found["error_estimate"] * np.abs(noisy[:, k, 0]).max()
@@ -233,7 +233,7 @@ def test_published_files_become_circuits_as_near_as_stated(tmp_path, name, devia
     assert found["error_estimate"] == pytest.approx(float(deviation), rel=0.03)
     rom = read_rom(found["rom"])
     deck = make_example_deck(rom, kc.subcircuit(rom, "published"))
-    linear = ac_command(float(net.f[0]), float(net.f[-1]), len(net.f), "linear")
+    linear = make_ac_command(float(net.f[0]), float(net.f[-1]), len(net.f), "linear")
     waves = kc.simulate(replace(deck, command=linear)).waves
     first = net.y[:, :, 0]
     size = np.abs(first) if found["norm"] == "pointwise" else np.abs(first).max(axis=0)

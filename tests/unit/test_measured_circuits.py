@@ -11,8 +11,8 @@ import skrf
 from support import (
     CircuitBranch,
     ParallelBranches,
-    ac_command,
     fit_one_port,
+    make_ac_command,
     make_example_deck,
     parse_expression,
     read_measured,
@@ -104,7 +104,8 @@ def simulated(model, f):
     """Impedance [Ohm] of the emitted library by ngspice, at frequencies one by one."""
     deck = make_example_deck(model, kc.subcircuit(model, "part"))
     found = [
-        kc.simulate(replace(deck, command=ac_command(at, 2 * at, 2, "linear"))).waves for at in f
+        kc.simulate(replace(deck, command=make_ac_command(at, 2 * at, 2, "linear"))).waves
+        for at in f
     ]
     return np.array([1 / waves["anode.current"][0] for waves in found])
 

@@ -7,7 +7,7 @@ import warnings
 
 import numpy as np
 import pytest
-from support import LinearModel, available_bytes, reduce_model
+from support import LinearModel, find_available_bytes, reduce_model
 from support import stability as proofs
 
 
@@ -45,14 +45,14 @@ TWO = {
     ("files", "free"), [(MACHINE, 8.192e9), (MACHINE | ONE, 1.5e9), (MACHINE | TWO, 7.5e8)]
 )
 def test_the_tightest_limit_counts(tmp_path, files, free):
-    assert available_bytes(system(tmp_path, files)) == free
+    assert find_available_bytes(system(tmp_path, files)) == free
 
 
 def test_limits_of_the_process_count():
     """``ulimit -v`` leaves what the process has not taken yet."""
     code = (
-        "import resource; from kc2spice.core.memory import available_bytes;"
-        "resource.setrlimit(resource.RLIMIT_AS, (2_000_000_000, -1)); print(available_bytes())"
+        "import resource; from kc2spice.core.memory import find_available_bytes;"
+        "resource.setrlimit(resource.RLIMIT_AS, (2_000_000_000, -1)); print(find_available_bytes())"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert 1e8 < float(done.stdout) < 2e9

@@ -5,13 +5,13 @@ import json
 import numpy as np
 import pytest
 from support import (
-    Build,
+    BuiltScene,
     Waveforms,
+    add_results_and_sources,
     compute_metrics,
+    compute_settling_time,
     find_separation,
     load_scene,
-    resolve_build,
-    settling_time,
 )
 
 RADIUS, LAUNCH, SPEED, DECEL = 1e-3, 5.0057e-4, 1.02, 40.0
@@ -41,7 +41,7 @@ def edge(waves: Waveforms) -> tuple[float, float] | None:
 
 def of_scene(waves: Waveforms, name: str) -> dict[str, object]:
     """Metrics of the parts of a gallery scene, without their models."""
-    return compute_metrics(waves, resolve_build(Build(load_scene(name), {}))).values
+    return compute_metrics(waves, add_results_and_sources(BuiltScene(load_scene(name), {}))).values
 
 
 def kick_times() -> np.ndarray:
@@ -65,17 +65,17 @@ def test_settling_of_an_exponential(sign: float) -> None:
     y = 2.5e-3 + sign * 1.5e-3 * np.exp(-t / tau)
     exact = tau * np.log(20.0)
     # Linear interpolation within steps of up to 5 us: h^2 / (8 tau) = 8 ns.
-    assert settling_time(t, y, 2.5e-3, 75e-6) == pytest.approx(exact, abs=1e-8)
+    assert compute_settling_time(t, y, 2.5e-3, 75e-6) == pytest.approx(exact, abs=1e-8)
 
 
 def test_settling_counts_the_last_entry_and_refuses_an_exit() -> None:
     t = np.linspace(0.0, 10.0, 1001)
     ringing = np.exp(-0.3 * t) * np.cos(2 * np.pi * t)
-    found = settling_time(t, ringing, 0.0, 0.5)
+    found = compute_settling_time(t, ringing, 0.0, 0.5)
     assert abs(np.exp(-0.3 * found) * np.cos(2 * np.pi * found)) == pytest.approx(0.5, abs=2e-3)
     assert np.all(np.abs(ringing[t > found]) <= 0.5)
-    assert settling_time(t, t, 0.0, 5.0) is None
-    assert settling_time(t, 0 * t, 0.0, 5.0) == 0.0
+    assert compute_settling_time(t, t, 0.0, 5.0) is None
+    assert compute_settling_time(t, 0 * t, 0.0, 5.0) == 0.0
 
 
 def test_loop_metrics_of_a_caught_and_a_lost_sphere() -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
-from support import estimate_covariance, find_likely_cause, rms_misfit
+from support import compute_rms_misfit, estimate_covariance, find_likely_cause
 
 F = np.linspace(0.8, 1.3, 200)
 TRUE = np.log([1.0, 0.2, 50.0])  # resonance, motional capacitance, Q
@@ -67,7 +67,7 @@ def test_no_standard_error_of_a_bad_model_exceeds_the_range_by_far():
     J, left = np.zeros((60, 1)), 20 * rng.normal(size=60)
     J[3], J[33] = 50.0, 1e-6  # one frequency determines the value
     assert np.sqrt(estimate_covariance(J, left, np.array([0.5]))[0, 0]) < 1.1 * (
-        0.5 + rms_misfit(left, 1) / 50
+        0.5 + compute_rms_misfit(left, 1) / 50
     )
 
 
@@ -78,7 +78,7 @@ def test_the_likely_cause_is_the_one_that_was_added():
     rng = np.random.default_rng(5)
     for name, changed in (("series", Y / (1 + 0.02 * Y)), ("dielectric", Y + 0.5 * F)):
         solved = solve(np.log(changed) + white(rng, STATED))
-        assert rms_misfit(solved.fun, 3) > 3
+        assert compute_rms_misfit(solved.fun, 3) > 3
         assert find_likely_cause(solved.jac, solved.fun, causes) == name
     wavy = log_admittance(TRUE) + 0.1 * np.sin(60 * F) + white(rng, STATED)
     solved = solve(wavy)

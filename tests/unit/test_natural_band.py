@@ -45,12 +45,12 @@ def test_unknowns_without_inertia_suggest_no_band():
 
 def test_a_body_of_a_scene_is_reduced_over_the_band_of_the_scene():
     model = _load_scene_body("buzzer_7bb_20_6:disc")
-    from support import load_scene, scene_band
+    from support import find_scene_band, load_scene
 
     scene = load_scene("buzzer_7bb_20_6")
     low, high = 0.8 * scene.analysis.start, 1.2 * scene.analysis.stop
     assert model.band == pytest.approx((low, high))
-    assert scene_band(scene.part("disc", where=""), scene, model) == model.band
+    assert find_scene_band(scene.get_part("disc", where=""), scene, model) == model.band
 
 
 @pytest.mark.filterwarnings("ignore:its own response")

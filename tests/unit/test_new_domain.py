@@ -44,7 +44,7 @@ import scipy
 
 import kc2spice as kc
 from kc2spice.netlist.printers.symbol_layout import arrange_pins
-from kc2spice.netlist.printers.dialect_registry import dialect_names
+from kc2spice.netlist.printers.dialect_registry import list_dialect_names
 from kc2spice.physics import Declaration, DeclaredPart, branch
 from kc2spice.workflow.export import export_scene
 from kc2spice.workflow.verify.verify import verify_scenes
@@ -104,7 +104,7 @@ np.testing.assert_allclose(result.waves["surge.mouth.power"], power, **close)
 units = {"drive.head": "Pa", "surge.mouth.discharge": "m3/s", "pipe.power": "W"}
 assert {name: result.units[name] for name in units} == units
 
-for dialect in dialect_names():
+for dialect in list_dialect_names():
     files = export_scene(scene, Path(dialect), dialect)
     text = "".join(p.read_text() for p in files if p.suffix in (".lib", ".va"))
     assert "mouth unit=kPa flow=dm3/s" in text

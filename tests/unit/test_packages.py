@@ -42,18 +42,18 @@ def system(monkeypatch, tmp_path):
 )
 def test_command_of_each_system(system, platform, release, command):
     system(platform, release)
-    assert packages.install_command("ngspice", "libngspice0") == command
+    assert packages.make_install_command("ngspice", "libngspice0") == command
 
 
 def test_windows_installs_ngspice_with_scoop(system):
     system("win32")
-    command = packages.install_command("ngspice")
+    command = packages.make_install_command("ngspice")
     assert command == "scoop bucket add extras; scoop install ngspice"
 
 
 def test_every_library_of_the_mesher_has_a_package_on_fedora(system):
     system("linux", FEDORA)
-    command = packages.install_command(*doctor._GMSH_LIBRARIES.values())
+    command = packages.make_install_command(*doctor._GMSH_LIBRARIES.values())
     assert command.startswith("dnf install mesa-libGLU ")
     assert len(command.split()) == 2 + len(doctor._GMSH_LIBRARIES)
 

@@ -3,7 +3,16 @@
 import warnings
 
 import pytest
-from support import Cap, Chip, PulseKeys, UsageError, bimorph, load_scene, mass, plausible_range_of
+from support import (
+    Cap,
+    PulseKeys,
+    StackKeys,
+    UsageError,
+    bimorph,
+    get_plausible_range,
+    load_scene,
+    mass,
+)
 
 
 def test_implausible_values_run_if_the_check_is_off():
@@ -71,7 +80,7 @@ def test_a_time_is_no_width():
 
 
 ROLES = (
-    (Chip, {"side": 0.5, "depth": 0.5, "diameter": 0.5, "height": 1.0}),
+    (StackKeys, {"side": 0.5, "depth": 0.5, "diameter": 0.5, "height": 1.0}),
     (Cap, {"thickness": 0.03}),
     (bimorph.BimorphKeys, {"length": 1.0, "width": 0.5, "tip_mass": 1e3}),
     (bimorph.BimorphLayer, {"thickness": 0.03}),
@@ -83,7 +92,7 @@ ROLES = (
 @pytest.mark.parametrize(("schema", "largest"), ROLES)
 def test_keys_declare_their_roles(schema, largest):
     """The largest plausible value of each key that has a role; a pulse's width has none."""
-    roles = {name: plausible_range_of(field) for name, field in schema.model_fields.items()}
+    roles = {name: get_plausible_range(field) for name, field in schema.model_fields.items()}
     assert {name: role.high for name, role in roles.items() if role is not None} == largest
 
 

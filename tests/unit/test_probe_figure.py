@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 import pytest
-from support import Probe, SoundLevel, Waveforms, plot_probes
+from support import ProbeKeys, SoundLevel, Waveforms, plot_probes
 
 FREQUENCY = np.array([100.0, 1000.0, 10_000.0])
 PRESSURE = np.array([0.02 + 0.0j, 0.0, -0.2j])
-SPL = Probe(of="ear.pressure", take="spl")
+SPL = ProbeKeys(of="ear.pressure", take="spl")
 
 
 def draw(probes, data, levels):
@@ -44,7 +44,11 @@ def test_a_wave_is_drawn_as_a_pressure_and_its_level_is_in_the_title():
 
 
 def test_a_level_and_an_amplitude_of_one_pressure_have_two_panels():
-    probes = {"level_db": SPL, "peak_pa": Probe(of="ear.pressure"), "x_m": Probe(of="cone.x")}
+    probes = {
+        "level_db": SPL,
+        "peak_pa": ProbeKeys(of="ear.pressure"),
+        "x_m": ProbeKeys(of="cone.x"),
+    }
     data = {"frequency": FREQUENCY, "ear.pressure": PRESSURE, "cone.x": 1e-6 * PRESSURE}
     figure = draw(probes, data, {"level_db": SoundLevel(20e-6, 70.0)})
     labels = ["level in dB re 20 µPa", "magnitude in Pa", "magnitude in m"]
@@ -53,7 +57,7 @@ def test_a_level_and_an_amplitude_of_one_pressure_have_two_panels():
 
 
 def test_a_level_marks_the_frequency_that_a_probe_reads():
-    probe = Probe(of="ear.pressure", take="spl", at=1000.0)
+    probe = ProbeKeys(of="ear.pressure", take="spl", at=1000.0)
     data = {"frequency": FREQUENCY, "ear.pressure": PRESSURE + 0.1}
     figure = draw({"level_db": probe}, data, {"level_db": SoundLevel(20e-6)})
     ((place, name),) = figure.panels[0].marks

@@ -6,7 +6,7 @@ import mor_families as families
 import numpy as np
 import pytest
 from scipy import sparse
-from support import Clock, ConvergenceTimer, StepTimer, follow_stage, progress
+from support import ConvergenceTimer, StageTimer, StepTimer, follow_stage, progress
 
 import kc2spice as kc
 
@@ -67,7 +67,7 @@ def test_a_reduction_reports_increasing_steps_up_to_the_last(reports, dashpot):
         matrices = matrices | {"E": None, "rayleigh": (0.0, 1e-2)}
     matrices = {key: sparse.csc_array(P) if key in "MEK" and P is not None else P
                 for key, P in matrices.items()}  # fmt: skip
-    clock = Clock(lambda *item: reports.append(item))
+    clock = StageTimer(lambda *item: reports.append(item))
     with clock.time_stage("reduce", "chain"):
         kc.reduce(kc.LinearModel(**matrices), tolerance=1e-4, band=(0, 0.003))
     assert clock.wall_s["reduce"] > 0
@@ -82,6 +82,6 @@ def test_a_reduction_reports_increasing_steps_up_to_the_last(reports, dashpot):
 def test_outside_of_a_stage_nothing_is_reported(reports):
     with follow_stage(lambda *item: reports.append(item), "reduce", "chain"):
         pass
-    progress.report_remaining(3.0, "block")
+    progress.report_remaining_time(3.0, "block")
     assert reports == [("reduce", None, "chain")]
     assert np.all([done is None for _, done, _ in reports])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
-from support import QuasiDefinite, factorise_quasi_definite, find_supernodes
+from support import QuasiDefiniteFactor, factorise_quasi_definite, find_supernodes
 from support import factor as factors
 
 
@@ -36,7 +36,7 @@ def random_factor(matrix, seed=0):
     """Factor in a random order, each unknown being a group."""
     n = matrix.shape[0]
     order = np.random.default_rng(seed).permutation(n)
-    return QuasiDefinite(matrix, matrix.diagonal() < 0, np.arange(n), order)
+    return QuasiDefiniteFactor(matrix, matrix.diagonal() < 0, np.arange(n), order)
 
 
 @pytest.mark.parametrize("columns", [(), (1,), (5,)])
@@ -59,7 +59,7 @@ def test_groups_of_unknowns_are_eliminated_together():
     nodes = 56
     group = np.r_[np.repeat(np.arange(nodes), 2), np.arange(nodes)]
     order = np.argsort(np.random.default_rng(2).permutation(nodes)[group], kind="stable")
-    factor = QuasiDefinite(matrix, matrix.diagonal() < 0, group, order)
+    factor = QuasiDefiniteFactor(matrix, matrix.diagonal() < 0, group, order)
     rhs = np.random.default_rng(1).standard_normal((matrix.shape[0], 2))
     assert factor.solve(rhs) == pytest.approx(spsolve(matrix, rhs), rel=1e-9, abs=1e-9)
 

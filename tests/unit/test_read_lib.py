@@ -3,17 +3,17 @@
 import pytest
 from support import (
     ContactForce,
-    Control,
     Deck,
     Header,
+    PidKeys,
     UsageError,
     declare_contact,
     declare_sphere,
-    pid_subcircuit,
+    make_pid_subcircuit,
     read_lib,
     with_parameters,
 )
-from support import declared_subcircuit as declared
+from support import make_declared_subcircuit as declared
 
 HEADER = Header("test", "0")
 CONTACT = declare_contact(
@@ -24,7 +24,7 @@ CONTACT = declare_contact(
 @pytest.mark.parametrize(
     "part",
     [
-        pid_subcircuit(HEADER, Control()),
+        make_pid_subcircuit(HEADER, PidKeys()),
         declared(HEADER, "sphere", declare_sphere(1e-5, 1e-3, 9.81), {}),
         declared(HEADER, "contact", CONTACT, {}),
     ],

@@ -638,7 +638,7 @@ def test_a_square_c_beside_m_and_k_is_damping_or_outputs_by_word_only(tmp_path):
     assert -lowest.real / omega == pytest.approx(ratio)
     seen = read_model(tmp_path / "m.npz", sidecar(tmp_path, 'outputs = "C"\n'))
     assert len(seen.outputs) == n
-    assert seen.pencil.undamped
+    assert seen.pencil.is_undamped
     both = sidecar(tmp_path, 'outputs = "C"\ndamping_matrix = "C"\n', "both.toml")
     refused(tmp_path / "m.npz", "outputs and damping_matrix are both C", side=both)
     side = sidecar(tmp_path, 'damping_matrix = "C"\n')
@@ -646,5 +646,5 @@ def test_a_square_c_beside_m_and_k_is_damping_or_outputs_by_word_only(tmp_path):
     refused(tmp_path / "e.npz", "no damping matrix of this name", side=side)
     with pytest.raises(UsageError, match="matrix C can be the damping matrix"):
         LinearModel(M=mass, C=C, K=stiff, B=load)
-    assert LinearModel(M=mass, C=C, K=stiff, B=load, rayleigh=(0, 0)).pencil.undamped
-    assert LinearModel(M=mass, C=np.eye(n), K=stiff, B=load).pencil.undamped
+    assert LinearModel(M=mass, C=C, K=stiff, B=load, rayleigh=(0, 0)).pencil.is_undamped
+    assert LinearModel(M=mass, C=np.eye(n), K=stiff, B=load).pencil.is_undamped

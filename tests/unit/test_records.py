@@ -11,12 +11,12 @@ from dataclasses import fields
 
 import pytest
 from support import (
-    Clock,
     ContactPair,
     DeclaredScene,
     GovernedScene,
     JoinedScene,
     PartType,
+    StageTimer,
     WiredScene,
     Workspace,
     load_part_types,
@@ -74,12 +74,12 @@ def test_loading_a_scene_calls_each_method_of_a_part_once(monkeypatch):
     scene = kc.load_scene("kick_and_catch")
     once = (
         "governed_parts",
-        "highest_frequency",
+        "make_frequency_estimator",
         "shared_data",
         "default_joins",
         "equilibrium_conditions",
         "numerics",
-        "reduction",
+        "choose_reduction",
         "pins",
     )
     assert {calls[method, part] for method in once for part in scene.parts} == {1}
@@ -131,7 +131,7 @@ def test_a_contact_has_one_pair_of_surfaces(monkeypatch, tmp_path):
 
 def cards_of(scene):
     """Cards of all files of a scene, with nets named after the first of their pins by name."""
-    build, deck = prepare_deck(scene, Clock())
+    build, deck = prepare_deck(scene, StageTimer())
     pins = collections.defaultdict(list)
     for pin, net in build.scene.nets.items():
         pins[net.lower()].append("_".join(pin).lower())
@@ -199,12 +199,12 @@ def test_threads_with_a_workspace_get_the_results_of_their_own_keys(monkeypatch)
     """Both have stored their results before either thread goes on."""
     workspace, both = Workspace(), threading.Barrier(2)
 
-    class Entries(dict):
+    class EntryScales(dict):
         def __setitem__(self, kind, entry):
             super().__setitem__(kind, entry)
             both.wait(10)
 
-    monkeypatch.setattr(workspace, "_entries", Entries())
+    monkeypatch.setattr(workspace, "_entries", EntryScales())
     with ThreadPoolExecutor(2) as pool:
         results = pool.map(lambda key: workspace.get_or_compute("kind", key, lambda: -key), (1, 2))
         assert [*results] == [-1, -2]

@@ -9,9 +9,9 @@ from support import (
     BalancedTruncation,
     BlockKrylov,
     RationalKrylov,
-    Task,
+    ReductionTask,
     UsageError,
-    _gramian_root,
+    _compute_gramian_root,
     build_intermediate_model,
     registry,
 )
@@ -34,7 +34,7 @@ def task_of(matrices, top, norm="peak", tolerance=1e-6):
     full = kc.LinearModel(**matrices)
     band = 0.0, top
     exact = build_intermediate_model(full.pencil, band, 1e-8, np.inf)
-    return Task.of(full, full.pencil, exact, band, norm, tolerance)
+    return ReductionTask.from_models(full, full.pencil, exact, band, norm, tolerance)
 
 
 @pytest.mark.parametrize("norm", ["pointwise", "peak"])
@@ -66,7 +66,7 @@ def test_balanced_truncation_is_between_its_bounds_by_hankel_singular_values():
     s = 1j * np.r_[0.0, np.geomspace(1e-4, 1e4, 4000)]
     exact = np.array([(C @ np.linalg.solve(p * np.eye(12) - A, B))[0, 0] for p in s])
     for order in (1, 2, 3, 5):
-        error = np.abs(basis.leading_model(order).transfer(s)[:, 0, 0] - exact).max()
+        error = np.abs(basis.get_response_of_order(order).transfer(s)[:, 0, 0] - exact).max()
         assert hankel[order] * (1 - 1e-6) <= error <= 2 * hankel[order:].sum() * (1 + 1e-6)
 
 
@@ -91,7 +91,7 @@ def test_block_krylov_matches_two_moments_for_each_block(blocks):
     matrices, top = chain()
     matrices = matrices | {"M": np.diag(np.linspace(1.0, 2.0, 40))}
     parts = matrices | {"E": None, "rayleigh": (0.0, 0.02)}
-    rom = BlockKrylov().basis(task_of(parts, top)).pencil.leading_model(2 * blocks)
+    rom = BlockKrylov().basis(task_of(parts, top)).pencil.truncate_to_order(2 * blocks)
 
     def moments(K, M, B, C):
         x = np.linalg.solve(K, B)
@@ -118,7 +118,7 @@ def test_rational_krylov_interpolates_value_and_slope_at_its_points():
         return B.T @ np.linalg.solve(K + s * E + s * s * M, B)
 
     static, point = 2 * 2, 2 * 4  # real vectors at zero and at a complex point of two ports
-    rom = basis.leading_model(static + point)
+    rom = basis.get_response_of_order(static + point)
     x = np.linalg.solve(K + end * E + end**2 * M, B)
     slope = -x.T @ (E + 2 * end * M) @ x
     step = 1e-5 * end
@@ -217,6 +217,6 @@ def test_roots_of_gramians_solve_the_lyapunov_equation(transposed):
     rng = np.random.default_rng(3)
     A = rng.standard_normal((150, 150)) - 30 * np.eye(150)
     T, Q = schur(A)[0], rng.standard_normal((150, 2))
-    root = _gramian_root(T, Q, transposed)
+    root = _compute_gramian_root(T, Q, transposed)
     exact = solve_continuous_lyapunov(T.T if transposed else T, -Q @ Q.T)
     assert np.abs(root @ root.T - exact).max() < 1e-12 * np.abs(exact).max()

@@ -11,12 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support import (
-    Build,
+    BuiltScene,
     Curve,
     Figure,
     PageSection,
     Panel,
     Waveforms,
+    add_results_and_sources,
     compute_metrics,
     describe_plan,
     format_operating_point,
@@ -26,7 +27,6 @@ from support import (
     format_value_and_limit,
     load_scene,
     render_figure,
-    resolve_build,
     write_page,
     write_pngs,
     write_run,
@@ -159,11 +159,11 @@ class Page(HTMLParser):
 def page(tmp_path_factory: pytest.TempPathFactory) -> Page:
     out = tmp_path_factory.mktemp("report")
     waves, scene = loop_waves(), load_scene("kick_and_catch", [])
-    found = compute_metrics(waves, resolve_build(Build(scene, {})))
+    found = compute_metrics(waves, add_results_and_sources(BuiltScene(scene, {})))
     result = {
         "metrics": found.values,
         "metric_units": found.units,
-        "plan": describe_plan(Build(scene, {})),
+        "plan": describe_plan(BuiltScene(scene, {})),
         "wall_s": {"mesh": 1.5, "simulate": 0.5},
         "simulator": {"name": "ngspice", "version": "39", "engine": "<batch>"},
         "steps": {"accepted": 1234, "rejected": 5},

@@ -4,7 +4,7 @@ import re
 from dataclasses import astuple
 
 import pytest
-from support import Rom, describe_devices, describe_target, format_quantity
+from support import RomKeys, describe_target, format_quantity, write_side_view_caption
 
 import kc2spice as kc
 
@@ -13,7 +13,7 @@ RING = {"conductor.inner": "20 mm"}
 
 def outline(overrides):
     scene = kc.load_scene("levitated_disc", overrides)
-    part = scene.part("conductor")
+    part = scene.get_part("conductor")
     return scene, [shape for shape in part.type.outline(part, scene) if shape.kind == "metal"]
 
 
@@ -21,7 +21,7 @@ def test_a_disc_is_drawn_at_its_start_position():
     scene, (disc,) = outline({})
     # 65 mm radius, 3 mm thickness, position 3.8 mm: the values of the scene's file
     assert astuple(disc)[:4] == pytest.approx((0.0, 3.8e-3, 0.13, 3e-3))
-    assert "conductor: disc of 130 mm" in describe_devices(scene)
+    assert "conductor: disc of 130 mm" in write_side_view_caption(scene)
 
 
 def test_a_ring_is_drawn_on_both_sides_of_its_hole():
@@ -31,7 +31,7 @@ def test_a_ring_is_drawn_on_both_sides_of_its_hole():
 
 
 def test_descriptions_have_prefixes():
-    text = describe_target(Rom(band=("0 Hz", "500 kHz")))
+    text = describe_target(RomKeys(band=("0 Hz", "500 kHz")))
     assert text.endswith("band 0 Hz … 500 kHz")
     scene = kc.load_scene("kick_and_catch")
     notes = []
@@ -53,7 +53,7 @@ def test_descriptions_have_prefixes():
 )
 def test_a_part_is_described_with_prefixes(scene, part, text):
     loaded = kc.load_scene(scene)
-    described = loaded.part(part)
+    described = loaded.get_part(part)
     notes = described.type.notes(described, loaded)
     assert text in next(note for note in notes if isinstance(note, str))
 

@@ -8,7 +8,7 @@ from scipy import io, sparse
 from support import (
     LinearModel,
     UsageError,
-    dialect_names,
+    list_dialect_names,
     read_model,
     read_rom,
     reduce_model,
@@ -88,7 +88,7 @@ def test_objects_are_never_unpickled(tmp_path):
 
 def test_models_beyond_memory_are_refused_before_work(tmp_path, monkeypatch):
     model = read_model(saved(tmp_path, chain()))
-    monkeypatch.setattr("kc2spice.linalg.factor.available_bytes", lambda: 1000.0)
+    monkeypatch.setattr("kc2spice.linalg.factor.find_available_bytes", lambda: 1000.0)
     with pytest.raises(UsageError, match="needs more memory"):
         reduce_model(model, band=(0.0, 0.1), tolerance=1e-3)
 
@@ -106,7 +106,7 @@ def test_command_line_reduces_and_exports(tmp_path, cli):
     assert found["passive"]
     ran = cli("export", "--rom", found["rom"], "-o", str(out), "--json")
     assert ran.exit_code == 0, ran.output
-    for dialect in dialect_names()[1:]:
+    for dialect in list_dialect_names()[1:]:
         other = ["export", "--rom", found["rom"], "-o", str(tmp_path / dialect), "--json"]
         ran = cli(*other, "--dialect", dialect)
         assert ran.exit_code == 0, ran.output

@@ -295,7 +295,7 @@ def test_pins_are_read_only_from_files_beside_the_scene(tmp_path):
     )
     (home / "s.toml").write_text(scene)
     (home / "own.lib").write_text(".include beside.lib\n")
-    assert load_scene(home / "s.toml").net("own", "a") == "0"
+    assert load_scene(home / "s.toml").get_net("own", "a") == "0"
     for elsewhere in ("../outside.lib", tmp_path / "outside.lib"):
         (home / "own.lib").write_text(f"* again\n.include {elsewhere}\n")
         with pytest.raises(UsageError, match="no such subcircuit"):

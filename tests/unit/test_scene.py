@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support import MAX_TEXT_BYTES, UsageError, list_all_keys, list_gallery, load_scene, scene_hash
+from support import (
+    MAX_TEXT_BYTES,
+    UsageError,
+    compute_scene_hash,
+    list_all_keys,
+    list_gallery,
+    load_scene,
+)
 
 import kc2spice as kc
 
@@ -204,7 +211,7 @@ def test_any_override_gives_a_scene_or_one_clear_error(overrides):
         assert error.where  # most values are refused, a few are fine
         assert len(str(error)) < 1500
     else:
-        assert len(scene_hash(scene)) == 16
+        assert len(compute_scene_hash(scene)) == 16
 
 
 def test_ranges_with_steps_below_rounding_are_rejected():

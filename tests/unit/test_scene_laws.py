@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import pytest
 from support import (
-    Build,
-    Clock,
+    BuiltScene,
+    StageTimer,
     build_models,
     get_scene_laws,
     ignore_progress,
@@ -49,13 +49,13 @@ def test_a_run_calls_the_law_of_each_part_once(analysis, monkeypatch):
 
 
 def test_a_build_carries_its_laws():
-    build = build_models(load_scene(LOW_PASS), Clock(ignore_progress))
+    build = build_models(load_scene(LOW_PASS), StageTimer(ignore_progress))
     assert get_scene_laws(build) is build.laws is get_scene_laws(build)
     assert get_scene_laws(build).networks is get_scene_laws(build).networks
 
 
 def test_laws_of_other_keys_or_models_are_made_again():
-    build = build_models(load_scene(LOW_PASS), Clock(ignore_progress))
+    build = build_models(load_scene(LOW_PASS), StageTimer(ignore_progress))
     other = load_scene(LOW_PASS, {"r.resistance": "2 kOhm"})
     changed = get_scene_laws(replace(build, scene=other))
     assert changed.build.scene is other
@@ -67,8 +67,8 @@ def test_networks_share_nothing_but_ground():
     two = {k: v for k, v in LOW_PASS.items() if k not in ("name", "analysis")}
     twin = {f"{k}_2": v for k, v in two.items()}
     twin["r_2"] = twin["r_2"] | {"pins": {"a": "drive_2.out", "b": "c_2.a"}}
-    laws = store_laws(Build(load_scene({**LOW_PASS, **twin}), {})).laws
-    names = [sorted(network.names) for network in laws.networks]
+    laws = store_laws(BuiltScene(load_scene({**LOW_PASS, **twin}), {})).laws
+    names = [sorted(network.law_names) for network in laws.networks]
     assert names == [["c", "drive", "r"], ["c_2", "drive_2", "r_2"]]
     assert not any(network.has_sources_only for network in laws.networks)
 

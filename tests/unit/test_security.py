@@ -21,13 +21,13 @@ from support import (
     explain_unsafe_name,
     load_scene,
     make_plain_name,
+    make_positive_parameter,
     parse_toml,
-    part_header,
-    positive_parameter,
     read_bounded,
     read_model,
     read_rom,
     write_files,
+    write_part_header,
     write_rom,
 )
 from typer.testing import CliRunner
@@ -175,9 +175,9 @@ def test_every_text_of_a_record_is_checked(place, evil, tmp_path):
 
 def test_headers_reject_line_breaks():
     with pytest.raises(UsageError, match="this unit contains a blank or a line break"):
-        part_header(Header("s", "h"), "t", (Pin("a", EVIL, "A"),), rating="none")
-    params = (Param("k", 2.0, "N/m", EVIL), positive_parameter("c", 1e-9, "F", "size"))
-    lines = part_header(Header(EVIL, "h"), "t", (Pin("a", "V", "A"),), params, rating="none")
+        write_part_header(Header("s", "h"), "t", (Pin("a", EVIL, "A"),), rating="none")
+    params = (Param("k", 2.0, "N/m", EVIL), make_positive_parameter("c", 1e-9, "F", "size"))
+    lines = write_part_header(Header(EVIL, "h"), "t", (Pin("a", "V", "A"),), params, rating="none")
     text = "\n".join(lines)
     assert all(line.startswith("* ") for line in text.splitlines())
     assert "* @param c=1e-09 unit=F range=1e-30..inf size" in lines

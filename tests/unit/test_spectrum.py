@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from scipy.integrate import cumulative_trapezoid
 from support import (
-    constant_waveform,
     find_energy_frequency,
     find_waveform_frequency,
     highest_frequency,
-    linear_waveform,
     load_scene,
-    pulse_waveform,
-    sine_waveform,
+    make_constant_waveform,
+    make_linear_waveform,
+    make_pulse_waveform,
+    make_sine_waveform,
 )
 
 # Each edge of height V leaves V^2 / (2 pi^2 F) above the frequency F.
@@ -20,12 +20,12 @@ BOTH_EDGES = 1e3 / np.pi**2
 
 @pytest.mark.parametrize("train", [{}, {"period": 4e-5}, {"period": 4e-5, "count": 3}])
 def test_a_rectangle_has_its_energy_below_101_over_its_width(train):
-    wave = pulse_waveform(0.0, 5.0, 1e-3, 1e-5, 1e-10, **train)
+    wave = make_pulse_waveform(0.0, 5.0, 1e-3, 1e-5, 1e-10, **train)
     assert find_waveform_frequency(wave, 5e-3) == pytest.approx(BOTH_EDGES / 1e-5, rel=0.05)
 
 
 def test_a_step_that_stays_has_one_edge():
-    wave = pulse_waveform(0.0, 5.0, 0.0, 1.0, 1e-9)
+    wave = make_pulse_waveform(0.0, 5.0, 0.0, 1.0, 1e-9)
     assert find_waveform_frequency(wave, 2e-3) == pytest.approx(BOTH_EDGES / 2 / 2e-3, rel=0.03)
 
 
@@ -33,7 +33,9 @@ def test_a_low_pass_absorbs_the_blocked_power():
     """A rectangle of the width w behind a time constant T has the spectrum ``sinc(f w)^2 / (1 +
     (2 pi f T)^2)``; ``exp(-t / T)`` the energy ``1 - (2 / pi) atan(2 pi F T)`` above F."""
     width, constant = 1e-6, 1e-5
-    found = find_waveform_frequency(pulse_waveform(0.0, 1.0, 0.0, width, 1e-10), 5e-3, constant)
+    found = find_waveform_frequency(
+        make_pulse_waveform(0.0, 1.0, 0.0, width, 1e-10), 5e-3, constant
+    )
 
     def density(f):
         return np.sinc(f * width) ** 2 / (1 + (2 * np.pi * f * constant) ** 2)
@@ -47,9 +49,9 @@ def test_a_low_pass_absorbs_the_blocked_power():
 
 
 def test_a_sine_has_its_frequency_and_a_constant_has_none():
-    assert find_waveform_frequency(sine_waveform(1.0, 7e3), 1.0) == 7e3
-    assert find_waveform_frequency(constant_waveform(3.0), 1.0) == 0.0
-    assert find_waveform_frequency(linear_waveform([(2.0, 0.0), (3.0, 1.0)]), 1.0) == 0.0
+    assert find_waveform_frequency(make_sine_waveform(1.0, 7e3), 1.0) == 7e3
+    assert find_waveform_frequency(make_constant_waveform(3.0), 1.0) == 0.0
+    assert find_waveform_frequency(make_linear_waveform([(2.0, 0.0), (3.0, 1.0)]), 1.0) == 0.0
 
 
 @pytest.mark.parametrize(

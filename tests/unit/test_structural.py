@@ -181,7 +181,7 @@ def test_a_ladder_of_real_poles_becomes_a_passive_model_of_first_order(kind):
     error = np.abs(rom.transfer(frequency)[:, 0, 0] - exact).max() / np.abs(exact).max()
     assert error <= rom.certificate.error_estimate <= 1e-4
     subcircuit(rom, "ladder")
-    parts = rom.pencil.dense().coefficients
+    parts = rom.pencil.make_dense().coefficients
     assert all(np.array_equal(P, P.T) for P in parts)
     assert all(np.linalg.eigvalsh(P)[0] > 0 for P in parts)
     heavy = LinearModel(M=np.eye(n), E=0.1 * np.eye(n), K=K, B=np.eye(n)[:, [0]], ports=ports)

@@ -136,7 +136,7 @@ def test_a_latin_hypercube_hits_every_stratum_of_every_key_once():
 )
 def test_parameters_of_subcircuits_share_a_netlist(sets, netlists):
     found = swept(*sets)
-    assert found.runs == {"netlists": netlists, "ngspice": found.plan.size}
+    assert found.run_counts == {"netlists": netlists, "ngspice": found.plan.size}
     assert f"{netlists} netlists, {found.plan.size} ngspice runs" in found.describe()
 
 

@@ -39,7 +39,7 @@ def opened(path, points=6, digest="d"):
 def filled(path, order=range(6)):
     with opened(path) as store:
         for index in order:
-            store.record(index, outcome(index))
+            store.write_row(index, outcome(index))
         return columns(store.outcomes, PLAN)
 
 
@@ -58,13 +58,13 @@ def test_rows_are_sorted_and_exact(tmp_path):
 
 def test_rows_are_there_again_and_the_last_of_a_point_counts(tmp_path):
     with opened(tmp_path / "rows", 3) as store:
-        store.record(0, PointResult({"x": 1.0}))
-        store.record(2, PointResult(failure="killed", interrupted=True))
+        store.write_row(0, PointResult({"x": 1.0}))
+        store.write_row(2, PointResult(failure="killed", interrupted=True))
     with opened(tmp_path / "rows", 3) as store:
         assert store.outcomes[0].metrics == {"x": 1.0}
         assert store.outcomes[2].interrupted
         assert store.failed == {2}
-        store.record(2, PointResult({"x": 5.0}))
+        store.write_row(2, PointResult({"x": 5.0}))
         assert not store.failed
     with opened(tmp_path / "rows", 3) as store:
         assert store.outcomes[2].metrics == {"x": 5.0}

@@ -42,7 +42,7 @@ def transient_file(path, time, value, head="time_s,temperature_k"):
     return path
 
 
-def step_response(resistance, constants, time):
+def compute_step_response(resistance, constants, time):
     """Sum of exponentials, written apart from the code under test."""
     total = np.zeros(len(time))
     for R, t in zip(resistance, constants, strict=True):
@@ -60,16 +60,18 @@ def test_random_networks_are_recovered_from_noise(seed):
     rng = np.random.default_rng([48, seed])
     resistance, constants = random_modes(rng)
     time = np.geomspace(1e-5, 20.0, 400)
-    exact = step_response(resistance, constants, time)
+    exact = compute_step_response(resistance, constants, time)
     noise = 10 ** rng.uniform(-4, -2) * exact[-1]
     value = 25.0 + exact + noise * rng.standard_normal(400)
     fit = fit_transient(StepSamples(time, value, np.ones(400), offset=True))
     assert (fit.network.resistance > 0).all()
     assert (fit.network.time_constant > 0).all()
     assert fit.noise == pytest.approx(noise, rel=0.15)
-    assert fit.rms < 1.15 * noise
+    assert fit.rms_residual < 1.15 * noise
     # 2 n + 1 parameters spread the noise over the response: rms noise sqrt((2 n + 1) / samples)
-    error = fit.start + step_response(fit.network.resistance, fit.network.time_constant, time)
+    error = fit.start + compute_step_response(
+        fit.network.resistance, fit.network.time_constant, time
+    )
     error -= 25.0 + exact
     count = 2 * len(fit.network.resistance) + 1
     assert np.sqrt(np.mean(error**2)) < 2.5 * noise * np.sqrt(count / 400)
@@ -84,7 +86,9 @@ def test_the_cooling_of_an_led_is_within_its_noise_at_samples_that_the_fit_does_
     network = fit.network
     assert (network.resistance > 0).all()
     assert (network.time_constant > 0).all()
-    others = fit.start + step_response(network.resistance, network.time_constant, time[1::2])
+    others = fit.start + compute_step_response(
+        network.resistance, network.time_constant, time[1::2]
+    )
     deviation = others - value[1::2]
     # one digit of the converter is 0.0092 K/W; the noise from differences is as large
     assert fit.noise == pytest.approx(0.0093, rel=0.1)
@@ -141,14 +145,14 @@ ZTH = FosterNetwork(np.array([0.05, 0.4, 1.5]), np.array([1e-4, 5e-3, 0.8]))
 )
 def test_a_table_of_the_thermal_impedance_is_described_to_each_value(tmp_path, head, factors):
     time = np.geomspace(1e-5, 10.0, 49)
-    columns = factors[0] * time, factors[1] * ZTH.step_response(time)
+    columns = factors[0] * time, factors[1] * ZTH.compute_step_response(time)
     path = transient_file(tmp_path / "sheet.csv", *columns, head)
     found = reduce_file(path, tmp_path / "out")
     assert found["quantity"] == "zth"
     assert found["norm"] == "pointwise"
     assert found["error_estimate"] < 1e-3
     model = read_rom(found["rom"])
-    assert model.transfer([0.0])[0, 0, 0].real == pytest.approx(ZTH.total, rel=1e-3)
+    assert model.transfer([0.0])[0, 0, 0].real == pytest.approx(ZTH.total_resistance, rel=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -163,7 +167,7 @@ def test_a_table_of_the_thermal_impedance_is_described_to_each_value(tmp_path, h
 )
 def test_every_layout_of_a_temperature_is_the_same_network(tmp_path, head, time, value):
     seconds = np.r_[-0.2, -0.1, np.geomspace(1e-5, 10.0, 99)]
-    rise = 2.0 * ZTH.step_response(seconds)
+    rise = 2.0 * ZTH.compute_step_response(seconds)
     path = transient_file(tmp_path / "step.csv", time * seconds, value(rise), head)
     if "\t" in head:
         path.write_text(path.read_text().replace(",", "\t"))
@@ -173,18 +177,18 @@ def test_every_layout_of_a_temperature_is_the_same_network(tmp_path, head, time,
     s = 2j * np.pi * f[:, None]
     exact = (ZTH.resistance / (1 + s * ZTH.time_constant)).sum(axis=1)
     deviation = read_rom(found["rom"]).transfer(f)[:, 0, 0] - exact
-    assert np.abs(deviation).max() < 1e-3 * ZTH.total
+    assert np.abs(deviation).max() < 1e-3 * ZTH.total_resistance
 
 
 def test_a_response_that_has_not_settled_warns(tmp_path):
     time = np.linspace(0.0, 0.3, 200)
-    path = transient_file(tmp_path / "short.csv", time, 300 + ZTH.step_response(time))
+    path = transient_file(tmp_path / "short.csv", time, 300 + ZTH.compute_step_response(time))
     found = reduce_file(path, tmp_path / "out", power=1.0)
     assert any("extrapolated" in text for text in found["warnings"])
 
 
 TIME = np.linspace(0.0, 5.0, 60)
-RISE = 300 + 2 * ZTH.step_response(TIME)
+RISE = 300 + 2 * ZTH.compute_step_response(TIME)
 
 
 @pytest.mark.parametrize(
@@ -207,11 +211,11 @@ RISE = 300 + 2 * ZTH.step_response(TIME)
             {"power": 2, "order": 3},
             "does not apply to a measured response",
         ),
-        ("time_s,temperature_k", TIME, RISE, {"power": 2, "network": "x"}, "no such form"),
+        ("time_s,temperature_k", TIME, RISE, {"power": 2, "network": "x"}, "this form of"),
         ("time_s,temperature_k", TIME - 10, RISE, {"power": 2}, "0 times after zero"),
         ("time_s,temperature_k", TIME, 0 * RISE + 300, {"power": 2}, "does not change"),
         ("time_s,speed_k", TIME, RISE, {"power": 2}, "neither a temperature nor a Zth"),
-        ("time_s,zth_k_w", TIME, RISE, {"power": 2}, "per watt"),
+        ("time_s,zth_k_w", TIME, RISE, {"power": 2}, "with a thermal impedance"),
         ("time_s,zth_k_w", TIME, -RISE, {"power": None}, "falls"),
     ],
 )

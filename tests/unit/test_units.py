@@ -6,7 +6,7 @@ from fractions import Fraction
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support import UsageError, quantity
+from support import UsageError, convert_quantity
 
 
 @pytest.mark.parametrize(
@@ -39,7 +39,7 @@ from support import UsageError, quantity
     ],
 )
 def test_converts_exactly(text, si, value):
-    assert quantity(text, si) == value
+    assert convert_quantity(text, si) == value
 
 
 @given(
@@ -51,7 +51,7 @@ def test_is_rounded_once(mantissa, prefix):
     name, exponent = prefix
     exact = Fraction(mantissa, 1000) * Fraction(10) ** exponent
     sign, digits = "-" if mantissa < 0 else "", f"{abs(mantissa):04d}"
-    assert quantity(f"{sign}{digits[:-3]}.{digits[-3:]} {name}V", "V") == float(exact)
+    assert convert_quantity(f"{sign}{digits[:-3]}.{digits[-3:]} {name}V", "V") == float(exact)
 
 
 @pytest.mark.parametrize(
@@ -76,7 +76,7 @@ def test_is_rounded_once(mantissa, prefix):
 )
 def test_refuses(value, si, message):
     with pytest.raises(UsageError, match=message) as error:
-        quantity(value, si, where="kick.side")
+        convert_quantity(value, si, where="kick.side")
     assert error.value.where == "kick.side"
     assert error.value.expected
     assert len(str(error.value)) < 1000
@@ -85,4 +85,4 @@ def test_refuses(value, si, message):
 @given(st.text(max_size=40))
 def test_never_fails_otherwise(text):
     with suppress(UsageError):
-        assert isinstance(quantity(text, "m"), float)
+        assert isinstance(convert_quantity(text, "m"), float)

@@ -16,7 +16,8 @@ LAMP = {
 def define_dialect(**members):
     """Return a dialect class with further or other members."""
     methods = {name: lambda self, *words: " ".join(words)
-               for name in ("switch", "scaled", "magnitude", "real_part")}  # fmt: skip
+               for name in ("switch", "format_derived_measure", "format_magnitude",
+                            "format_real_part")}  # fmt: skip
     return type("Own", (kc.Dialect,), {"dialect": "own", "title": "Own", **methods, **members})
 
 
@@ -27,10 +28,10 @@ def registered(monkeypatch):
 
 def test_an_element_may_add_a_parameter(tmp_path):
     def element(self, card):
-        text = kc.Dialect.element(self, card)
+        text = kc.Dialect.format_element(self, card)
         return f"{text} NOISE=0" if card.kind == "r" else text
 
-    kc.register_dialect(define_dialect(element=element))
+    kc.register_dialect(define_dialect(format_element=element))
     deck = kc.export(LAMP, tmp_path, dialect="own")[0].read_text()
     assert "\nRlamp drive_out 0 6.0 NOISE=0\n" in deck
     assert "\nVdrive drive_out 0 DC 12.0\n" in deck
@@ -38,11 +39,11 @@ def test_an_element_may_add_a_parameter(tmp_path):
 
 @pytest.mark.parametrize("returned", [None, "", 3])
 def test_an_element_without_text_is_an_error_at_its_card(returned, tmp_path):
-    kc.register_dialect(define_dialect(element=lambda self, card: returned))
+    kc.register_dialect(define_dialect(format_element=lambda self, card: returned))
     with pytest.raises(UsageError, match="writes no text for this card") as caught:
         kc.export(LAMP, tmp_path / "out", dialect="own")
     assert caught.value.where.startswith("lamp.cir:")
-    assert "element() returned" in caught.value.got
+    assert "format_element() returned" in caught.value.got
     assert "Vdrive" in caught.value.got
     assert not (tmp_path / "out").exists()
 
@@ -53,7 +54,7 @@ def test_an_element_without_text_is_an_error_at_its_card(returned, tmp_path):
         ({"title": kc.Dialect.title}, "set title = 'NAME OF THE SIMULATOR' in Own"),
         ({"dialect": ""}, "set dialect = 'NAME' in Own"),
         ({"dialect": "ngspice"}, "set dialect = 'NAME' in Own"),
-        ({"magnitude": kc.Dialect.magnitude}, "define magnitude"),
+        ({"format_magnitude": kc.Dialect.format_magnitude}, "define format_magnitude"),
     ],
 )
 def test_a_dialect_without_a_name_title_or_method_is_an_error(members, action):

@@ -6,10 +6,10 @@ from support import (
     Gate,
     Solution,
     Waveforms,
-    gate_difference,
+    compute_gate_difference,
+    compute_output_errors,
     list_gate_checks,
-    metric_errors,
-    output_errors,
+    list_metric_errors,
 )
 
 
@@ -27,7 +27,9 @@ def test_a_gate_of_several_waves_looks_at_each(wrong: str) -> None:
     exact = Waveforms({"y": np.arange(5.0)} | waves, {})
     ours = Waveforms(exact.data | {wrong: exact[wrong] + 0.03}, {})
     gate = Gate("force", "catch.force.*", {}, "largest")
-    assert gate_difference(gate, Solution(ours, {}), Solution(exact, {})) == pytest.approx(0.01)
+    assert compute_gate_difference(gate, Solution(ours, {}), Solution(exact, {})) == pytest.approx(
+        0.01
+    )
 
 
 @pytest.mark.parametrize("wrong", ["a>a", "a>b"])
@@ -35,7 +37,9 @@ def test_a_gate_of_a_response_looks_at_every_pair(wrong: str) -> None:
     exact = response(0.0, 0.0)
     ours = Waveforms(exact.data | {wrong: exact[wrong] * 1.01}, {})
     gate = Gate("response", "*>*", {}, "spectral")
-    assert gate_difference(gate, Solution(ours, {}), Solution(exact, {})) == pytest.approx(0.01)
+    assert compute_gate_difference(gate, Solution(ours, {}), Solution(exact, {})) == pytest.approx(
+        0.01
+    )
 
 
 def test_waves_of_unequal_points_are_compared_where_both_are() -> None:
@@ -44,18 +48,22 @@ def test_waves_of_unequal_points_are_compared_where_both_are() -> None:
     ours = {"time": t, "b.y": t**3, "b.v": 3 * t**2, "u": t**2, "c.y": t**2}
     s = np.array([0.5, 1.5, 3.0, 3.5, 3.75, 5.0])
     exact = {"time": s, "b.y": s**3, "b.v": 3 * s**2, "u": s**2, "c.y": s**2}
-    found = {e.output: e for e in output_errors("p", Waveforms(ours, {}), Waveforms(exact, {}))}
+    found = {
+        e.output: e for e in compute_output_errors("p", Waveforms(ours, {}), Waveforms(exact, {}))
+    }
     assert found["b.y"].largest < 1e-12  # a cubic is its own spline
     # at 1, 2 and 4 of ours: chords of s^2 from a to b lie above it by (s - a)(b - s)
     assert found["u"].largest == found["c.y"].largest == pytest.approx(0.5 / 16.25)
     power = (0.25**2 + 0.5**2) / 2 + (0.5**2 + 0.25**2), (1.25**2 + 4.5**2) / 2 + 4.5**2 + 16.25**2
     assert found["u"].rms == pytest.approx(np.sqrt(power[0] / power[1]))
-    swapped = output_errors("p", Waveforms(exact, {}), Waveforms(ours, {}))
+    swapped = compute_output_errors("p", Waveforms(exact, {}), Waveforms(ours, {}))
     (one,) = (e for e in swapped if e.output == "u")  # at the points of the coarser one
     assert one.largest == pytest.approx(0.5 / 16)
     assert one.rms == pytest.approx(np.sqrt(power[0] / ((1 + 4**2) / 2 + 4**2 + 16**2)))
     more = {k: v[:-1] for k, v in exact.items()}
-    back = {e.output: e for e in output_errors("p", Waveforms(exact, {}), Waveforms(more, {}))}
+    back = {
+        e.output: e for e in compute_output_errors("p", Waveforms(exact, {}), Waveforms(more, {}))
+    }
     assert all(e.largest < 1e-12 for e in back.values())
 
 
@@ -65,7 +73,7 @@ def test_the_error_of_a_metric_without_unit_is_relative_to_itself() -> None:
     ours = Solution(waves, {"coupling": 0.33, "least_ohm": 1e-4, "zero": 0.25})
     ohm = {"least_ohm": "Ohm"}
     exact = Solution(waves, {"coupling": 0.30, "least_ohm": 2e-4, "zero": 0.0}, ohm)
-    found = dict(metric_errors(ours, exact, units))
+    found = dict(list_metric_errors(ours, exact, units))
     assert found["coupling"] == pytest.approx(0.1)
     assert found["least_ohm"] == pytest.approx(1e-4 / 3e-3)  # a thousandth of the largest
     assert found["zero"] == 0.25

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from tables import power, print_table
 
-from kc2spice.core.prefix import format_quantity
+from kc2spice.core.si_prefix_format import format_quantity
 
 MEANING = {
     "start_help_s": "`kc2spice --help`",

@@ -12,17 +12,17 @@ from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.library import Header
 from kc2spice.parts.mechanics.sphere import SphereKeys, declare_sphere
 from kc2spice.physics.contact import ContactForce, declare_contact
-from kc2spice.physics.part import declared_subcircuit
+from kc2spice.physics.part import make_declared_subcircuit
 
 MASS, STIFFNESS, GRAVITY = SphereKeys().mass, 4e8, 9.81  # kg, N/m, m/s2
 SPEED, HEIGHT, LANDINGS = 0.01, 1e-7, 100  # m/s downwards, m
 STOP = (LANDINGS + 0.5) * (2 * SPEED / GRAVITY + np.pi * np.sqrt(MASS / STIFFNESS))
 HEADER = Header("bounces", "0")
-SPHERE = declared_subcircuit(
+SPHERE = make_declared_subcircuit(
     HEADER, "sphere", declare_sphere(MASS, 1e-3, GRAVITY, -SPEED, HEIGHT), {}
 )
 LAW = declare_contact(("ring0",), (0.0,), ContactForce(STIFFNESS))
-CONTACT = declared_subcircuit(HEADER, "contact", LAW, {})
+CONTACT = make_declared_subcircuit(HEADER, "contact", LAW, {})
 LAWS = {
     "max(0, depth)": f"Bcontact 0 v I={1e-6 * STIFFNESS}*max(0, -V(bottom))",
     "contact.lib": "Vplane ring0 0 0\nXcontact ring0 v bottom 0 contact",

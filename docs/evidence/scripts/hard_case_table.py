@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from hard_cases import cases_catch, cases_contact, cases_kick, cases_models  # noqa: F401
-from hard_cases.kit import TABLE, Bench
+from hard_cases.kit import TABLE, BenchKeys
 from tables import power, print_table
 
 from kc2spice.core.errors import Kc2spiceError
@@ -21,7 +21,7 @@ def row(entry: str, name: str, what: str, limit: float, measure: Callable) -> li
     begin = time.process_time()
     with tempfile.TemporaryDirectory() as folder:
         try:
-            error = float(measure(Bench(Path(folder))))
+            error = float(measure(BenchKeys(Path(folder))))
         except Kc2spiceError as refusal:
             cells = ["", "", f"refused: {refusal.message}"]
         else:

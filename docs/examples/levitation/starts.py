@@ -17,7 +17,7 @@ from scipy.optimize import brentq
 
 import kc2spice as kc
 from kc2spice.fem.magnet_rings import Winding, divide_section
-from kc2spice.parts.magnetics.moving_conductor import turning_points
+from kc2spice.parts.magnetics.moving_conductor import find_turning_points
 
 ROOT = Path(__file__).parents[3]
 SCENE = tomllib.loads((ROOT / "kc2spice/scenes/levitated_disc.toml").read_text("utf-8"))
@@ -106,7 +106,7 @@ if __name__ == "__main__":
     print("| start | turn 1 | turn 2 | turn 3 | turn 5 | rms |\n|---|---|---|---|---|---|")
     for label, shape in STARTS.items():
         t, y = path(**shape)
-        found = turning_points(t, y)
+        found = find_turning_points(t, y)
         off = 1e3 * np.sqrt(np.mean((np.interp(MEASURED[:, 0], t, y) - MEASURED[:, 1]) ** 2))
         cells = [f"{1e3 * h:.1f} mm at {1e3 * at:.0f} ms" for at, h in (*found[:3], found[4])]
         print(f"| {label} | {' | '.join(cells)} | {off:.2f} mm |", flush=True)

@@ -12,15 +12,15 @@ from pathlib import Path
 
 import numpy as np
 
-from kc2spice.bodies.readers import codes, raw
+from kc2spice.bodies.readers import program_formats, raw_matrices
 from kc2spice.bodies.readers import sidecar as _sidecar
-from kc2spice.bodies.readers.assemble import Rows, assemble_model
+from kc2spice.bodies.readers.assemble import LabelledMatrices, assemble_model
 from kc2spice.bodies.readers.mesh import read_nodes
 from kc2spice.bodies.readers.parameters import get_default_values, make_model_parameter, make_term
 from kc2spice.bodies.readers.sidecar import Sidecar, TermEntry, read_sidecar
 from kc2spice.core.errors import UsageError, wrong
 from kc2spice.rom.affine import AffineModel, AffineTerm, sum_affine_terms
-from kc2spice.rom.io import MARKET_BANNER, parse_numbers, read_market
+from kc2spice.rom.io import MARKET_BANNER, parse_matrix_market, parse_numbers
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.pencil import Matrix
 
@@ -135,7 +135,7 @@ def read_any_model(
     If the TOML file contains parameters, the model is the same as in :func:`read_affine_model`,
     otherwise as in :func:`read_model`.
     """
-    rows, terms = _read_rows(path, sidecar)
+    rows, terms = _read_matrix_terms(path, sidecar)
     settings = rows.sidecar
     model = _assemble_at(rows, terms, get_default_values(settings))
     if not settings.parameters:
@@ -147,7 +147,9 @@ def read_any_model(
     )
 
 
-def _assemble_at(rows: Rows, terms: list[AffineTerm], values: Mapping[str, float]) -> LinearModel:
+def _assemble_at(
+    rows: LabelledMatrices, terms: list[AffineTerm], values: Mapping[str, float]
+) -> LinearModel:
     """Return the full-order model for the given values of its parameters.
 
     Each matrix of the model is the sum of its constant part and its terms.
@@ -155,7 +157,9 @@ def _assemble_at(rows: Rows, terms: list[AffineTerm], values: Mapping[str, float
     return assemble_model(replace(rows, matrices=sum_affine_terms(rows.matrices, terms, values)))
 
 
-def _read_rows(path: Path | str, sidecar: Path | str | None) -> tuple[Rows, list[AffineTerm]]:
+def _read_matrix_terms(
+    path: Path | str, sidecar: Path | str | None
+) -> tuple[LabelledMatrices, list[AffineTerm]]:
     """Read the constant matrices of a model, and its terms that depend on parameters."""
     if not isinstance(path, (str, Path)):
         raise UsageError(
@@ -167,7 +171,7 @@ def _read_rows(path: Path | str, sidecar: Path | str | None) -> tuple[Rows, list
         )
     path, sidecar = Path(path), None if sidecar is None else Path(sidecar)
     if "\0" in str(path):
-        raw.require_file(path)  # this call raises the error for a missing file
+        raw_matrices.require_file(path)  # this call raises the error for a missing file
     if not path.name:
         expected = "the name of a model, such as FOLDER/NAME"
         raise UsageError(
@@ -180,25 +184,30 @@ def _read_rows(path: Path | str, sidecar: Path | str | None) -> tuple[Rows, list
     path = files.pop(_SINGLE_FILE, path)  # the user may write NAME for the file NAME.npz
     result = _read_files(path, {**files, **settings.files}, settings.matrices)
     sound = {
-        k: raw.require_matrix(m, k, result.files.get(k, path)) for k, m in result.matrices.items()
+        k: raw_matrices.require_matrix(m, k, result.files.get(k, path))
+        for k, m in result.matrices.items()
     }
     if settings.dofs is not None:
-        dofs = raw.parse_file(settings.dofs, "lines 'node,dof', one for each row", _parse_row_dofs)
+        dofs = raw_matrices.parse_file(
+            settings.dofs, "lines 'node,dof', one for each row", _parse_row_dofs
+        )
         result = replace(result, dofs=dofs)
     terms = []
     for number, entry in enumerate(settings.terms):
-        matrix = _read_term(entry, path, result, f"{settings.where}: terms[{number}]")
+        matrix = _read_term(entry, path, result, f"{settings.file_path}: terms[{number}]")
         if matrix is None:
             if entry.matrix not in sound:
-                where = f"{settings.where}: terms[{number}]"
+                where = f"{settings.file_path}: terms[{number}]"
                 hint = "add the key file or name, or the matrix to the model"
                 raise wrong(where, f"the model has no matrix {entry.matrix}", hint=hint)
             matrix = sound.pop(entry.matrix)
         terms.append(make_term(settings, number, matrix))
-    return Rows(base.name, str(path), settings, result, sound), terms
+    return LabelledMatrices(base.name, str(path), settings, result, sound), terms
 
 
-def _read_term(entry: TermEntry, path: Path, model: raw.Raw, where: str) -> Matrix | None:
+def _read_term(
+    entry: TermEntry, path: Path, model: raw_matrices.RawMatrices, where: str
+) -> Matrix | None:
     """Read the matrix of a term from its file.
 
     Return None if the term has neither file nor matrix name. The factor of such a term multiplies
@@ -226,7 +235,7 @@ def _read_term(entry: TermEntry, path: Path, model: raw.Raw, where: str) -> Matr
         hint = f"name matrix {letter} in {file.name}, or write the letter of a matrix that it has"
         raise wrong(where, f"the file has no matrix {letter}", file.name, f"matrix {letter}", hint)
     rows, others = model.dofs, term.dofs
-    if rows and others and not np.array_equal(rows.keys(), others.keys()):
+    if rows and others and not np.array_equal(rows.encode_rows(), others.encode_rows()):
         expected = "the degrees of freedom of the model, in the same order"
         raise wrong(
             where,
@@ -235,7 +244,7 @@ def _read_term(entry: TermEntry, path: Path, model: raw.Raw, where: str) -> Matr
             expected,
             f"export {file.name} from the same mesh and numbering as the model",
         )
-    return raw.require_matrix(term.matrices[letter], letter, file)
+    return raw_matrices.require_matrix(term.matrices[letter], letter, file)
 
 
 def measure_mesh_extent(path: Path, sidecar: Path | None) -> np.ndarray | None:
@@ -266,20 +275,26 @@ _ARRAYS_EXPECTED = (
     "an archive by numpy.savez(FILE, M=M, K=K, B=B); a scipy.sparse K as K.data, K.indices, "
     "K.indptr, K.shape and K.format, or in a file of its own, NAME.K.mtx, by scipy.io.mmwrite"
 )
-_JOB_EXPECTED = f"{', '.join(codes.SUFFIXES)} of one job"
+_JOB_EXPECTED = f"{', '.join(program_formats.SUFFIXES)} of one job"
 NAMED_FORMATS = (".npz", ".op4", ".pch")  # formats that contain names of matrices
 # Description and reader of each format with all matrices in one file, keyed by file extension.
 # The second argument of a reader is the mapping `matrices` in the TOML file.
 # The mapping `matrices` contains the names of the matrices inside the file.
-READERS: Mapping[str, tuple[str, Callable[[Path, Mapping[str, str]], raw.Raw]]] = {
-    ".npz": (_ARRAYS_EXPECTED, raw.read_matrix_archive),
-    ".mat": (_MATLAB_EXPECTED, raw.make_unpacker(raw.unpack_matlab)),
-    ".full": ("a symmetric .full file of Ansys", raw.make_unpacker(codes.unpack_full)),
-    ".op4": ("a Nastran OUTPUT4 file", raw.make_unpacker(codes.unpack_op4)),
-    **dict.fromkeys(codes.SUFFIXES, (_JOB_EXPECTED, codes.read_calculix)),
+READERS: Mapping[str, tuple[str, Callable[[Path, Mapping[str, str]], raw_matrices.RawMatrices]]] = {
+    ".npz": (_ARRAYS_EXPECTED, raw_matrices.read_matrix_archive),
+    ".mat": (_MATLAB_EXPECTED, raw_matrices.make_isolated_reader(raw_matrices.unpack_matlab)),
+    ".full": (
+        "a symmetric .full file of Ansys",
+        raw_matrices.make_isolated_reader(program_formats.unpack_ansys_full),
+    ),
+    ".op4": (
+        "a Nastran OUTPUT4 file",
+        raw_matrices.make_isolated_reader(program_formats.unpack_op4),
+    ),
+    **dict.fromkeys(program_formats.SUFFIXES, (_JOB_EXPECTED, program_formats.read_calculix)),
     **dict.fromkeys(
         (".pch", ".pch1", ".bdf", ".dat", ".nas", ".dmig"),
-        ("a punch file of Nastran", codes.read_dmig),
+        ("a punch file of Nastran", program_formats.read_dmig),
     ),
 }
 
@@ -318,38 +333,38 @@ def locate_model(path: Path, sidecar: Path | None) -> tuple[Path, dict[str, Path
     ------
     UsageError : the TOML file contains an error.
     """
-    base, files = _find_files(path)
+    base, files = _find_matrix_files(path)
     default = path if path.suffix == ".toml" else base.with_name(f"{base.name}.toml")
     selected, required = sidecar or default, sidecar is not None or path.suffix == ".toml"
-    settings = read_sidecar(selected) if required or raw.is_file(default) else Sidecar()
+    settings = read_sidecar(selected) if required or raw_matrices.is_file(default) else Sidecar()
     return base, files, selected, settings
 
 
-def _find_files(path: Path) -> tuple[Path, dict[str, Path]]:
-    """Find the files of a model that contain one matrix each.
+def _find_matrix_files(path: Path) -> tuple[Path, dict[str, Path]]:
+    """Find the matrix files of a model, each of which contains one matrix.
 
     Return the path of the model without file extension, and the files keyed by letter.
     """
-    job = codes.find_abaqus_files(path)
+    job = program_formats.find_abaqus_files(path)
     if job:
-        match = codes.ABAQUS_NAME.fullmatch(path.name)
+        match = program_formats.ABAQUS_NAME.fullmatch(path.name)
         assert match is not None  # find_abaqus_files() has checked the form of the name
         return path.with_name(match[1]), job
     if path.suffix == ".toml":
         return path.with_suffix(""), {}
     match = _MATRIX_FILE.fullmatch(path.name)  # the user may write NAME.K for NAME.K.mtx
-    if match is not None and not raw.is_file(path):
+    if match is not None and not raw_matrices.is_file(path):
         tails = () if match[4] else _MATRIX_SUFFIXES[1:]
-        if not any(raw.is_file(path.with_name(path.name + tail)) for tail in tails):
+        if not any(raw_matrices.is_file(path.with_name(path.name + tail)) for tail in tails):
             match = None
     base = path.with_name(match[1]) if match else path
     separators = (match[2],) if match else (".", "_")
     result: dict[str, Path] = {}
-    for letter in raw.LETTERS:
+    for letter in raw_matrices.LETTERS:
         candidates = list(map("".join, product((base.name,), separators, letter, _MATRIX_SUFFIXES)))
         if "_" in separators:  # a file NAME_K is a matrix file only with a file extension
             candidates.remove(f"{base.name}_{letter}")
-        fits = list(filter(raw.is_file, map(base.with_name, candidates)))
+        fits = list(filter(raw_matrices.is_file, map(base.with_name, candidates)))
         if len(fits) > 1:
             problem = f"matrix {letter} is in two files"
             names = ", ".join(map(attrgetter("name"), fits))
@@ -360,16 +375,18 @@ def _find_files(path: Path) -> tuple[Path, dict[str, Path]]:
     if result:
         return base, result
     archives = [path.with_name(f"{path.name}{suffix}") for suffix in READERS]
-    archives = [] if raw.is_file(path) else list(filter(raw.is_file, archives))
+    archives = [] if raw_matrices.is_file(path) else list(filter(raw_matrices.is_file, archives))
     if len(archives) > 1:
         got = ", ".join(map(attrgetter("name"), archives))
         hint = f"give the full name, such as {archives[0].name}"
         raise wrong(str(path), "several model files have this name", got, "one file", hint)
     archive = dict.fromkeys([_SINGLE_FILE], archives[0]) if archives else {}
-    return (path.with_suffix("") if raw.is_file(path) else path), archive
+    return (path.with_suffix("") if raw_matrices.is_file(path) else path), archive
 
 
-def _read_files(path: Path, files: dict[str, Path], requested: Mapping[str, str]) -> raw.Raw:
+def _read_files(
+    path: Path, files: dict[str, Path], requested: Mapping[str, str]
+) -> raw_matrices.RawMatrices:
     """Read the matrices of a model without any conversion.
 
     ``files`` contains a file for each matrix. If ``files`` is empty, ``path`` contains all
@@ -378,9 +395,9 @@ def _read_files(path: Path, files: dict[str, Path], requested: Mapping[str, str]
     suffix = path.suffix.lower()
     if files:
         return _read_matrices(files)
-    if not raw.is_file(path) or suffix == ".toml":
-        if not raw.is_file(path) and suffix:
-            raise raw.make_missing_error(
+    if not raw_matrices.is_file(path) or suffix == ".toml":
+        if not raw_matrices.is_file(path) and suffix:
+            raise raw_matrices.make_missing_error(
                 path, "a model: kc2spice reduce --help lists the kinds of files"
             )
         if path.is_dir():
@@ -396,58 +413,66 @@ def _read_files(path: Path, files: dict[str, Path], requested: Mapping[str, str]
     if suffix not in READERS:
         hint = 'or name the files in NAME.toml: files = { K = "...", M = "..." }'
         got = "a file whose name does not end with the letter of a matrix"
-        raise raw.make_unusable_error(
+        raise raw_matrices.make_unusable_error(
             path, got, "names such as NAME.K, NAME_K.mtx or JOB_STIF1.mtx", hint
         )
     expected, read = READERS[suffix]
-    return raw.call_reader(path, expected, lambda: read(path, requested))
+    return raw_matrices.call_reader(path, expected, lambda: read(path, requested))
 
 
-def _read_matrices(files: dict[str, Path]) -> raw.Raw:
+def _read_matrices(files: dict[str, Path]) -> raw_matrices.RawMatrices:
     """Read one matrix from each file in the Matrix Market, Harwell-Boeing or Abaqus format."""
     result: dict[str, Matrix] = {}
     tables: dict[str, Path] = {}
     mapped: list[Path] = []
     for letter, path in files.items():
         head = _read_head(path)
-        allowed = partial(raw.require_size, path, letter)
+        allowed = partial(raw_matrices.require_size, path, letter)
         if head[: len(MARKET_BANNER)].lower() == MARKET_BANNER:
             expected = "a Matrix Market file, 'coordinate' or 'array', not 'pattern' or 'hermitian'"
-            result[letter] = raw.parse_file(path, expected, partial(read_market, allowed=allowed))
-        elif codes.is_harwell_boeing(head):
-            read = partial(codes.read_harwell_boeing, allowed=allowed)
-            result[letter] = raw.parse_file(path, codes.HARWELL_BOEING_EXPECTED, read)
+            result[letter] = raw_matrices.parse_file(
+                path, expected, partial(parse_matrix_market, allowed=allowed)
+            )
+        elif program_formats.is_harwell_boeing(head):
+            read = partial(program_formats.read_harwell_boeing, allowed=allowed)
+            result[letter] = raw_matrices.parse_file(
+                path, program_formats.HARWELL_BOEING_EXPECTED, read
+            )
             mapped += map(path.with_suffix, (".mapping", ".MAPPING"))
         elif (
-            letter in f"MEK{codes.LOSS_LETTER}" and path.suffix.lower() == ".mtx"
+            letter in f"MEK{program_formats.LOSS_LETTER}" and path.suffix.lower() == ".mtx"
         ):  # matrix file of Abaqus
             tables[letter] = path
         else:
             expected = "Matrix Market, Harwell-Boeing, or an .mtx file of Abaqus"
             hint = f"save matrix {letter} as Matrix Market, such as by scipy.io.mmwrite"
             got = f"matrix {letter} in an unknown format"
-            raise raw.make_unusable_error(path, got, expected, hint)
-    abaqus = raw.Raw({})
+            raise raw_matrices.make_unusable_error(path, got, expected, hint)
+    abaqus = raw_matrices.RawMatrices({})
     if tables:
         one = next(iter(tables.values()))
         expected = "stiffness, mass and damping of one job"
-        abaqus = raw.call_reader(one, expected, lambda: codes.read_abaqus(tables))
+        abaqus = raw_matrices.call_reader(
+            one, expected, lambda: program_formats.read_abaqus(tables)
+        )
     result |= abaqus.matrices
-    dofs, names = abaqus.dofs, list(filter(raw.is_file, mapped))
+    dofs, names = abaqus.dofs, list(filter(raw_matrices.is_file, mapped))
     if names and dofs is None:
         size = next(m.shape[0] for k, m in result.items() if k in "MEKA")
         expected = f"lines of equation, node and degree of freedom for {size} equations"
-        dofs = raw.parse_file(names[0], expected, partial(codes.read_mapping, size=size))
-    return raw.Raw(result, dofs, abaqus.fixed, files)
+        dofs = raw_matrices.parse_file(
+            names[0], expected, partial(program_formats.read_mapping, size=size)
+        )
+    return raw_matrices.RawMatrices(result, dofs, abaqus.fixed, files)
 
 
 def _read_head(path: Path) -> bytes:
     """Return the first 2000 bytes of a file, without a byte-order mark."""
-    with raw.require_file(path).open("rb") as stream:
+    with raw_matrices.require_file(path).open("rb") as stream:
         return stream.read(2000).removeprefix(b"\xef\xbb\xbf")
 
 
-def _parse_row_dofs(data: bytes) -> raw.Dofs:
+def _parse_row_dofs(data: bytes) -> raw_matrices.Dofs:
     """Parse the nodes and the degrees of freedom of matrix rows.
 
     The data contain a line ``node, degree of freedom`` for each row.
@@ -455,4 +480,4 @@ def _parse_row_dofs(data: bytes) -> raw.Dofs:
     values = parse_numbers(data)
     if values.size == 0 or values.size % 2:
         raise ValueError(f"expected an even number of values (node, dof), got {values.size}")
-    return raw.Dofs(*values.reshape(-1, 2).T)
+    return raw_matrices.Dofs(*values.reshape(-1, 2).T)

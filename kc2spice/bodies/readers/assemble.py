@@ -16,14 +16,14 @@ import numpy as np
 from scipy import sparse
 
 from kc2spice.bodies.readers.mesh import read_nodes
-from kc2spice.bodies.readers.raw import (
+from kc2spice.bodies.readers.raw_matrices import (
     DOFS,
     MAX_NARROW_ENTRIES,
     ROTATIONS,
     TRANSLATIONS,
     VOLT,
     Dofs,
-    Raw,
+    RawMatrices,
 )
 from kc2spice.bodies.readers.sidecar import (
     FORCE_UNITS,
@@ -47,7 +47,7 @@ from kc2spice.rom.pencil import Matrix
 IMAGINARY_ROUNDING = 1e-12
 
 
-def assemble_model(rows: Rows) -> LinearModel:
+def assemble_model(rows: LabelledMatrices) -> LinearModel:
     """Assemble the linear model of ``rows`` in SI units, with the ports in its TOML file.
 
     Raises
@@ -55,7 +55,7 @@ def assemble_model(rows: Rows) -> LinearModel:
     UsageError : a matrix is missing, superfluous, zero, incomplete or of the wrong shape, or a
         degree of freedom or node does not exist. The message contains the file and the key.
     """
-    rows = replace(rows, matrices=_match_letters(rows))
+    rows = replace(rows, matrices=_rename_damping_matrix(rows))
     rows = replace(rows, matrices=_complete_matrices(rows))
     rows = replace(rows, matrices=rows.convert_to_si())
     if any(entry.kind == ELECTRICAL.port and entry.selects_nodes for entry in rows.sidecar.ports):
@@ -63,7 +63,7 @@ def assemble_model(rows: Rows) -> LinearModel:
     return _assemble_mechanical(rows)
 
 
-def _match_letters(rows: Rows) -> Mapping[str, Matrix]:
+def _rename_damping_matrix(rows: LabelledMatrices) -> Mapping[str, Matrix]:
     """Rename a damping matrix C to E, because C denotes the output matrix in this package.
 
     A square C beside M and K may be the damping matrix or the output matrix. An error is raised if
@@ -72,7 +72,7 @@ def _match_letters(rows: Rows) -> Mapping[str, Matrix]:
     matrices, settings = rows.matrices, rows.sidecar
     C, K = matrices.get("C"), matrices.get("K")
     if settings.damping_matrix == "C":
-        where = f"{settings.where}: damping_matrix"
+        where = f"{settings.file_path}: damping_matrix"
         if C is None or not {"M", "K"} <= set(matrices) or "E" in matrices:
             got = f"matrices {', '.join(sorted(matrices))}"
             raise wrong(
@@ -93,7 +93,7 @@ def _match_letters(rows: Rows) -> Mapping[str, Matrix]:
             f"a square C of {K.shape[0]} rows beside M and K",  # type: ignore[union-attr]
             "a damping matrix with the name E, or one row of C for each output",
             f'write damping_matrix = "C" into {rows.name}.toml, or outputs = "C" if every unknown '
-            "is an output; or call the damping matrix E",
+            "is an output",
         )
     if square and C.shape[0] ** 2 > MAX_NARROW_ENTRIES:  # type: ignore[union-attr]
         got = f"{C.shape[0]} outputs"  # type: ignore[union-attr]
@@ -110,7 +110,7 @@ def _match_letters(rows: Rows) -> Mapping[str, Matrix]:
     return matrices
 
 
-def _complete_matrices(rows: Rows) -> Mapping[str, Matrix]:
+def _complete_matrices(rows: LabelledMatrices) -> Mapping[str, Matrix]:
     """Return all matrices of the model, keyed by letter, and check that their shapes match.
 
     A model without M is a first-order model, such as heat conduction ``E x' + K x = B u``. If a
@@ -143,7 +143,7 @@ def _complete_matrices(rows: Rows) -> Mapping[str, Matrix]:
     symmetric, square = rows.sidecar.symmetric, _select_square_matrices(result)
     halves = [k for k, matrix in square.items() if stores_one_triangle(matrix)]
     if symmetric is None and halves:
-        hint = f"in {rows.name}.toml: symmetric = true for halves, false if it is triangular"
+        hint = f"write symmetric = true into {rows.name}.toml, or false for triangular matrices"
         problem = "the file contains only one triangle, but its header states 'general'"
         raise wrong(rows.where, problem, f"matrix {', '.join(halves)}", "the whole matrix", hint)
     if symmetric:
@@ -151,7 +151,7 @@ def _complete_matrices(rows: Rows) -> Mapping[str, Matrix]:
             square[letter] = complete_triangle(square[letter])
     for letter, matrix in square.items():
         if symmetric and abs(matrix - matrix.T).max() > 1e-9 * abs(matrix).max():
-            expected = f"symmetric matrices, as stated in {rows.sidecar.where}"
+            expected = f"symmetric matrices, as stated in {rows.sidecar.file_path}"
             hint = f"write  symmetric = false  into {rows.name}.toml"
             raise wrong(
                 rows.where, f"matrix {letter} is not symmetric", expected=expected, hint=hint
@@ -174,7 +174,7 @@ def _select_entries(matrix: Matrix, keep: np.ndarray) -> Matrix:
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class LabelledMatrices:
     """Matrices of a model, with the node and the degree of freedom of each row.
 
     ``raw`` is the content of the matrix files. ``sidecar`` is the content of the TOML file: units,
@@ -185,7 +185,7 @@ class Rows:
     name: str
     where: str
     sidecar: Sidecar
-    raw: Raw
+    raw: RawMatrices
     matrices: Mapping[str, Matrix]
 
     # --- degrees of freedom ---
@@ -195,7 +195,7 @@ class Rows:
         """Number of rows of the square matrices."""
         return int(self.matrices["K" if "K" in self.matrices else "A"].shape[0])
 
-    def dofs(self, where: str) -> Dofs:
+    def get_row_dofs(self, where: str) -> Dofs:
         """Return the node and the degree of freedom of each matrix row.
 
         ``where`` is the table of the TOML file that needs the nodes, for error messages.
@@ -219,25 +219,25 @@ class Rows:
             )
         return dofs
 
-    def find(self, place: NodeSelection, kinds: tuple[int, ...]) -> list[np.ndarray]:
+    def find_rows(self, place: NodeSelection, kinds: tuple[int, ...]) -> list[np.ndarray]:
         """Find the matrix rows of the degrees of freedom at the nodes that ``place`` selects.
 
         Return an array of row numbers for each degree of freedom in ``kinds``. If ``kinds`` is
         empty, return one array with the rows of all degrees of freedom at these nodes.
         """
-        where = self.sidecar.of(place)
-        dofs, mesh = self.dofs(where), self.sidecar.mesh
-        if place.numbers:
-            nodes = np.unique(np.array(place.numbers, dtype=np.int64))
+        where = self.sidecar.locate_entry(place)
+        dofs, mesh = self.get_row_dofs(where), self.sidecar.mesh
+        if place.node_numbers:
+            nodes = np.unique(np.array(place.node_numbers, dtype=np.int64))
         elif mesh is None:
             expected = 'mesh = "FILE" with nodes and node sets in the TOML file'
             hint = 'add  mesh = "FILE"  to the TOML file'
             raise wrong(where, "the keys `nodeset` and `at` need a mesh", None, expected, hint)
         elif place.nodeset is not None:
-            nodes = read_nodes(mesh).nodeset(place.nodeset, where)
+            nodes = read_nodes(mesh).get_node_set(place.nodeset, where)
         else:
             assert place.at is not None
-            nodes = np.array([read_nodes(mesh).nearest(place.at, place.within, where)])
+            nodes = np.array([read_nodes(mesh).find_nearest_node(place.at, place.within, where)])
         here = np.isin(dofs.node, nodes)
         missing = nodes[~np.isin(nodes, dofs.node)]
         if len(missing) == len(nodes) or (missing.size and not isinstance(place, PortEntry)):
@@ -268,8 +268,8 @@ class Rows:
         length, force = LENGTH_UNITS[settings.length], FORCE_UNITS[settings.force]
         if length == force == 1:
             return self.matrices
-        where = f"{settings.where}: length"
-        kind = self.dofs(where).kind
+        where = f"{settings.file_path}: length"
+        kind = self.get_row_dofs(where).kind
         strange = np.setdiff1d(kind, TRANSLATIONS + ROTATIONS)
         if strange.size or "A" in self.matrices or "B" in self.matrices:
             got = DOFS[int(strange[0])] if strange.size else "A or B"
@@ -284,7 +284,7 @@ class Rows:
         t = sparse.diags_array(np.where(np.isin(kind, TRANSLATIONS), 1 / length, 1.0))
         return {k: sparse.csc_array(force * length * (t @ m @ t)) for k, m in self.matrices.items()}
 
-    def fixed(self) -> np.ndarray:
+    def mask_fixed_rows(self) -> np.ndarray:
         """Return a mask of the matrix rows whose degrees of freedom are fixed.
 
         Degrees of freedom can be fixed in the matrix files and in the TOML file.
@@ -292,32 +292,32 @@ class Rows:
         fixed_rows = np.zeros(self.size, dtype=bool)
         fixed_rows[self.raw.fixed] = True
         for fixed in self.sidecar.fixed:
-            fixed_rows[np.concatenate(self.find(fixed, fixed.dof))] = True
+            fixed_rows[np.concatenate(self.find_rows(fixed, fixed.dof))] = True
         return fixed_rows
 
     # --- ports ------------------------------------------------------------------------------------
 
-    def load(self, entry: PortEntry) -> np.ndarray:
+    def make_port_vector(self, entry: PortEntry) -> np.ndarray:
         """Return the column of B for an input or a conservative port, or the row of C of an output.
 
         The returned vector has one value for each matrix row.
         """
         if entry.column is not None or entry.row is not None:
             return self._select_load(entry)
-        where, load = self.sidecar.of(entry), np.zeros(self.size)
+        where, load = self.sidecar.locate_entry(entry), np.zeros(self.size)
         if entry.kind == ACCELERATION.port:  # for an acceleration along r, the load is -M r
             if "M" not in self.matrices:
                 problem = "a port of kind acceleration needs a mass matrix"
                 raise wrong(where, problem, None, "matrix M", "add the matrix M")
-            kind = self.dofs(where).kind
+            kind = self.get_row_dofs(where).kind
             for k, weight in entry.weights.items():
                 load[kind == k] = weight
             return -np.asarray(self.matrices["M"] @ load)
-        result = self.find(entry, tuple(entry.weights))
+        result = self.find_rows(entry, tuple(entry.weights))
         for rows, weight in zip(result, entry.weights.values(), strict=True):
             # the product of this vector with the unknowns is the mean displacement of the nodes
             load[rows] += weight / len(rows)
-        if not load[~self.fixed()].any():
+        if not load[~self.mask_fixed_rows()].any():
             raise UsageError(
                 "the port acts on fixed degrees of freedom",
                 where=where,
@@ -334,19 +334,21 @@ class Rows:
         B = self.matrices.get("B", np.zeros((self.size, 0)))
         # without C in the files, the output matrix is the transpose of B
         C = self.matrices.get("C", B.T)
-        where, place = self.sidecar.of(entry), entry.column or entry.row or 0
-        table, what = (B.T, "columns of B") if entry.row is None else (C, "rows of C")
+        where, place = self.sidecar.locate_entry(entry), entry.column or entry.row or 0
+        table, table_name = (B.T, "columns of B") if entry.row is None else (C, "rows of C")
         if place > len(table):
             counted = "column" if entry.row is None else "row"
             problem = f"there is no {counted} {place}"
             hint = f"write  {counted} = {len(table)}" if len(table) else f"delete {counted}"
-            raise wrong(where, problem, place, f"1 to {len(table)}, the {what}", hint)
+            raise wrong(
+                where, problem, place, f"1 to {len(table)}, the number of {table_name}", hint
+            )
         load = np.asarray(table[place - 1])
         if entry.kind in ("input", "output"):
             return load
         if place > len(C) or not np.allclose(C[place - 1], load, rtol=1e-9, atol=0):
             problem = "this port is not conservative: its row of C differs from its column of B"
-            hint = "make it an input and an output"
+            hint = "use a port of kind input and a port of kind output"
             raise wrong(where, problem, f"column {place}", "C = B'", hint)
         return load
 
@@ -363,19 +365,20 @@ class Rows:
             expected = f"at most {MAX_NARROW_ENTRIES // self.size} ports of this model"
             raise UsageError(
                 "the model has too many ports",
-                where=settings.where,
+                where=settings.file_path,
                 got=got,
                 expected=expected,
                 hint="delete ports that no circuit uses",
             )
-        loads = np.array([*map(self.load, settings.ports)])
+        loads = np.array([*map(self.make_port_vector, settings.ports)])
         kinds = np.array([entry.kind for entry in settings.ports])
         inputs, outputs = np.flatnonzero(kinds != "output"), np.flatnonzero(kinds != "input")
         if not inputs.size or not outputs.size:
             expected = "ports of the kinds input and output, or a port of another kind"
-            lacking = "output" if inputs.size else "input"
-            hint = f'add a port with  kind = "{lacking}"'
-            raise wrong(settings.where, f"the model has no {lacking} port", None, expected, hint)
+            missing_kind = "output" if inputs.size else "input"
+            hint = f'add a port with  kind = "{missing_kind}"'
+            problem = f"the model has no {missing_kind} port"
+            raise wrong(settings.file_path, problem, None, expected, hint)
         scales = np.array([entry.scale for entry in settings.ports])  # 1 for conservative ports
         into, out = scales[inputs], 1 / scales[outputs][:, None]
         D = np.zeros((len(outputs), len(inputs)))
@@ -391,14 +394,15 @@ class Rows:
         )
 
 
-def _assemble_mechanical(rows: Rows) -> LinearModel:
+def _assemble_mechanical(rows: LabelledMatrices) -> LinearModel:
     """Assemble a model without electrodes at nodes, and add the damping in its TOML file."""
     settings = rows.sidecar
-    keep = np.flatnonzero(~rows.fixed())
+    keep = np.flatnonzero(~rows.mask_fixed_rows())
     if not keep.size:
-        cure = "delete one of the [[fixed]] entries"
         raise UsageError(
-            "all degrees of freedom of the model are fixed", where=settings.where, hint=cure
+            "all degrees of freedom of the model are fixed",
+            where=settings.file_path,
+            hint="delete one of the [[fixed]] entries",
         )
     square = _select_square_matrices(rows.matrices)
     operators = {letter: _select_entries(matrix, keep) for letter, matrix in square.items()}
@@ -412,20 +416,20 @@ def _assemble_mechanical(rows: Rows) -> LinearModel:
     B, C, D, ports = rows.ports()
     if not B[keep].any() or not C[:, keep].any():
         expected = "B, C not zero, on degrees of freedom that are not fixed"
-        cure = "apply the ports at free nodes, or delete the [[fixed]] entries there"
+        hint = "apply the ports at free nodes, or delete the [[fixed]] entries there"
         raise wrong(
             rows.where,
             "no input acts on the model, or no output depends on it",
             None,
             expected,
-            cure,
+            hint,
         )
-    alpha, beta = settings.damping.rayleigh
+    alpha, beta = settings.damping.rayleigh_factors
     damping: dict[str, Any] = {"rayleigh": (alpha, beta)} if alpha or beta else {}
     if damping and "A" in operators:
         hint = "delete the key `damping`"
         problem = "Rayleigh damping does not apply to a first-order model"
-        raise wrong(f"{settings.where}: damping", problem, None, "no damping", hint)
+        raise wrong(f"{settings.file_path}: damping", problem, None, "no damping", hint)
     if damping and "E" in operators:
         damping = {}
         operators["E"] = sparse.csc_array(
@@ -445,7 +449,7 @@ def _assemble_mechanical(rows: Rows) -> LinearModel:
     )
 
 
-def _assemble_piezoelectric(rows: Rows) -> LinearModel:
+def _assemble_piezoelectric(rows: LabelledMatrices) -> LinearModel:
     """Assemble a model with electrodes at nodes, and eliminate all other potentials exactly.
 
     The stiffness matrix K in the files is ``[[K_uu, K_up], [K_up', -K_pp]]``, as Ansys and Abaqus
@@ -456,23 +460,23 @@ def _assemble_piezoelectric(rows: Rows) -> LinearModel:
         problem = "electrodes at nodes need matrices M and K, and no inputs and outputs"
         expected = "ports of the kinds electrical, mechanical, rotational and acceleration"
         hint = "give the electrodes as columns of B, or delete the other kinds of ports"
-        raise wrong(settings.where, problem, None, expected, hint)
+        raise wrong(settings.file_path, problem, None, expected, hint)
     K, M, E = rows.matrices["K"], rows.matrices["M"], rows.matrices.get("E")
-    if E is not None and any(settings.damping.rayleigh):
+    if E is not None and any(settings.damping.rayleigh_factors):
         problem, hint = "damping is defined twice", "delete alpha and beta of the key `damping`"
-        raise wrong(settings.where, problem, None, "matrix E or damping", hint)
-    potential = rows.dofs(rows.where).kind == VOLT
+        raise wrong(settings.file_path, problem, None, "matrix E or damping", hint)
+    potential = rows.get_row_dofs(rows.where).kind == VOLT
     K, loss = _split_loss(rows, K, potential)
-    occupied = rows.fixed()
+    occupied = rows.mask_fixed_rows()
     electrodes = [entry for entry in settings.ports if entry.kind == ELECTRICAL.port]
     T = np.zeros((rows.size, len(electrodes)))
     for column, entry in zip(T.T, electrodes, strict=True):
-        (place,) = rows.find(entry, (VOLT,))
+        (place,) = rows.find_rows(entry, (VOLT,))
         if occupied[place].any():
-            where = settings.of(entry)
+            where = settings.locate_entry(entry)
             expected = "nodes that are neither fixed nor of another port"
             problem = "an electrode shares nodes with another port or with a fixed entry"
-            hint = "delete the shared nodes from one of both entries"
+            hint = "delete the shared nodes from one of the two entries"
             raise UsageError(problem, where=where, expected=expected, hint=hint)
         column[place], occupied[place] = 1.0, True
     u, p = np.flatnonzero(~occupied & ~potential), np.flatnonzero(~occupied & potential)
@@ -488,8 +492,14 @@ def _assemble_piezoelectric(rows: Rows) -> LinearModel:
             expected,
             "export the matrices without a change of signs",
         )
-    loads = [rows.load(entry)[u] for entry in settings.ports if entry.kind != ELECTRICAL.port]
-    damping = {"rayleigh": settings.damping.rayleigh} if E is None else {"E": _select_entries(E, u)}
+    loads = [
+        rows.make_port_vector(entry)[u] for entry in settings.ports if entry.kind != ELECTRICAL.port
+    ]
+    damping = (
+        {"rayleigh": settings.damping.rayleigh_factors}
+        if E is None
+        else {"E": _select_entries(E, u)}
+    )
     if loss is not None:
         damping["loss"] = _select_entries(loss, u)
     return make_piezoelectric_model(
@@ -511,7 +521,7 @@ def _assemble_piezoelectric(rows: Rows) -> LinearModel:
 
 
 def _split_loss(
-    rows: Rows, K: Matrix, potential: np.ndarray
+    rows: LabelledMatrices, K: Matrix, potential: np.ndarray
 ) -> tuple[Matrix, sparse.csc_array | None]:
     """Split a complex stiffness matrix K into its real part and its imaginary part.
 
@@ -527,8 +537,8 @@ def _split_loss(
         return K, None
     if rows.sidecar.damping.loss_factor:
         hint = "delete the key loss_factor"
-        got = "a complex K and loss_factor"
-        raise wrong(rows.where, "structural damping is defined twice", got, "one of them", hint)
+        got, expected = "a complex K and loss_factor", "either a complex K or loss_factor"
+        raise wrong(rows.where, "structural damping is defined twice", got, expected, hint)
     real, loss = (sparse.csc_array(part) for part in (K.real, K.imag))
     if abs(loss[potential]).max() > IMAGINARY_ROUNDING * abs(real[potential]).max():
         expected = "an imaginary part in the rows of displacements alone"

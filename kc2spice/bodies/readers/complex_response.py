@@ -23,7 +23,7 @@ from operator import attrgetter
 
 import numpy as np
 
-from kc2spice.bodies.readers.meanings import (
+from kc2spice.bodies.readers.column_kinds import (
     CHANNEL_PATTERN,
     COMBINATIONS,
     DEFAULT_UNITS,
@@ -32,17 +32,17 @@ from kc2spice.bodies.readers.meanings import (
     SUFFIX_TITLES,
     UNSTATED_QUANTITIES,
     UNTITLED_MEANINGS,
-    Combination,
+    ColumnCombination,
     Quantity,
 )
-from kc2spice.bodies.readers.text_table import MAX_HEADER_LENGTH, TextTable
-from kc2spice.bodies.readers.titles import (
+from kc2spice.bodies.readers.column_titles import (
     Column,
     convert_column,
     find_complex_quantity,
     is_frequency,
     read_title,
 )
+from kc2spice.bodies.readers.text_table import MAX_HEADER_LENGTH, TextTable
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError, list_candidates
 
@@ -121,7 +121,7 @@ def find_response(
     ------
     ValueError, UsageError : no table contains a response, or several tables contain one.
     """
-    large = [table for table in tables if table.rows >= MIN_FREQUENCIES] or list(tables[:1])
+    large = [table for table in tables if table.row_count >= MIN_FREQUENCIES] or list(tables[:1])
     responses, reasons = list[tuple[TextTable, MeasuredResponse]](), list[Exception]()
     notes = list[str]()
     for table in large:
@@ -129,11 +129,11 @@ def find_response(
             responses.append((table, _find_table_response(table, shunt, suffix)))
         except (ValueError, UsageError) as error:
             reasons.append(error)
-            notes.append(f"{table.place} are not used: {error}".splitlines()[0])
+            notes.append(f"{table.line_range} are not used: {error}".splitlines()[0])
     if not responses:
         raise reasons[0]
     if len(responses) > 1:
-        readings = [f"{table.place}: {response.columns}" for table, response in responses]
+        readings = [f"{table.line_range}: {response.columns}" for table, response in responses]
         raise make_ambiguity_error(f"{len(responses)} sweeps", readings, ONE_PART_HINT)
     response = responses[0][1]
     return replace(response, notes=(*response.notes, *notes))
@@ -187,7 +187,7 @@ def _replace_titles(titles: Sequence[str], comments: Sequence[str]) -> tuple[str
 class _ColumnPair(EqualByContent):
     """Response from two columns: the columns, their combination, and the ``samples``."""
 
-    combination: Combination
+    combination: ColumnCombination
     columns: tuple[Column, ...]
     samples: np.ndarray
 
@@ -272,7 +272,7 @@ def _require_one_sweep(f: np.ndarray) -> None:
         return
     starts = rows[np.flatnonzero(steps * np.median(steps) < 0) + 1]
     if not starts.size or len(starts) > MAX_REVERSAL_SHARE * len(steps):
-        raise ValueError("the frequencies in the frequency column increase and decrease")
+        raise ValueError("the values in the frequency column increase and decrease")
     ends = [*starts[:3], len(f)][:3]
     sweeps = [f"rows {a + 1} to {b}" for a, b in zip((0, *starts), ends, strict=False)]
     raise make_ambiguity_error(f"{len(starts) + 1} sweeps in one table", sweeps, ONE_PART_HINT)
@@ -326,7 +326,7 @@ def _require_complete(
     if "f" in names and gains:
         column = columns.by_quantity[gains[0].columns[0]][0]
         raise UsageError(
-            "this file contains a gain, and its shunt resistance is missing",
+            "the shunt resistance of this table of gain and phase is missing",
             got=str(column),
             expected="the resistance of the resistor in series with the part",
             hint="add for example  --shunt '100 Ohm'",
@@ -348,12 +348,12 @@ def _make_incomplete_error(titles: Sequence[str], columns: ClassifiedColumns) ->
         return ValueError(f"column {title!r} is a sound pressure, not an electrical quantity")
     if {"f"} < set(columns.by_quantity) and not columns.unknown:
         raise _make_half_impedance_error(titles, columns)
-    missing = "no complete impedance" if "f" in columns.by_quantity else "no frequency"
+    missing_quantity = "complete impedance" if "f" in columns.by_quantity else "frequency"
     listed = ", ".join(map(repr, columns.unknown[:5]))
-    strange = f"; unknown: {listed}" if listed else ""
+    unknown_columns = f"; unknown: {listed}" if listed else ""
     names = ", ".join(titles[:5])
     names = names if len(names) <= MAX_TITLE_LENGTH else f"{names[:MAX_TITLE_LENGTH]}…"
-    return ValueError(f"the columns {names} contain {missing}{strange}")
+    return ValueError(f"the columns {names} contain no {missing_quantity}{unknown_columns}")
 
 
 def _make_half_impedance_error(titles: Sequence[str], columns: ClassifiedColumns) -> UsageError:
@@ -387,7 +387,9 @@ def _select_agreeing_column(quantity: str, candidates: Sequence[Column]) -> Colu
     return first
 
 
-def _select_pair(combination: Combination, columns: ClassifiedColumns) -> tuple[Column, Column]:
+def _select_column_pair(
+    combination: ColumnCombination, columns: ClassifiedColumns
+) -> tuple[Column, Column]:
     """Select the two columns of a combination.
 
     If there are several candidates for the first column, the column of the same measuring channel
@@ -449,7 +451,7 @@ def _combine_columns(
             continue
         if second == "phase" and (first != size or phases[first] in names):
             continue
-        pair = _select_pair(combination, columns)
+        pair = _select_column_pair(combination, columns)
         samples = combination.value(pair[0].values, pair[1].values, 2 * np.pi * f)
         readings.append(_ColumnPair(combination, pair, samples))
     best = readings[0]

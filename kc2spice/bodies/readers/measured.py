@@ -1,6 +1,6 @@
 """Readers of measured responses in Touchstone files, tables and MATLAB files.
 
-The columns of a table have titles, in any sequence (:mod:`kc2spice.bodies.readers.meanings`). A
+The columns of a table have titles, in any sequence (:mod:`kc2spice.bodies.readers.column_kinds`). A
 table must contain a frequency column and two columns that determine an impedance, such as |Z| and
 phase. Semicolons, tabs, commas or blanks separate fields. A comma that does not separate columns is
 a decimal comma.
@@ -22,6 +22,13 @@ from pathlib import Path
 
 import numpy as np
 
+from kc2spice.bodies.readers.column_kinds import COMPLEX_NAMES, Quantity
+from kc2spice.bodies.readers.column_titles import (
+    convert_column,
+    find_complex_quantity,
+    is_frequency,
+    read_title,
+)
 from kc2spice.bodies.readers.complex_response import (
     DEFAULT_REFERENCE,
     MIN_FREQUENCIES,
@@ -31,8 +38,7 @@ from kc2spice.bodies.readers.complex_response import (
     convert_to_admittance,
     find_response,
 )
-from kc2spice.bodies.readers.meanings import COMPLEX_NAMES, Quantity
-from kc2spice.bodies.readers.raw import (
+from kc2spice.bodies.readers.raw_matrices import (
     call_in_process,
     call_reader,
     is_file,
@@ -41,16 +47,10 @@ from kc2spice.bodies.readers.raw import (
     read_vectors,
 )
 from kc2spice.bodies.readers.text_table import TextTable, read_tables
-from kc2spice.bodies.readers.titles import (
-    convert_column,
-    find_complex_quantity,
-    is_frequency,
-    read_title,
-)
 from kc2spice.bodies.readers.touchstone import parse_touchstone
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError, wrong
-from kc2spice.core.quantities import quantity as parse_quantity
+from kc2spice.core.quantities import convert_quantity as parse_quantity
 from kc2spice.core.untrusted_files import read_bounded
 from kc2spice.rom.linear_model import Norm
 
@@ -140,7 +140,7 @@ class MeasuredAdmittance(EqualByContent):
         size = np.abs(self.Y)
         return float(np.median(self.admittance_noise[size > 0] / size[size > 0]))
 
-    def relative_noise(self, norm: Norm) -> float:
+    def compute_relative_noise(self, norm: Norm) -> float:
         """Return the relative rms noise of the complex Y in the norm of an error estimate.
 
         In the norm *pointwise*, the noise is relative to the magnitude of an entry of Y at each
@@ -388,7 +388,9 @@ def _read_matlab(variables: dict[str, np.ndarray], shunt: float | None) -> Measu
     elif P.size == n:
         P = P.reshape(n, 1, 1)
     if P.ndim != 3 or P.shape[0] != n or P.shape[1] != P.shape[2]:
-        raise ValueError(f"{name} of {P.shape} does not match {n} frequencies in {names}")
+        raise ValueError(
+            f"the array {name} of shape {P.shape} does not match {n} frequencies in {names}"
+        )
     title = read_title(first)
     assert title is not None  # title of the frequency
     frequency = convert_column(title, variables[first].ravel())

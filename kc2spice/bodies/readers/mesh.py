@@ -17,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
-from kc2spice.bodies.readers.codes import list_bulk_data_cards, parse_fortran_number
-from kc2spice.bodies.readers.raw import MAX_ROWS, parse_file
+from kc2spice.bodies.readers.program_formats import list_bulk_data_cards, parse_fortran_number
+from kc2spice.bodies.readers.raw_matrices import MAX_ROWS, parse_file
 from kc2spice.core.errors import UsageError, unknown, wrong
 
 _EXPECTED = "an .inp, .cdb, .bdf, .dat, .nas, .pch or .csv file with the nodes"
@@ -38,7 +38,7 @@ class NodeMesh:
     at: np.ndarray
     sets: dict[str, np.ndarray] = field(default_factory=dict)
 
-    def nodeset(self, name: str, where: str) -> np.ndarray:
+    def get_node_set(self, name: str, where: str) -> np.ndarray:
         """Return the numbers of the nodes in the node set ``name``.
 
         ``where`` is the key that contains the name, for error messages.
@@ -52,7 +52,7 @@ class NodeMesh:
             raise unknown(f"{self.where} has no such node set", name, sorted(self.sets), where)
         return result
 
-    def nearest(self, place: tuple[float, ...], within: float | None, where: str) -> int:
+    def find_nearest_node(self, place: tuple[float, ...], within: float | None, where: str) -> int:
         """Return the number of the node that is nearest to the point ``place``.
 
         The distance between node and point must be at most ``within``, by default 1e-6 times the
@@ -113,6 +113,7 @@ Content = tuple[Nodes, dict[str, list[int]]]
 
 
 def _decode_lines(data: bytes) -> list[str]:
+    """Return the lines of UTF-8 text; bytes that are not UTF-8 are replaced."""
     return data.decode("utf-8", "replace").splitlines()
 
 

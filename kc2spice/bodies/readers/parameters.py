@@ -33,7 +33,7 @@ def make_model_parameter(settings: Sidecar, name: str) -> ModelParameter:
             name, entry.default, entry.low, entry.high, entry.unit, entry.description
         )
     except UsageError as error:
-        error.where = f"{settings.where}: parameters.{name}"
+        error.where = f"{settings.file_path}: parameters.{name}"
         raise
 
 
@@ -46,7 +46,7 @@ def make_term(settings: Sidecar, number: int, matrix: Matrix) -> AffineTerm:
     ------
     UsageError : the factor is not an expression of the parameters.
     """
-    entry, where = settings.terms[number], f"{settings.where}: terms[{number}].factor"
+    entry, where = settings.terms[number], f"{settings.file_path}: terms[{number}].factor"
     try:
         tree = parse_expression(entry.factor, where=where)
     except RecursionError:
@@ -63,6 +63,7 @@ def make_term(settings: Sidecar, number: int, matrix: Matrix) -> AffineTerm:
             raise wrong(where, "the model has no such parameter", node.text, expected)
 
     def evaluate_factor(values: Mapping[str, float]) -> float:
+        """Return the value of the factor for the parameter ``values``."""
         return _evaluate_factor(tree, values, where)
 
     return AffineTerm(entry.matrix, matrix, evaluate_factor, where)

@@ -79,7 +79,7 @@ from pydantic import (
     model_validator,
 )
 
-from kc2spice.bodies.readers.raw import (
+from kc2spice.bodies.readers.raw_matrices import (
     DOF_NUMBERS,
     DOFS,
     ROTATIONS,
@@ -96,8 +96,8 @@ from kc2spice.core.domains import (
     TRANSLATION,
 )
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates
-from kc2spice.core.key_errors import validate
-from kc2spice.core.quantities import Count, Section, invalid_value_error
+from kc2spice.core.key_errors import validate_table
+from kc2spice.core.quantities import Count, Section, make_invalid_value_error
 from kc2spice.core.toml_errors import parse_toml_file
 from kc2spice.core.untrusted_files import MAX_TEXT_BYTES, decode_text, read_bounded
 from kc2spice.rom.linear_model import PORT_KINDS, Port
@@ -115,7 +115,7 @@ _AXIS_VECTORS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0
 def _require_printable(value: str) -> str:
     """Reject a name with unprintable characters, because netlists contain the name."""
     if not value.isprintable():
-        raise invalid_value_error(
+        raise make_invalid_value_error(
             "this text is not a valid name",
             "printable characters in one line",
             hint="delete line breaks and control characters from it",
@@ -126,8 +126,8 @@ def _require_printable(value: str) -> str:
 def _require_word(value: str) -> str:
     """Reject a unit of several words, because the header of a netlist contains the unit."""
     if value and len(value.split()) != 1:
-        hint = f"write it without blanks: {value.replace(' ', '*')}"
-        raise invalid_value_error("this text is not a unit", "one word", hint=hint)
+        hint = f"write the unit without blanks: {value.replace(' ', '*')}"
+        raise make_invalid_value_error("this text is not a unit", "one word", hint=hint)
     return value
 
 
@@ -139,7 +139,7 @@ def _resolve_beside_sidecar(value: Path, info: ValidationInfo) -> Path:
     _require_printable(str(value))
     if value.is_absolute() or ".." in value.parts:
         hint = "copy the file beside the TOML file and write its name alone"
-        raise invalid_value_error(
+        raise make_invalid_value_error(
             "this file is not in the folder of the TOML file", "a relative path", hint=hint
         )
     folder: Path = (info.context or {}).get("folder", Path())
@@ -152,7 +152,7 @@ def _parse_dof(value: object) -> int:
     if type(code) is not int or code not in DOFS:
         expected = f"one of {list_candidates(value, DOF_NUMBERS, 'docs/reference/matrices.md')}"
         hint = did_you_mean(str(value), DOF_NUMBERS)
-        raise invalid_value_error("this degree of freedom does not exist", expected, hint=hint)
+        raise make_invalid_value_error("this degree of freedom does not exist", expected, hint=hint)
     return code
 
 
@@ -162,9 +162,10 @@ def _parse_axis(value: object) -> object:
 
 
 def _normalise_axis(value: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Return the direction scaled to unit length; reject a zero vector."""
     length = math.hypot(*value)
     if length == 0.0:
-        raise invalid_value_error(
+        raise make_invalid_value_error(
             "this value is not an axis",
             "'x', 'y', 'z' or a direction [x, y, z]",
             hint="write for example  [0, 0, 1]",
@@ -173,7 +174,8 @@ def _normalise_axis(value: tuple[float, float, float]) -> tuple[float, float, fl
     return x, y, z
 
 
-def _as_list(value: object) -> object:
+def _convert_to_list(value: object) -> object:
+    """Return a list or tuple unchanged, and any other value as a list."""
     return value if isinstance(value, list | tuple) else [value]
 
 
@@ -208,11 +210,11 @@ class NodeSelection(Section):
         selectors = [k for k in ("node", "nodes", "nodeset", "at") if getattr(self, k) is not None]
         if len(selectors) > 1:
             hint = f"delete {selectors[0]} or {selectors[1]}"
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 f"the nodes are defined twice: {', '.join(selectors)}", "one of them", hint=hint
             )
         if self.within is not None and self.at is None:
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 "within has no effect without at", "at and within", hint="add at = [x, y, z]"
             )
         return self
@@ -220,24 +222,24 @@ class NodeSelection(Section):
     @property
     def selects_nodes(self) -> bool:
         """Whether the table in the TOML file selects any nodes."""
-        return any(item is not None for item in (self.numbers or None, self.nodeset, self.at))
+        return any(item is not None for item in (self.node_numbers or None, self.nodeset, self.at))
 
     @property
-    def numbers(self) -> tuple[int, ...]:
+    def node_numbers(self) -> tuple[int, ...]:
         """Numbers of the nodes in the keys ``node`` and ``nodes``."""
         return (self.node,) if self.node is not None else self.nodes or ()
 
 
-class Fixed(NodeSelection):
+class FixedNodes(NodeSelection):
     """Degrees of freedom that are fixed at zero."""
 
-    dof: Annotated[tuple[Dof, ...], BeforeValidator(_as_list)] = ()
+    dof: Annotated[tuple[Dof, ...], BeforeValidator(_convert_to_list)] = ()
 
     @model_validator(mode="after")
-    def _require_nodes(self) -> Fixed:
+    def _require_nodes(self) -> FixedNodes:
         if not self.selects_nodes:
             expected = "one of node, nodes, nodeset and at"
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 "this entry names no nodes", expected, hint="add for example  node = 1"
             )
         return self
@@ -263,42 +265,42 @@ class PortEntry(NodeSelection):
     def _require_one_place(self) -> PortEntry:
         if self.scale != 1 and self.kind in PORTS:
             problem = f"a port of kind {self.kind} has no scale"
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 problem, "scale of inputs and outputs only", hint="delete the key scale"
             )
         if self.row is not None and self.kind != "output":
             problem = f"a port of kind {self.kind} has a column, not a row"
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 problem, "column", hint=f"write  column = {self.row}  instead of row"
             )
         if self.column is not None and self.kind == "output":
             hint = f"write  row = {self.column}  instead of column"
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 "a port of kind output has a row, not a column", "row", hint=hint
             )
         directed = self.dof is not None or self.axis is not None
         if self.column is not None or self.row is not None:
             if self.selects_nodes or directed:
                 expected = "column or row alone, or nodes with dof or axis"
-                raise invalid_value_error(
+                raise make_invalid_value_error(
                     "this port has both a column or row and nodes",
                     expected,
                     hint="delete one of them",
                 )
         elif self.kind in COLUMN_KINDS_ONLY:
             problem = f"a port of kind {self.kind} can only have the key column"
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 problem, "column", hint="write  column = 1  and neither node nor axis"
             )
         elif self.kind == ACCELERATION.port:
             if self.axis is None or self.selects_nodes or self.dof is not None:
                 problem = "a port of kind acceleration can only have the key `axis`"
-                raise invalid_value_error(
+                raise make_invalid_value_error(
                     problem, "axis", hint='write  axis = "z"  and neither node nor dof'
                 )
         elif not self.selects_nodes:
             expected = "one of node, nodes, nodeset, at, column and row"
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 "this port has no place", expected, hint="add for example  column = 1"
             )
         elif self.kind in SCALAR_DOFS:
@@ -306,23 +308,24 @@ class PortEntry(NodeSelection):
                 hint = "delete axis and dof of this port"
                 article = "an" if self.kind[0] in "aeiou" else "a"
                 problem = f"{article} {self.kind} port has no direction"
-                raise invalid_value_error(problem, "nodes alone", hint=hint)
+                raise make_invalid_value_error(problem, "nodes alone", hint=hint)
         elif (self.dof is None) == (self.axis is None):
             both = self.axis is not None
             problem = "this port has both dof and axis" if both else "this port has no direction"
             hint = "delete dof or axis" if both else 'add  axis = "z"'
-            raise invalid_value_error(problem, "either dof or axis", hint=hint)
-        elif self.kind in DIRECTED_KINDS and not self.weights.keys() <= {*self._directions}:
-            expected = ", ".join(DOFS[k] for k in self._directions)
-            raise invalid_value_error(
+            raise make_invalid_value_error(problem, "either dof or axis", hint=hint)
+        elif self.kind in DIRECTED_KINDS and not self.weights.keys() <= {*self._directional_dofs}:
+            expected = ", ".join(DOFS[k] for k in self._directional_dofs)
+            raise make_invalid_value_error(
                 f"{DOFS[self.dof or 0]} is not a degree of freedom of a {self.kind} port",
                 expected,
-                hint=f'write for example  dof = "{DOFS[self._directions[-1]]}"',
+                hint=f'write for example  dof = "{DOFS[self._directional_dofs[-1]]}"',
             )
         return self
 
     @property
-    def _directions(self) -> tuple[int, ...]:
+    def _directional_dofs(self) -> tuple[int, ...]:
+        """Degrees of freedom of the port: three rotations or three translations."""
         return ROTATIONS if self.kind == ROTATION.port else TRANSLATIONS
 
     @property
@@ -332,7 +335,7 @@ class PortEntry(NodeSelection):
             return {self.dof: 1.0}
         if self.kind in SCALAR_DOFS:
             return {DOF_NUMBERS[SCALAR_DOFS[self.kind]]: 1.0}
-        axis = zip(self._directions, self.axis or (0.0, 0.0, 0.0), strict=True)
+        axis = zip(self._directional_dofs, self.axis or (0.0, 0.0, 0.0), strict=True)
         return {kind: weight for kind, weight in axis if weight}
 
     @property
@@ -367,10 +370,11 @@ class MatrixDamping(Section):
 
     @model_validator(mode="after")
     def _require_ratio_and_at(self) -> MatrixDamping:
+        """Check that ``ratio`` and ``at`` occur together, without ``alpha`` or ``beta``."""
         keys = self.model_fields_set - {"loss_factor"}
         if keys & {"ratio", "at"} and keys != {"ratio", "at"}:
             expected = "alpha and beta, or ratio and at [Hz]"
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 "ratio and at must be used together, without alpha and beta",
                 expected,
                 hint=_advise_damping(keys),
@@ -378,7 +382,7 @@ class MatrixDamping(Section):
         return self
 
     @property
-    def rayleigh(self) -> Rayleigh:
+    def rayleigh_factors(self) -> Rayleigh:
         """Factors alpha [1/s] and beta [s] of ``E = alpha M + beta K``."""
         if self.ratio is None or self.at is None:
             return self.alpha, self.beta
@@ -414,7 +418,7 @@ class Sidecar(Section):
     help_command: ClassVar[str] = "docs/reference/matrices.md"
 
     ports: tuple[PortEntry, ...] = ()
-    fixed: tuple[Fixed, ...] = ()
+    fixed: tuple[FixedNodes, ...] = ()
     band: tuple[Annotated[Finite, Field(ge=0)], Finite] | None = None
     symmetric: StrictBool | None = None
     files: Mapping[Letter, File] = Field(default_factory=dict)
@@ -431,11 +435,11 @@ class Sidecar(Section):
     _where: str = PrivateAttr("")
 
     @property
-    def where(self) -> str:
+    def file_path(self) -> str:
         """Path of the TOML file, for errors that occur after the file was read."""
         return self._where
 
-    def of(self, entry: NodeSelection) -> str:
+    def locate_entry(self, entry: NodeSelection) -> str:
         """Return the path of the TOML file and the name of the table ``entry``.
 
         Error messages begin with this string.
@@ -444,23 +448,25 @@ class Sidecar(Section):
             for number, item in enumerate(getattr(self, word)):
                 if item is entry:
                     name = f" ({entry.name})" if isinstance(entry, PortEntry) else ""
-                    return f"{self.where}: {word}[{number}]{name}"
-        return self.where
+                    return f"{self.file_path}: {word}[{number}]{name}"
+        return self.file_path
 
     @model_validator(mode="after")
     def _require_consistent_keys(self) -> Sidecar:
         if self.band is not None and not self.band[0] < self.band[1]:
             hint = "write the lower frequency first, such as band = [0, 20000]"
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 "this value is not a frequency band", "[f0, f1] with 0 <= f0 < f1, Hz", "band", hint
             )
         if self.outputs == self.damping_matrix == "C":
             expected = 'outputs = "C" or damping_matrix = "C"'
             hint = "delete one of these two keys"
-            raise invalid_value_error("outputs and damping_matrix are both C", expected, hint=hint)
+            raise make_invalid_value_error(
+                "outputs and damping_matrix are both C", expected, hint=hint
+            )
         if bool(self.terms) != bool(self.parameters):
             lacking = "parameters" if self.terms else "terms"
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 f"{lacking} are missing",
                 "[parameters] and [[terms]]",
                 hint=f"add the table {lacking}, or delete the other one",
@@ -469,7 +475,7 @@ class Sidecar(Section):
         twice = [name for name, times in Counter(names).items() if times > 1]
         if twice:
             problem = f"two ports have the same name: {', '.join(twice[:5])}"
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 problem, "a name for each port", hint="rename one of these ports"
             )
         return self
@@ -497,6 +503,6 @@ def read_sidecar(path: Path) -> Sidecar:
             hint=f"kc2spice run {path} simulates the scene, "
             f"kc2spice reduce {path}:{parts[0]} reduces its part",
         )
-    result = validate(Sidecar, data, f"{path}:", {"folder": path.parent})
+    result = validate_table(Sidecar, data, f"{path}:", {"folder": path.parent})
     result._where = str(path)
     return result

@@ -19,7 +19,7 @@ from operator import attrgetter, itemgetter
 
 import numpy as np
 
-from kc2spice.bodies.readers.meanings import (
+from kc2spice.bodies.readers.column_kinds import (
     COMPLEX_FORMATS,
     TRACE_COLUMN,
     TRACE_FORMAT,
@@ -28,7 +28,12 @@ from kc2spice.bodies.readers.meanings import (
     TRACE_SCALE,
     TWO_PARTS,
 )
-from kc2spice.bodies.readers.titles import COMMENT_MARKS, is_abscissa, is_frequency, parse_units
+from kc2spice.bodies.readers.column_titles import (
+    COMMENT_MARKS,
+    is_abscissa,
+    is_frequency,
+    parse_units,
+)
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.untrusted_files import split_lines
 
@@ -82,12 +87,12 @@ class TextTable(EqualByContent):
     notes: tuple[str, ...] = ()
 
     @property
-    def rows(self) -> int:
+    def row_count(self) -> int:
         """Number of rows of the table."""
         return len(self.numbers[0])
 
     @property
-    def place(self) -> str:
+    def line_range(self) -> str:
         """First and last line number of the table as a string, for messages."""
         return f"lines {self.lines[0]} to {self.lines[1]}"
 
@@ -108,7 +113,7 @@ def read_tables(text: str) -> list[TextTable]:
     lines = split_lines(text)
     runs, separator, most = list[_Run](), None, 0
     for candidate in (*SEPARATORS, None):
-        trial = list(_find_runs(lines, candidate))
+        trial = list(_find_numeric_line_ranges(lines, candidate))
         rows = max(map(attrgetter("rows"), trial), default=0)
         if rows > most:
             runs, separator, most = trial, candidate, rows
@@ -116,9 +121,9 @@ def read_tables(text: str) -> list[TextTable]:
         first = next(filter(None, map(str.strip, lines)), "")
         if not first:
             raise ValueError("the file is empty")
-        below = f", below the first line {first[:40]!r}"
-        fewest = f"fewer than {MIN_ROWS} rows of {MIN_COLUMNS} numbers or more"
-        raise ShortTableError(f"{fewest}{below}{_describe_non_number(lines)}")
+        place = f", below the first line {first[:40]!r}"
+        problem = f"fewer than {MIN_ROWS} rows of {MIN_COLUMNS} numbers or more"
+        raise ShortTableError(f"{problem}{place}{_describe_non_number(lines)}")
     tables, end = list[TextTable](), 0
     for run in runs:
         table = _build_table(lines, run, end, separator)
@@ -128,7 +133,7 @@ def read_tables(text: str) -> list[TextTable]:
             tables[-1] = _append_block(before, table)
         else:
             tables.append(table)
-    return sorted(_merge_blocks(tables), key=lambda table: -table.rows)
+    return sorted(_merge_tables(tables), key=lambda table: -table.row_count)
 
 
 # --- rows of numbers ------------------------------------------------------------------------------
@@ -174,7 +179,7 @@ def _is_number(word: str) -> bool:
     )
 
 
-def _measure_line(line: str, separator: str | None) -> tuple[int, bool]:
+def _count_fields(line: str, separator: str | None) -> tuple[int, bool]:
     """Count the fields of a line, and check whether all its fields are numbers.
 
     Return the number of fields, and whether all fields are numbers. The returned number of fields
@@ -193,12 +198,12 @@ def _measure_line(line: str, separator: str | None) -> tuple[int, bool]:
     return len(fields), all(map(_is_number, fields))
 
 
-def _find_runs(lines: list[str], separator: str | None) -> Iterator[_Run]:
-    """Yield all ranges of lines that have the same number of fields and begin with a number.
+def _find_numeric_line_ranges(lines: list[str], separator: str | None) -> Iterator[_Run]:
+    """Yield the ranges of lines with equal numbers of fields that begin with a number.
 
     A few rows in a range may contain words.
     """
-    kinds = [_measure_line(line, separator) for line in lines]
+    kinds = [_count_fields(line, separator) for line in lines]
     # blank lines do not end a table
     filled = [k for k, (width, _) in enumerate(kinds) if width >= 0]
     for width, group in groupby(filled, key=lambda k: kinds[k][0]):
@@ -215,7 +220,7 @@ def _describe_non_number(lines: list[str]) -> str:
     """
     for k, line in enumerate(lines):
         for separator in (*SEPARATORS, None):
-            width, numeric = _measure_line(line, separator)
+            width, numeric = _count_fields(line, separator)
             if width > 0 and not numeric:
                 word = next(filterfalse(_is_number, _split_fields(line, separator)))
                 return f"; line {k + 1}, {line.strip()[:40]!r}: {word[:20]!r} is not a number"
@@ -395,8 +400,7 @@ def _apply_format(
             or np.abs(numbers[k]).max() > MAX_PHASE_DEGREES
         ):
             raise ValueError(
-                f"column {titles[k].strip()!r}: the format {stated} has real values, but this "
-                "column is not zero"
+                f"column {titles[k].strip()!r} is not zero, but the format {stated} has real values"
             )
         notes.append(
             f"{titles[k].strip()}: not zero although the format is {stated}; read as the phase"
@@ -412,13 +416,13 @@ def _append_block(before: TextTable, table: TextTable) -> TextTable:
     """Append the rows of a table without titles to the table ``before`` it."""
     pairs = zip(before.numbers, table.numbers, strict=True)
     numbers = tuple(map(np.concatenate, pairs))
-    note = f"{table.place} have no titles: taken as further rows of the table above"
+    note = f"{table.line_range} have no titles: taken as further rows of the table above"
     lines = before.lines[0], table.lines[1]
     notes = (*before.notes, *table.notes, note)
     return replace(before, numbers=numbers, lines=lines, notes=notes)
 
 
-def _merge_blocks(tables: list[TextTable]) -> list[TextTable]:
+def _merge_tables(tables: list[TextTable]) -> list[TextTable]:
     """Merge tables with the same frequencies and different titles."""
     result = list[TextTable]()
     for table in tables:
@@ -446,7 +450,7 @@ def _merge_blocks(tables: list[TextTable]) -> list[TextTable]:
 
 def _has_same_frequencies(first: TextTable, table: TextTable) -> bool:
     """Return whether two tables have equal frequencies in columns with the same title."""
-    if first.titles is None or table.titles is None or first.rows != table.rows:
+    if first.titles is None or table.titles is None or first.row_count != table.row_count:
         return False
     a, b = _find_frequency_column(first), _find_frequency_column(table)
     if a is None or b is None or first.titles[a].strip() != table.titles[b].strip():

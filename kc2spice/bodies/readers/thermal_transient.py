@@ -1,8 +1,8 @@
 """Reader of tables with thermal transients: temperature or thermal impedance versus time.
 
 A table has a column of times and a column of one of the :data:`TRANSIENT_QUANTITIES` in
-:mod:`kc2spice.bodies.readers.meanings`. The heating power is switched on or off at the time zero.
-The input is the path of a table, and the output is a :class:`ThermalTransient`. The module
+:mod:`kc2spice.bodies.readers.column_kinds`. The heating power is switched on or off at the time
+zero. The input is the path of a table, and the output is a :class:`ThermalTransient`. The module
 :mod:`kc2spice.rom.transient_fit` fits a network to the transient.
 """
 
@@ -14,15 +14,15 @@ from typing import Literal
 
 import numpy as np
 
+from kc2spice.bodies.readers.column_kinds import TRANSIENT_QUANTITIES
 from kc2spice.bodies.readers.complex_response import (
     ONE_PART_HINT,
     classify_columns,
     describe_unused,
     make_ambiguity_error,
 )
-from kc2spice.bodies.readers.meanings import TRANSIENT_QUANTITIES
 from kc2spice.bodies.readers.measured import is_table, load_tables
-from kc2spice.bodies.readers.raw import call_reader, is_file, make_unusable_error
+from kc2spice.bodies.readers.raw_matrices import call_reader, is_file, make_unusable_error
 from kc2spice.bodies.readers.text_table import TextTable
 from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError
@@ -80,6 +80,7 @@ def read_transient(path: Path) -> ThermalTransient:
     """
 
     def read_response() -> ThermalTransient:
+        """Read the first table with a time column as a thermal transient."""
         table = next(filter(_has_time_column, load_tables(path)))
         return _find_transient(table, path)
 
@@ -114,7 +115,7 @@ def _find_transient(table: TextTable, path: Path) -> ThermalTransient:
     values = [column for name in TRANSIENT_QUANTITIES for column in by_quantity.get(name, ())]
     if not values:
         names = ", ".join(map(repr, map(str.strip, titles)))
-        raise ValueError(f"a time, but neither a temperature nor a Zth, in the columns {names}")
+        raise ValueError(f"the columns {names} contain neither a temperature nor a Zth")
     for label, found in (("times", times), ("columns of a thermal transient", values)):
         if any(not np.array_equal(found[0].values, other.values) for other in found[1:]):
             raise make_ambiguity_error(

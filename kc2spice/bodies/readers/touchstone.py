@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from kc2spice.bodies.readers.column_kinds import Quantity
 from kc2spice.bodies.readers.complex_response import MeasuredResponse, convert_to_admittance
-from kc2spice.bodies.readers.meanings import Quantity
 from kc2spice.core.errors import UsageError
 
 _FREQUENCY_UNITS = {"hz": 1.0, "khz": 1e3, "mhz": 1e6, "ghz": 1e9, "thz": 1e12}
@@ -55,9 +55,9 @@ def parse_touchstone(text: str, ports: int) -> MeasuredResponse:
         unknown = [word for word in option[:at] if word not in _KNOWN_OPTION_WORDS]
         if unknown:
             raise ValueError(f"the option line has the word {unknown[0]!r}, which is unknown")
-        unit = _choose_word(option[:at], tuple(_FREQUENCY_UNITS), unit)
-        kind = _choose_word(option[:at], _PARAMETER_KINDS, kind)
-        form = _choose_word(option[:at], _NUMBER_FORMS, form)
+        unit = _select_option(option[:at], tuple(_FREQUENCY_UNITS), unit)
+        kind = _select_option(option[:at], _PARAMETER_KINDS, kind)
+        form = _select_option(option[:at], _NUMBER_FORMS, form)
     notes = ["the first of several option lines counts"] if len(options) > 1 else []
     stated = options[0] if options else []
     if not set(stated) & set(_FREQUENCY_UNITS):
@@ -142,14 +142,14 @@ def _reject_undriven_ports(S: np.ndarray) -> None:
     port = silent[0] + 1
     names = " and ".join(f"S{row}{port}" for row in range(1, n + 1))
     raise UsageError(
-        f"contains no measurement from port {port}",
+        f"this file contains no measurement from port {port}",
         got=f"{names} are zero at all frequencies",
         expected="S parameters of all ports, or of one port in a file .s1p",
         hint="save S11 of the part at port 1 as .s1p",
     )
 
 
-def _choose_word(words: list[str], choices: tuple[str, ...], default: str) -> str:
+def _select_option(words: list[str], choices: tuple[str, ...], default: str) -> str:
     """Return the word of an option line that is one of the ``choices``.
 
     Return the ``default`` if the option line contains none of the choices.

@@ -20,9 +20,9 @@ from kc2spice.netlist.circuit import (
     Circuit,
     Directive,
     Element,
-    Function,
+    FunctionCard,
     Item,
-    Model,
+    ModelCard,
     Parameters,
     key_by_lower_name,
     select_items,
@@ -30,13 +30,13 @@ from kc2spice.netlist.circuit import (
 from kc2spice.netlist.deck import ANALYSES, Deck
 from kc2spice.netlist.expression import (
     COMMON_FUNCTIONS,
-    Binary,
-    Call,
-    Choice,
+    BinaryOperation,
+    ConditionalExpression,
+    FunctionCall,
     Number,
     Trace,
     Tree,
-    Unary,
+    UnaryOperation,
     parse_expression,
     parse_vector,
 )
@@ -118,7 +118,7 @@ class Dialect(Printer, ABC):
     @cached_property
     def analysis(self) -> Directive:
         """Analysis card of the deck; for a library alone, a transient from initial states."""
-        items = self.deck.trees[self.deck.main].items if self.deck else ()
+        items = self.deck.trees[self.deck.main_file_name].items if self.deck else ()
         analyses = (card for card in select_items(items, Directive) if card.keyword in ANALYSES)
         transient = Directive(".tran", ("uic",))
         return min(analyses, key=attrgetter("keyword"), default=transient)
@@ -131,17 +131,17 @@ class Dialect(Printer, ABC):
 
     def format_file(self, circuit: Circuit) -> str:
         """Return the text of a file with the items of ``circuit``."""
-        self.defined = {item.name.lower() for item in select_items(circuit.items, Function)}
+        self.defined = {item.name.lower() for item in select_items(circuit.items, FunctionCard)}
         return super().format_file(circuit)
 
-    def lines(self, items: Sequence[Item]) -> Iterator[str]:
+    def print_cards_as_lines(self, items: Sequence[Item]) -> Iterator[str]:
         """Yield the text of cards; all cards of a command in ``joined`` are merged."""
-        return super().lines(_join_commands(items, self.joined))
+        return super().print_cards_as_lines(_join_commands(items, self.joined))
 
     def card(self, item: Item) -> str:
         """Return the text of one card."""
         if isinstance(item, Parameters) and item.keyword != ".param":
-            raise self.refusal(item.written, f"the command {item.keyword}")
+            raise self.make_unsupported_error(item.written, f"the command {item.keyword}")
         if not isinstance(item, Directive):
             return self._require_text(item, super().card(item))
         match item.keyword:
@@ -150,21 +150,27 @@ class Dialect(Printer, ABC):
             case ".print":  # other simulators write the vectors of ``.save``
                 return ""
             case ".options" | ".option" | ".opt":
-                return self.options(item.words)
+                return self.format_options(item.words)
             case ".save":
-                return self.save(list(map(self.vector, item.words)))
+                return self.save(list(map(self.format_vector, item.words)))
             case ".ic" | ".nodeset":
-                return self.directive(replace(item, words=tuple(map(self.start, item.words))))
+                return self.directive(
+                    replace(item, words=tuple(map(self.format_initial_value, item.words)))
+                )
             case keyword if keyword in _COMMON_COMMANDS & ANALYSES:
-                return self.directive(replace(item, words=tuple(map(self.number, item.words))))
+                return self.directive(
+                    replace(item, words=tuple(map(self.format_numbers, item.words)))
+                )
             case keyword if keyword in _COMMON_COMMANDS:
                 return self.directive(item)
-        raise self.refusal(item.text, f"the command {item.keyword}")
+        raise self.make_unsupported_error(item.text, f"the command {item.keyword}")
 
     def _require_text(self, item: Item, text: str) -> str:
         """Return the text of a card; raise an error for an element or model without text."""
         method = "element" if isinstance(item, Element) else "model"
-        if isinstance(item, Element | Model) and (not isinstance(text, str) or not text.strip()):
+        if isinstance(item, Element | ModelCard) and (
+            not isinstance(text, str) or not text.strip()
+        ):
             raise UsageError(
                 f"the dialect {self.dialect} writes no text for this card",
                 where=self.where,
@@ -182,58 +188,68 @@ class Dialect(Printer, ABC):
         if what.startswith("param="):
             expression = what.removeprefix("param=").strip("'")
             known = expression.rpartition("*")[2] not in self.unmeasured
-            return self.scaled(kind, name, self.number(expression)) if known else ""
+            return (
+                self.format_derived_measure(kind, name, self.format_numbers(expression))
+                if known
+                else ""
+            )
         read: tuple[str, ...] = ()
         match what, rest:
             case (("MAX" | "MIN" | "PP" | "AVG" | "RMS"), [text]):
-                read = (what, self.measured(text, kind))
+                read = (what, self.format_measured_quantity(text, kind))
             case (("MAX_AT" | "MIN_AT"), [text]):
-                measured = self.measured(text, kind)
+                measured = self.format_measured_quantity(text, kind)
                 read = self.locate_extreme(what.removesuffix("_AT"), measured, kind)
             case "FIND", [text, at] if at.startswith("AT="):
-                read = (what, self.measured(text, kind), self.number(at))
+                read = (what, self.format_measured_quantity(text, kind), self.format_numbers(at))
             case "WHEN", [condition, "CROSS=1"]:
                 text, _, level = condition.rpartition("=")
-                read = (what, f"{self.measured(text, kind)}={self.number(level)}", "CROSS=1")
+                read = (
+                    what,
+                    f"{self.format_measured_quantity(text, kind)}={self.format_numbers(level)}",
+                    "CROSS=1",
+                )
         if not read:
             self.unmeasured.add(name)
             return ""
         return " ".join((self.measure_keyword, kind.upper(), name, *read))
 
-    def measured(self, text: str, kind: str) -> str:
+    def format_measured_quantity(self, text: str, kind: str) -> str:
         """Return the real quantity that a measurement reads from a vector.
 
         In an ``ac`` analysis, this quantity is the magnitude of a voltage or the real part of a
         current.
         """
         if text.startswith("vm("):
-            return self.magnitude(self.vector(f"v({text[3:]}"))
-        plain = self.vector(text)
-        return self.real_part(plain) if kind == "ac" else plain
+            return self.format_magnitude(self.format_vector(f"v({text[3:]}"))
+        plain = self.format_vector(text)
+        return self.format_real_part(plain) if kind == "ac" else plain
 
     def locate_extreme(self, extreme: str, vector: str, kind: str) -> tuple[str, ...]:
         """Return the words of a card that measures the position of an extremum."""
         return ()
 
     @abstractmethod
-    def scaled(self, kind: str, name: str, expression: str) -> str:
+    def format_derived_measure(self, kind: str, name: str, expression: str) -> str:
         """Return a measurement card whose value is an expression of other measurements."""
 
     @abstractmethod
-    def magnitude(self, vector: str) -> str:
+    def format_magnitude(self, vector: str) -> str:
         """Return the text for the magnitude of a complex vector."""
 
     @abstractmethod
-    def real_part(self, vector: str) -> str:
+    def format_real_part(self, vector: str) -> str:
         """Return the text for the real part of a complex vector."""
 
-    def refusal(self, got: str | None, what: str, expected: str | None = None) -> UsageError:
+    def make_unsupported_error(
+        self, got: str | None, what: str, expected: str | None = None
+    ) -> UsageError:
         """Return the error for a construct without an equivalent in this dialect."""
         message, got = f"{self.title} has no equivalent of {what}", got and got[:120]
-        hint = "rewrite this card, or export for ngspice, which reads it as it is"
+        hint = "rewrite this card, or export with --dialect ngspice"
         return UsageError(message, where=self.where, got=got, expected=expected, hint=hint)
 
-    def element(self, part: Element) -> str:
+    def format_element(self, part: Element) -> str:
         """Return the card of an element."""
         laplace = part.kind in "eg" and len(part.nodes) == 2 and not part.quantity
         files = "file" in " ".join((*part.values, *part.parameters)).lower()
@@ -243,11 +259,11 @@ class Dialect(Printer, ABC):
             or files
             or (part.kind in "eg" and part.parameters)
         ):
-            raise self.refusal(part.written, f"this {part.kind.upper()} card")
+            raise self.make_unsupported_error(part.written, f"this {part.kind.upper()} card")
         known = self.parameters.get(part.kind)
         if known is not None:
             part = replace(part, parameters=self._known_parameters(part, known))
-        return super().element(part)
+        return super().format_element(part)
 
     def _known_parameters(self, part: Element, known: set[str]) -> dict[str, str]:
         """Return the parameters of an element, except parameters for a noise analysis."""
@@ -258,27 +274,27 @@ class Dialect(Printer, ABC):
             if key.lower() not in known:
                 what = f"the parameter {key} of this {part.kind.upper()} card"
                 expected = ", ".join(sorted(known)) or "no parameters"
-                raise self.refusal(part.written, what, expected)
+                raise self.make_unsupported_error(part.written, what, expected)
             result[key] = value
         return result
 
-    def model(self, model: Model) -> str:
+    def format_model(self, model: ModelCard) -> str:
         """Return the card of a switch model, or of a semiconductor model."""
         parameters = key_by_lower_name(model.parameters)
-        values = dict(zip(parameters, map(self.value, parameters.values()), strict=True))
+        values = dict(zip(parameters, map(self.format_word, parameters.values()), strict=True))
         if model.type.lower() == "sw":
             return self.switch(model.name, values)
         known = _SEMICONDUCTOR_PARAMETERS.get(model.type.lower(), "").split()
         if not set(values) <= set(known) or values.get("level", "1") != "1":
-            raise self.refusal(model.written, "this model")
-        return super().model(model)
+            raise self.make_unsupported_error(model.written, "this model")
+        return super().format_model(model)
 
-    def options(self, words: Sequence[str]) -> str:
+    def format_options(self, words: Sequence[str]) -> str:
         """Return the card of the options that the simulator has; other options are comments."""
         supported, comments = [], []
         for word in words:
             if word.partition("=")[0].lower() in self.known_options:
-                supported.append(self.number(word))
+                supported.append(self.format_numbers(word))
             else:
                 comments.append(f"* {self.title} has no option {word}")
         lines = [f"{self.option_prefix} {' '.join(supported)}"] if supported else []
@@ -292,30 +308,30 @@ class Dialect(Printer, ABC):
     def switch(self, name: str, values: Mapping[str, str]) -> str:
         """Return the model card of a voltage-controlled switch."""
 
-    def start(self, text: str) -> str:
+    def format_initial_value(self, text: str) -> str:
         """Return the initial value ``v(NODE)=VALUE`` in this dialect."""
         node, equals, value = text.partition("=")
-        return f"{self.vector(node)}={self.value(value)}" if equals else text
+        return f"{self.format_vector(node)}={self.format_word(value)}" if equals else text
 
-    def vector(self, text: str) -> str:
+    def format_vector(self, text: str) -> str:
         """Return the name of a saved vector in this dialect."""
         result = parse_vector(text)
         bare = "(" not in text and "@" not in text
         if result is None or bare or result.parameter.lower() not in ("", "i", "id", "current"):
-            raise self.refusal(text, "this vector")
+            raise self.make_unsupported_error(text, "this vector")
         if result.quantity == "i":
-            return f"I({self.device(result)})"
-        return f"V({','.join(self.node(name.split('.')) for name in result.names)})"
+            return f"I({self.format_device(result)})"
+        return f"V({','.join(self.format_node(name.split('.')) for name in result.names)})"
 
-    def node(self, path: list[str]) -> str:
+    def format_node(self, path: list[str]) -> str:
         """Return the name of a node inside nested instances, whose names are in ``path``."""
         return ":".join(path)
 
-    def device(self, trace: Trace) -> str:
+    def format_device(self, trace: Trace) -> str:
         """Return the name of the device whose current is the saved vector ``trace``."""
         return ":".join([*trace.path, *trace.names])
 
-    def number(self, text: str) -> str:
+    def format_numbers(self, text: str) -> str:
         """Return a word whose numbers have the same value in all simulators.
 
         Unit letters after a number are removed. Scale factors such as ``mil``, ``a`` or ``x`` are
@@ -325,14 +341,14 @@ class Dialect(Printer, ABC):
 
     # -- expressions ------------------------------------------------------------------------
 
-    def name(self, text: str) -> str:
+    def format_name(self, text: str) -> str:
         """Return the spelling of a parameter or keyword."""
         known = {"e": _EULER_NUMBER, "temper": self.temperature}
         if known.get(text.lower(), text) == "" or text.lower() == "hertz":
-            raise self.refusal(text, f"the word {text}")
+            raise self.make_unsupported_error(text, f"the word {text}")
         return known.get(text.lower(), text)
 
-    def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
+    def write_call(self, function: str, arguments: tuple[Tree, ...]) -> str:
         """Return an equivalent function call in this dialect, such as ``table`` for ``pwl``."""
         if function == "pwl":
             values = arguments[1:]
@@ -344,38 +360,39 @@ class Dialect(Printer, ABC):
                     got="a pwl() with a slope in the first or last segment",
                     expected="two equal values at each end of the table",
                 )
-            head, *pairs = map(self.write, arguments)
+            head, *pairs = map(self.write_tree, arguments)
             rows = [f"\n+ {x},{y}" for x, y in zip(pairs[::2], pairs[1::2], strict=True)]
             return f"table({head},{','.join(rows)})"
         if function == "pow" and len(arguments) == 2:
-            return self.write(Binary("^", *arguments))
+            return self.write_tree(BinaryOperation("^", *arguments))
         spelled = "ln" if function == "log" else function
         if spelled not in self.functions and function not in self.defined:
             known = ", ".join(sorted(self.functions | self.rewritten))
-            raise self.refusal(None, f"the function {function}", known)
-        return super().call(spelled, arguments)
+            raise self.make_unsupported_error(None, f"the function {function}", known)
+        return super().write_call(spelled, arguments)
 
-    def condition(self, tree: Tree) -> str:
+    def format_condition(self, tree: Tree) -> str:
         """Return a condition that is true for nonzero numbers, as in ngspice."""
-        if isinstance(tree, Binary) and tree.op in _COMPARISON_OPERATORS:
-            return super().write(tree)
-        return f"{self.write(_number_of_condition(tree), 3)}>0.5"
+        if isinstance(tree, BinaryOperation) and tree.op in _COMPARISON_OPERATORS:
+            return super().write_tree(tree)
+        return f"{self.write_tree(_convert_condition(tree), 3)}>0.5"
 
-    def write(self, tree: Tree, level: int = 0) -> str:
-        """Return the text of ``tree``.
+    def write_tree(self, tree: Tree, level: int = 0) -> str:
+        """Write an expression tree as text in the syntax of the dialect.
 
         As in ngspice, a power is computed from the absolute value of its base. Logical operators
         are replaced by conditional expressions, whose syntax is ``if(test, yes, no)`` in
         Xyce and LTspice.
         """
         match tree:
-            case Choice(test, yes, no):
-                return f"if({self.condition(test)}, {self.write(yes)}, {self.write(no)})"
-            case Binary("^", left, right):
-                return f"pow(abs({self.write(left)}), {self.write(right)})"
-            case Binary("&&" | "||" | "==" | "!=") | Unary("!"):
-                return self.write(_number_of_condition(tree), level)
-        return super().write(tree, level)
+            case ConditionalExpression(test, yes, no):
+                condition = self.format_condition(test)
+                return f"if({condition}, {self.write_tree(yes)}, {self.write_tree(no)})"
+            case BinaryOperation("^", left, right):
+                return f"pow(abs({self.write_tree(left)}), {self.write_tree(right)})"
+            case BinaryOperation("&&" | "||" | "==" | "!=") | UnaryOperation("!"):
+                return self.write_tree(_convert_condition(tree), level)
+        return super().write_tree(tree, level)
 
 
 def _remove_letters(match: re.Match[str]) -> str:
@@ -391,22 +408,24 @@ _ZERO = Number("0")
 _COMPARISON_OPERATORS = ("<", "<=", ">", ">=")
 
 
-def _number_of_condition(tree: Tree) -> Tree:
+def _convert_condition(tree: Tree) -> Tree:
     """Return an expression that is 1 if the condition ``tree`` is true, and otherwise 0."""
     match tree:
-        case Binary(op) if op in _COMPARISON_OPERATORS:
-            return Choice(tree, _ONE, _ZERO)
-        case Binary("&&", left, right):
-            return Binary("*", _number_of_condition(left), _number_of_condition(right))
-        case Binary("||", left, right):
-            return Call("max", (_number_of_condition(left), _number_of_condition(right)))
-        case Binary("!=", left, right):
-            return _number_of_condition(Binary("-", left, right))
-        case Binary("==", left, right):
-            return _number_of_condition(Unary("!", Binary("-", left, right)))
-        case Unary("!", value):
-            return Binary("-", _ONE, _number_of_condition(value))
-    return Choice(Binary(">", Call("abs", (tree,)), _ZERO), _ONE, _ZERO)
+        case BinaryOperation(op) if op in _COMPARISON_OPERATORS:
+            return ConditionalExpression(tree, _ONE, _ZERO)
+        case BinaryOperation("&&", left, right):
+            return BinaryOperation("*", _convert_condition(left), _convert_condition(right))
+        case BinaryOperation("||", left, right):
+            return FunctionCall("max", (_convert_condition(left), _convert_condition(right)))
+        case BinaryOperation("!=", left, right):
+            return _convert_condition(BinaryOperation("-", left, right))
+        case BinaryOperation("==", left, right):
+            return _convert_condition(UnaryOperation("!", BinaryOperation("-", left, right)))
+        case UnaryOperation("!", value):
+            return BinaryOperation("-", _ONE, _convert_condition(value))
+    return ConditionalExpression(
+        BinaryOperation(">", FunctionCall("abs", (tree,)), _ZERO), _ONE, _ZERO
+    )
 
 
 def _join_commands(items: Sequence[Item], joined: frozenset[str]) -> list[Item]:

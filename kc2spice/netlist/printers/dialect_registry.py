@@ -93,21 +93,21 @@ def _require_dialect(value: object, where: str) -> type[Dialect]:
 
 
 @cache
-def _builtin_dialect_names() -> tuple[str, ...]:
+def _list_builtin_dialects() -> tuple[str, ...]:
     """Return the names of the built-in dialects, which are names of modules."""
     modules = pkgutil.iter_modules(import_module(DIALECT_PACKAGE).__path__)
     return tuple(map(attrgetter("name"), modules))
 
 
-def deck_dialects() -> tuple[str, ...]:
+def list_deck_dialects() -> tuple[str, ...]:
     """Return the names of all dialects for decks, ngspice first."""
     foreign = list_entry_points(ENTRY_POINT_GROUP)
-    return tuple(dict.fromkeys((NGSPICE, *_builtin_dialect_names(), *foreign, *_dialects)))
+    return tuple(dict.fromkeys((NGSPICE, *_list_builtin_dialects(), *foreign, *_dialects)))
 
 
-def dialect_names() -> tuple[str, ...]:
+def list_dialect_names() -> tuple[str, ...]:
     """Return the names of all dialects for an export, including Verilog-A."""
-    return (*deck_dialects(), VERILOG_A)
+    return (*list_deck_dialects(), VERILOG_A)
 
 
 # Simulators without a printer, and the dialect whose files they read.
@@ -127,7 +127,7 @@ _COMPATIBLE_DIALECTS = {
 }
 
 
-def unknown_dialect_error(name: str, known: Iterable[str]) -> UsageError:
+def make_unknown_dialect_error(name: str, known: Iterable[str]) -> UsageError:
     """Make the error for an unknown dialect, with the dialect that is most similar to it."""
     error = unknown("this dialect does not exist", name, known, "--dialect")
     if (similar := _COMPATIBLE_DIALECTS.get(name.lower())) is not None:
@@ -142,11 +142,11 @@ def find_dialect(name: str) -> type[Dialect]:
     ------
     UsageError : no dialect with a printer has this name, or its package cannot be imported.
     """
-    if name not in _dialects and name in _builtin_dialect_names():
+    if name not in _dialects and name in _list_builtin_dialects():
         import_module(f"{DIALECT_PACKAGE}.{name}")
     if name not in _dialects and name in list_entry_points(ENTRY_POINT_GROUP):
         dialect = load_plugin(ENTRY_POINT_GROUP, name)
         _dialects[name] = _require_dialect(dialect, f"entry point {name} of {ENTRY_POINT_GROUP}")
     if name not in _dialects:
-        raise unknown_dialect_error(name, dialect_names())
+        raise make_unknown_dialect_error(name, list_dialect_names())
     return _dialects[name]

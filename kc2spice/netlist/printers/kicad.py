@@ -26,7 +26,7 @@ from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.expression import parse_vector
 from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.printers.ngspice import Printer
-from kc2spice.netlist.printers.symbol_layout import Place, arrange_pins
+from kc2spice.netlist.printers.symbol_layout import SymbolPin, arrange_pins
 from kc2spice.netlist.scope import GROUND_NAMES, Scope, build_scope
 from kc2spice.netlist.spelling import render_template
 
@@ -34,12 +34,12 @@ GRID = 2.54  # mm, 100 mil
 # text of the field Sim.Params of an element, which contains the values of the netlist card
 _SPICE_FIELD = 'type="{}" model="{}" lib=""'
 LIBRARY = "kc2spice"
-_POLE_PINS = (Place(1, "+", "top", 0, 2), Place(2, "-", "bottom", 0, -2))
+_POLE_PINS = (SymbolPin(1, "+", "top", 0, 2), SymbolPin(2, "-", "bottom", 0, -2))
 _CONTROLLED_SOURCE_PINS = (
-    Place(1, "out+", "right", 3, 1),
-    Place(2, "out-", "right", 3, -1),
-    Place(3, "in+", "left", -3, 1),
-    Place(4, "in-", "left", -3, -1),
+    SymbolPin(1, "out+", "right", 3, 1),
+    SymbolPin(2, "out-", "right", 3, -1),
+    SymbolPin(3, "in+", "left", -3, 1),
+    SymbolPin(4, "in-", "left", -3, -1),
 )
 _ELEMENT_SYMBOLS = {  # keyed by element letter: name, title, drawing
     "V": ("SOURCE", "voltage source", "voltage"),
@@ -54,11 +54,11 @@ _ELEMENT_SYMBOLS = {  # keyed by element letter: name, title, drawing
     "G": ("CURRENT_BY_VOLTAGE", "current source controlled by a voltage", "box"),
 }
 _MARK_SYMBOLS = {  # by name: reference, title, drawing, pin, position of the text, kind of pin
-    "GND": ("#PWR", "ground, node 0", "ground", Place(1, "GND", "top", 0, 0, 0.0), (0.0, -4.0),
+    "GND": ("#PWR", "ground, node 0", "ground", SymbolPin(1, "GND", "top", 0, 0, 0.0), (0.0, -4.0),
             "power_in"),
     "PWR_FLAG": ("#FLG", "tells that ground is driven", "flag",
-                 Place(1, "pwr", "bottom", 0, 0, 0.0), (0.0, 3.0), "power_out"),
-    "PROBE": ("TP", "a net to be plotted", "probe", Place(1, "net", "bottom", 0, 0), (1.5, 2.4),
+                 SymbolPin(1, "pwr", "bottom", 0, 0, 0.0), (0.0, 3.0), "power_out"),
+    "PROBE": ("TP", "a net to be plotted", "probe", SymbolPin(1, "net", "bottom", 0, 0), (1.5, 2.4),
               "passive"),
 }  # fmt: skip
 
@@ -74,7 +74,7 @@ class Symbol:
     name: str
     fields: dict[str, str]
     drawing: str
-    places: tuple[Place, ...]
+    places: tuple[SymbolPin, ...]
     text: tuple[float, float]
     half: tuple[float, float] = (0.0, 0.0)
     pins: str = "passive"
@@ -94,7 +94,7 @@ def draw_part_symbol(part: Subcircuit) -> Symbol:
     the values in the library.
     """
     box = arrange_pins(part)
-    fields = _standard_fields("X", part.name, part.title) | {
+    fields = _make_standard_fields("X", part.name, part.title) | {
         "Sim.Device": "SUBCKT",
         "Sim.Library": part.filename,
         "Sim.Name": part.name,
@@ -104,7 +104,7 @@ def draw_part_symbol(part: Subcircuit) -> Symbol:
     return Symbol(part.name, fields, "box", box.places, (-x, y + 1.3), (x, y), named_pins=True)
 
 
-def element_symbols() -> dict[str, Symbol]:
+def make_element_symbols() -> dict[str, Symbol]:
     """Return symbols of elements, keyed by letter, and of marks such as ``GND``.
 
     The fields contain the values in netlist syntax (``Sim.Device`` is ``SPICE``), without loss of
@@ -114,7 +114,7 @@ def element_symbols() -> dict[str, Symbol]:
     for letter, (name, title, drawing) in _ELEMENT_SYMBOLS.items():
         box = drawing == "box"
         places = _CONTROLLED_SOURCE_PINS if box else _POLE_PINS
-        fields = _standard_fields(letter, name, title) | {
+        fields = _make_standard_fields(letter, name, title) | {
             "Sim.Device": "SPICE",
             "Sim.Params": _SPICE_FIELD.format(letter, "0"),
             "Sim.Pins": " ".join(f"{p.number}={p.number}" for p in places),
@@ -123,13 +123,13 @@ def element_symbols() -> dict[str, Symbol]:
         text = (-side, side + 1.3) if box else (GRID + 0.8, -0.9)
         result[letter] = Symbol(name, fields, drawing, places, text, (side, side), named_pins=box)
     for name, (reference, title, drawing, place, text, pins) in _MARK_SYMBOLS.items():
-        fields, simulated = _standard_fields(reference, name, title), name != "PROBE"
+        fields, simulated = _make_standard_fields(reference, name, title), name != "PROBE"
         mark = Symbol(name, fields, drawing, (place,), text, pins=pins, simulated=simulated)
         result[name] = mark
     return result
 
 
-def _standard_fields(reference: str, value: str, description: str) -> dict[str, str]:
+def _make_standard_fields(reference: str, value: str, description: str) -> dict[str, str]:
     """Return the standard fields of a symbol."""
     fields = {"Reference": reference, "Value": value, "Footprint": "", "Datasheet": ""}
     return fields | {"Description": description}
@@ -160,7 +160,7 @@ _COLOURS = ("rgb(228, 26, 28)", "rgb(55, 126, 184)", "rgb(77, 175, 74)", "rgb(15
 
 
 @dataclass(frozen=True)
-class _Item:
+class _PlacedSymbol:
     """Symbol at a grid position of the sheet, with its text fields and nets.
 
     ``reach`` contains the space that the symbol needs at the left, right, top and bottom, in grid
@@ -177,7 +177,7 @@ class _Item:
     turn: int = 0
 
     @property
-    def right(self) -> int:
+    def right_end(self) -> int:
         """Position of the right end of the item on the sheet."""
         return self.x + self.reach[1]
 
@@ -187,7 +187,7 @@ class _Item:
         return self.y + self.reach[3]
 
     @property
-    def ends(self) -> Iterator[tuple[int, int, str, str]]:
+    def pin_ends(self) -> Iterator[tuple[int, int, str, str]]:
         """Yield x, y (downwards), side and net of each pin end on the sheet."""
         for place, net in zip(self.symbol.places, self.nets, strict=True):
             yield self.x + place.x, self.y - place.y, place.side, net
@@ -203,8 +203,10 @@ def make_project(deck: Deck) -> dict[str, str]:
     ------
     UsageError : the deck instantiates a subcircuit that none of its files defines.
     """
-    top = build_scope(deck.located_trees[deck.main], deck.located_trees, deck.main)
-    symbols = element_symbols()
+    top = build_scope(
+        deck.located_trees[deck.main_file_name], deck.located_trees, deck.main_file_name
+    )
+    symbols = make_element_symbols()
     drawn = {part.name.lower(): draw_part_symbol(part) for part in deck.parts}
     items = [_draw_element(element, drawn, symbols) for element in top.elements]
     counts = Counter(chain.from_iterable(map(attrgetter("nets"), items)))
@@ -213,8 +215,8 @@ def make_project(deck: Deck) -> dict[str, str]:
             fields = {"Reference": f"TP{len(items) + 1}", "Value": net}
             items.append(_reserve_room(symbols["PROBE"], symbols["PROBE"].fields | fields, (net,)))
     title = deck.title.removeprefix(f"{deck.name}: ")
-    commands = list(_simulation_commands(top))
-    used = [*drawn.values(), *_unique_symbols(symbols.values())]
+    commands = list(_list_simulation_commands(top))
+    used = [*drawn.values(), *_remove_repeated_symbols(symbols.values())]
     return {
         f"{deck.name}.kicad_sch": _draw_sheet(deck.name, title, items, commands, symbols),
         f"{deck.name}.kicad_pro": render_template(
@@ -230,7 +232,7 @@ def make_project(deck: Deck) -> dict[str, str]:
     }
 
 
-def _simulation_commands(top: Scope) -> Iterator[str]:
+def _list_simulation_commands(top: Scope) -> Iterator[str]:
     """Yield the deck's commands for KiCad, with KiCad's names of sources and instances."""
     sources = {key: _add_reference_number(item.name) for key, item in top.elements_by_key.items()}
     for card in top.commands:
@@ -239,7 +241,7 @@ def _simulation_commands(top: Scope) -> Iterator[str]:
             yield " ".join(_rename_source(word, sources) for word in words)
 
 
-def _unique_symbols(symbols: Iterable[Symbol]) -> list[Symbol]:
+def _remove_repeated_symbols(symbols: Iterable[Symbol]) -> list[Symbol]:
     """Return the symbols without repetitions of a name."""
     return list({symbol.name: symbol for symbol in symbols}.values())
 
@@ -259,7 +261,9 @@ def _rename_source(word: str, references: Mapping[str, str]) -> str:
     return f"{opening}{bracket}{name}{dot}{rest}"
 
 
-def _draw_element(element: Element, parts: dict[str, Symbol], symbols: dict[str, Symbol]) -> _Item:
+def _draw_element(
+    element: Element, parts: dict[str, Symbol], symbols: dict[str, Symbol]
+) -> _PlacedSymbol:
     """Return the item of the sheet that represents an element.
 
     Raises
@@ -272,16 +276,16 @@ def _draw_element(element: Element, parts: dict[str, Symbol], symbols: dict[str,
     if letter == "X":
         symbol = parts.get(element.model.lower())
         if symbol is None or len(symbol.places) != len(nets):
-            raise element.error("no such subcircuit", element.model)
+            raise element.make_error("no such subcircuit", element.model)
         fields = symbol.fields | ({"Sim.Params": parameters} if parameters else {})
         return _reserve_room(symbol, fields | {"Reference": name}, nets)
     symbol = symbols.get(letter)
     if symbol is None or len(symbol.places) != len(nets):
         known = ", ".join(sorted(_ELEMENT_SYMBOLS))
-        raise element.error(
+        raise element.make_error(
             "the sheet has no symbol for this card", expected=f"one of {known} or X"
         )
-    law = Printer().law(element) if element.quantity else ""
+    law = Printer().format_law(element) if element.quantity else ""
     words = (*map(_add_reference_number, element.sources), *element.values, parameters, law)
     value = " ".join(filter(None, words))
     fields = symbol.fields | {
@@ -298,31 +302,31 @@ def _shorten_value(value: str) -> str:
     return short if len(short) <= _MAX_VALUE else short[: _MAX_VALUE - 2].rpartition(" ")[0] + " …"
 
 
-def _reserve_room(symbol: Symbol, fields: dict[str, str], nets: tuple[str, ...]) -> _Item:
+def _reserve_room(symbol: Symbol, fields: dict[str, str], nets: tuple[str, ...]) -> _PlacedSymbol:
     """Return the item of a symbol with the space for its pins, labels and texts."""
     room = {"left": 1, "right": 1, "top": 1, "bottom": 1}
     for place, net in zip(symbol.places, nets, strict=True):
-        label = _label_length(net) + (len(nets) if place.side in ("left", "right") else 0)
+        label = _compute_label_length(net) + (len(nets) if place.side in ("left", "right") else 0)
         out = {"left": -place.x, "right": place.x, "top": place.y, "bottom": -place.y}
         for side, far in out.items():
             room[side] = max(room[side], far + (label if side == place.side else 0))
     longest = max(len(fields["Value"]), len(fields["Reference"]))
     right = max(room["right"], ceil(symbol.text[0] / GRID + _LETTER_WIDTH * longest))
     up = max(room["top"], ceil(symbol.text[1] / GRID) + 2)
-    return _Item(symbol, fields, nets, (room["left"], right, up, room["bottom"]))
+    return _PlacedSymbol(symbol, fields, nets, (room["left"], right, up, room["bottom"]))
 
 
-def _label_length(net: str) -> int:
+def _compute_label_length(net: str) -> int:
     """Return the length [grid units] of the label of a net; for node 0, of a ground symbol."""
     return 2 if net == "0" else ceil(_LETTER_WIDTH * len(net)) + 2
 
 
-def _split_rows(items: Iterable[_Item], width: int) -> list[list[_Item]]:
+def _split_rows(items: Iterable[_PlacedSymbol], width: int) -> list[list[_PlacedSymbol]]:
     """Split the items into rows of ``width`` [grid units], and set their positions in the rows."""
     items = list(items)
-    longest = max(map(_label_length, chain.from_iterable(map(attrgetter("nets"), items))))
+    longest = max(map(_compute_label_length, chain.from_iterable(map(attrgetter("nets"), items))))
     start = max(SHEET_MARGIN, longest + SHEET_MARGIN // 2)
-    rows: list[list[_Item]] = []
+    rows: list[list[_PlacedSymbol]] = []
     x = width
     for item in items:
         needed = item.reach[0] + item.reach[1] + 2
@@ -334,14 +338,16 @@ def _split_rows(items: Iterable[_Item], width: int) -> list[list[_Item]]:
     return rows
 
 
-def _stack_rows(items: Iterable[_Item], width: int) -> tuple[list[_Item], list[_Track]]:
+def _stack_rows(
+    items: Iterable[_PlacedSymbol], width: int
+) -> tuple[list[_PlacedSymbol], list[_Track]]:
     """Return the items at their positions, and the horizontal wires above and below rows."""
-    placed: list[_Item] = []
+    placed: list[_PlacedSymbol] = []
     tracks: list[_Track] = []
     y = SHEET_MARGIN
     for row in _split_rows(items, width):
         _, _, ups, downs = zip(*map(attrgetter("reach"), row), strict=True)
-        above = len(_shared_nets(row, upwards=True))
+        above = len(_find_shared_nets(row, upwards=True))
         y += above + max(ups)
         row = [replace(item, y=y) for item in row]
         tracks += _assign_tracks(row, y - max(ups) - 1, upwards=True)
@@ -371,14 +377,14 @@ class _Track:
         return min(self.columns) - 1, self.y, "left", self.net
 
     @property
-    def junctions(self) -> Iterator[tuple[int, int]]:
+    def wire_junctions(self) -> Iterator[tuple[int, int]]:
         """Yield the points at which three wires meet."""
         for column in sorted(self.columns)[:-1]:
             yield column, self.y
 
     @property
-    def wires(self) -> Iterator[tuple[int, int, int, int]]:
-        """Yield the straight wires between the pins, the track and the label of the track."""
+    def wire_segments(self) -> Iterator[tuple[int, int, int, int]]:
+        """Straight wires between the pins, the track and the label of the track."""
         for (x, y), column in zip(self.pins, self.columns, strict=True):
             if column != x:
                 yield x, y, column, y
@@ -387,28 +393,30 @@ class _Track:
             yield left, self.y, right, self.y
 
 
-def _channel_ends(row: Iterable[_Item], upwards: bool) -> list[tuple[int, int, str, str]]:
+def _list_channel_ends(
+    row: Iterable[_PlacedSymbol], upwards: bool
+) -> list[tuple[int, int, str, str]]:
     """Return the pin ends that lead to the wiring channel above or below a row."""
-    return [end for end in _pin_ends(row) if (end[2] == "top") == upwards]
+    return [end for end in _list_pin_ends(row) if (end[2] == "top") == upwards]
 
 
-def _shared_nets(row: Iterable[_Item], upwards: bool) -> frozenset[str]:
+def _find_shared_nets(row: Iterable[_PlacedSymbol], upwards: bool) -> frozenset[str]:
     """Return the nets with several ends in one wiring channel, except ground."""
-    counts = Counter(net for _, _, _, net in _channel_ends(row, upwards))
+    counts = Counter(net for _, _, _, net in _list_channel_ends(row, upwards))
     return frozenset(net for net, count in counts.items() if count > 1) - {"0"}
 
 
-def _assign_tracks(row: Iterable[_Item], y: int, upwards: bool) -> list[_Track]:
+def _assign_tracks(row: Iterable[_PlacedSymbol], y: int, upwards: bool) -> list[_Track]:
     """Return the tracks (horizontal wires) of a wiring channel that begins at ``y``.
 
     The net whose first pin is furthest to the left has the track next to the row. This order
     prevents wires from crossing the labels of other tracks.
     """
-    shared = _shared_nets(row, upwards)
+    shared = _find_shared_nets(row, upwards)
     ends: dict[str, dict[tuple[int, int], int]] = {net: {} for net in shared}
     for item in row:
         columns = _choose_columns(item, shared)
-        for x, height, _, net in _channel_ends([item], upwards):
+        for x, height, _, net in _list_channel_ends([item], upwards):
             if net in shared:
                 ends[net][x, height] = columns[x, height]
     step = -1 if upwards else 1
@@ -419,7 +427,7 @@ def _assign_tracks(row: Iterable[_Item], y: int, upwards: bool) -> list[_Track]:
     ]
 
 
-def _choose_columns(item: _Item, shared: Container[str]) -> dict[tuple[int, int], int]:
+def _choose_columns(item: _PlacedSymbol, shared: Container[str]) -> dict[tuple[int, int], int]:
     """Return the column of each pin end of an item, keyed by its position.
 
     The column of the lowest pin of a side is next to the symbol. The column of each higher pin is
@@ -428,49 +436,53 @@ def _choose_columns(item: _Item, shared: Container[str]) -> dict[tuple[int, int]
     result = {}
     for side, outwards in (("left", -1), ("right", 1), ("top", 0), ("bottom", 0)):
         occupied = 0
-        ends = (end for end in item.ends if end[2] == side)
+        ends = (end for end in item.pin_ends if end[2] == side)
         for x, y, _, net in sorted(ends, key=itemgetter(1), reverse=True):
             if net in shared:
                 occupied += 1
                 result[x, y] = x + outwards * occupied
             else:
-                occupied = max(occupied, _label_length(net))
+                occupied = max(occupied, _compute_label_length(net))
     return result
 
 
-def _pin_ends(items: Iterable[_Item]) -> Iterator[tuple[int, int, str, str]]:
+def _list_pin_ends(items: Iterable[_PlacedSymbol]) -> Iterator[tuple[int, int, str, str]]:
     """Yield x, y, side and net of all pin ends on the sheet."""
     for item in items:
-        yield from item.ends
+        yield from item.pin_ends
 
 
 def _draw_sheet(
-    name: str, title: str, items: list[_Item], commands: list[str], symbols: dict[str, Symbol]
+    name: str,
+    title: str,
+    items: list[_PlacedSymbol],
+    commands: list[str],
+    symbols: dict[str, Symbol],
 ) -> str:
     """Return the text of the schematic, on the smallest suitable paper size."""
     for width in _ROW_WIDTHS:
         placed, tracks = _stack_rows(items, width)
         heights = chain(map(attrgetter("bottom"), placed), map(attrgetter("y"), tracks))
         bottom = max(heights) + 3
-        right = GRID * (max(map(attrgetter("right"), placed)) + SHEET_MARGIN // 2)
+        right = GRID * (max(map(attrgetter("right_end"), placed)) + SHEET_MARGIN // 2)
         paper = _choose_paper(right, GRID * (bottom + len(commands)) + _TITLE_BLOCK_HEIGHT)
         if paper in _ROW_WIDTHS[width]:
             break
     all_items = [*placed, *_draw_grounds(placed, symbols)]
     wired = frozenset(chain.from_iterable(map(attrgetter("pins"), tracks)))
-    single = [end for end in _pin_ends(placed) if end[3] != "0" and end[:2] not in wired]
+    single = [end for end in _list_pin_ends(placed) if end[3] != "0" and end[:2] not in wired]
     sheet = SimpleNamespace(
         paper=paper,
         labels=[*single, *map(attrgetter("label"), tracks)],
-        wires=list(chain.from_iterable(map(attrgetter("wires"), tracks))),
-        junctions=list(chain.from_iterable(map(attrgetter("junctions"), tracks))),
+        wires=list(chain.from_iterable(map(attrgetter("wire_segments"), tracks))),
+        junctions=list(chain.from_iterable(map(attrgetter("wire_junctions"), tracks))),
         texts=[(line, SHEET_MARGIN, bottom + k) for k, line in enumerate(commands)],
         items=all_items,
     )
     return render_template(
         "kicad.j2",
         sheet=sheet,
-        symbols=_unique_symbols(map(attrgetter("symbol"), all_items)),
+        symbols=_remove_repeated_symbols(map(attrgetter("symbol"), all_items)),
         grid=GRID,
         name=name,
         title=shorten(title, _MAX_COMMENT),
@@ -486,23 +498,27 @@ def _choose_paper(width: float, height: float) -> str:
     return "A0"
 
 
-def _draw_grounds(items: list[_Item], symbols: dict[str, Symbol]) -> Iterator[_Item]:
+def _draw_grounds(
+    items: list[_PlacedSymbol], symbols: dict[str, Symbol]
+) -> Iterator[_PlacedSymbol]:
     """Yield a ground symbol at every pin on node 0, and one power flag."""
     count = 0
-    for x, y, side, net in _pin_ends(items):
+    for x, y, side, net in _list_pin_ends(items):
         if net == "0":
             count += 1
-            yield _ground_mark(symbols["GND"], f"#PWR{count:02d}", x, y, _GROUND_ANGLES[side])
+            yield _make_ground_mark(symbols["GND"], f"#PWR{count:02d}", x, y, _GROUND_ANGLES[side])
     if count:  # the power flag is in a corner, on a separate ground symbol
         corner = SHEET_MARGIN - 2, SHEET_MARGIN - 2
-        yield _ground_mark(symbols["GND"], "#PWR00", *corner)
-        yield _ground_mark(symbols["PWR_FLAG"], "#FLG01", *corner)
+        yield _make_ground_mark(symbols["GND"], "#PWR00", *corner)
+        yield _make_ground_mark(symbols["PWR_FLAG"], "#FLG01", *corner)
 
 
-def _ground_mark(symbol: Symbol, reference: str, x: int, y: int, turn: int = 0) -> _Item:
+def _make_ground_mark(
+    symbol: Symbol, reference: str, x: int, y: int, turn: int = 0
+) -> _PlacedSymbol:
     """Return a ground symbol or flag at a position, rotated by ``turn`` [degrees]."""
     fields = symbol.fields | {"Reference": reference}
-    return _Item(symbol, fields, ("0",), x=x, y=y, turn=turn)
+    return _PlacedSymbol(symbol, fields, ("0",), x=x, y=y, turn=turn)
 
 
 def _write_workbook(deck: Deck, top: Scope, commands: list[str]) -> str:
@@ -522,7 +538,7 @@ def _write_workbook(deck: Deck, top: Scope, commands: list[str]) -> str:
             first.setdefault(name.partition(".")[0], trace.names[0])
     spelled: dict[str, str] = {}
     for part in top.elements:
-        spelled.update(zip(part.ends, part.nodes, strict=True))
+        spelled.update(zip(part.lower_case_nodes, part.nodes, strict=True))
     names = filter(None, map(spelled.get, dict.fromkeys([*first.values(), *nodes])))
     traces = list(zip(names, _COLOURS, strict=False))
     return render_template("kicad_workbook.j2", analysis=analysis, kind=kind, traces=traces)

@@ -12,15 +12,15 @@ from kc2spice.netlist.circuit import (
     Circuit,
     Directive,
     Element,
-    Function,
+    FunctionCard,
     Item,
-    Model,
+    ModelCard,
     Parameters,
     select_items,
 )
 from kc2spice.netlist.expression import ExpressionWriter, Name, Tree, parse_expression, walk_tree
 from kc2spice.netlist.prefixes import with_prefixes
-from kc2spice.netlist.printers.lines import wrap_card, wrap_comments
+from kc2spice.netlist.printers.line_breaks import wrap_card, wrap_comments
 
 # names in expressions that are not parameters and therefore need no braces
 _BARE_NAMES = frozenset({"time", "temper", "hertz", "pi"})
@@ -29,7 +29,7 @@ _TABLE_WIDTH = 96
 
 
 class Printer(ExpressionWriter):
-    """Printer of netlists for one simulator."""
+    """Writer of circuits and decks in the netlist syntax of one simulator."""
 
     title = "ngspice"
     keyword = ""  # word before the parameters of subcircuits and instances
@@ -39,10 +39,10 @@ class Printer(ExpressionWriter):
 
     def format_file(self, circuit: Circuit) -> str:
         """Return the text of a file with the items of ``circuit``."""
-        lines = [*self.lines(circuit.items), *_print_comments(circuit.closing)]
+        lines = [*self.print_cards_as_lines(circuit.items), *_print_comments(circuit.closing)]
         return "\n".join(lines) + "\n"
 
-    def lines(self, items: Sequence[Item]) -> Iterator[str]:
+    def print_cards_as_lines(self, items: Sequence[Item]) -> Iterator[str]:
         """Yield the cards with their preceding comments."""
         for item in items:
             yield from _print_comments(item.notes)
@@ -54,82 +54,87 @@ class Printer(ExpressionWriter):
         """Return the text, possibly empty, of one item without its preceding comments."""
         match item:
             case Element():
-                return self.element(item)
-            case Model():
-                return self.model(item)
+                return self.format_element(item)
+            case ModelCard():
+                return self.format_model(item)
             case Parameters():
-                return f"{item.keyword} {self.join_pairs(item.values)}"
-            case Function(name, arguments, _):
-                law = self.value(f"{{{item.expression.strip('{}')}}}")
+                return f"{item.keyword} {self.join_assignments(item.values)}"
+            case FunctionCard(name, arguments, _):
+                law = self.format_word(f"{{{item.expression.strip('{}')}}}")
                 return f".func {name}({','.join(arguments)}) {law}"
             case Circuit():
-                body = (*self.lines(item.items), *_print_comments(item.closing))
-                return "\n".join([_continue_card(self.head(item)), *body, f".ends {item.name}"])
+                body = (*self.print_cards_as_lines(item.items), *_print_comments(item.closing))
+                return "\n".join(
+                    [_continue_card(self.write_subckt_card(item)), *body, f".ends {item.name}"]
+                )
         return self.directive(item)
 
-    def head(self, circuit: Circuit) -> str:
+    def write_subckt_card(self, circuit: Circuit) -> str:
         """Return the ``.subckt`` card that begins a subcircuit."""
         keyword = self.keyword if circuit.defaults else ""
         return _join_words(
-            ".subckt", circuit.name, *circuit.pins, keyword, self.join_pairs(circuit.defaults)
+            ".subckt", circuit.name, *circuit.pins, keyword, self.join_assignments(circuit.defaults)
         )
 
-    def element(self, part: Element) -> str:
+    def format_element(self, part: Element) -> str:
         """Return the card of an element."""
         keyword = self.keyword if part.kind == "x" and part.parameters else ""
-        law = self.law(part) if part.quantity else ""
+        law = self.format_law(part) if part.quantity else ""
         known = part.kind in NODE_COUNTS  # words of an unknown element may be names of nodes
-        values = " ".join(map(self.value, part.values) if known else part.values)
-        pairs = self.join_pairs(part.parameters)
+        values = " ".join(map(self.format_word, part.values) if known else part.values)
+        pairs = self.join_assignments(part.parameters)
         return _join_words(
             part.name, *part.nodes, *part.sources, part.model, values, law, keyword, pairs
         )
 
-    def law(self, part: Element) -> str:
+    def format_law(self, part: Element) -> str:
         """Return the expression of a behavioural source.
 
         If an expression contains parameters, braces enclose the complete expression, because
         ngspice inserts the content of inner braces as text.
         """
         words = [leaf.text.lower() for leaf in select_items(walk_tree(part.law), Name)]
-        text = self.write(part.law)
+        text = self.write_tree(part.law)
         inner = f"{{{text}}}" if not _BARE_NAMES.issuperset(words) else text
         return f"{part.quantity if part.kind == 'b' else 'value'}={inner}"
 
-    def model(self, model: Model) -> str:
+    def format_model(self, model: ModelCard) -> str:
         """Return the card of a model."""
-        inside = self.join_pairs(model.parameters)
+        inside = self.join_assignments(model.parameters)
         return _join_words(".model", model.name, model.type + (f"({inside})" if inside else ""))
 
     def directive(self, card: Directive) -> str:
         """Return any other dot card; each command of a control block is on a separate line."""
         if card.keyword == ".control":
             return "\n".join([".control", *card.words, ".endc"])
-        words = map(self.number, card.words) if card.keyword in _NUMERIC_CARDS else card.words
+        words = (
+            map(self.format_numbers, card.words) if card.keyword in _NUMERIC_CARDS else card.words
+        )
         return _join_words(card.keyword, *words)
 
-    def join_pairs(self, assignments: Mapping[str, str]) -> str:
+    def join_assignments(self, assignments: Mapping[str, str]) -> str:
         """Return the words ``name=value``; an assignment without a value is a flag."""
         return " ".join(
-            f"{key}={self.value(value)}" if value else key for key, value in assignments.items()
+            f"{key}={self.format_word(value)}" if value else key
+            for key, value in assignments.items()
         )
 
-    def number(self, text: str) -> str:
+    def format_numbers(self, text: str) -> str:
         """Return a word of a card with numbers in the spelling of this dialect."""
         return with_prefixes(text)
 
-    def value(self, text: str) -> str:
+    def format_word(self, text: str) -> str:
         """Return the text of a word; a word in braces or single quotes is an expression."""
         if text[:1] not in ("{", "'"):
-            return self.number(text)
-        written = self.write(parse_expression(text, where=self.where))
+            return self.format_numbers(text)
+        written = self.write_tree(parse_expression(text, where=self.where))
         return f"{{{written.replace(', ', ',')}}}"  # a blank would end the word
 
-    def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
+    def write_call(self, function: str, arguments: tuple[Tree, ...]) -> str:
         """Return a function call; the points of a table are spread over several lines."""
         if function != "pwl":
-            return super().call(function, arguments)
-        head, *numbers = map(self.write, arguments)
+            return super().write_call(function, arguments)
+        head, *numbers = map(self.write_tree, arguments)
         rows = list(map(", ".join, zip(numbers[::2], numbers[1::2], strict=False)))
         lines = textwrap.wrap(", ".join(rows), _TABLE_WIDTH, break_long_words=False)
         return f"pwl({head},\n+ " + "\n+ ".join(lines) + ")"
@@ -162,7 +167,7 @@ def _locate_items(
     for item in items:
         _skip_lines(lines, len(_print_comments(item.notes)))
         if isinstance(item, Circuit):
-            head = _continue_card(printer.head(item))
+            head = _continue_card(printer.write_subckt_card(item))
             where = f"{file}:{next(lines)}"
             _skip_lines(lines, head.count("\n"))
             inner = tuple(_locate_items(item.items, printer, file, lines))

@@ -30,6 +30,10 @@ def format_plot_script(deck: Deck) -> dict[str, str]:
         f"ylabel '{'dB of ' if deck.command.kind == 'ac' else ''}{unit}' title '{deck.name}'"
         for unit, vectors in windows.items()
     ]
-    head = ["*ng_script", f"* Run it with:  ngspice {deck.name}_plot.sp", f"source {deck.main}"]
+    head = [
+        "*ng_script",
+        f"* Run it with:  ngspice {deck.name}_plot.sp",
+        f"source {deck.main_file_name}",
+    ]
     run = ("run", "setplot noise1") if deck.command.kind == "noise" else ("run",)
     return {f"{deck.name}_plot.sp": "\n".join([*head, *run, *lines]) + "\n"}

@@ -16,7 +16,7 @@ _CONTROLLED_KINDS = frozenset("egs")  # elements whose last two nodes draw no cu
 
 
 @dataclass(frozen=True)
-class Place:
+class SymbolPin:
     """Pin of a symbol, with its free end at the grid position ``(x, y)``.
 
     The y axis points upwards. The free end is at a distance ``length`` from the body of the symbol.
@@ -31,15 +31,15 @@ class Place:
 
 
 @dataclass(frozen=True)
-class Box:
-    """Rectangle with pins; ``width`` and ``height`` [grid units] are half of its size."""
+class SymbolBox:
+    """Rectangle with pins; half its width and height are ``width`` and ``height``."""
 
     width: int
     height: int
-    places: tuple[Place, ...]
+    places: tuple[SymbolPin, ...]
 
 
-def arrange_pins(part: Subcircuit) -> Box:
+def arrange_pins(part: Subcircuit) -> SymbolBox:
     """Arrange the pins on the symbol of ``part``, numbered in the order of ``.subckt``.
 
     On the symbol of an actuator, electrical pins are on the left and mechanical pins on the right.
@@ -47,24 +47,26 @@ def arrange_pins(part: Subcircuit) -> Box:
     displacements are on the left and all other pins on the right.
     """
     left, right, below = _assign_sides(part)
-    longest = max(_longest_name(left), _longest_name(right))
+    longest = max(_find_longest_name_length(left), _find_longest_name_length(right))
     rows = max(len(left), len(right))
     # pin names at the bottom are vertical, between the names on the left and on the right
     width = max(3, ceil(_LETTER_WIDTH * longest + 0.6 + 0.5 * len(below)))
-    height = max(ceil((rows + 1) / 2), ceil((_LETTER_WIDTH * _longest_name(below) + 0.8) / 2))
+    height = max(
+        ceil((rows + 1) / 2), ceil((_LETTER_WIDTH * _find_longest_name_length(below) + 0.8) / 2)
+    )
     places = []
     for side, x, pins in (("left", -width - 1, left), ("right", width + 1, right)):
         for row, (number, pin) in enumerate(pins):
-            places.append(Place(number, pin.name, side, x, height - 1 - row))
+            places.append(SymbolPin(number, pin.name, side, x, height - 1 - row))
     first = -(len(below) // 2)
     for column, (number, pin) in enumerate(below):
-        places.append(Place(number, pin.name, "bottom", first + column, -height - 1))
+        places.append(SymbolPin(number, pin.name, "bottom", first + column, -height - 1))
     places.sort(key=attrgetter("number"))
-    return Box(width, height, tuple(places))
+    return SymbolBox(width, height, tuple(places))
 
 
-def _longest_name(pins: list[tuple[int, Pin]]) -> int:
-    """Return the number of letters of the longest pin name."""
+def _find_longest_name_length(pins: list[tuple[int, Pin]]) -> int:
+    """Return the length of the longest pin name in characters."""
     return max((len(pin.name) for _, pin in pins), default=0)
 
 
@@ -74,11 +76,13 @@ def _find_sensed_nodes(scope: Scope | None) -> set[str]:
     loaded: set[str] = set()
     for item in scope.elements if scope else ():
         two = item.kind in _CONTROLLED_KINDS and len(item.nodes) == 4
-        loaded |= set(item.ends[:2] if two else () if item.kind == "x" else item.ends)
-        sensed |= {*item.ends[2:]} if two else item.sensed_nodes
-        if item.kind == "x" and scope and (called := scope.find(item.model)):
+        loaded |= set(
+            item.lower_case_nodes[:2] if two else () if item.kind == "x" else item.lower_case_nodes
+        )
+        sensed |= {*item.lower_case_nodes[2:]} if two else item.sensed_nodes
+        if item.kind == "x" and scope and (called := scope.find_subcircuit(item.model)):
             sensed_pins = _find_sensed_nodes(called)
-            for pin, node in zip(called.pins, item.ends, strict=False):
+            for pin, node in zip(called.pins, item.lower_case_nodes, strict=False):
                 (sensed if pin in sensed_pins else loaded).add(node)
     return sensed - loaded
 
@@ -89,7 +93,7 @@ def _assign_sides(part: Subcircuit) -> tuple[list[tuple[int, Pin]], ...]:
     for pin in part.pins:
         if pin.name in REFERENCES:
             continue
-        if pin.flow == ELECTRICAL.flow:
+        if pin.flow == ELECTRICAL.flow_unit:
             electrical.append(pin.name)
         elif pin.flow == SIGNAL:
             signals.append(pin.name)
@@ -97,7 +101,7 @@ def _assign_sides(part: Subcircuit) -> tuple[list[tuple[int, Pin]], ...]:
             moves = pin.unit == TRANSLATION.across.pin_unit
             (displacements if moves else others).append(pin.name)
     mechanical = displacements or others
-    sensed = _find_sensed_nodes(build_scope(part.circuit).find(part.name))
+    sensed = _find_sensed_nodes(build_scope(part.circuit).find_subcircuit(part.name))
     left = {pin.name for pin in part.pins if pin.key in sensed} - REFERENCES
     if electrical and mechanical:
         left = set(electrical)

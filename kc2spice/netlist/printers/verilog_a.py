@@ -17,7 +17,7 @@ from kc2spice.netlist.circuit import (
     Directive,
     Element,
     Item,
-    Model,
+    ModelCard,
     Parameters,
     key_by_lower_name,
     select_items,
@@ -25,16 +25,16 @@ from kc2spice.netlist.circuit import (
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.expression import (
     COMMON_FUNCTIONS,
-    Binary,
+    BinaryOperation,
     CircuitVariable,
     ExpressionWriter,
     Name,
     Number,
     Tree,
+    find_probed_names,
     literal_value,
     parse_expression,
     parse_vector,
-    probed_names,
     substitute_names,
     walk_tree,
 )
@@ -90,7 +90,7 @@ class Module:
     nodes: dict[str, str] = field(default_factory=dict)
     identifiers: set[str] = field(default_factory=set)
 
-    def identifier(self, name: str) -> str:
+    def allocate_identifier(self, name: str) -> str:
         """Return an unused identifier: ``name``, if necessary with ``_`` appended."""
         while name in _RESERVED_NAMES or name in self.identifiers:
             name += "_"
@@ -99,7 +99,7 @@ class Module:
 
     def declare_variable(self, name: str, value: str) -> str:
         """Declare a variable and its value, such as a charge; return the variable's name."""
-        spelled = self.identifier(name)
+        spelled = self.allocate_identifier(name)
         self.declarations.append(f"real {spelled};")
         self.laws.append(f"{spelled} = {value};")
         return spelled
@@ -117,34 +117,37 @@ class VerilogWriter(ExpressionWriter):
     where: str = ""
     part: str = ""
 
-    def node(self, name: str) -> str:
+    def declare_node(self, name: str) -> str:
         """Return the Verilog-A name of a node; a node that is new is declared."""
         key, nodes = name.lower(), self.module.nodes
         if key in self.pins:
             return self.pins[key]
         if key in GROUND_NAMES:
             raise UsageError(
-                "a Verilog-A module cannot use the global ground node", where=self.where, got=name
+                "a Verilog-A module cannot use the global ground node",
+                where=self.where,
+                got=name,
+                hint="export this scene with --dialect ngspice",
             )
         local = self.prefix + key
         if local not in nodes:
-            nodes[local] = self.module.identifier(local)
+            nodes[local] = self.module.allocate_identifier(local)
         return nodes[local]
 
-    def across(self, names: Iterable[str]) -> str:
+    def write_voltage(self, names: Iterable[str]) -> str:
         """Return the Verilog-A text of the voltage between two nodes."""
-        return f"V({','.join(map(self.node, names))})"
+        return f"V({','.join(map(self.declare_node, names))})"
 
-    def value(self, text: str) -> str:
+    def format_word(self, text: str) -> str:
         """Return the Verilog-A text of a number or an ``{expression}`` on a card."""
-        return self.law(parse_expression(text, where=self.where))
+        return self.format_law(parse_expression(text, where=self.where))
 
-    def law(self, tree: Tree) -> str:
+    def format_law(self, tree: Tree) -> str:
         """Return the Verilog-A text of an expression, in parentheses if this text is no factor."""
-        return self.write(tree, 5)
+        return self.write_tree(tree, 5)
 
-    def write(self, tree: Tree, level: int = 0) -> str:
-        """Return the Verilog-A text of ``tree``.
+    def write_tree(self, tree: Tree, level: int = 0) -> str:
+        """Write an expression tree as Verilog-A text.
 
         As in ngspice, a power is computed from the absolute value of its base. All numbers have a
         point or an exponent, because Verilog-A truncates quotients of integers.
@@ -153,28 +156,33 @@ class VerilogWriter(ExpressionWriter):
             case Number(text):
                 return text if set(".eE").intersection(text) else f"{text}.0"
             case CircuitVariable("v", names):
-                return self.across(names)
+                return self.write_voltage(names)
             case CircuitVariable("i", (source, *_)):
                 return f"I({self.name_branch(source)})"
-            case Binary("^", left, right):
-                return f"pow(abs({self.write(left)}), {self.write(right)})"
-        return super().write(tree, level)
+            case BinaryOperation("^", left, right):
+                return f"pow(abs({self.write_tree(left)}), {self.write_tree(right)})"
+        return super().write_tree(tree, level)
 
     def name_branch(self, source: str) -> str:
         """Return the name of the Verilog-A branch of a voltage source."""
         return f"br_{self.prefix}{source.lower()}"
 
-    def name(self, text: str) -> str:
+    def format_name(self, text: str) -> str:
         """Return the spelling of a parameter or keyword."""
         if text.lower() not in self.params:
-            raise UsageError("Verilog-A has no equivalent of this name", where=self.where, got=text)
+            raise UsageError(
+                "Verilog-A has no equivalent of this name",
+                where=self.where,
+                got=text,
+                hint="export this scene with --dialect ngspice",
+            )
         return self.params[text.lower()]
 
-    def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
+    def write_call(self, function: str, arguments: tuple[Tree, ...]) -> str:
         """Return the spelling of a function call."""
         if function == "pwl":
             name = f"table_{self.prefix}{self.part}_{len(self.module.functions)}"
-            numbers = [literal_value(self.write(a), where=self.where) for a in arguments[1:]]
+            numbers = [literal_value(self.write_tree(a), where=self.where) for a in arguments[1:]]
             points = [value for value in numbers if value is not None]
             at, f = points[::2], points[1::2]
             if len(points) < max(4, len(numbers)) or len(at) != len(f) or at != sorted(set(at)):
@@ -183,8 +191,8 @@ class VerilogWriter(ExpressionWriter):
                     "arguments, each with a value"
                 )
                 raise UsageError(message, where=self.where, got=self.part)
-            self.module.functions.append(_table_function(name, at, f))
-            return f"{name}({self.write(arguments[0])})"
+            self.module.functions.append(_write_table_function(name, at, f))
+            return f"{name}({self.write_tree(arguments[0])})"
         if defined := self.scope.functions.get(function):
             bound = dict(zip(map(str.lower, defined.arguments), arguments, strict=False))
             body = parse_expression(defined.expression, where=defined.where)
@@ -192,17 +200,17 @@ class VerilogWriter(ExpressionWriter):
             for leaf in select_items(walk_tree(body), Name):
                 if leaf.text.lower() in bound:
                     inserted[leaf.text] = bound[leaf.text.lower()]
-            return f"({self.write(substitute_names(body, inserted))})"
+            return f"({self.write_tree(substitute_names(body, inserted))})"
         if function == "pow" and len(arguments) == 2:
-            return self.write(Binary("^", *arguments))
+            return self.write_tree(BinaryOperation("^", *arguments))
         if spelled := _FUNCTION_TEMPLATES.get(function):
-            return spelled.format(self.write(arguments[0]))
+            return spelled.format(self.write_tree(arguments[0]))
         spelled = "ln" if function == "log" else function
         if spelled not in COMMON_FUNCTIONS:
             raise UsageError(
                 "Verilog-A has no equivalent of this function", where=self.where, got=function
             )
-        return super().call(spelled, arguments)
+        return super().write_call(spelled, arguments)
 
 
 def print_module(part: Subcircuit) -> dict[str, str]:
@@ -225,15 +233,15 @@ def print_module(part: Subcircuit) -> dict[str, str]:
     module = Module()
     pins, params = {}, {}
     for pin in part.pins:
-        pins[pin.key] = module.identifier(pin.name)
+        pins[pin.key] = module.allocate_identifier(pin.name)
     for p in part.params:
-        spelled = params[p.name.lower()] = module.identifier(p.name)
+        spelled = params[p.name.lower()] = module.allocate_identifier(p.name)
         line = f"parameter real {spelled} = {format_number(p.default)};"
         module.declarations.append(f"{line}  // {p.unit}: {p.doc}")
     names = VerilogWriter(module, scope, pins, params, "")
     for key, default in scope.defaults.items():  # the header of a user's subcircuit may lack them
         if key.lower() not in params:
-            spelled, value = module.identifier(key), names.value(default)
+            spelled, value = module.allocate_identifier(key), names.format_word(default)
             module.declarations.append(f"parameter real {spelled} = {value};")
             params[key.lower()] = spelled
     _expand_circuit(names)
@@ -245,7 +253,7 @@ def print_module(part: Subcircuit) -> dict[str, str]:
         "// A transient starts from its operating point, in which initial conditions hold.",
         '`include "disciplines.vams"',
         "",
-        f"module {Module().identifier(part.name)}({ports});",
+        f"module {Module().allocate_identifier(part.name)}({ports});",
         f"  inout {ports};",
         f"  electrical {ports};",
         *([f"  electrical {inner};"] if inner else []),
@@ -266,9 +274,11 @@ def _expand_circuit(names: VerilogWriter) -> None:
     for card in scope.commands:
         names.where = card.where
         if isinstance(card, Directive) or card.written.startswith(".csparam"):
-            raise card.error(_NO_EQUIVALENT)
+            raise card.make_error(_NO_EQUIVALENT)
         for key, text in card.values.items() if isinstance(card, Parameters) else ():
-            names.params[key.lower()] = module.declare_variable(prefix + key, names.value(text))
+            names.params[key.lower()] = module.declare_variable(
+                prefix + key, names.format_word(text)
+            )
     for part in scope.elements:
         names.where, names.part = part.where, part.key
         module.laws += map(_convert_comment, part.notes)
@@ -285,14 +295,14 @@ def _convert_comment(line: str) -> str:
 
 def _expand_instance(part: Element, outer: VerilogWriter) -> None:
     """Add the contribution statements of an inner instance to the module."""
-    called = outer.scope.find(part.model)
+    called = outer.scope.find_subcircuit(part.model)
     if called is None or len(called.pins) != len(part.nodes):
-        raise part.error("no such subcircuit", part.model)
+        raise part.make_error("no such subcircuit", part.model)
     prefix = f"{outer.prefix}{part.key}_"
-    pins = dict(zip(called.pins, map(outer.node, part.nodes), strict=True))
+    pins = dict(zip(called.pins, map(outer.declare_node, part.nodes), strict=True))
     params = {}
     for key, default in called.defaults.items():
-        value = outer.value(part.settings.get(key, default))
+        value = outer.format_word(part.settings.get(key, default))
         params[key] = outer.module.declare_variable(prefix + key, value)
     _expand_circuit(VerilogWriter(outer.module, called, pins, params, prefix))
 
@@ -307,84 +317,90 @@ def _add_contribution(part: Element, names: VerilogWriter) -> None:
     if part.kind == "k":
         module.laws += _couple_inductors(part, names)
         return
-    a, b = map(names.node, part.nodes[:2]) if part.nodes else ("", "")
+    a, b = map(names.declare_node, part.nodes[:2]) if part.nodes else ("", "")
     through, across = f"I({a},{b})", f"V({a},{b})"
     if part.quantity == "V" or (part.kind in "vleh" and not part.quantity):
         branch = names.name_branch(part.name)
         through = f"V({branch})"
         module.branches.append(f"branch ({a},{b}) {branch};")
-    right = names.law(part.law) if part.quantity else _element_contribution(part, names, across)
+    right = (
+        names.format_law(part.law)
+        if part.quantity
+        else _write_element_contribution(part, names, across)
+    )
     module.laws.append(f"{through} <+ {right};")
     if part.kind == "c" and "ic" in part.settings:
         # The condition also tests the time, because the analysis type in ngspice is ``ic`` even in
         # the first time step.
         at_start = '(analysis("ic") || analysis("tran")) && $abstime <= 0.0'
-        start = names.value(part.settings["ic"])
+        start = names.format_word(part.settings["ic"])
         clamp = f"({at_start} ? {format_number(HOLD_CONDUCTANCE)} : 0.0)*({across} - {start})"
         module.laws.append(f"{through} <+ {clamp};")
 
 
-def _element_contribution(part: Element, names: VerilogWriter, across: str) -> str:
+def _write_element_contribution(part: Element, names: VerilogWriter, across: str) -> str:
     """Return the right-hand side of the contribution of an element without an expression."""
     current = f"I({names.name_branch(part.name)})"
     match part.kind:
         case "r":
-            return f"{across}/{_card_value(part, names)}"
+            return f"{across}/{_read_card_value(part, names)}"
         case "c":
             # If ddt contains equal products, OpenVAF (Reloaded, 2026-08) may assign the derivative
             # of one product to the node of another.
-            charge = f"{_card_value(part, names)}*{across}"
+            charge = f"{_read_card_value(part, names)}*{across}"
             return (
                 f"ddt({names.module.declare_variable(f'charge_{names.prefix}{part.key}', charge)})"
             )
         case "l":
-            return f"ddt({_card_value(part, names)}*{current})"
+            return f"ddt({_read_card_value(part, names)}*{current})"
         case "e" | "g":
-            return f"{_card_value(part, names)}*{names.across(part.nodes[2:])}"
+            return f"{_read_card_value(part, names)}*{names.write_voltage(part.nodes[2:])}"
         case "f" | "h":
-            return f"{_card_value(part, names)}*I({names.name_branch(part.sources[0])})"
+            return f"{_read_card_value(part, names)}*I({names.name_branch(part.sources[0])})"
         case "s":
-            return f"{across}/{_switch_resistance(part, names)}"
+            return f"{across}/{_write_switch_resistance(part, names)}"
         case "i":
-            return _steady_value(part, names)
+            return _read_constant_value(part, names)
         case "v":
             # OpenVAF merges both nodes of a 0 V source, and sets the source's current to zero
             series = f" + {format_number(SOURCE_RESISTANCE)}*{current}"
-            return _steady_value(part, names) + (series if _is_sensed(part, names.scope) else "")
-    raise part.error(_NO_EQUIVALENT)
+            return _read_constant_value(part, names) + (
+                series if _is_current_sensed(part, names.scope) else ""
+            )
+    raise part.make_error(_NO_EQUIVALENT)
 
 
-def _is_sensed(source: Element, scope: Scope) -> bool:
+def _is_current_sensed(source: Element, scope: Scope) -> bool:
     """Return whether an element or an expression reads the current of a voltage source."""
     for item in scope.elements:
         if source.key in map(str.lower, item.sources):
             return True
-        if item.expression and source.key in probed_names(item.law, "i"):
+        if item.expression and source.key in find_probed_names(item.law, "i"):
             return True
     return False
 
 
-def _card_value(part: Element, names: VerilogWriter) -> str:
+def _read_card_value(part: Element, names: VerilogWriter) -> str:
     """Return the only value on a card; reject a card with a multiplier or a model."""
     if len(part.values) != 1 or set(part.settings) - ({"ic"} if part.kind == "c" else set()):
-        raise part.error(_NO_EQUIVALENT)
-    return names.value(part.values[0])
+        raise part.make_error(_NO_EQUIVALENT)
+    return names.format_word(part.values[0])
 
 
-def _steady_value(part: Element, names: VerilogWriter) -> str:
+def _read_constant_value(part: Element, names: VerilogWriter) -> str:
     """Return the value of a constant source; a waveform of zeros is also constant."""
     words = [w for w in part.values if w.lower() != "dc"]
     if len(words) == 1 and "(" not in words[0].partition("{")[0]:
-        return names.value(words[0])
+        return names.format_word(words[0])
     wave, _, inside = " ".join(words).rstrip(")").partition("(")
     listed = inside.replace(",", " ").split() if wave.strip().lower() == "pwl" else []
     points = [literal_value(word, where=part.where) for word in listed]
     if points and None not in points and not any(points[1::2]):
         return "0.0"
-    raise part.error("a module has no sources with waveforms")
+    raise part.make_error("a module has no sources with waveforms")
 
 
-def _switch_resistance(part: Element, names: VerilogWriter) -> str:
+def _write_switch_resistance(part: Element, names: VerilogWriter) -> str:
     """Return the resistance of a switch as a function of its control voltage."""
     model = names.scope.models.get(part.model.lower())
     parameters = _SWITCH_DEFAULTS | (key_by_lower_name(model.parameters) if model else {})
@@ -395,25 +411,25 @@ def _switch_resistance(part: Element, names: VerilogWriter) -> str:
         or None in numbers.values()
         or numbers["vh"]
     ):
-        raise part.error("Verilog-A has no equivalent of this switch")
-    on, off, level = map(names.value, itemgetter("ron", "roff", "vt")(parameters))
-    return f"({names.across(part.nodes[2:])} > {level} ? {on} : {off})"
+        raise part.make_error("Verilog-A has no equivalent of this switch")
+    on, off, level = map(names.format_word, itemgetter("ron", "roff", "vt")(parameters))
+    return f"({names.write_voltage(part.nodes[2:])} > {level} ? {on} : {off})"
 
 
 def _couple_inductors(part: Element, names: VerilogWriter) -> list[str]:
     """Return the statements of the voltages that a K element induces in two inductors."""
-    inductors = names.scope.elements_of("l")
+    inductors = names.scope.select_elements("l")
     coils = list(filter(None, map(inductors.get, map(str.lower, part.sources))))
     if len(coils) != 2:
-        raise part.error(_NO_EQUIVALENT)
+        raise part.make_error(_NO_EQUIVALENT)
     first, second = coils
-    product = f"{names.value(first.values[0])}*{names.value(second.values[0])}"
-    mutual = f"{_card_value(part, names)}*sqrt({product})"
+    product = f"{names.format_word(first.values[0])}*{names.format_word(second.values[0])}"
+    mutual = f"{_read_card_value(part, names)}*sqrt({product})"
     one, two = names.name_branch(first.name), names.name_branch(second.name)
     return [f"V({one}) <+ ddt({mutual}*I({two}));", f"V({two}) <+ ddt({mutual}*I({one}));"]
 
 
-def _table_function(name: str, x: list[float], f: list[float]) -> str:
+def _write_table_function(name: str, x: list[float], f: list[float]) -> str:
     """Return the text of a piecewise linear function that extrapolates its outer segments."""
     lines = [f"  analog function real {name};", "    input x;", "    real x;", "    begin"]
 
@@ -450,7 +466,7 @@ def make_testbench(deck: Deck, modules: Collection[Subcircuit]) -> dict[str, str
     replaced = set(map(attrgetter("filename"), modules))
     main = f"{deck.name}_osdi.cir"
     compiled = " && ".join(f"openvaf-r {stem}.va" for stem in stems.values())
-    tree = deck.tree_with_usage(
+    tree = deck.add_usage_comment(
         f"* Run it with:  {compiled} && ngspice -b -r {deck.name}.raw {main}",
         "* Each part is a Verilog-A module, compiled by OpenVAF and loaded by ngspice 39 or later.",
     )
@@ -460,10 +476,12 @@ def make_testbench(deck: Deck, modules: Collection[Subcircuit]) -> dict[str, str
     models = []
     for item in select_items(tree.items, Element):
         if item.model.lower() in stems:
-            models.append(Model(f"m{item.key}", item.model, item.parameters))
+            models.append(ModelCard(f"m{item.key}", item.model, item.parameters))
     tree = replace(tree, items=(control, *models, replace(items[0], notes=()), *items[1:]))
     files = {main: Printer().format_file(tree)}
-    return files | {n: text for n, text in deck.files.items() if n not in {deck.main, *replaced}}
+    return files | {
+        n: text for n, text in deck.files.items() if n not in {deck.main_file_name, *replaced}
+    }
 
 
 def _replace_instance(item: Item, stems: Mapping[str, str], replaced: Collection[str]) -> Item:

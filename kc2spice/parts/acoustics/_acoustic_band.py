@@ -18,7 +18,7 @@ class AcousticBand(NamedTuple):
     high: float
 
 
-def acoustic_band(scene: GovernedScene) -> AcousticBand:
+def choose_acoustic_band(scene: GovernedScene) -> AcousticBand:
     """Return the frequency band in which acoustic networks must be accurate.
 
     The band ends at the highest frequency of the analysis or of its sources. In an ac analysis, the

@@ -64,7 +64,7 @@ class AcousticLoad:
     sources: tuple[SoundSource, ...]
     complete: bool
 
-    def record(self) -> dict[str, Any]:
+    def make_record(self) -> dict[str, Any]:
         """Return the data that determine the load, for the key of a cached model."""
         branches = [[b.plus, b.minus, b.power, b.value] for b in self.branches]
         sources = [[s.node, s.far_field.pressure, s.far_field.flow] for s in self.sources]
@@ -95,7 +95,7 @@ class AcousticLoad:
         values = np.array([b.value for b in self.branches])
         count, s = len(faces), 2j * np.pi * np.asarray(frequency, dtype=float)
         admittances = s[:, None] ** powers * values
-        p = _solve_nodes(A, admittances, push)
+        p = _solve_node_pressures(A, admittances, push)
         flow = admittances[:, :, None] * (A.T.toarray() @ p)
         Z = np.zeros((s.size, count, count), complex)
         sound = np.zeros((s.size, count), complex)
@@ -108,7 +108,9 @@ class AcousticLoad:
         return Z, sound
 
 
-def _solve_nodes(A: sparse.csc_array, admittances: np.ndarray, push: np.ndarray) -> np.ndarray:
+def _solve_node_pressures(
+    A: sparse.csc_array, admittances: np.ndarray, push: np.ndarray
+) -> np.ndarray:
     """Return the node pressures p of ``A diag(y) A' p = push`` for each row y of admittances.
 
     A is the incidence matrix of the network, and ``push`` contains unit volume velocities.
@@ -128,16 +130,18 @@ def collect_load(scene: Scene, body: str, pins: Sequence[str]) -> AcousticLoad:
 
     The load also includes parts that are connected to the body only through other acoustic parts.
     """
-    faces = tuple(scene.net(body, pin) for pin in pins)
+    faces = tuple(scene.get_net(body, pin) for pin in pins)
     nets, parts, complete = set(faces) - {GROUND}, dict[str, Part](), True
     waiting = set(nets)
     while waiting:
         net = waiting.pop()
-        for name, pin in _list_pins_on(scene, net):
+        for name, pin in _list_pins_on_net(scene, net):
             part, acoustic = scene.parts[name], scene.terminals[name, pin].domain is ACOUSTIC
             if isinstance(part.type, AcousticPart):
                 parts[name] = part
-                ends = {scene.net(name, end) for end in (*part.type.ends(part), AMBIENT)}
+                ends = {
+                    scene.get_net(name, end) for end in (*part.type.list_end_pins(part), AMBIENT)
+                }
                 waiting |= ends - nets - {GROUND}
                 nets |= ends - {GROUND}
             elif acoustic and name != body:
@@ -148,7 +152,7 @@ def collect_load(scene: Scene, body: str, pins: Sequence[str]) -> AcousticLoad:
     return AcousticLoad(faces, tuple(branches), tuple(sources), complete)
 
 
-def _list_pins_on(scene: Scene, net: str) -> Iterable[tuple[str, str]]:
+def _list_pins_on_net(scene: Scene, net: str) -> Iterable[tuple[str, str]]:
     """Return the pins that are connected to a net, each as a pair of part name and pin name."""
     return [key for key, other in scene.nets.items() if other == net]
 
@@ -160,9 +164,11 @@ def _add_part(
     kind = part.type
     assert isinstance(kind, AcousticPart)
     network = kind.network(part, scene)
-    first, *others = kind.ends(part)
-    nodes = {network.exits.get(pin, pin): scene.net(part.name, pin) for pin in (*others, AMBIENT)}
-    nodes[network.entry] = scene.net(part.name, first)
+    first, *others = kind.list_end_pins(part)
+    nodes = {
+        network.exits.get(pin, pin): scene.get_net(part.name, pin) for pin in (*others, AMBIENT)
+    }
+    nodes[network.entry] = scene.get_net(part.name, first)
     entering = list[tuple[int, float]]()
     for item in network.elements:
         power = ADMITTANCE_POWERS.get(item.kind, 0)
@@ -174,4 +180,4 @@ def _add_part(
         branches.append(LoadBranch(plus, minus, power, value if power > 0 else 1 / value))
     if isinstance(part.keys, RadiationKeys):
         source = find_far_field(part.keys)
-        sources.append(SoundSource(scene.net(part.name, FACE), tuple(entering), source))
+        sources.append(SoundSource(scene.get_net(part.name, FACE), tuple(entering), source))

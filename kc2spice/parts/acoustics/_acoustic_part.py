@@ -21,16 +21,16 @@ from typing_extensions import TypeVar
 from kc2spice.core import laws
 from kc2spice.core.domains import ACOUSTIC, AMBIENT
 from kc2spice.netlist.circuit import Circuit, Element, Item, Param, Parameters, Pin
-from kc2spice.netlist.elements import attach_comments
 from kc2spice.netlist.expression import Tree
 from kc2spice.netlist.library import Header, Subcircuit
+from kc2spice.netlist.shared_cards import attach_comments
 from kc2spice.netlist.spelling import LEAK_RATE, format_comment, format_number, format_voltage
 from kc2spice.parts.acoustics._fluids import FluidKeys
-from kc2spice.parts.electronics.two_terminal_types import element
+from kc2spice.parts.electronics.two_terminal_types import make_element_law
 from kc2spice.physics.symbolic import evaluate_tree, parse_simplified
 from kc2spice.scene.model import (
     GROUND,
-    Build,
+    BuiltScene,
     GovernedScene,
     JoinedScene,
     Part,
@@ -38,7 +38,7 @@ from kc2spice.scene.model import (
     Terminal,
     WiredScene,
 )
-from kc2spice.scene.part_records import EquilibriumConditions, Vector
+from kc2spice.scene.part_records import EquilibriumConditions, PartResult
 
 FluidKeysT = TypeVar("FluidKeysT", bound=FluidKeys, default=FluidKeys, covariant=True)
 
@@ -125,15 +125,15 @@ class AcousticPart(PartType[FluidKeysT]):
     def network(self, part: Part[FluidKeysT], scene: GovernedScene) -> AcousticNetwork:
         """Return the acoustic network of the part."""
 
-    def ends(self, part: Part[FluidKeysT]) -> tuple[str, ...]:
+    def list_end_pins(self, part: Part[FluidKeysT]) -> tuple[str, ...]:
         """Return all pressure pins except ``ambient``; the first pin has an ammeter."""
         return ("a",)
 
-    def paths(self, part: Part[FluidKeysT]) -> tuple[tuple[str, str], ...]:
+    def steady_flow_paths(self, part: Part[FluidKeysT]) -> tuple[tuple[str, str], ...]:
         """Return pairs of pins between which a constant volume velocity can flow."""
         return ()
 
-    def fluid_volume(self, part: Part[FluidKeysT]) -> float:
+    def get_fluid_volume(self, part: Part[FluidKeysT]) -> float:
         """Return the volume [m3] of fluid in front of a face; infinite for a part without walls."""
         return math.inf
 
@@ -141,32 +141,38 @@ class AcousticPart(PartType[FluidKeysT]):
 
     def pins(self, part: Part[FluidKeysT], scene: JoinedScene) -> tuple[Terminal, ...]:
         """Return the pins in the order of the subcircuit."""
-        ends = (replace(Terminal.of(end, ACOUSTIC), required=True) for end in self.ends(part))
+        ends = (
+            replace(Terminal.from_domain(end, ACOUSTIC), required=True)
+            for end in self.list_end_pins(part)
+        )
         joined = scene.is_target(part.name, AMBIENT)
-        ambient = Terminal.of(AMBIENT, ACOUSTIC, None if joined else GROUND)
+        ambient = Terminal.from_domain(AMBIENT, ACOUSTIC, None if joined else GROUND)
         return (*ends, replace(ambient, required=joined))
 
     def equilibrium_conditions(
         self, part: Part[FluidKeysT], scene: WiredScene
     ) -> EquilibriumConditions:
         """Return the pairs of pins between which a steady volume velocity can flow."""
-        return EquilibriumConditions(self.paths(part))
+        return EquilibriumConditions(self.steady_flow_paths(part))
 
     def subcircuits(
-        self, part: Part[FluidKeysT], build: Build, header: Header
+        self, part: Part[FluidKeysT], build: BuiltScene, header: Header
     ) -> tuple[Subcircuit, ...]:
         """Return the subcircuit of the part."""
-        from kc2spice.synthesis.header import parameter_defaults_of, part_header  # loads slowly
+        from kc2spice.synthesis.header import (
+            format_parameter_defaults,
+            write_part_header,
+        )  # loads slowly
 
         network, name = self.network(part, build.scene), build.libraries[part.name]
         pins = tuple(Pin(pin.name, pin.unit, pin.flow) for pin in build.scene.pins(part.name))
         title = f"{name}: {self.title}"
         validity = f"{network.validity}; constant temperature"
         limits: dict[str, Any] = {"rating": RATING, "validity": validity}
-        head = part_header(header, title, pins, network.params, **limits)
+        head = write_part_header(header, title, pins, network.params, **limits)
         items = attach_comments(tuple(self._write_items(part, network, noisy=build.has_noise)))
         names = tuple(pin.name for pin in pins)
-        defaults = parameter_defaults_of(network.params)
+        defaults = format_parameter_defaults(network.params)
         circuit = Circuit(name, names, defaults, items, notes=head)
         tree = Circuit(items=(circuit,))
         text = format_comment(title)
@@ -179,40 +185,40 @@ class AcousticPart(PartType[FluidKeysT]):
         for name, text in network.constants.items():
             yield Parameters({name: f"{{{text}}}"})
         yield "* volume velocity into the part"
-        yield Element.of(METER, self.ends(part)[0], network.entry, "0")
+        yield Element.from_words(METER, self.list_end_pins(part)[0], network.entry, "0")
         for item in network.elements:
             yield from _write_element(item, noisy=noisy)
-        yield from self.further_cards(part)
+        yield from self.write_further_cards(part)
 
-    def further_cards(self, part: Part[FluidKeysT]) -> Iterator[Item | str]:
+    def write_further_cards(self, part: Part[FluidKeysT]) -> Iterator[Item | str]:
         """Yield additional cards of the part, which follow the cards of its network."""
         return iter(())
 
     # --- results ----------------------------------------------------------------------------------
 
-    def vectors(self, part: Part[FluidKeysT], build: Build) -> Mapping[str, Vector]:
+    def vectors(self, part: Part[FluidKeysT], build: BuiltScene) -> Mapping[str, PartResult]:
         """Return the ngspice vectors of the part's results, keyed by result name."""
-        n, first = part.name, self.ends(part)[0]
+        n, first = part.name, self.list_end_pins(part)[0]
         pressure, flow = ACOUSTIC.across, ACOUSTIC.through_variable
-        across = format_voltage(build.net(part, first), build.net(part, AMBIENT)) or "v(0)"
-        level = part.keys.fluid.level_reference
-        wave = Vector(across, pressure.factor, pressure.unit, level_reference=level)
+        across = format_voltage(build.get_net(part, first), build.get_net(part, AMBIENT)) or "v(0)"
+        level = part.keys.fluid.level_reference_pressure
+        wave = PartResult(across, pressure.factor, pressure.unit, level_reference=level)
         result = {f"{n}.{pressure.symbol}": wave}
         through = f"i(v.x{n}.{METER})".lower()
-        leaves = self.ends(part)[1:] or (AMBIENT,)
-        result[f"{n}.{flow.symbol}"] = Vector(through, flow.factor, flow.unit, leaves, (first,))
+        leaves = self.list_end_pins(part)[1:] or (AMBIENT,)
+        result[f"{n}.{flow.symbol}"] = PartResult(through, flow.factor, flow.unit, leaves, (first,))
         return result
 
-    def law(self, part: Part[FluidKeysT], build: Build) -> laws.Equations:
+    def law(self, part: Part[FluidKeysT], build: BuiltScene) -> laws.Equations:
         """Return the model equations of the part."""
         n, network = part.name, self.network(part, build.scene)
         devices, at_node = [], defaultdict[str, list[str]](list)
         for item in network.elements:
             name = f"{n}_{item.card_name}"
-            devices.append(element(name, item.kind, network.value(item)))
+            devices.append(make_element_law(name, item.kind, network.value(item)))
             at_node[item.plus].append(f"{name}.a")
             at_node[item.minus].append(f"{name}.b")
-        first, *others = self.ends(part)
+        first, *others = self.list_end_pins(part)
         nodes = {pin: network.exits.get(pin, pin) for pin in (*others, AMBIENT)}
         pins = [(pin, at_node[node][0]) for pin, node in ({first: network.entry} | nodes).items()]
         inside = tuple(tuple(ends) for ends in at_node.values() if len(ends) > 1)
@@ -220,12 +226,12 @@ class AcousticPart(PartType[FluidKeysT]):
         results = {
             f"{n}.{ACOUSTIC.across.symbol}": pressure,
             f"{n}.{ACOUSTIC.through_variable.symbol}": laws.WaveCombination(
-                self.flows_into(part, network, network.entry)
+                self.list_flows_from_node(part, network, network.entry)
             ),
         }
         return laws.Equations(tuple(devices), tuple(pins), results, nets=inside)
 
-    def flows_into(
+    def list_flows_from_node(
         self, part: Part[FluidKeysT], network: AcousticNetwork, node: str
     ) -> tuple[tuple[float, str], ...]:
         """Return the volume velocities from ``node`` into the elements at this node.
@@ -247,19 +253,21 @@ def _write_element(item: AcousticElement, *, noisy: bool) -> Iterator[Element]:
     """
     scale, ends = SCALES[item.kind], (item.plus, item.minus)
     words = {"noisy": "0"} if noisy and item.kind == RESISTANCE else {}
-    card = Element.of(item.card_name, *ends, _write_scaled_value(item.value, scale), **words)
+    card = Element.from_words(
+        item.card_name, *ends, _write_scaled_value(item.value, scale), **words
+    )
     yield card.with_unit(ACOUSTIC.value_unit(ELEMENT_LETTERS[item.kind]))
     if item.leak:
-        yield Element.of(
+        yield Element.from_words(
             f"Gleak_{item.name}", *ends, *ends, _write_scaled_value(item.value, scale * LEAK_RATE)
         )
     if words:
         node = f"noise_{item.name}"
-        yield Element.of(
+        yield Element.from_words(
             f"Rnoise_{item.name}", node, AMBIENT, _write_scaled_value(f"1/({item.value})", 1.0)
         )
-        gain = format_number(ACOUSTIC.through_variable.per_unit)
-        yield Element.of(f"Gnoise_{item.name}", *ends, node, AMBIENT, gain)
+        gain = format_number(ACOUSTIC.through_variable.pin_value_per_si_unit)
+        yield Element.from_words(f"Gnoise_{item.name}", *ends, node, AMBIENT, gain)
 
 
 def _write_scaled_value(value: str, scale: float) -> str:

@@ -105,17 +105,17 @@ def fit_boundary_layer(
 
     samples = max(8, math.ceil(SAMPLES_PER_DECADE * math.log10(high / low)))
     q = 1j * np.geomspace(low, high, samples)
-    exact, corners = evaluate_layer(layer, q), _space_corners(layer, low, high, per_decade)
+    exact, corners = evaluate_layer(layer, q), _choose_corners(layer, low, high, per_decade)
     terms = 1 / (corners + q[:, None])
     loss, size = _compute_dissipation(layer, q, exact), np.abs(exact)
     rows = np.vstack([
         _compute_dissipation(layer, q[:, None], terms) / loss[:, None],
-        _compute_reaction(layer, terms) / size[:, None],
+        _compute_reactive_part(layer, terms) / size[:, None],
         STATIC_WEIGHT / (corners * STATIC_VALUES[layer])[None],
         STATIC_WEIGHT / (corners**2 * STATIC_SLOPES[layer])[None],
     ])  # fmt: skip
     target = np.concatenate(
-        [np.ones(q.size), _compute_reaction(layer, exact) / size, [STATIC_WEIGHT] * 2]
+        [np.ones(q.size), _compute_reactive_part(layer, exact) / size, [STATIC_WEIGHT] * 2]
     )
     weights, _ = nnls(rows, target)
     fitted = terms @ weights
@@ -133,7 +133,7 @@ def fit_boundary_layer(
     )
 
 
-def _space_corners(layer: BoundaryLayer, low: float, high: float, per_decade: int) -> np.ndarray:
+def _choose_corners(layer: BoundaryLayer, low: float, high: float, per_decade: int) -> np.ndarray:
     """Return the normalised corners of the relaxations, dense in the band and sparse below it."""
     first, top = LOWEST_CORNERS[layer], RATIO_ABOVE_BAND * high
     dense = max(first, low / RATIO_BELOW_BAND)
@@ -154,11 +154,11 @@ def _compute_dissipation(layer: BoundaryLayer, q: np.ndarray, value: np.ndarray)
     return np.asarray(value.real if layer == "flow" else (q * value).real)
 
 
-def _compute_reaction(layer: BoundaryLayer, value: np.ndarray) -> np.ndarray:
+def _compute_reactive_part(layer: BoundaryLayer, value: np.ndarray) -> np.ndarray:
     """Return the reactive part of a boundary-layer function, which represents the stored energy."""
     return np.asarray(value.imag if layer == "flow" else value.real)
 
 
 def _compute_dissipated_power(layer: BoundaryLayer, q: np.ndarray, value: np.ndarray) -> np.ndarray:
-    """Return the dissipation at a given volume velocity (``flow``) or pressure (other layers)."""
+    """Return the normalised loss at fixed volume velocity (``flow``) or pressure."""
     return np.asarray((1 / value).real if layer == "flow" else (q * value).real)

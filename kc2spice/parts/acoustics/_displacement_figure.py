@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from kc2spice.core.figure import Curve, Figure, Panel, format_axis_label, get_axis_label_and_factor
-from kc2spice.core.prefix import PREFIXES, format_quantity, prefix_power
+from kc2spice.core.si_prefix_format import PREFIXES, format_quantity, get_prefix_exponent
 from kc2spice.core.waveforms import SCALES, Waveforms
 
 # The frequency axis is logarithmic if the highest frequency exceeds the lowest one by this factor.
@@ -54,7 +54,7 @@ def plot_displacements(
     response = scale == "frequency"
     sizes = {label: np.abs(values) for label, values in displacements.items()}
     largest = max(float(np.nanmax(size, initial=0.0)) for size in sizes.values())
-    power = prefix_power(largest)
+    power = get_prefix_exponent(largest)
     curves = []
     for label, values in displacements.items():
         y = sizes[label] if response else values

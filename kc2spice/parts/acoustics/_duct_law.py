@@ -42,7 +42,7 @@ class DuctLaw(Device):
     @property
     def pins(self) -> tuple[LawPin, ...]:
         """Pins of the duct: its ends, and the ambient pressure."""
-        kind = ACOUSTIC.kind_of_law
+        kind = ACOUSTIC.law_pin_kind
         ends = (LawPin(end, kind) for end in self.ends)
         return (*ends, LawPin(AMBIENT, kind, grounded=True))
 
@@ -57,12 +57,12 @@ class DuctLaw(Device):
         return tuple(Flow(end, AMBIENT) for end in self.ends)
 
     @cached_property
-    def inner(self) -> tuple[str, ...]:
+    def inner_node_names(self) -> tuple[str, ...]:
         """Names of the inner nodes, which are all nodes except the pins."""
         return tuple(node for node in self.nodes if node not in self.ends)
 
     @cached_property
-    def charged(self) -> tuple[int, ...]:
+    def storing_flow_indices(self) -> tuple[int, ...]:
         """Indices of those ends of the duct whose node has a compliance."""
         return tuple(k for k, end in enumerate(self.ends) if self.nodes[end])
 
@@ -71,42 +71,42 @@ class DuctLaw(Device):
         """Names of the states: channel volume velocities, then inner and relaxation pressures."""
         flows = map("q{}".format, range(len(self.channels)))
         walls = map("v{}".format, range(len(self.walls)))
-        return (*flows, *map("p_{}".format, self.inner), *walls)
+        return (*flows, *map("p_{}".format, self.inner_node_names), *walls)
 
     @property
-    def scales(self) -> tuple[float, ...]:
+    def state_scales(self) -> tuple[float, ...]:
         """Absolute error scales of the states: 1e-9 m3/s for flows and 1 mPa for pressures."""
-        pressures = len(self.inner) + len(self.walls)
+        pressures = len(self.inner_node_names) + len(self.walls)
         return (1e-9,) * len(self.channels) + (1e-3,) * pressures
 
     @cached_property
-    def _stored(self) -> np.ndarray:
+    def _storage_coefficients(self) -> np.ndarray:
         """Acoustic mass [kg/m4] or compliance [m3/Pa] of each state."""
         masses = [mass for *_, mass in self.channels]
-        inner = [self.nodes[node] for node in self.inner]
+        inner = [self.nodes[node] for node in self.inner_node_names]
         return np.array([*masses, *inner, *(size for *_, size in self.walls)])
 
     @cached_property
-    def _columns(self) -> dict[str, int]:
+    def _pressure_indices(self) -> dict[str, int]:
         """Index of each node's pressure in the vector of end pressures and states."""
         first = len(self.ends) + len(self.channels)
         result = {end: k for k, end in enumerate(self.ends)}
-        return result | {node: first + k for k, node in enumerate(self.inner)}
+        return result | {node: first + k for k, node in enumerate(self.inner_node_names)}
 
     @cached_property
-    def _drop_matrix(self) -> np.ndarray:
+    def _pressure_drop_matrix(self) -> np.ndarray:
         """Matrix that gives the pressure drops along channels and across relaxation resistances.
 
         The matrix has a row for each drop, and a column for each end pressure and state.
         """
         channels, walls = len(self.channels), len(self.walls)
-        width = len(self.ends) + self._stored.size
+        width = len(self.ends) + self._storage_coefficients.size
         result = np.zeros((channels + walls, width))
         for k, (start, end, _, _) in enumerate(self.channels):
-            result[k, self._columns[start]] += 1.0
-            result[k, self._columns[end]] -= 1.0
+            result[k, self._pressure_indices[start]] += 1.0
+            result[k, self._pressure_indices[end]] -= 1.0
         for k, (node, _, _) in enumerate(self.walls):
-            result[channels + k, self._columns[node]] += 1.0
+            result[channels + k, self._pressure_indices[node]] += 1.0
             result[channels + k, width - walls + k] -= 1.0
         return result
 
@@ -117,21 +117,21 @@ class DuctLaw(Device):
         The rows and columns of this matrix are those of the matrix of the pressure drops.
         """
         channels, ends = len(self.channels), len(self.ends)
-        result = np.zeros(self._drop_matrix.shape)
+        result = np.zeros(self._pressure_drop_matrix.shape)
         result[:channels, ends : ends + channels] = np.eye(channels)
         resistances = np.array([resistance for _, resistance, _ in self.walls])
-        result[channels:] = self._drop_matrix[channels:] / resistances[:, None]
+        result[channels:] = self._pressure_drop_matrix[channels:] / resistances[:, None]
         return result
 
     @cached_property
-    def _slope(self) -> np.ndarray:
+    def _jacobian(self) -> np.ndarray:
         """Derivative of end flows and state equations with respect to end pressures and states."""
         ends, channels = len(self.ends), len(self.channels)
         # The pressure drops are d = G p. With the volume velocities q, the nodes receive -G' q.
-        result = -self._drop_matrix.T @ self._flow_matrix
+        result = -self._pressure_drop_matrix.T @ self._flow_matrix
         result[:ends] *= -1.0  # sign of volume velocities into the part
         rows = slice(ends, ends + channels)
-        result[rows] = self._drop_matrix[:channels]
+        result[rows] = self._pressure_drop_matrix[:channels]
         friction = np.array([resistance for *_, resistance, _ in self.channels])
         result[rows, rows] -= np.diag(friction)
         return result
@@ -141,21 +141,21 @@ class DuctLaw(Device):
 
         The second returned value contains the derivatives of these flows and right-hand sides.
         """
-        return self._slope @ e, self._slope
+        return self._jacobian @ e, self._jacobian
 
     @cached_property
-    def _store_slope(self) -> np.ndarray:
+    def _storage_slope(self) -> np.ndarray:
         """Derivatives of stored impulses and volumes with respect to end pressures and states."""
-        ends, count = len(self.ends), self._stored.size
-        result = np.zeros((count + len(self.charged), ends + count))
-        result[:count, ends:] = np.diag(self._stored)
-        for row, k in enumerate(self.charged, count):
+        ends, count = len(self.ends), self._storage_coefficients.size
+        result = np.zeros((count + len(self.storing_flow_indices), ends + count))
+        result[:count, ends:] = np.diag(self._storage_coefficients)
+        for row, k in enumerate(self.storing_flow_indices, count):
             result[row, k] = self.nodes[self.ends[k]]
         return result
 
-    def store(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
+    def evaluate_storage(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         """Return the stored pressure impulses and volumes, with their derivatives."""
-        return self._store_slope @ e, self._store_slope
+        return self._storage_slope @ e, self._storage_slope
 
     @cached_property
     def energy_forms(self) -> tuple[np.ndarray, np.ndarray]:
@@ -164,7 +164,7 @@ class DuctLaw(Device):
         The forms are functions of the end pressures and states.
         """
         ends = np.array([self.nodes[end] for end in self.ends])
-        stored = np.diag(np.concatenate([ends, self._stored]) / 2)
+        stored = np.diag(np.concatenate([ends, self._storage_coefficients]) / 2)
         q = self._flow_matrix
         resistances = [r for *_, r, _ in self.channels] + [r for _, r, _ in self.walls]
         lost = q.T @ (np.array(resistances)[:, None] * q)
@@ -174,11 +174,13 @@ class DuctLaw(Device):
         """Return noise pressures in series with channels, and noise flows into relaxations."""
         ends, channels = len(self.ends), len(self.channels)
         sources = channels + len(self.walls)
-        out = np.zeros((ends + self._stored.size, sources))
+        out = np.zeros((ends + self._storage_coefficients.size, sources))
         friction = np.array([resistance for *_, resistance, _ in self.channels])
         out[ends : ends + channels, :channels] = np.diag(np.sqrt(friction))
         roots = np.sqrt([resistance for _, resistance, _ in self.walls])
-        flows = -self._drop_matrix[channels:].T / roots
+        flows = -self._pressure_drop_matrix[channels:].T / roots
         flows[:ends] *= -1.0
         out[:, channels:] = flows
-        return out, np.zeros((self._stored.size + len(self.charged), sources))
+        return out, np.zeros(
+            (self._storage_coefficients.size + len(self.storing_flow_indices), sources)
+        )

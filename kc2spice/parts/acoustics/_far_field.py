@@ -19,8 +19,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from kc2spice.core.laws import low_pass_response
-from kc2spice.parts.acoustics._sound_filter import delay_wave, low_pass_delay
+from kc2spice.core.laws import compute_low_pass_response
+from kc2spice.parts.acoustics._sound_filter import compute_low_pass_delay, delay_wave
 from kc2spice.parts.acoustics.radiation import RadiationKeys
 
 # Number of delays at which d(t) is sampled. The sum is exact for polynomials of the degree 63.
@@ -29,7 +29,7 @@ DELAY_COUNT = 32
 FIRST_NULL = 3.8317  # first zero of J1
 
 
-def baffled_radius(keys: RadiationKeys) -> float:
+def get_baffled_radius(keys: RadiationKeys) -> float:
     """Return the radius [m] of a piston in a baffle; 0 for other shapes.
 
     This radius determines the directivity. Other shapes have no directivity.
@@ -37,22 +37,22 @@ def baffled_radius(keys: RadiationKeys) -> float:
     return keys.surface_radius if keys.shape == "baffled_piston" else 0.0
 
 
-def edge_delay(keys: RadiationKeys, angle: float) -> float:
+def compute_edge_delay(keys: RadiationKeys, angle: float) -> float:
     """Return the time w [s] by which sound from the edge of a piston arrives early.
 
     The time is relative to sound from the centre. The listener is at ``angle`` degrees from the
     axis.
     """
-    return baffled_radius(keys) * math.sin(math.radians(angle)) / keys.fluid.sound_speed
+    return get_baffled_radius(keys) * math.sin(math.radians(angle)) / keys.fluid.sound_speed
 
 
-def first_null(surfaces: Iterable[RadiationKeys], angle: float) -> float:
+def find_first_null(surfaces: Iterable[RadiationKeys], angle: float) -> float:
     """Return the lowest frequency [Hz] at which the directivity is zero, rounded."""
-    delay = max(edge_delay(keys, angle) for keys in surfaces)
+    delay = max(compute_edge_delay(keys, angle) for keys in surfaces)
     return float(f"{FIRST_NULL / (2 * math.pi * delay):.3g}")
 
 
-def travel_time(keys: RadiationKeys, distance: float) -> float:
+def compute_travel_time(keys: RadiationKeys, distance: float) -> float:
     """Return the travel time [s] of sound from a surface to a distance [m] from its centre.
 
     A sphere radiates from its surface, and other shapes radiate from their centre.
@@ -70,8 +70,10 @@ def propagate_response(
     netlist including its low pass, an array of shape (frequencies,).
     """
     s = 2j * np.pi * frequency
-    travel = np.exp(-s * travel_time(keys, distance)) / low_pass_response(s, keys.sound_corner)
-    return sound * travel * directivity(keys, angle, frequency)
+    travel = np.exp(-s * compute_travel_time(keys, distance)) / compute_low_pass_response(
+        s, keys.sound_corner
+    )
+    return sound * travel * compute_directivity(keys, angle, frequency)
 
 
 def propagate_wave(
@@ -83,8 +85,8 @@ def propagate_wave(
     netlist, an array of shape (points,). The waveform is zero before its first point. The delay of
     the low pass is subtracted from the travel time.
     """
-    first = travel_time(keys, distance) - low_pass_delay(keys.sound_corner)
-    weights, offsets = _sample_delays(edge_delay(keys, angle))
+    first = compute_travel_time(keys, distance) - compute_low_pass_delay(keys.sound_corner)
+    weights, offsets = _sample_delays(compute_edge_delay(keys, angle))
     return delay_wave(time, sound, zip(weights, first + offsets, strict=True))
 
 
@@ -99,12 +101,12 @@ def _sample_delays(width: float) -> tuple[np.ndarray, np.ndarray]:
     return 2 / (DELAY_COUNT + 1) * np.sin(angles) ** 2, width * np.cos(angles)
 
 
-def directivity(keys: RadiationKeys, angle: float, frequency: np.ndarray) -> np.ndarray:
+def compute_directivity(keys: RadiationKeys, angle: float, frequency: np.ndarray) -> np.ndarray:
     """Return the pressure at an angle [degrees], divided by the pressure on the axis.
 
     The ratio is ``2 J1(x) / x`` for a piston in a baffle.
     """
-    delay = edge_delay(keys, angle)
+    delay = compute_edge_delay(keys, angle)
     if not delay:
         return np.ones(frequency.size)
     from scipy.special import j1  # loads slowly

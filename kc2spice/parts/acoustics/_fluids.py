@@ -20,7 +20,7 @@ from kc2spice.core.quantities import (
     Ratio,
     Section,
     Velocity,
-    invalid_value_error,
+    make_invalid_value_error,
     si,
 )
 from kc2spice.core.sound_level import GAS_REFERENCE, LIQUID_REFERENCE
@@ -66,16 +66,19 @@ class FluidTable(Section):
         None,
         gt=0,
         description=(
-            "Rms sound pressure of the level 0 dB; by default 20 uPa in gases and 1 uPa in liquids"
+            "Reference sound pressure (rms) of the level 0 dB; by default 20 uPa in gases "
+            "and 1 uPa in liquids"
         ),
     )
-    source: str = Field("", max_length=200, description="Reference for the values of this table")
+    source: str = Field(
+        "", max_length=200, description="Literature reference for the values of this fluid table"
+    )
 
     @model_validator(mode="after")
     def _require_thermal_constants(self) -> FluidTable:
         """Raise an error if ``specific_heat`` is missing, or a constant is too small."""
         if self.conductivity and self.specific_heat is None:
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 "conductivity needs the key `specific_heat`",
                 None,
                 hint="add for example  specific_heat = 1007",
@@ -85,7 +88,7 @@ class FluidTable(Section):
             ("conductivity", SMALLEST_CONDUCTIVITY),
         ):
             if 0 < getattr(self, key) < least:
-                raise invalid_value_error(
+                raise make_invalid_value_error(
                     f"{key} must be 0 or at least {least:g}",
                     None,
                     hint=f"raise {key} to {least:g}, or write {key} = 0",
@@ -105,14 +108,14 @@ class FluidTable(Section):
         return self.density < LARGEST_GAS_DENSITY
 
     @property
-    def level_reference(self) -> float:
+    def level_reference_pressure(self) -> float:
         """Rms pressure [Pa] of the sound pressure level 0 dB."""
         if self.reference_pressure is not None:
             return self.reference_pressure
         return GAS_REFERENCE if self.is_gas else LIQUID_REFERENCE
 
     @property
-    def words(self) -> str:
+    def summary_text(self) -> str:
         """String with the density and the speed of sound of the fluid."""
         return f"{self.density:.4g} kg/m3, {self.sound_speed:.5g} m/s"
 
@@ -150,7 +153,7 @@ def _read_fluid(value: Any) -> Any:
     if fluid is None:
         expected = f"one of {', '.join(LIBRARY)}, or a table"
         hint = did_you_mean(value, LIBRARY) or "write a table: { density = …, sound_speed = … }"
-        raise invalid_value_error("this fluid does not exist", expected, hint=hint)
+        raise make_invalid_value_error("this fluid does not exist", expected, hint=hint)
     return fluid
 
 
@@ -168,13 +171,15 @@ class FluidKeys(Section):
     fluid: Fluid = Field(
         "air",
         validate_default=True,
-        description="Fluid at 20 degrees Celsius, air or water, or a table of its constants; by "
-        "default air",
+        description=(
+            "Fluid of the acoustic part: air or water at 20 degrees Celsius, or a table of "
+            "constants; by default air"
+        ),
     )
     motion: Literal["piston"] | None = Field(
         None,
         description=(
-            'Assumed motion of the body\'s face at this part; with "piston", a run lists '
-            "the effect of this assumption on the sound level, and prints no warning"
+            'Assumed motion of the body\'s face; with "piston", a run lists the effect of this '
+            "assumption on the sound level instead of a warning"
         ),
     )

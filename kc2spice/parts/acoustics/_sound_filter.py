@@ -19,7 +19,7 @@ import numpy as np
 CORNER_RATIO = 3.0
 
 
-def low_pass_delay(corner: float) -> float:
+def compute_low_pass_delay(corner: float) -> float:
     """Return the delay [s] of the low pass at frequencies far below its ``corner`` [rad/s]."""
     return math.sqrt(2) / corner
 

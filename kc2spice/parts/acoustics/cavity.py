@@ -11,9 +11,9 @@ from pydantic import Field
 
 from kc2spice.core.domains import AMBIENT
 from kc2spice.core.errors import UsageError
-from kc2spice.core.prefix import format_quantity
 from kc2spice.core.quantities import Length, si
-from kc2spice.parts.acoustics._acoustic_band import acoustic_band
+from kc2spice.core.si_prefix_format import format_quantity
+from kc2spice.parts.acoustics._acoustic_band import choose_acoustic_band
 from kc2spice.parts.acoustics._acoustic_part import (
     COMPLIANCE,
     RESISTANCE,
@@ -30,8 +30,8 @@ from kc2spice.parts.acoustics._fluids import (
     FluidKeys,
 )
 from kc2spice.scene.model import GovernedScene, Part, Scene
-from kc2spice.scene.part_records import Neglected
-from kc2spice.scene.parttype import register
+from kc2spice.scene.part_records import NeglectedEffect
+from kc2spice.scene.parttype import register_part_type
 
 SMALLEST_VOLUME = 1e-18  # m3, a cubic micrometre
 # number of relaxations in each decade of frequency; the error of the wall losses is below 1 %
@@ -53,23 +53,34 @@ class CavityKeys(FluidKeys):
         None,
         ge=SMALLEST_AREA,
         le=LARGEST_AREA,
-        description="Surface of the walls; by default the surface of a cube of this volume",
+        description=(
+            "Area of the walls of the cavity; by default the surface area of a cube with the "
+            "cavity's volume"
+        ),
     )
     length: Length | None = Field(
         None,
         ge=SMALLEST_LENGTH,
         le=LARGEST_LENGTH,
-        description="Longest inner dimension; by default the edge of a cube of this volume",
+        description=(
+            "Longest inner dimension of the cavity; by default the edge of a cube with the "
+            "cavity's volume"
+        ),
     )
     wall_losses: bool = Field(
-        True, description="Whether the walls absorb heat, which causes losses at low frequencies"
+        True,
+        description=(
+            "Whether the model includes the losses at low frequencies due to heat conduction "
+            "into the cavity's walls"
+        ),
     )
     leak: Annotated[float, si("Pa s/m3")] | None = Field(
         None,
         ge=1e-6,
         le=1e30,
         description=(
-            "Acoustic resistance of a leak to the pin `ambient`; by default there is no leak"
+            "Acoustic resistance of a leak from the cavity to the pin `ambient`; by default "
+            "the cavity has no leak"
         ),
     )
 
@@ -79,7 +90,7 @@ class CavityKeys(FluidKeys):
         return self.volume / (self.fluid.density * self.fluid.sound_speed**2)
 
     @property
-    def depth(self) -> float:
+    def characteristic_length(self) -> float:
         """Volume divided by surface area [m], the characteristic length of the relaxations."""
         return self.volume / (self.surface or CUBE_SURFACE * self.volume ** (2 / 3))
 
@@ -116,11 +127,11 @@ start = "100 Hz"
 stop = "2 kHz"
 """
 
-    def paths(self, part: Part[CavityKeys]) -> tuple[tuple[str, str], ...]:
+    def steady_flow_paths(self, part: Part[CavityKeys]) -> tuple[tuple[str, str], ...]:
         """Return the path of a steady flow, from the opening to the ambient pressure."""
         return (("a", AMBIENT),)
 
-    def fluid_volume(self, part: Part[CavityKeys]) -> float:
+    def get_fluid_volume(self, part: Part[CavityKeys]) -> float:
         """Return the volume [m3] of the cavity."""
         return part.keys.volume
 
@@ -130,11 +141,11 @@ stop = "2 kHz"
         keys = part.keys
         least = SPHERE_SURFACE * keys.volume ** (2 / 3)
         if keys.surface is not None and keys.surface < least * (1 - 1e-6):
-            message = "the surface is smaller than that of a sphere of this volume"
+            message = "the surface is smaller than the surface of a sphere of this volume"
             got, expected = f"{keys.surface:g} m2", f"at least {least:.4g} m2"
             yield part.wrong("surface", message, got, expected)
         limit = LARGEST_WAVELENGTH_RATIO * keys.fluid.sound_speed / keys.longest_dimension
-        if scene.analysis.is_small_signal and acoustic_band(scene).high > limit:
+        if scene.analysis.is_small_signal and choose_acoustic_band(scene).high > limit:
             size = format_quantity(float(f"{keys.longest_dimension:.4g}"), "m")
             warnings.warn(
                 f"{part.name}: above {format_quantity(float(f'{limit:.4g}'), 'Hz')} the cavity of "
@@ -150,8 +161,8 @@ stop = "2 kHz"
         keys, fluid = part.keys, part.keys.fluid
         if not keys.wall_losses or not fluid.diffusivity or fluid.heat_ratio == 1:
             return None
-        scale = 2 * math.pi * keys.depth**2 / fluid.diffusivity
-        low, high = (float(f"{scale * f:.4g}") for f in acoustic_band(scene))
+        scale = 2 * math.pi * keys.characteristic_length**2 / fluid.diffusivity
+        low, high = (float(f"{scale * f:.4g}") for f in choose_acoustic_band(scene))
         return fit_boundary_layer("layer", low, high, CORNERS_PER_DECADE)
 
     def network(self, part: Part[CavityKeys], scene: GovernedScene) -> AcousticNetwork:
@@ -166,7 +177,7 @@ stop = "2 kHz"
                 walls,
                 ("in", AMBIENT),
                 (keys.fluid.heat_ratio - 1) * keys.compliance,
-                keys.depth**2 / keys.fluid.diffusivity,
+                keys.characteristic_length**2 / keys.fluid.diffusivity,
             )
         validity = (
             f"cavity of {format_quantity(keys.volume, 'm3')}, {self._describe_walls(walls)}; "
@@ -175,25 +186,26 @@ stop = "2 kHz"
         return AcousticNetwork((), {}, tuple(elements), validity)
 
     def _describe_walls(self, walls: RelaxationSum | None) -> str:
+        """Describe the losses at the walls and the error of their network."""
         if walls is None:
             return "without losses at the walls"
         return f"losses at the walls within {100 * walls.loss_error:.2g} % in the band"
 
-    def notes(self, part: Part[CavityKeys], scene: Scene) -> Iterator[str | Neglected]:
+    def notes(self, part: Part[CavityKeys], scene: Scene) -> Iterator[str | NeglectedEffect]:
         """Yield the assumptions of the model and the effects that it neglects."""
         keys, walls = part.keys, self._fit_relaxations(part, scene)
         limit = LARGEST_WAVELENGTH_RATIO * keys.fluid.sound_speed / keys.longest_dimension
         yield (
-            f"compliance {keys.compliance:.4g} m3/Pa of {keys.volume:.4g} m3, {keys.fluid.words}; "
-            f"{self._describe_walls(walls)}"
+            f"compliance {keys.compliance:.4g} m3/Pa of {keys.volume:.4g} m3, "
+            f"{keys.fluid.summary_text}; {self._describe_walls(walls)}"
         )
         share = (2 * math.pi * LARGEST_WAVELENGTH_RATIO) ** 2 / 2
-        yield Neglected(
+        yield NeglectedEffect(
             "waves in the cavity",
             "uniform pressure",
             f"{100 * share:.2g} % at {format_quantity(float(f'{limit:.3g}'), 'Hz')}",
         )
-        yield Neglected("motion of the walls", "the walls are rigid", "not estimated")
+        yield NeglectedEffect("motion of the walls", "the walls are rigid", "not estimated")
 
 
 def list_relaxations(
@@ -216,4 +228,4 @@ def list_relaxations(
         yield AcousticElement(COMPLIANCE, f"w{suffix}_{k}", node, end, repr(size))
 
 
-register(Cavity())
+register_part_type(Cavity())

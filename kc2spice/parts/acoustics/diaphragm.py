@@ -18,13 +18,13 @@ from pydantic import Field
 from kc2spice.core.figure import Figure
 from kc2spice.core.quantities import Mass, Section, si
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.netlist.circuit import positive_parameter
+from kc2spice.netlist.circuit import make_positive_parameter
 from kc2spice.parts.acoustics._displacement_figure import plot_displacements
 from kc2spice.parts.acoustics._fluids import LARGEST_AREA, SMALLEST_AREA
 from kc2spice.physics import Declaration, branch, displacement
 from kc2spice.physics.part_with_mass import DeclaredPartWithMass
-from kc2spice.scene.model import Build, Part, WiredScene
-from kc2spice.scene.parttype import register
+from kc2spice.scene.model import BuiltScene, Part, WiredScene
+from kc2spice.scene.parttype import register_part_type
 
 
 class DiaphragmKeys(Section):
@@ -35,7 +35,9 @@ class DiaphragmKeys(Section):
         le=LARGEST_AREA,
         description="Area of the diaphragm, projected onto the plane normal to its motion",
     )
-    mass: Mass = Field(gt=0, description="Mass of the diaphragm without the air that it moves")
+    mass: Mass = Field(
+        gt=0, description="Mass of the diaphragm, without the mass of the moving air"
+    )
 
 
 DIAPHRAGM = Declaration(
@@ -81,7 +83,7 @@ class Diaphragm(DeclaredPartWithMass[DiaphragmKeys]):
 
     moving_pins = ("a", "b")
 
-    def mass_declaration(self, part: Part[DiaphragmKeys], scene: WiredScene) -> Declaration:
+    def declare_mass(self, part: Part[DiaphragmKeys], scene: WiredScene) -> Declaration:
         """Return the declaration of the diaphragm's mass."""
         return Declaration(
             "mass",
@@ -90,11 +92,11 @@ class Diaphragm(DeclaredPartWithMass[DiaphragmKeys]):
             (displacement("m", *self.moving_pins),),
             kinetic="0.5*mass*m_rate^2",
             starts={"m": ("0", "0")},
-            given=(positive_parameter("mass", part.keys.mass, "kg", "mass of the diaphragm"),),
+            given=(make_positive_parameter("mass", part.keys.mass, "kg", "mass of the diaphragm"),),
         )
 
     def figures(
-        self, part: Part[DiaphragmKeys], build: Build, waves: Waveforms
+        self, part: Part[DiaphragmKeys], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Figure]:
         """Yield the figure of the displacement of the diaphragm."""
         x = waves.data.get(f"{part.name}.x")
@@ -103,4 +105,4 @@ class Diaphragm(DeclaredPartWithMass[DiaphragmKeys]):
             yield from plot_displacements(part.name, waves, {"": x}, caption)
 
 
-register(Diaphragm(DIAPHRAGM))
+register_part_type(Diaphragm(DIAPHRAGM))

@@ -25,10 +25,10 @@ from pydantic import Field, model_validator
 from kc2spice.core import laws
 from kc2spice.core.domains import ACOUSTIC, AMBIENT
 from kc2spice.core.errors import UsageError
-from kc2spice.core.prefix import format_quantity
-from kc2spice.core.quantities import Count, Length, invalid_value_error, si
+from kc2spice.core.quantities import Count, Length, make_invalid_value_error, si
+from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.netlist.circuit import Element, Item
-from kc2spice.parts.acoustics._acoustic_band import acoustic_band
+from kc2spice.parts.acoustics._acoustic_band import choose_acoustic_band
 from kc2spice.parts.acoustics._acoustic_part import (
     COMPLIANCE,
     MASS,
@@ -47,9 +47,17 @@ from kc2spice.parts.acoustics._fluids import (
     FluidKeys,
 )
 from kc2spice.parts.acoustics.cavity import CORNERS_PER_DECADE, list_relaxations
-from kc2spice.scene.model import GROUND, Build, GovernedScene, JoinedScene, Part, Scene, Terminal
-from kc2spice.scene.part_records import Neglected, Vector
-from kc2spice.scene.parttype import register
+from kc2spice.scene.model import (
+    GROUND,
+    BuiltScene,
+    GovernedScene,
+    JoinedScene,
+    Part,
+    Scene,
+    Terminal,
+)
+from kc2spice.scene.part_records import NeglectedEffect, PartResult
+from kc2spice.scene.parttype import register_part_type
 
 EndType = Literal["none", "unflanged", "flanged"]
 END_CORRECTIONS: Mapping[EndType, float] = {"none": 0.0, "unflanged": 0.6127, "flanged": 0.8216}
@@ -79,18 +87,23 @@ class DuctKeys(FluidKeys):
         None,
         ge=SMALLEST_AREA,
         le=LARGEST_AREA,
-        description="Cross section of the duct, instead of its radius",
+        description="Cross-sectional area of the duct, which can replace the key `radius`",
     )
     losses: bool = Field(
-        True, description="Whether the wall has viscous and thermal boundary layers"
+        True,
+        description=(
+            "Whether the model includes the viscous and thermal losses in the boundary "
+            "layers at the duct's wall"
+        ),
     )
 
     @model_validator(mode="after")
     def _require_one_size(self) -> DuctKeys:
+        """Check that exactly one of ``radius`` and ``area`` is set."""
         if (self.radius is None) == (self.area is None):
             number = "no size" if self.radius is None else "two sizes"
             hint = 'add for example  radius = "1 mm"' if self.radius is None else "delete area"
-            raise invalid_value_error(f"the duct has {number}", "radius or area", hint=hint)
+            raise make_invalid_value_error(f"the duct has {number}", "radius or area", hint=hint)
         return self
 
     @property
@@ -104,12 +117,15 @@ class VentKeys(DuctKeys):
 
     end_a: EndType = Field(
         "flanged",
-        description="End correction at the end a: with a flange, without a flange, or none",
+        description=(
+            "End correction at the end `a` of the duct: with a flange, without a flange, or none"
+        ),
     )
     end_b: EndType = Field(
         "flanged",
         description=(
-            "End correction at end `b`; use none if a part of type `radiation` is connected there"
+            "End correction at the end `b` of the duct; must be none if a part of type "
+            "`radiation` is connected to this end"
         ),
     )
 
@@ -119,21 +135,29 @@ class TubeKeys(DuctKeys):
 
     end_a: EndType = Field(
         "none",
-        description="End correction at the end a: with a flange, without a flange, or none",
+        description=(
+            "End correction at the end `a` of the duct: with a flange, without a flange, or none"
+        ),
     )
     end_b: EndType = Field(
         "none",
-        description="End correction at the end b: with a flange, without a flange, or none",
+        description=(
+            "End correction at the end `b` of the duct: with a flange, without a flange, or none"
+        ),
     )
     closed: bool = Field(
-        False, description="Whether a rigid wall closes end `b`, which then has no pin"
+        False,
+        description=(
+            "Whether a rigid wall closes the end `b` of the tube; a closed end has no pin"
+        ),
     )
     sections: Count | None = Field(
         None,
         ge=1,
         le=MOST_SECTIONS,
         description=(
-            "Number of sections of the tube; by default 30 per wavelength at the highest frequency"
+            "Number of sections into which the model divides the tube; by default 30 per "
+            "wavelength at the highest frequency"
         ),
     )
 
@@ -162,17 +186,17 @@ class DuctModel:
 class DuctPart(AcousticPart[DuctKeys]):
     """Base class of the part types ``vent`` and ``tube``, which are circular ducts."""
 
-    def closed(self, part: Part[DuctKeys]) -> bool:
+    def is_closed(self, part: Part[DuctKeys]) -> bool:
         """Return whether a rigid wall closes the far end of the duct."""
         return bool(getattr(part.keys, "closed", False))
 
-    def ends(self, part: Part[DuctKeys]) -> tuple[str, ...]:
+    def list_end_pins(self, part: Part[DuctKeys]) -> tuple[str, ...]:
         """Return the pins of the open ends of the duct."""
-        return ("a",) if self.closed(part) else ("a", FAR_END)
+        return ("a",) if self.is_closed(part) else ("a", FAR_END)
 
-    def paths(self, part: Part[DuctKeys]) -> tuple[tuple[str, str], ...]:
+    def steady_flow_paths(self, part: Part[DuctKeys]) -> tuple[tuple[str, str], ...]:
         """Return the path of a steady flow: from ``a`` to the other end, or through a leak."""
-        return (("a", AMBIENT),) if self.closed(part) else (("a", FAR_END),)
+        return (("a", AMBIENT),) if self.is_closed(part) else (("a", FAR_END),)
 
     def pins(self, part: Part[DuctKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
         """Return the pins in the order of the subcircuit."""
@@ -187,12 +211,13 @@ class DuctPart(AcousticPart[DuctKeys]):
         """Yield an error for each invalid key of the part."""
         yield from super().problems(part, scene)
         keys, fluid = part.keys, part.keys.fluid
-        high = acoustic_band(scene).high
+        high = choose_acoustic_band(scene).high
         limit = WIDEST_DUCT * fluid.sound_speed / (2 * math.pi * keys.inner_radius)
         if scene.analysis.is_small_signal and high > limit:
             warnings.warn(
-                f"{part.name}: above {format_quantity(float(f'{limit:.4g}'), 'Hz')} further modes "
-                "propagate in a duct of this radius, which have no model: lower analysis.stop",
+                f"{part.name}: above {format_quantity(float(f'{limit:.4g}'), 'Hz')}, further modes "
+                "propagate in a duct of this radius, and the model neglects these modes: lower "
+                "analysis.stop",
                 stacklevel=2,
             )
         self._warn_of_double_ends(part, scene)
@@ -202,7 +227,7 @@ class DuctPart(AcousticPart[DuctKeys]):
 
         A part of type ``radiation`` already includes the end correction.
         """
-        for end in self.ends(part):
+        for end in self.list_end_pins(part):
             correction = getattr(part.keys, f"end_{end}")
             joined = part.pins.get(end, "").partition(".")[0]
             for other in scene.list_parts("radiation"):
@@ -214,14 +239,14 @@ class DuctPart(AcousticPart[DuctKeys]):
                         stacklevel=2,
                     )
 
-    def sections(self, part: Part[DuctKeys], scene: GovernedScene) -> int:
+    def count_sections(self, part: Part[DuctKeys], scene: GovernedScene) -> int:
         """Return the number of sections of the duct, 1 by default."""
         return 1
 
-    def duct(self, part: Part[DuctKeys], scene: GovernedScene) -> DuctModel:
+    def make_duct_model(self, part: Part[DuctKeys], scene: GovernedScene) -> DuctModel:
         """Return the model of a duct that is accurate in the frequency band of the scene."""
-        keys, fluid, band = part.keys, part.keys.fluid, acoustic_band(scene)
-        count = self.sections(part, scene)
+        keys, fluid, band = part.keys, part.keys.fluid, choose_acoustic_band(scene)
+        count = self.count_sections(part, scene)
         corners = CORNERS_PER_DECADE if count <= FEW_SECTIONS else CORNERS_OF_LONG_DUCTS
         scale = 2 * math.pi * keys.inner_radius**2
         viscous = thermal = None
@@ -236,18 +261,18 @@ class DuctPart(AcousticPart[DuctKeys]):
 
     def network(self, part: Part[DuctKeys], scene: GovernedScene) -> AcousticNetwork:
         """Return the acoustic elements of all sections of the duct."""
-        duct = self.duct(part, scene)
+        duct = self.make_duct_model(part, scene)
         elements = tuple(self._list_elements(part, duct))
         words = (
             f"duct of {format_quantity(part.keys.length, 'm')} and radius "
             f"{format_quantity(part.keys.inner_radius, 'm')}, {self._describe_duct(duct)}; small "
             "amplitudes, fluid at rest"
         )
-        return AcousticNetwork((), {}, elements, words, exits=self._list_exits(part))
+        return AcousticNetwork((), {}, elements, words, exits=self._map_far_pin_to_node(part))
 
-    def _list_exits(self, part: Part[DuctKeys]) -> dict[str, str]:
+    def _map_far_pin_to_node(self, part: Part[DuctKeys]) -> dict[str, str]:
         """Return the node behind the ammeter of the far end, keyed by the pin."""
-        return {} if self.closed(part) else {FAR_END: "out"}
+        return {} if self.is_closed(part) else {FAR_END: "out"}
 
     def _describe_duct(self, duct: DuctModel) -> str:
         """Describe the sections and losses of a duct, with their errors in the band."""
@@ -260,10 +285,10 @@ class DuctPart(AcousticPart[DuctKeys]):
         keys, fluid, count = part.keys, part.keys.fluid, duct.sections
         area = math.pi * keys.inner_radius**2
         inertia, step = fluid.density / area, keys.length / count
-        start, last = "in", "end" if self.closed(part) else "out"
+        start, last = "in", "end" if self.is_closed(part) else "out"
         for end, outer, inner in (("a", "in", "mouth_a"), (FAR_END, "mouth_b", "out")):
             share = END_CORRECTIONS[getattr(keys, f"end_{end}")]
-            if share and end in self.ends(part):
+            if share and end in self.list_end_pins(part):
                 mass = repr(inertia * share * keys.inner_radius)
                 yield AcousticElement(MASS, f"end_{end}", outer, inner, mass)
                 start = inner if end == "a" else start
@@ -277,24 +302,24 @@ class DuctPart(AcousticPart[DuctKeys]):
 
     # --- the far end ------------------------------------------------------------------------------
 
-    def further_cards(self, part: Part[DuctKeys]) -> Iterator[Item | str]:
+    def write_further_cards(self, part: Part[DuctKeys]) -> Iterator[Item | str]:
         """Yield the card of the ammeter at the far end."""
-        if not self.closed(part):
+        if not self.is_closed(part):
             yield "* volume velocity out of the far end"
-            yield Element.of(FAR_METER, "out", FAR_END, "0")
+            yield Element.from_words(FAR_METER, "out", FAR_END, "0")
 
-    def vectors(self, part: Part[DuctKeys], build: Build) -> Mapping[str, Vector]:
+    def vectors(self, part: Part[DuctKeys], build: BuiltScene) -> Mapping[str, PartResult]:
         """Return the ngspice vectors of the part's results, keyed by result name."""
         n, flow = part.name, ACOUSTIC.through_variable
         near = f"{n}.{flow.symbol}"
         result = dict(super().vectors(part, build))
         result[near] = replace(result[near], leaves=())
-        if not self.closed(part):
+        if not self.is_closed(part):
             through = f"i(v.x{n}.{FAR_METER})".lower()
-            result[f"{near}_b"] = Vector(through, flow.factor, flow.unit, (FAR_END,))
+            result[f"{near}_b"] = PartResult(through, flow.factor, flow.unit, (FAR_END,))
         return result
 
-    def law(self, part: Part[DuctKeys], build: Build) -> laws.Equations:
+    def law(self, part: Part[DuctKeys], build: BuiltScene) -> laws.Equations:
         """Return the equations of the whole duct as a single device.
 
         With a separate device for each element, a duct could have hundreds of devices.
@@ -305,21 +330,23 @@ class DuctPart(AcousticPart[DuctKeys]):
         names = {"a": ACOUSTIC.through_variable.symbol}
         names[FAR_END] = f"{names['a']}_{FAR_END}"
         results = {f"{n}.{ACOUSTIC.across.symbol}": laws.subtract_waves(f"{n}.a", f"{n}.{AMBIENT}")}
-        for end, sign in zip(self.ends(part), (1.0, -1.0), strict=False):
+        for end, sign in zip(self.list_end_pins(part), (1.0, -1.0), strict=False):
             results[f"{n}.{names[end]}"] = laws.scale_wave(f"{n}.{end}.through", sign)
         joins = tuple((pin.name, f"{n}.{pin.name}") for pin in law.pins)
         return laws.Equations((law,), joins, results)
 
-    def notes(self, part: Part[DuctKeys], scene: Scene) -> Iterator[str | Neglected]:
+    def notes(self, part: Part[DuctKeys], scene: Scene) -> Iterator[str | NeglectedEffect]:
         """Yield the assumptions of the model and the effects that it neglects."""
         keys, fluid = part.keys, part.keys.fluid
         area = math.pi * keys.inner_radius**2
         mass = fluid.density * keys.length / area
-        words = self._describe_duct(self.duct(part, scene))
-        yield f"acoustic mass {mass:.4g} kg/m4, {fluid.words}: {words}"
-        yield Neglected("vortices at the ends", "small amplitudes", "losses at high flow")
-        yield Neglected("radiation of open ends", "end corrections are masses", "join a radiation")
-        yield Neglected("motion of the walls", "the walls are rigid", "not estimated")
+        words = self._describe_duct(self.make_duct_model(part, scene))
+        yield f"acoustic mass {mass:.4g} kg/m4, {fluid.summary_text}: {words}"
+        yield NeglectedEffect("vortices at the ends", "small amplitudes", "losses at high flow")
+        yield NeglectedEffect(
+            "radiation of open ends", "end corrections are masses", "join a radiation"
+        )
+        yield NeglectedEffect("motion of the walls", "the walls are rigid", "not estimated")
 
 
 def make_duct_law(name: str, network: AcousticNetwork, pins: Mapping[str, str]) -> DuctLaw:
@@ -445,7 +472,7 @@ stop = "3 kHz"
                 "closed",
                 message,
                 f"closed = true and pins.{FAR_END}",
-                "one of both",
+                f"either closed = true or pins.{FAR_END}",
                 "delete closed",
             )
         if keys.closed and keys.end_b != "none":
@@ -456,23 +483,24 @@ stop = "3 kHz"
                 "none",
                 "delete end_b",
             )
-        if keys.sections is None and self._required_sections(part, scene) > MOST_SECTIONS:
+        if keys.sections is None and self._count_required_sections(part, scene) > MOST_SECTIONS:
             warnings.warn(
-                f"{part.name}: the band needs {self._required_sections(part, scene)} sections, the "
-                f"tube has {MOST_SECTIONS}: its upper frequencies are less accurate",
+                f"{part.name}: the band needs {self._count_required_sections(part, scene)} "
+                f"sections, but the tube has {MOST_SECTIONS}: the upper frequencies of the band "
+                f"are less accurate",
                 stacklevel=2,
             )
 
-    def _required_sections(self, part: Part[DuctKeys], scene: GovernedScene) -> int:
+    def _count_required_sections(self, part: Part[DuctKeys], scene: GovernedScene) -> int:
         """Return the number of sections that the frequency band of the scene requires."""
-        waves = part.keys.length * acoustic_band(scene).high / part.keys.fluid.sound_speed
+        waves = part.keys.length * choose_acoustic_band(scene).high / part.keys.fluid.sound_speed
         return max(2, math.ceil(SECTIONS_PER_WAVELENGTH * waves))
 
-    def sections(self, part: Part[DuctKeys], scene: GovernedScene) -> int:
+    def count_sections(self, part: Part[DuctKeys], scene: GovernedScene) -> int:
         """Return the key ``sections``; its default is the number that the frequency band needs."""
         stated = part.with_schema(TubeKeys).keys.sections
-        return stated or min(self._required_sections(part, scene), MOST_SECTIONS)
+        return stated or min(self._count_required_sections(part, scene), MOST_SECTIONS)
 
 
-register(Vent())
-register(Tube())
+register_part_type(Vent())
+register_part_type(Tube())

@@ -14,17 +14,17 @@ from kc2spice.core import laws
 from kc2spice.core.domains import ACOUSTIC, AMBIENT, SIGNAL
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.figure import Curve, Figure, Panel, format_axis_label, get_axis_label_and_factor
-from kc2spice.core.prefix import format_quantity
 from kc2spice.core.quantities import Length, Ratio, Section
+from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.core.sound_level import SoundLevel, compute_level
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.netlist.circuit import Circuit, Element, Item, Pin, positive_parameter
+from kc2spice.netlist.circuit import Circuit, Element, Item, Pin, make_positive_parameter
 from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.spelling import format_comment, format_number
 from kc2spice.parts.acoustics._acoustic_part import RATING
 from kc2spice.parts.acoustics._far_field import (
-    baffled_radius,
-    first_null,
+    find_first_null,
+    get_baffled_radius,
     propagate_response,
     propagate_wave,
 )
@@ -33,7 +33,7 @@ from kc2spice.scene.checks import Metric
 from kc2spice.scene.highest_frequency import highest_frequency
 from kc2spice.scene.model import (
     GROUND,
-    Build,
+    BuiltScene,
     DeclaredScene,
     GovernedScene,
     JoinedScene,
@@ -42,8 +42,8 @@ from kc2spice.scene.model import (
     Scene,
     Terminal,
 )
-from kc2spice.scene.part_records import Neglected, Vector
-from kc2spice.scene.parttype import register
+from kc2spice.scene.part_records import NeglectedEffect, PartResult
+from kc2spice.scene.parttype import register_part_type
 
 OUT = "out"  # pin whose voltage is the sound pressure
 RADIATION = "radiation"  # part type of the radiating surfaces
@@ -60,8 +60,8 @@ class ListenerKeys(Section):
         (),
         max_length=64,
         description=(
-            "Parts of type `radiation` whose sound reaches the listener; by default all "
-            "such parts of the scene"
+            "Radiating surfaces (parts of type `radiation`) whose sound reaches the "
+            "listener; by default all radiating surfaces of the scene"
         ),
     )
     distance: Length = Field(
@@ -74,7 +74,10 @@ class ListenerKeys(Section):
         0.0,
         ge=0,
         le=180,
-        description="Angle of the listener from the axis of the radiating surfaces in degrees",
+        description=(
+            "Angle in degrees between the axis of the radiating surfaces and the direction "
+            "to the listener"
+        ),
     )
 
 
@@ -117,7 +120,7 @@ stop = "20 kHz"
 level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
 """
 
-    def radiating_surfaces(
+    def list_radiating_surfaces(
         self, part: Part[ListenerKeys], scene: DeclaredScene
     ) -> tuple[Part[RadiationKeys], ...]:
         """Return the radiating surfaces whose sound reaches the listener."""
@@ -131,14 +134,14 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
     def pins(self, part: Part[ListenerKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
         """Return the pins in the order of the subcircuit."""
         unit = ACOUSTIC.across.pin_unit
-        count = len(self.radiating_surfaces(part, scene))
+        count = len(self.list_radiating_surfaces(part, scene))
         inputs = (Terminal(name, unit, SIGNAL, required=True) for name in _list_input_names(count))
         out = Terminal(OUT, unit, SIGNAL, signal_out=True)
-        return (*inputs, out, Terminal.of(AMBIENT, ACOUSTIC, GROUND))
+        return (*inputs, out, Terminal.from_domain(AMBIENT, ACOUSTIC, GROUND))
 
     def default_joins(self, part: Part[ListenerKeys], scene: GovernedScene) -> Mapping[str, str]:
         """Return the default connections, from each input to the pin ``sound`` of a surface."""
-        sources = self.radiating_surfaces(part, scene)
+        sources = self.list_radiating_surfaces(part, scene)
         targets = (f"{source.name}.{SOUND}" for source in sources)
         return dict(zip(_list_input_names(len(sources)), targets, strict=True))
 
@@ -156,7 +159,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
                 yield part.wrong(
                     f"sources.{k}", message, name, "each name once", f"delete the second {name}"
                 )
-        sources = self.radiating_surfaces(part, scene)
+        sources = self.list_radiating_surfaces(part, scene)
         if not sources:
             yield part.wrong(
                 "sources",
@@ -205,7 +208,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
     ) -> None:
         """Warn about a listener in the near field, and about an angle that has no effect."""
         keys, top = part.keys, highest_frequency(scene)
-        limit = min(map(self._largest_frequency, [part] * len(sources), sources))
+        limit = min(map(self._find_largest_frequency, [part] * len(sources), sources))
         if scene.analysis.is_small_signal and top > limit:
             warnings.warn(
                 f"{part.name}: the far field at {format_quantity(keys.distance, 'm')} ends at "
@@ -215,15 +218,17 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
                 stacklevel=2,
             )
         surfaces = [source.keys for source in sources]
-        if scene.analysis.type == "noise" and any(map(baffled_radius, surfaces)) and keys.angle:
-            null = format_quantity(first_null(surfaces, keys.angle), "Hz")
+        if scene.analysis.type == "noise" and any(map(get_baffled_radius, surfaces)) and keys.angle:
+            null = format_quantity(find_first_null(surfaces, keys.angle), "Hz")
             warnings.warn(
-                f"{part.name}: the angle has no effect in a noise analysis; sound above {null} is "
-                "much weaker there",
+                f"{part.name}: the angle has no effect in a noise analysis, although the sound at "
+                f"this angle is much weaker above {null}",
                 stacklevel=2,
             )
 
-    def _largest_frequency(self, part: Part[ListenerKeys], source: Part[RadiationKeys]) -> float:
+    def _find_largest_frequency(
+        self, part: Part[ListenerKeys], source: Part[RadiationKeys]
+    ) -> float:
         """Return the frequency [Hz] up to which the listener is in the far field of ``source``.
 
         At this frequency, the listener's distance is S / wavelength for a surface of the area S.
@@ -237,15 +242,20 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
     # --- netlist ----------------------------------------------------------------------------------
 
     def subcircuits(
-        self, part: Part[ListenerKeys], build: Build, header: Header
+        self, part: Part[ListenerKeys], build: BuiltScene, header: Header
     ) -> tuple[Subcircuit, ...]:
         """Return the subcircuit of the part."""
-        from kc2spice.synthesis.header import parameter_defaults_of, part_header  # loads slowly
+        from kc2spice.synthesis.header import (
+            format_parameter_defaults,
+            write_part_header,
+        )  # loads slowly
 
-        name, sources = build.libraries[part.name], self.radiating_surfaces(part, build.scene)
+        name, sources = build.libraries[part.name], self.list_radiating_surfaces(part, build.scene)
         pins = tuple(Pin(pin.name, pin.unit, pin.flow) for pin in build.scene.pins(part.name))
         params = (
-            positive_parameter("distance", part.keys.distance, "m", "distance of the listener"),
+            make_positive_parameter(
+                "distance", part.keys.distance, "m", "distance of the listener"
+            ),
         )
         words = ", ".join(
             f"{pin} is the sound of {source.name}"
@@ -256,34 +266,34 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
             "far field on the axis, without travel time and directivity; inputs are pressures at "
             f"{REFERENCE_DISTANCE:g} m; constant temperature"
         )
-        head = part_header(header, title, pins, params, rating=RATING, validity=validity)
+        head = write_part_header(header, title, pins, params, rating=RATING, validity=validity)
         items = tuple(_write_sum(len(sources)))
         names = tuple(pin.name for pin in pins)
-        circuit = Circuit(name, names, parameter_defaults_of(params), items, notes=head)
+        circuit = Circuit(name, names, format_parameter_defaults(params), items, notes=head)
         tree, text = Circuit(items=(circuit,)), format_comment(title)
         return (Subcircuit(name, pins, params, tree, title=text, header_lines=len(head)),)
 
     # --- results ----------------------------------------------------------------------------------
 
-    def vectors(self, part: Part[ListenerKeys], build: Build) -> Mapping[str, Vector]:
+    def vectors(self, part: Part[ListenerKeys], build: BuiltScene) -> Mapping[str, PartResult]:
         """Return the ngspice vectors of the part's results, keyed by result name."""
-        sources = self.radiating_surfaces(part, build.scene)
+        sources = self.list_radiating_surfaces(part, build.scene)
         pressure = replace(
-            build.across(part, OUT),
-            level_reference=sources[0].keys.fluid.level_reference,
+            build.get_pin_vector(part, OUT),
+            level_reference=sources[0].keys.fluid.level_reference_pressure,
             corrected=build.scene.analysis.type in ("ac", "transient"),
         )
         return {f"{part.name}.{ACOUSTIC.across.symbol}": pressure}
 
-    def law(self, part: Part[ListenerKeys], build: Build) -> laws.Equations:
+    def law(self, part: Part[ListenerKeys], build: BuiltScene) -> laws.Equations:
         """Return no equations, because the pressure is computed from other results after a run."""
         return laws.Equations()
 
     def corrected_waves(
-        self, part: Part[ListenerKeys], build: Build, waves: Waveforms
+        self, part: Part[ListenerKeys], build: BuiltScene, waves: Waveforms
     ) -> Mapping[str, np.ndarray]:
         """Return the sound pressure with directivity and travel time, versus frequency or time."""
-        sources, keys = self.radiating_surfaces(part, build.scene), part.keys
+        sources, keys = self.list_radiating_surfaces(part, build.scene), part.keys
         scale = next(iter(waves))
         propagate = _PROPAGATIONS.get(scale)
         sounds = {f"{source.name}.{SOUND}": source.keys for source in sources}
@@ -296,19 +306,21 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         share = REFERENCE_DISTANCE / keys.distance
         return {f"{part.name}.{ACOUSTIC.across.symbol}": share * np.sum(pressures, axis=0)}
 
-    def _levels(self, part: Part[ListenerKeys], build: Build, waves: Waveforms) -> np.ndarray:
+    def _compute_levels(
+        self, part: Part[ListenerKeys], build: BuiltScene, waves: Waveforms
+    ) -> np.ndarray:
         """Return the sound pressure level [dB] at each frequency of an ac analysis."""
-        fluid = self.radiating_surfaces(part, build.scene)[0].keys.fluid
+        fluid = self.list_radiating_surfaces(part, build.scene)[0].keys.fluid
         pressure = np.abs(waves[f"{part.name}.{ACOUSTIC.across.symbol}"])
-        return compute_level(pressure / math.sqrt(2.0), fluid.level_reference)
+        return compute_level(pressure / math.sqrt(2.0), fluid.level_reference_pressure)
 
     def metrics(
-        self, part: Part[ListenerKeys], build: Build, waves: Waveforms
+        self, part: Part[ListenerKeys], build: BuiltScene, waves: Waveforms
     ) -> Mapping[str, object]:
         """Return the metrics of the part, keyed by name."""
         if build.scene.analysis.type != "ac":
             return {}
-        frequency, levels = waves["frequency"].real, self._levels(part, build, waves)
+        frequency, levels = waves["frequency"].real, self._compute_levels(part, build, waves)
         largest = int(levels.argmax())
         return {
             "frequency_hz": Metric(frequency.tolist(), "Hz"),
@@ -322,15 +334,17 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         name = f"{part.name}.{ACOUSTIC.across.symbol}"
         return any(probe.take == "spl" and probe.of == name for probe in scene.probes.values())
 
-    def figures(self, part: Part[ListenerKeys], build: Build, waves: Waveforms) -> Iterator[Figure]:
+    def figures(
+        self, part: Part[ListenerKeys], build: BuiltScene, waves: Waveforms
+    ) -> Iterator[Figure]:
         """Yield the figures of the part for the report."""
         if build.scene.analysis.type != "ac" or self._is_level_probed(part, build.scene):
             return
-        frequency, levels = waves["frequency"].real, self._levels(part, build, waves)
+        frequency, levels = waves["frequency"].real, self._compute_levels(part, build, waves)
         axis, factor = get_axis_label_and_factor("frequency", frequency)
         log = frequency[0] > 0 and math.log10(frequency[-1] / frequency[0]) > LOG_DECADES
-        fluid = self.radiating_surfaces(part, build.scene)[0].keys.fluid
-        scale = SoundLevel(fluid.level_reference)
+        fluid = self.list_radiating_surfaces(part, build.scene)[0].keys.fluid
+        scale = SoundLevel(fluid.level_reference_pressure)
         curve = Curve("", factor * frequency, levels)
         panel = Panel(axis, format_axis_label("level", scale.unit), (curve,), log_x=log)
         largest = int(levels.argmax())
@@ -345,9 +359,9 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         )
         yield Figure(f"{part.name}_level", title, caption, (panel,))
 
-    def notes(self, part: Part[ListenerKeys], scene: Scene) -> Iterator[str | Neglected]:
+    def notes(self, part: Part[ListenerKeys], scene: Scene) -> Iterator[str | NeglectedEffect]:
         """Yield the assumptions of the model and the effects that it neglects."""
-        keys, sources = part.keys, self.radiating_surfaces(part, scene)
+        keys, sources = part.keys, self.list_radiating_surfaces(part, scene)
         names = ", ".join(source.name for source in sources)
         fluid = sources[0].keys.fluid
         delay = format_quantity(float(f"{keys.distance / fluid.sound_speed:.3g}"), "s")
@@ -357,21 +371,21 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
             "travel time"
         )
         if len(sources) > 1:
-            yield Neglected(
+            yield NeglectedEffect(
                 "differences of the distance", "all sources have one distance", "not estimated"
             )
         surfaces = [source.keys for source in sources]
-        if keys.angle and any(map(baffled_radius, surfaces)):
-            yield Neglected(
+        if keys.angle and any(map(get_baffled_radius, surfaces)):
+            yield NeglectedEffect(
                 "directivity in the netlist",
                 f"the pin {OUT} has the pressure on the axis",
-                f"first null at {format_quantity(first_null(surfaces, keys.angle), 'Hz')}",
+                f"first null at {format_quantity(find_first_null(surfaces, keys.angle), 'Hz')}",
             )
         if any(source.keys.shape == "free_piston" for source in sources):
             why = "the pressure is the one on the axis"
-            yield Neglected("directivity of an open end", why, "not estimated")
+            yield NeglectedEffect("directivity of an open end", why, "not estimated")
         size = "about 0.5 dB per metre at 20 kHz in air"
-        yield Neglected("absorption in the fluid", "no loss on the path", size)
+        yield NeglectedEffect("absorption in the fluid", "no loss on the path", size)
 
 
 def _list_input_names(count: int) -> tuple[str, ...]:
@@ -384,8 +398,8 @@ def _write_sum(count: int) -> Iterator[Item]:
     base, gain = AMBIENT, f"{{{format_number(REFERENCE_DISTANCE)}/distance}}"
     for k, pin in enumerate(_list_input_names(count), 1):
         end = OUT if k == count else f"sum{k}"
-        yield Element.of(f"E{k}", end, base, pin, AMBIENT, gain)
+        yield Element.from_words(f"E{k}", end, base, pin, AMBIENT, gain)
         base = end
 
 
-register(Listener())
+register_part_type(Listener())

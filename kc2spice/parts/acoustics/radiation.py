@@ -14,10 +14,10 @@ from pydantic import Field, model_validator
 from kc2spice.core import laws
 from kc2spice.core.domains import ACOUSTIC, AMBIENT, SIGNAL
 from kc2spice.core.errors import UsageError
-from kc2spice.core.prefix import format_quantity
-from kc2spice.core.quantities import Length, invalid_value_error, si
+from kc2spice.core.quantities import Length, make_invalid_value_error, si
+from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.netlist.circuit import Element, Item, positive_parameter
+from kc2spice.netlist.circuit import Element, Item, make_positive_parameter
 from kc2spice.netlist.spelling import format_number, format_voltage
 from kc2spice.parts.acoustics._acoustic_part import (
     MASS,
@@ -39,11 +39,11 @@ from kc2spice.parts.acoustics._radiation_impedance import (
     Shape,
     list_elements,
 )
-from kc2spice.parts.acoustics._sound_filter import CORNER_RATIO, delay_wave, low_pass_delay
+from kc2spice.parts.acoustics._sound_filter import CORNER_RATIO, compute_low_pass_delay, delay_wave
 from kc2spice.scene.highest_frequency import highest_frequency
-from kc2spice.scene.model import Build, GovernedScene, JoinedScene, Part, Scene, Terminal
-from kc2spice.scene.part_records import Neglected, Vector
-from kc2spice.scene.parttype import register
+from kc2spice.scene.model import BuiltScene, GovernedScene, JoinedScene, Part, Scene, Terminal
+from kc2spice.scene.part_records import NeglectedEffect, PartResult
+from kc2spice.scene.parttype import register_part_type
 
 FACE, SOUND = "face", "sound"  # pins of the surface, and of the sound pressure in the far field
 REFERENCE_DISTANCE = 1.0  # m, distance of the sound pressure at the pin ``sound``
@@ -64,17 +64,18 @@ class RadiationKeys(FluidKeys):
         None,
         ge=SMALLEST_AREA,
         le=LARGEST_AREA,
-        description="Area of the radiating surface, instead of its radius",
+        description="Area of the radiating surface, which can replace the key `radius`",
     )
 
     @model_validator(mode="after")
     def _require_one_size(self) -> RadiationKeys:
+        """Check that one size is set, and that a pulsating sphere has no ``motion``."""
         if (self.radius is None) == (self.area is None):
             number = "no size" if self.radius is None else "two sizes"
             hint = 'add for example  radius = "10 mm"' if self.radius is None else "delete area"
-            raise invalid_value_error(f"the surface has {number}", "radius or area", hint=hint)
+            raise make_invalid_value_error(f"the surface has {number}", "radius or area", hint=hint)
         if self.motion is not None and self.shape == "sphere":
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 "a pulsating sphere cannot have the key `motion`",
                 "no key motion",
                 hint="delete motion",
@@ -126,11 +127,11 @@ start = "100 Hz"
 stop = "20 kHz"
 """
 
-    def ends(self, part: Part[RadiationKeys]) -> tuple[str, ...]:
+    def list_end_pins(self, part: Part[RadiationKeys]) -> tuple[str, ...]:
         """Return the pin of the radiating surface."""
         return (FACE,)
 
-    def paths(self, part: Part[RadiationKeys]) -> tuple[tuple[str, str], ...]:
+    def steady_flow_paths(self, part: Part[RadiationKeys]) -> tuple[tuple[str, str], ...]:
         """Return the path of a steady flow, from the surface to the ambient pressure."""
         return ((FACE, AMBIENT),)
 
@@ -148,8 +149,8 @@ stop = "20 kHz"
         if highest > limit:
             ka = 2 * math.pi * highest * part.keys.surface_radius / part.keys.fluid.sound_speed
             warnings.warn(
-                f"{part.name}: the network of the radiation impedance holds up to "
-                f"{format_quantity(limit, 'Hz')}, the analysis ends at "
+                f"{part.name}: the network of the radiation impedance is valid up to "
+                f"{format_quantity(limit, 'Hz')}, but the analysis ends at "
                 f"{format_quantity(highest, 'Hz')} (k a = {ka:.3g}): lower analysis.stop",
                 stacklevel=2,
             )
@@ -158,9 +159,9 @@ stop = "20 kHz"
         """Return the network of the radiation impedance."""
         keys = part.keys
         params = (
-            positive_parameter("radius", keys.surface_radius, "m", "radius of the surface"),
-            positive_parameter("density", keys.fluid.density, "kg/m3", "density of the fluid"),
-            positive_parameter("sound_speed", keys.fluid.sound_speed, "m/s", "speed of sound"),
+            make_positive_parameter("radius", keys.surface_radius, "m", "radius of the surface"),
+            make_positive_parameter("density", keys.fluid.density, "kg/m3", "density of the fluid"),
+            make_positive_parameter("sound_speed", keys.fluid.sound_speed, "m/s", "speed of sound"),
         )
         area = f"{keys.radiator.area!r}*radius*radius"
         return AcousticNetwork(
@@ -170,7 +171,7 @@ stop = "20 kHz"
             f"{keys.radiator.words}, {keys.radiator.error_text}; small amplitudes, fluid at rest",
         )
 
-    def further_cards(self, part: Part[RadiationKeys]) -> Iterator[Item | str]:
+    def write_further_cards(self, part: Part[RadiationKeys]) -> Iterator[Item | str]:
         """Yield the cards that compute the sound pressure at the reference distance."""
         yield (
             f"* sound pressure at {REFERENCE_DISTANCE:g} m on the axis, in the far field, without "
@@ -179,29 +180,31 @@ stop = "20 kHz"
         if part.keys.shape == "sphere":
             yield "* pressure on the surface times radius / 1 m"
             gain = f"{{radius*{format_number(1 / REFERENCE_DISTANCE)}}}"
-            yield Element.of("Esound", SOUND, AMBIENT, FACE, AMBIENT, gain)
+            yield Element.from_words("Esound", SOUND, AMBIENT, FACE, AMBIENT, gain)
             return
         angle = part.keys.radiator.solid_angle * REFERENCE_DISTANCE
         yield f"* density / {angle:.4g} m times the rate of the volume velocity"
-        yield Element.of("Fsound", AMBIENT, SOUND, METER, "1")
+        yield Element.from_words("Fsound", AMBIENT, SOUND, METER, "1")
         if part.keys.shape == "free_piston":
             yield "* plus that of pressure / impedance: twice the wave that arrives at the opening"
             gain = f"{{{ACOUSTIC.admittance:g}/impedance}}"
-            yield Element.of("Gsound", AMBIENT, SOUND, FACE, AMBIENT, gain)
+            yield Element.from_words("Gsound", AMBIENT, SOUND, FACE, AMBIENT, gain)
         mass = format_number(SCALES[MASS] / angle)
-        yield Element.of("Lsound", SOUND, AMBIENT, f"{{{mass}*density}}")
+        yield Element.from_words("Lsound", SOUND, AMBIENT, f"{{{mass}*density}}")
         largest = CORNER_RATIO * part.keys.radiator.network.largest_ka
         corner = f"{largest:g}*rate"
         yield f"* low pass above the range of the network, at k a = {largest:g}"
-        yield Element.of("Rsound", SOUND, AMBIENT, f"{{{mass}*density*{corner}/sqrt(2)}}")
-        yield Element.of("Csound", SOUND, AMBIENT, f"{{1/({mass}*density*{corner}*{corner})}}")
+        yield Element.from_words("Rsound", SOUND, AMBIENT, f"{{{mass}*density*{corner}/sqrt(2)}}")
+        yield Element.from_words(
+            "Csound", SOUND, AMBIENT, f"{{1/({mass}*density*{corner}*{corner})}}"
+        )
 
-    def vectors(self, part: Part[RadiationKeys], build: Build) -> Mapping[str, Vector]:
+    def vectors(self, part: Part[RadiationKeys], build: BuiltScene) -> Mapping[str, PartResult]:
         """Return the ngspice vectors of the part's results, keyed by result name."""
-        level = part.keys.fluid.level_reference
-        ends = format_voltage(build.net(part, SOUND), build.net(part, AMBIENT))
+        level = part.keys.fluid.level_reference_pressure
+        ends = format_voltage(build.get_net(part, SOUND), build.get_net(part, AMBIENT))
         sound = replace(
-            build.across(part, SOUND),
+            build.get_pin_vector(part, SOUND),
             expression=ends,
             level_reference=level,
             corrected=build.scene.analysis.type in ("ac", "transient"),
@@ -209,7 +212,7 @@ stop = "20 kHz"
         return {**super().vectors(part, build), f"{part.name}.{SOUND}": sound}
 
     def corrected_waves(
-        self, part: Part[RadiationKeys], build: Build, waves: Waveforms
+        self, part: Part[RadiationKeys], build: BuiltScene, waves: Waveforms
     ) -> Mapping[str, np.ndarray]:
         """Return the sound pressure, corrected for the low pass of the netlist.
 
@@ -222,31 +225,31 @@ stop = "20 kHz"
             return {}
         x = waves.scale.real
         if scale == "frequency":
-            return {name: waves[name] / laws.low_pass_response(2j * np.pi * x, corner)}
+            return {name: waves[name] / laws.compute_low_pass_response(2j * np.pi * x, corner)}
         if scale != "time":
             return {}
-        return {name: delay_wave(x, waves[name], [(1.0, -low_pass_delay(corner))])}
+        return {name: delay_wave(x, waves[name], [(1.0, -compute_low_pass_delay(corner))])}
 
-    def law(self, part: Part[RadiationKeys], build: Build) -> laws.Equations:
+    def law(self, part: Part[RadiationKeys], build: BuiltScene) -> laws.Equations:
         """Return the model equations of the part."""
         equations = super().law(part, build)
         sound = {f"{part.name}.{SOUND}": _read_sound(part, equations)}
         return replace(equations, results={**equations.results, **sound})
 
-    def notes(self, part: Part[RadiationKeys], scene: Scene) -> Iterator[str | Neglected]:
+    def notes(self, part: Part[RadiationKeys], scene: Scene) -> Iterator[str | NeglectedEffect]:
         """Yield the assumptions of the model and the effects that it neglects."""
         keys, radiator = part.keys, part.keys.radiator
         limit = keys.largest_frequency
         upper = "" if math.isinf(limit) else f" ({format_quantity(limit, 'Hz')})"
         yield (
             f"{radiator.words}, radius {format_quantity(keys.surface_radius, 'm')}, "
-            f"{keys.fluid.words}: {radiator.error_text}{upper}"
+            f"{keys.fluid.summary_text}: {radiator.error_text}{upper}"
         )
-        yield Neglected("reflections", "the sound leaves into a free field", "not estimated")
+        yield NeglectedEffect("reflections", "the sound leaves into a free field", "not estimated")
         if keys.shape != "sphere":
             words = "an infinite baffle" if keys.shape == "baffled_piston" else "an endless tube"
-            yield Neglected("size of the baffle", words, "up to 6 dB at low frequencies")
-            yield Neglected(
+            yield NeglectedEffect("size of the baffle", words, "up to 6 dB at low frequencies")
+            yield NeglectedEffect(
                 "shape of the motion", "all points have the same velocity", "not estimated"
             )
 
@@ -300,4 +303,4 @@ def _read_sound(part: Part[RadiationKeys], equations: laws.Equations) -> laws.Wa
     return laws.WaveCombination(tuple(terms), rate=field.rate, corner=corner)
 
 
-register(Radiation())
+register_part_type(Radiation())

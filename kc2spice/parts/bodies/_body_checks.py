@@ -12,24 +12,24 @@ from kc2spice.core.cache import load_or_build
 from kc2spice.core.domains import TRANSLATION, Domain
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.naming import list_names
-from kc2spice.core.progress import Clock
+from kc2spice.core.progress import StageTimer
 from kc2spice.core.waveforms import Waveforms, integrate_cumulatively
 from kc2spice.netlist.spelling import LEAK_RATE
-from kc2spice.parts.bodies._body_model import reduction_target
+from kc2spice.parts.bodies._body_model import get_reduction_settings
 from kc2spice.parts.bodies._body_netlist import BodyNetlist
 from kc2spice.parts.bodies._body_ports import (
-    flow_name,
-    list_contacts_on,
+    get_flow_name,
+    get_wave_name,
+    list_contacts_on_part,
     mechanical_ports,
-    paired_ports,
-    wave_name,
+    select_paired_ports,
 )
 from kc2spice.parts.bodies._linear_keys import LinearKeysT
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
-from kc2spice.rom.modal import resonators, simulate_resonators
+from kc2spice.rom.modal_models import compute_resonators, simulate_resonators
 from kc2spice.rom.stability import prove_stability
-from kc2spice.scene.checks import Balance, Check
-from kc2spice.scene.model import Build, Part
+from kc2spice.scene.checks import Check, RunEnergyBalance
+from kc2spice.scene.model import BuiltScene, Part
 from kc2spice.scene.parttype import compute_pin_forces
 from kc2spice.synthesis.mode_cards import COARSE_WEIGHTS
 
@@ -88,8 +88,8 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
     """Linear part with checks of its reduced model, its rating and its energy after a run."""
 
     def checks(
-        self, part: Part[LinearKeysT], build: Build, waves: Waveforms
-    ) -> Iterator[Check | Balance]:
+        self, part: Part[LinearKeysT], build: BuiltScene, waves: Waveforms
+    ) -> Iterator[Check | RunEnergyBalance]:
         """Yield the checks of a reduced body after a run.
 
         The checks cover the error of the reduced model, the stability of the full model, the
@@ -101,7 +101,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         if result is not None:
             yield from self._check_reduction(part, build, waves, result)
             if result.stable is False:
-                full_is_stable = prove_stability(model.pencil.dense(), result.band_hz).stable
+                full_is_stable = prove_stability(model.pencil.make_dense(), result.band_hz).stable
                 advice, then = (
                     (UNSTABLE_FULL_ADVICE, "fail")
                     if full_is_stable
@@ -122,7 +122,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         yield from self._check_leak(part, build)
 
     def _check_rating(
-        self, part: Part[LinearKeysT], build: Build, waves: Waveforms
+        self, part: Part[LinearKeysT], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Check]:
         """Yield the checks that the voltage at each electrode stays within the rating.
 
@@ -133,25 +133,25 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         if volts is None:
             return
         for port in ports:
-            name = wave_name(part.name, ports, port)
-            if port.paired and f"{name}.voltage" in waves:
+            name = get_wave_name(part.name, ports, port)
+            if port.is_paired and f"{name}.voltage" in waves:
                 largest = float(np.abs(waves[f"{name}.voltage"]).max())
                 yield Check(f"rating of {name}", largest, volts, "V", DEPOLING_ADVICE, "warn")
 
-    def _check_leak(self, part: Part[LinearKeysT], build: Build) -> Iterator[Check]:
+    def _check_leak(self, part: Part[LinearKeysT], build: BuiltScene) -> Iterator[Check]:
         """Yield the check of the charge that leaks from a floating electrode.
 
         In the netlist, the charge of a floating electrode decays at the rate :data:`LEAK_RATE`.
         """
-        leaked = -math.expm1(-build.scene.stop * LEAK_RATE)
-        ports = list_names(paired_ports(build.model(part, LinearModel).ports))
+        leaked = -math.expm1(-build.scene.stop_time * LEAK_RATE)
+        ports = list_names(select_paired_ports(build.model(part, LinearModel).ports))
         for port in ports if leaked > MAX_CHARGE_LOSS else ():
             name = f"charge kept by {part.name}.{port} if it floats"
-            advice = "the netlist's leak: a resistor across the electrode states the real one"
+            advice = "the netlist has a leak: add a resistor with the real value at the electrode"
             yield Check(name, leaked, MAX_CHARGE_LOSS, "of it lost", advice, "warn")
 
     def _check_reduction(
-        self, part: Part[LinearKeysT], build: Build, waves: Waveforms, certificate: Certificate
+        self, part: Part[LinearKeysT], build: BuiltScene, waves: Waveforms, certificate: Certificate
     ) -> Iterator[Check]:
         """Yield the check of the reduced model's error.
 
@@ -167,17 +167,21 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         """
         name, error = part.name, certificate.error_estimate
         unlike = max((size for _, size in certificate.above), default=0.0) > MAX_COMPLIANCE_ERROR
-        contact = unlike and any(list_contacts_on(part, build.scene))
+        contact = unlike and any(list_contacts_on_part(part, build.scene))
         loaded = None
         if "time" in waves and (error > FAILURE_ERROR or contact):
-            loaded = self.error_under_load(part, build, waves, build.model(part, LinearModel))
+            loaded = self.estimate_error_under_load(
+                part, build, waves, build.model(part, LinearModel)
+            )
         if loaded is None:
             yield _make_reduction_check(name, error, "", REDUCED_ADVICE)
             return
         worst, states = loaded
-        model, target = build.model(part, LinearModel), reduction_target(part, build.scene)
+        model, target = build.model(part, LinearModel), get_reduction_settings(part, build.scene)
         order = STATE_FACTOR * (target.order or model.order)
-        default = self._stated_reduction(part, build.scene) is None and not part.parameter_ranges
+        default = (
+            self._find_reduction_settings(part, build.scene) is None and not part.parameter_ranges
+        )
         key = "rom.order" if part.keys.rom is None and not default else f"{name}.rom.order"
         advice = FEWER_STATES_ADVICE.format(states, f"{key} = {order}")
         check = _make_reduction_check(name, worst, LOADED_UNIT, advice)
@@ -187,8 +191,8 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
             f"resonances of {name}", error, WARNING_ERROR, "of a response", RESONANCE_ADVICE, "warn"
         )
 
-    def error_under_load(
-        self, part: Part[LinearKeysT], build: Build, waves: Waveforms, model: LinearModel
+    def estimate_error_under_load(
+        self, part: Part[LinearKeysT], build: BuiltScene, waves: Waveforms, model: LinearModel
     ) -> tuple[float, int] | None:
         """Return the largest error of the reduced ``model`` under the recorded loads of a run.
 
@@ -196,23 +200,24 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         number of states of the reference model. The function returns None if a load was not
         recorded, or if there is no model with more states.
         """
-        loads, certificate = self.loads(part, build, waves), model.certificate
+        loads, certificate = self.list_port_loads(part, build, waves), model.certificate
         if certificate is None or not set(model.inputs) <= loads.keys():
             return None
         band = certificate.band_hz
-        from kc2spice.rom.enriched import compute_time_errors, find_last_change
+        from kc2spice.rom.time_domain_errors import compute_time_errors, find_last_change
 
         t, load = waves["time"], np.column_stack([*map(loads.__getitem__, model.inputs)])
         count = find_last_change(load) + 1
         key = {**self.model_key(part, build.scene), "enriched": model.order}
 
         def build_larger_model() -> LinearModel | None:
+            """Build a model with more states; None if such a model does not exist."""
             if self._has_constant_losses(part):
                 return None
             try:
-                return self.fixed_order_reductions(part, build.scene, Clock()).enriched(
-                    key["enriched"], band
-                )
+                return self.get_fixed_order_reductions(
+                    part, build.scene, StageTimer()
+                ).make_enriched_model(key["enriched"], band)
             except (SimulationError, UsageError):
                 return None
 
@@ -225,13 +230,13 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         driven = [port for port in model.ports if port.kind != "output"]
         groups = dict[Domain | None, np.ndarray]()
         for k, port in enumerate(driven):
-            domain = port.domain if port.charged else None
+            domain = port.domain if port.has_charge_output else None
             groups.setdefault(domain, np.zeros(len(driven), dtype=bool))[k] = True
         errors = compute_time_errors(model, rich, t[:count], load[:count], [*groups.values()])
         return None if errors is None else (max(errors.values(), default=0.0), rich.order)
 
     def _check_band(
-        self, part: Part[LinearKeysT], build: Build, waves: Waveforms, certificate: Certificate
+        self, part: Part[LinearKeysT], build: BuiltScene, waves: Waveforms, certificate: Certificate
     ) -> Iterator[Check]:
         """Yield checks whether the band of the model contains the frequencies of the drives.
 
@@ -250,9 +255,9 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
             return
         apart = np.diff(t) > EQUAL_TIME_TOLERANCE * t[-1]
         for port in self.used_ports(part, scene):
-            if not port.paired or not apart.any():
+            if not port.is_paired or not apart.any():
                 continue
-            name = wave_name(part.name, build.model(part, LinearModel).ports, port)
+            name = get_wave_name(part.name, build.model(part, LinearModel).ports, port)
             voltage = waves.data.get(f"{name}.voltage")
             if voltage is None or not np.ptp(voltage):
                 continue
@@ -261,8 +266,8 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
             content = float(slope / (np.pi * np.ptp(voltage)))
             yield Check(name, content, high, "Hz", STEEP_EDGE_ADVICE, "warn")
 
-    def loads(
-        self, part: Part[LinearKeysT], build: Build, waves: Waveforms
+    def list_port_loads(
+        self, part: Part[LinearKeysT], build: BuiltScene, waves: Waveforms
     ) -> dict[str, np.ndarray]:
         """Return the load of each port of the reduced model versus time, in SI units.
 
@@ -270,21 +275,21 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         port. Ports with a force that is not recorded are left out.
         """
         ports, result = self.used_ports(part, build.scene), dict[str, np.ndarray]()
-        names = [wave_name(part.name, ports, port) for port in ports]
+        names = [get_wave_name(part.name, ports, port) for port in ports]
         still, acting = np.zeros(waves["time"].size), compute_pin_forces(build, waves)
         for name, port in zip(names, ports, strict=True):
-            if not port.loaded:
-                wave = f"{name}.voltage" if port.paired else name
+            if not port.is_flow_driven:
+                wave = f"{name}.voltage" if port.is_paired else name
                 result[port.name] = waves.data.get(wave, still)
                 continue
-            joined = build.scene.joined_pins(part.name, port.terminals[0])
-            if acting.keys() >= set(joined) and build.net(part, port.terminals[0]) != "0":
+            joined = build.scene.list_joined_pins(part.name, port.terminals[0])
+            if acting.keys() >= set(joined) and build.get_net(part, port.terminals[0]) != "0":
                 result[port.name] = sum(map(acting.__getitem__, joined), start=still)
         return result
 
     def _balance_energy(
-        self, part: Part[LinearKeysT], build: Build, waves: Waveforms
-    ) -> Balance | None:
+        self, part: Part[LinearKeysT], build: BuiltScene, waves: Waveforms
+    ) -> RunEnergyBalance | None:
         """Return the energy balance of the body, which compares the run with the exact response.
 
         The exact response is the response of the reduced model to the recorded loads. The losses
@@ -294,11 +299,11 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         rounding error of this energy without motion. If the time steps do not resolve the ringing,
         the comparison ends when the last force on the body ends.
         """
-        model, t = resonators(build.model(part, LinearModel)), waves["time"]
+        model, t = compute_resonators(build.model(part, LinearModel)), waves["time"]
         ports = self.used_ports(part, build.scene)
-        if model is None or not all(p.charged or p.domain is TRANSLATION for p in ports):
+        if model is None or not all(p.has_charge_output or p.domain is TRANSLATION for p in ports):
             return None
-        loads = self.loads(part, build, waves)
+        loads = self.list_port_loads(part, build, waves)
         if len(loads) < len(model.ports):
             return None
         inputs = np.column_stack([*map(loads.__getitem__, list_names(model.ports))])
@@ -309,12 +314,12 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         for port, load, exact in zip(model.ports, inputs.T, outputs.T, strict=True):
             took, name = (
                 integrate_cumulatively(load, exact),
-                wave_name(part.name, model.ports, port),
+                get_wave_name(part.name, model.ports, port),
             )
             damped = damped + took
-            if port.charged and port.domain is not None:
+            if port.has_charge_output and port.domain is not None:
                 what, result = f"{port.domain.name} work", took
-                current = waves.data.get(flow_name(part.name, model.ports, port))
+                current = waves.data.get(get_flow_name(part.name, model.ports, port))
                 if current is not None:
                     result = integrate_cumulatively(load * current, t)
                     answers[f"charge of {name}"] = (
@@ -334,7 +339,9 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
             gap = gap[: int(last) + 1]
         scale = max(float(np.ptp(stored)), ZERO_LOAD * float(stored.max()))
         exactly = {} if pressed else answers
-        return Balance(entries, float(np.abs(gap).max()), scale, MAX_STORED_SHARE, exact=exactly)
+        return RunEnergyBalance(
+            entries, float(np.abs(gap).max()), scale, MAX_STORED_SHARE, exact=exactly
+        )
 
 
 def _make_reduction_check(name: str, error: float, unit: str, advice: str) -> Check:

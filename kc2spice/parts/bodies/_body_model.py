@@ -18,31 +18,31 @@ from pydantic import BaseModel
 
 from kc2spice.core.cache import load_or_build
 from kc2spice.core.errors import UsageError, wrong
-from kc2spice.core.prefix import format_quantity
-from kc2spice.core.progress import Clock
-from kc2spice.fem.body_keys import Damping
+from kc2spice.core.progress import StageTimer
+from kc2spice.core.si_prefix_format import format_quantity
+from kc2spice.fem.body_keys import DampingKeys
 from kc2spice.fem.materials import MaterialTable
 from kc2spice.parts.bodies._body_ports import BodyPorts, requires_massless_ports
-from kc2spice.parts.bodies._box import (
+from kc2spice.parts.bodies._linear_keys import LinearKeysT
+from kc2spice.parts.bodies._varied_keys import (
     RANGES_KEY,
-    check_corners,
+    check_parameter_ranges,
+    get_middle_values,
     list_varied_keys,
-    range_middles,
     read_key_values,
     with_values,
 )
-from kc2spice.parts.bodies._linear_keys import LinearKeysT
 from kc2spice.rom.complex_constants import ComplexConstants
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
-from kc2spice.rom.modal import resonators
-from kc2spice.rom.parametric import DampingParameter, ParameterAxis
-from kc2spice.rom.ranges import ModelOverRanges, RangeTask
+from kc2spice.rom.modal_models import compute_resonators
+from kc2spice.rom.parametric_models import DampingParameter, ParameterAxis
+from kc2spice.rom.range_reduction import ModelOverRanges, RangeTask
 from kc2spice.rom.resonators_over_ranges import ResonatorsOverRanges
 from kc2spice.scene.model import GovernedScene, Part, Scene
-from kc2spice.scene.settings import Rom
+from kc2spice.scene.settings import RomKeys
 
 if TYPE_CHECKING:
-    from kc2spice.rom.enriched import ReductionsByOrder
+    from kc2spice.rom.time_domain_errors import ReductionsByOrder
 
 # Default relative tolerance of a reduction over parameter ranges.
 RANGE_TOLERANCE = 1e-4
@@ -58,8 +58,8 @@ _IRRELEVANT_KEYS = {"rom", "fields", "rated_voltage", "number"}
 MODEL_SOURCES = (
     "kc2spice.linalg", "kc2spice.fem", "kc2spice.rom", "kc2spice.bodies",
     "kc2spice.core.domains", "kc2spice.core.gmsh_session", "kc2spice.core.naming",
-    "kc2spice.core.quantities", "kc2spice.core.untrusted_files", "kc2spice.parts.bodies._box",
-    "kc2spice.parts.bodies._mesh_keys",
+    "kc2spice.core.quantities", "kc2spice.core.untrusted_files",
+    "kc2spice.parts.bodies._varied_keys", "kc2spice.parts.bodies._mesh_keys",
     "kc2spice.physics.conductors",
 )  # fmt: skip
 
@@ -79,37 +79,45 @@ class BodyModel(BodyPorts[LinearKeysT]):
     material_table: type[BaseModel] = MaterialTable
 
     @abstractmethod
-    def full(self, part: Part[LinearKeysT], scene: GovernedScene, clock: Clock) -> LinearModel:
+    def make_full_model(
+        self, part: Part[LinearKeysT], scene: GovernedScene, clock: StageTimer
+    ) -> LinearModel:
         """Return the full, unreduced model of the whole device."""
 
-    def full_on_mesh(
-        self, part: Part[LinearKeysT], scene: GovernedScene, clock: Clock, like: Part[LinearKeysT]
+    def make_full_model_on_mesh(
+        self,
+        part: Part[LinearKeysT],
+        scene: GovernedScene,
+        clock: StageTimer,
+        like: Part[LinearKeysT],
     ) -> LinearModel:
         """Return the full model on the mesh of ``like``, a part with other values of its keys.
 
         The nodes of this mesh are moved to the geometry of ``part``.
         """
-        return self.full(part, scene, clock)
+        return self.make_full_model(part, scene, clock)
 
-    def full_key(self, part: Part[LinearKeysT], scene: GovernedScene) -> Mapping[str, Any]:
+    def make_full_model_key(
+        self, part: Part[LinearKeysT], scene: GovernedScene
+    ) -> Mapping[str, Any]:
         """Return the cache key of the full model: all data that determine this model."""
         return {"keys": part.keys.model_dump(mode="json", exclude=_IRRELEVANT_KEYS)}
 
     def problems(self, part: Part[LinearKeysT], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield an error for each invalid key of the part."""
-        yield from check_corners(part, scene)
+        yield from check_parameter_ranges(part, scene)
 
-    def _stated_reduction(self, part: Part[LinearKeysT], scene: Scene) -> Rom | None:
+    def _find_reduction_settings(self, part: Part[LinearKeysT], scene: Scene) -> RomKeys | None:
         """Return the reduction settings of the body or the scene; None if neither states any.
 
         A table ``rom`` that states only parameters of the netlist does not count as a reduction.
         """
-        specified: Rom | None = part.keys.rom
+        specified: RomKeys | None = part.keys.rom
         if specified is not None and specified.model_fields_set != {"parameters"}:
             return specified
         return scene.rom if "rom" in scene.frame.model_fields_set else None
 
-    def reduction(self, part: Part[LinearKeysT], scene: Scene) -> Rom:
+    def choose_reduction(self, part: Part[LinearKeysT], scene: Scene) -> RomKeys:
         """Return the reduction settings; the default is a tolerance in the band of the analysis.
 
         In ``ac``, the band ends 20 % above the last frequency. In a transient, the band contains
@@ -118,60 +126,65 @@ class BodyModel(BodyPorts[LinearKeysT]):
         tenth of usual mesh errors. This tolerance exceeds the rounding errors of a free thin plate,
         which are about 1e-4 at resonances.
         """
-        specified, result = part.keys.rom, self._stated_reduction(part, scene)
+        specified, result = part.keys.rom, self._find_reduction_settings(part, scene)
         if result is None and scene.analysis.is_small_signal:
             low, high = scene.analysis.start, float(scene.analysis.stop or 1.0)
-            result = Rom(tolerance=1e-3, band=(0.8 * low, 1.2 * high))
+            result = RomKeys(tolerance=1e-3, band=(0.8 * low, 1.2 * high))
         elif result is None:
             content = max((row.highest_frequency for row in scene.numerics), default=0.0)
-            result = Rom(tolerance=1e-4, band=(0.0, max(content, self.default_band_end(scene))))
+            result = RomKeys(
+                tolerance=1e-4, band=(0.0, max(content, self.get_default_band_end(scene)))
+            )
         if specified is None or result is specified:
             return result
         return result.model_copy(update={"parameters": specified.parameters})
 
-    def least_band_end(self, part: Part[LinearKeysT], scene: Scene) -> float | None:
+    def find_least_band_end(self, part: Part[LinearKeysT], scene: Scene) -> float | None:
         """Return the smallest upper end [Hz] of the model's band in a transient.
 
         The function returns None in other analyses, and if the user set the band. This upper end
         does not depend on the natural frequencies of the body.
         """
-        if self._stated_reduction(part, scene) is not None or scene.analysis.type != "transient":
+        if (
+            self._find_reduction_settings(part, scene) is not None
+            or scene.analysis.type != "transient"
+        ):
             return None
         content = (row.highest_frequency for row in scene.numerics if math.isfinite(row.step))
-        return max([self.default_band_end(scene), *content])
+        return max([self.get_default_band_end(scene), *content])
 
-    def default_band_end(self, scene: Scene) -> float:
+    def get_default_band_end(self, scene: Scene) -> float:
         """Return the smallest upper end [Hz] of a transient's band that any excitation requires."""
         return MIN_BAND_END
 
     def model_key(self, part: Part[LinearKeysT], scene: Scene) -> Mapping[str, Any]:
         """Return the cache key of the reduced model: all data that determine this model."""
-        rom = reduction_target(part, scene)
+        rom = get_reduction_settings(part, scene)
         settings = rom.model_dump(mode="json")
         result = {
             "type": self.name,
-            "full": self.full_key(part, scene),
+            "full": self.make_full_model_key(part, scene),
             "ports": self.used_port_names(part, scene),
             "rom": settings,
         }
-        least_end = self.least_band_end(part, scene)
+        least_end = self.find_least_band_end(part, scene)
         reached = {} if least_end is None else {"sure": least_end, "motions": BAND_MODES}
         return result | reached | {"massless": requires_massless_ports(part, scene)}
 
-    def build_over_ranges(
-        self, part: Part[LinearKeysT], scene: Scene, clock: Clock
+    def reduce_body_over_ranges(
+        self, part: Part[LinearKeysT], scene: Scene, clock: StageTimer
     ) -> ModelOverRanges:
         """Return the reduced model over the ranges of ``rom.parameters``."""
         keys = list_varied_keys(part)
-        middle = with_values(part, range_middles(keys))
-        target, key = reduction_target(part, scene), self.model_key(middle, scene)
+        middle = with_values(part, get_middle_values(keys))
+        target, key = get_reduction_settings(part, scene), self.model_key(middle, scene)
         specified = part.keys.rom
-        if loss_tangent(part):
+        if read_loss_tangent(part):
             problem = "a netlist with parameters cannot contain a dielectric loss"
             raise wrong(
                 f"{part.name}.damping.loss_tangent",
                 problem,
-                loss_tangent(part),
+                read_loss_tangent(part),
                 "0",
                 "delete loss_tangent",
             )
@@ -188,13 +201,21 @@ class BodyModel(BodyPorts[LinearKeysT]):
             problem = "a netlist with parameters has no heat pin"
             hint = f"delete {RANGES_KEY}, or disconnect the heat pin"
             raise wrong(
-                f"{part.name}.{RANGES_KEY}", problem, ", ".join(i.key for i in keys), "none", hint
+                f"{part.name}.{RANGES_KEY}",
+                problem,
+                ", ".join(i.key for i in keys),
+                "no parameters",
+                hint,
             )
         if scene.analysis.type == "noise":
             problem = "a netlist with parameters has no thermal noise"
             hint = f"delete {RANGES_KEY} for this analysis"
             raise wrong(
-                f"{part.name}.{RANGES_KEY}", problem, ", ".join(i.key for i in keys), "none", hint
+                f"{part.name}.{RANGES_KEY}",
+                problem,
+                ", ".join(i.key for i in keys),
+                "no parameters",
+                hint,
             )
         ordered = target.order is not None and "order" in target.model_fields_set
         if ordered and specified is not None and specified.order:
@@ -211,32 +232,36 @@ class BodyModel(BodyPorts[LinearKeysT]):
         def build() -> ModelOverRanges:
             """Return the reduced model over the parameter ranges."""
 
-            def full(values: Mapping[str, float]) -> LinearModel:
+            def make_model_at_values(values: Mapping[str, float]) -> LinearModel:
                 """Return the full model for other values of the varied keys."""
                 other = with_values(part, values)
-                return self.full_on_mesh(other, scene, clock, middle).select(key["ports"])
+                return self.make_full_model_on_mesh(other, scene, clock, middle).select(
+                    key["ports"]
+                )
 
-            band = self.limit_band(target.band, key, lambda: full(range_middles(keys)))
+            band = self.limit_band(
+                target.band, key, lambda: make_model_at_values(get_middle_values(keys))
+            )
             text = f"model of {part.name} over {len(keys)} parameters"
             with clock.time_stage("reduce", text) as share:
                 task = RangeTask(
-                    full,
-                    [item.axis for item in keys],
+                    make_model_at_values,
+                    [item.parameter_axis for item in keys],
                     band,
                     target.tolerance or RANGE_TOLERANCE,
                     lambda done, of: share(done / of),
                     target.norm or "pointwise",
                 )
-                return self.reduce_ranges(part, task)
+                return self.reduce_over_key_ranges(part, task)
 
-        def load() -> ModelOverRanges:
+        def load_reduced_model() -> ModelOverRanges:
             """Read the reduced model over the parameter ranges from the cache, or build it."""
             classes = (*self.range_classes, ParameterAxis, Certificate, Port)
             return load_or_build("box", key, build, classes=classes, sources=self.source_modules())
 
-        return scene.workspace.get_or_compute(f"range of {part.name}", key, load)
+        return scene.workspace.get_or_compute(f"range of {part.name}", key, load_reduced_model)
 
-    def reduce_ranges(self, part: Part[LinearKeysT], task: RangeTask) -> ModelOverRanges:
+    def reduce_over_key_ranges(self, part: Part[LinearKeysT], task: RangeTask) -> ModelOverRanges:
         """Return a reduced model of the part over the parameter ranges of ``task``."""
         from kc2spice.rom.resonators_over_ranges import reduce_over_ranges
 
@@ -244,38 +269,44 @@ class BodyModel(BodyPorts[LinearKeysT]):
 
     def _has_constant_losses(self, part: Part[LinearKeysT]) -> bool:
         """Return whether constant matrices cannot represent the losses of the body."""
-        return bool(loss_tangent(part)) or has_complex_constants(part)
+        return bool(read_loss_tangent(part)) or has_complex_constants(part)
 
-    def _full_model(self, part: Part[LinearKeysT], scene: Scene, clock: Clock) -> LinearModel:
+    def _make_mid_range_full_model(
+        self, part: Part[LinearKeysT], scene: Scene, clock: StageTimer
+    ) -> LinearModel:
         """Return the full model with the scene's ports, on the mesh for mid-range key values."""
         keys, names = list_varied_keys(part), self.used_port_names(part, scene)
         if not keys:
-            return self.full(part, scene, clock).select(names)
-        middle = with_values(part, range_middles(keys))
-        return self.full_on_mesh(part, scene, clock, middle).select(names)
+            return self.make_full_model(part, scene, clock).select(names)
+        middle = with_values(part, get_middle_values(keys))
+        return self.make_full_model_on_mesh(part, scene, clock, middle).select(names)
 
     def build(
-        self, part: Part[LinearKeysT], scene: Scene, clock: Clock, full: bool = False
+        self, part: Part[LinearKeysT], scene: Scene, clock: StageTimer, full: bool = False
     ) -> LinearModel | None:
         """Return the reduced model of the part; with ``full``, return its full model."""
         if full:
             # The matrices of a full model cannot represent losses that are constant over frequency.
-            return None if self._has_constant_losses(part) else self._full_model(part, scene, clock)
+            return (
+                None
+                if self._has_constant_losses(part)
+                else self._make_mid_range_full_model(part, scene, clock)
+            )
         if keys := list_varied_keys(part):
-            return self.build_over_ranges(part, scene, clock).at(read_key_values(keys))
+            return self.reduce_body_over_ranges(part, scene, clock).evaluate(read_key_values(keys))
         # ``build`` uses these variables, so their values are part of the cache key.
         # The cache key also contains hashes of the modules with the code of ``build``.
-        target, model_key = reduction_target(part, scene), self.model_key(part, scene)
-        tangent, constants = loss_tangent(part), has_complex_constants(part)
+        target, model_key = get_reduction_settings(part, scene), self.model_key(part, scene)
+        tangent, constants = read_loss_tangent(part), has_complex_constants(part)
 
         def build() -> LinearModel:
             """Return the reduced model of the part with its losses."""
             from kc2spice.rom.complex_constants import make_complex_constants_model
             from kc2spice.rom.error_estimate import choose_default_norm
-            from kc2spice.rom.modal import add_dielectric_loss, make_highest_modes_massless
+            from kc2spice.rom.modal_models import add_dielectric_loss, make_highest_modes_massless
             from kc2spice.rom.soft_support import support_softly
 
-            orders = self.fixed_order_reductions(part, scene, clock)
+            orders = self.get_fixed_order_reductions(part, scene, clock)
             selected = orders.model
             with clock.time_stage("reduce", f"reduction of {part.name}"):
                 order = None if target.order is None else min(target.order, selected.order)
@@ -286,10 +317,10 @@ class BodyModel(BodyPorts[LinearKeysT]):
                 aims: dict[str, Any] = {"order": order, "tolerance": target.tolerance}
                 aims |= {"band": band, "norm": norm}
                 small = self.reduce_body(part, orders, selected, aims)
-            modal = resonators(small)  # eigenvalues are computed only once
+            modal = compute_resonators(small)  # eigenvalues are computed only once
             if modal is None and tangent and not constants:
                 small = support_softly(small, band)
-                modal = resonators(small)
+                modal = compute_resonators(small)
             if modal is None and (tangent or constants):
                 got = "damping that couples modes, or a rigid-body mode"
                 problem, key = (
@@ -348,26 +379,26 @@ class BodyModel(BodyPorts[LinearKeysT]):
         # A contact, a switch or a tabulated drive excites modes above the band.
         return reduce_model(model, **aims, contact=True)
 
-    def fixed_order_reductions(
-        self, part: Part[LinearKeysT], scene: Scene, clock: Clock
+    def get_fixed_order_reductions(
+        self, part: Part[LinearKeysT], scene: Scene, clock: StageTimer
     ) -> ReductionsByOrder:
         """Return the reductions of the full model with the scene's ports to prescribed orders.
 
         The returned object reduces the model on request. The object stays in the workspace, because
         the next scene often needs another order of the same model.
         """
-        from kc2spice.rom.enriched import ReductionsByOrder
+        from kc2spice.rom.time_domain_errors import ReductionsByOrder
 
         names = self.used_port_names(part, scene)
         key = json.dumps(
-            [part.name, self.full_key(part, scene), names], sort_keys=True, default=str
+            [part.name, self.make_full_model_key(part, scene), names], sort_keys=True, default=str
         )
 
-        def make() -> ReductionsByOrder:
+        def make_reductions() -> ReductionsByOrder:
             """Return the reductions of the full model."""
-            return ReductionsByOrder(self._full_model(part, scene, clock))
+            return ReductionsByOrder(self._make_mid_range_full_model(part, scene, clock))
 
-        return scene.workspace.get_or_compute(f"orders {self.name}", key, make)
+        return scene.workspace.get_or_compute(f"orders {self.name}", key, make_reductions)
 
     def source_modules(self) -> tuple[str, ...]:
         """Return the modules with source code that determines the models of this part type."""
@@ -375,7 +406,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         return (*MODEL_SOURCES, *classes)
 
 
-def loss_tangent(part: Part) -> float:
+def read_loss_tangent(part: Part) -> float:
     """Return the dielectric loss tangent from the key ``damping`` of a body; 0 by default."""
     return float(getattr(getattr(part.keys, "damping", None), "loss_tangent", None) or 0.0)
 
@@ -385,9 +416,9 @@ def has_complex_constants(part: Part) -> bool:
     return getattr(getattr(part.keys, "damping", None), "model", None) == "ieee176"
 
 
-def find_damping(part: Part) -> Damping:
+def find_damping(part: Part) -> DampingKeys:
     """Return the damping settings from the key ``damping`` of a body."""
-    damping: Damping = part.keys.damping  # type: ignore[attr-defined]  # not all bodies have it
+    damping: DampingKeys = part.keys.damping  # type: ignore[attr-defined]  # not all bodies have it
     return damping
 
 
@@ -402,17 +433,17 @@ def make_complex_constants(part: Part, model: LinearModel) -> ComplexConstants:
     UsageError : the key ``damping.at`` is missing, and the model has no resonance.
     """
     damping, facts = find_damping(part), model.facts
-    at = damping.frequency(facts.get("resonance_short_hz", facts.get("resonance_hz")))
+    at = damping.find_ratio_frequency(facts.get("resonance_short_hz", facts.get("resonance_hz")))
     if at is None:
         where = f"{part.name}.damping.at"
         raise wrong(
             where,
-            "the body has no resonance frequency at which its complex constants hold",
+            "the body has no resonance, so the frequency of its complex constants is missing",
             None,
-            "a frequency",
+            "the frequency at which Q factor and loss tangent apply",
             'add  at = "1 kHz"  to damping, with a frequency of your band',
         )
-    return ComplexConstants(2 * damping.zeta, loss_tangent(part), at)
+    return ComplexConstants(2 * damping.zeta, read_loss_tangent(part), at)
 
 
 def _replace_by_least_damping(
@@ -427,43 +458,43 @@ def _replace_by_least_damping(
     return replace(model, E=None, rayleigh=(0.0, loss / (2 * math.pi * band[1])))
 
 
-def full_model(part: Part, scene: Scene, clock: Clock) -> LinearModel | None:
+def find_full_model(part: Part, scene: Scene, clock: StageTimer) -> LinearModel | None:
     """Return the full model of a body in its scene; None if no full model has its losses."""
     kind = part.type
     assert isinstance(kind, BodyModel)
     return kind.build(part, scene, clock, full=True)
 
 
-def full_model_without_scene(part: Part, scene: GovernedScene, clock: Clock) -> LinearModel:
+def full_model_without_scene(part: Part, scene: GovernedScene, clock: StageTimer) -> LinearModel:
     """Return the full model of a body outside its scene, and warn about neglected losses."""
-    if tangent := loss_tangent(part):
+    if tangent := read_loss_tangent(part):
         warnings.warn(
-            f"{part.name}.damping.loss_tangent: {tangent:g}: matrices cannot contain a constant "
-            f"dielectric loss, so this model neglects it; use run or export of the scene to "
-            f"include it",
+            f"{part.name}.damping.loss_tangent: this model neglects the loss tangent {tangent:g}, "
+            f"because matrices cannot contain a constant dielectric loss; to include this loss, "
+            f"run or export the scene",
             stacklevel=3,
         )
     if has_complex_constants(part):
         warnings.warn(
-            f"{part.name}.damping.model: ieee176: matrices cannot contain a loss that is "
-            f"constant over frequency, so this model has viscous damping; use run or export of "
-            f"the scene to include the constant loss",
+            f"{part.name}.damping.model = ieee176: this model has viscous damping, because "
+            f"matrices cannot contain a loss that is constant over frequency; to include the "
+            f"constant loss, run or export the scene",
             stacklevel=3,
         )
     kind = part.type
     assert isinstance(kind, BodyModel)
-    return kind.full(part, scene, clock)
+    return kind.make_full_model(part, scene, clock)
 
 
-def scene_band(part: Part, scene: Scene, full: LinearModel) -> tuple[float, float]:
+def find_scene_band(part: Part, scene: Scene, full: LinearModel) -> tuple[float, float]:
     """Return the band [Hz] over which a scene reduces the ``full`` model of a body."""
     kind = part.type
     assert isinstance(kind, BodyModel)
-    target, key = reduction_target(part, scene), kind.model_key(part, scene)
+    target, key = get_reduction_settings(part, scene), kind.model_key(part, scene)
     return kind.limit_band(target.band, key, lambda: full)
 
 
-def describe_target(rom: Rom) -> str:
+def describe_target(rom: RomKeys) -> str:
     """Return the target of a reduction in words: order or tolerance, and band."""
     low, high = rom.band
     target = f"order {rom.order}"
@@ -472,7 +503,7 @@ def describe_target(rom: Rom) -> str:
     return f"{target}, band {format_quantity(low, 'Hz')} … {format_quantity(high, 'Hz')}"
 
 
-def reduction_target(part: Part, scene: Scene) -> Rom:
+def get_reduction_settings(part: Part, scene: Scene) -> RomKeys:
     """Return the reduction settings of a body from its record in the scene."""
     result = scene.records[part.name].reduction
     assert result is not None

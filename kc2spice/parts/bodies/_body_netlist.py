@@ -7,22 +7,22 @@ from itertools import chain
 from typing import Any
 
 from kc2spice.core import laws
-from kc2spice.core.progress import Clock
+from kc2spice.core.progress import StageTimer
 from kc2spice.core.untrusted_files import make_identifier
 from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.spelling import format_voltage
 from kc2spice.parts.bodies._body_model import BodyModel
-from kc2spice.parts.bodies._body_ports import flow_name, paired_ports, wave_name
-from kc2spice.parts.bodies._box import list_varied_keys
+from kc2spice.parts.bodies._body_ports import get_flow_name, get_wave_name, select_paired_ports
 from kc2spice.parts.bodies._linear_keys import LinearKeysT
-from kc2spice.physics.loss_heat import add_loss_heat, heat_vectors
+from kc2spice.parts.bodies._varied_keys import list_varied_keys
+from kc2spice.physics.loss_heat import add_loss_heat, list_heat_vectors
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.modal import resonators
-from kc2spice.rom.pencil import first_order
-from kc2spice.scene.model import Build, DeclaredScene, Part, Scene
-from kc2spice.scene.part_records import Vector
+from kc2spice.rom.modal_models import compute_resonators
+from kc2spice.rom.pencil import convert_to_first_order
+from kc2spice.scene.model import BuiltScene, DeclaredScene, Part, Scene
+from kc2spice.scene.part_records import PartResult
 from kc2spice.scene.parttype import find_current_into, find_flow_into
-from kc2spice.synthesis.heat import diagonalise_heat_model, is_heat_model
+from kc2spice.synthesis.heat_netlist import diagonalise_heat_model, is_heat_model
 from kc2spice.synthesis.heat_sources import METER
 from kc2spice.synthesis.mode_cards import COARSE_WEIGHTS, RINGING_WEIGHTS, StepWeights
 from kc2spice.synthesis.realize import UNRATED, subcircuit
@@ -48,15 +48,15 @@ class BodyNetlist(BodyModel[LinearKeysT]):
         return COARSE_WEIGHTS if scene.solver.ringing == "coarse" else RINGING_WEIGHTS
 
     def subcircuit_name(self, part: Part[LinearKeysT], scene: Scene) -> str:
-        """Return the part number; without a number, return the name from :meth:`scene_library`."""
-        scene_name = self.scene_library(part, scene)
+        """Return the part number, or :meth:`make_library_name` for a part without a number."""
+        scene_name = self.make_library_name(part, scene)
         if not part.keys.number:
             return scene_name
         number = make_identifier(part.keys.number, part.name)
         return f"heated_{number}" if self.gives_off_heat(part, scene) else number
 
-    def scene_library(self, part: Part[LinearKeysT], scene: Scene) -> str:
-        """Return the library name, made of scene name and part name.
+    def make_library_name(self, part: Part[LinearKeysT], scene: Scene) -> str:
+        """Return a library name that is made of scene name and part name.
 
         This name is unique in a folder with the libraries of several scenes.
         """
@@ -64,21 +64,21 @@ class BodyNetlist(BodyModel[LinearKeysT]):
         return make_identifier(name, part.name)
 
     def subcircuits(
-        self, part: Part[LinearKeysT], build: Build, header: Header
+        self, part: Part[LinearKeysT], build: BuiltScene, header: Header
     ) -> tuple[Subcircuit, ...]:
         """Return the subcircuit of the part."""
         name = build.libraries[part.name]
         volts = self.rated_voltage(part, build)
         rating = f"{volts:.4g} V between {RATING_TEXT}" if volts else UNRATED
-        if not volts and paired_ports(build.model(part, LinearModel).ports):
+        if not volts and select_paired_ports(build.model(part, LinearModel).ports):
             rating += "; key rated_voltage states the largest voltage, a run then warns beyond it"
         words: dict[str, Any] = {"title": self.headline(part), "rating": rating}
         words["weights"] = self.weights(part, build.scene)
         if keys := list_varied_keys(part):
             from kc2spice.synthesis.parametric_resonators import parametric_subcircuit
 
-            result = self.build_over_ranges(part, build.scene, Clock())
-            known = {item.key: item.param for item in keys}
+            result = self.reduce_body_over_ranges(part, build.scene, StageTimer())
+            known = {item.key: item.netlist_parameter for item in keys}
             params = [*map(known.__getitem__, result.parameter_axes)]
             return (parametric_subcircuit(result, name, params, header, **words),)
         return (
@@ -92,36 +92,45 @@ class BodyNetlist(BodyModel[LinearKeysT]):
             ),
         )
 
-    def vectors(self, part: Part[LinearKeysT], build: Build) -> Mapping[str, Vector]:
+    def vectors(self, part: Part[LinearKeysT], build: BuiltScene) -> Mapping[str, PartResult]:
         """Return the ngspice vectors of the part's results, keyed by result name."""
-        result: dict[str, Vector] = {}
+        result: dict[str, PartResult] = {}
         ports = self.used_ports(part, build.scene)
         for port in ports:
-            name, node = wave_name(part.name, ports, port), build.net(part, port.terminals[0])
-            if port.paired:
+            name, node = (
+                get_wave_name(part.name, ports, port),
+                build.get_net(part, port.terminals[0]),
+            )
+            if port.is_paired:
                 plus, minus = port.terminals
-                across = format_voltage(build.net(part, plus), build.net(part, minus))
+                across = format_voltage(build.get_net(part, plus), build.get_net(part, minus))
                 if across:
-                    result[f"{name}.voltage"] = Vector(across, 1.0, "V")
+                    result[f"{name}.voltage"] = PartResult(across, 1.0, "V")
                 if (meter := find_current_into(part, port.terminals[0], build)) is not None:
                     result[f"{name}.current"] = meter
             elif node != "0":
                 known = None if port.domain is None else port.domain.across
                 factor, unit = (known.factor, known.unit) if known else (1.0, port.across)
-                result[name] = Vector(f"v({node})", factor, unit)
-                flow = find_flow_into(part, port.terminals[0], build) if port.charged else None
+                result[name] = PartResult(f"v({node})", factor, unit)
+                flow = (
+                    find_flow_into(part, port.terminals[0], build)
+                    if port.has_charge_output
+                    else None
+                )
                 if flow is not None:
-                    result[flow_name(part.name, ports, port)] = flow
+                    result[get_flow_name(part.name, ports, port)] = flow
         if self.gives_off_heat(part, build.scene):
-            result |= heat_vectors(part, build, METER)
+            result |= list_heat_vectors(part, build, METER)
         return result
 
-    def law(self, part: Part[LinearKeysT], build: Build) -> laws.Equations | laws.MissingEquations:
+    def law(
+        self, part: Part[LinearKeysT], build: BuiltScene
+    ) -> laws.Equations | laws.MissingEquations:
         """Return the model equations of the part, or the reason why they are not available."""
         model = build.model(part, LinearModel)
         ports, n, heated = model.ports, part.name, self.gives_off_heat(part, build.scene)
-        heat, last = is_heat_model(model), self.reference(part, build.scene).name
-        if build.net(part, last) != "0" and not heat:
+        heat, last = is_heat_model(model), self.reference_terminal(part, build.scene).name
+        if build.get_net(part, last) != "0" and not heat:
             return laws.MissingEquations(f"its reference pin {last} is not connected to ground")
         pins = []
         for port in ports:
@@ -143,13 +152,13 @@ class BodyNetlist(BodyModel[LinearKeysT]):
         if not model.pencil.is_dense:
             law = laws.PortBody(n, model, law_ports)
         elif signals:
-            A = first_order(model.pencil.dense(), 1.0)
+            A = convert_to_first_order(model.pencil.make_dense(), 1.0)
             rest, E = A.coefficients
             law = laws.SignalBlock(n, E, -rest, A.B, A.C, A.D, model.inputs, model.outputs)
         elif heat:
             law = laws.SecondOrderBody(n, diagonalise_heat_model(model), law_ports)
         else:
-            modal = resonators(model)
+            modal = compute_resonators(model)
             law = laws.SecondOrderBody(n, model if modal is None else modal.linear(), law_ports)
         joins = [(port.terminals[0], f"{n}.{port.name}") for port in ports]
         for pin in chain.from_iterable(port.terminals[1:] for port in ports):
@@ -157,13 +166,13 @@ class BodyNetlist(BodyModel[LinearKeysT]):
         joins += [(last, f"{n}.{last}")] * heat
         results: dict[str, laws.WaveCombination] = {}  # results, keyed by the names of vectors
         for port in ports:
-            mine, name = f"{n}.{port.name}", wave_name(n, ports, port)
-            if port.paired:
+            mine, name = f"{n}.{port.name}", get_wave_name(n, ports, port)
+            if port.is_paired:
                 results[f"{name}.voltage"] = laws.subtract_waves(mine, f"{n}.{port.terminals[1]}")
             else:
                 results[name] = laws.scale_wave(mine)
-            if port.charged:
-                results[flow_name(n, ports, port)] = laws.scale_wave(f"{mine}.through")
+            if port.has_charge_output:
+                results[get_flow_name(n, ports, port)] = laws.scale_wave(f"{mine}.through")
         result = laws.Equations((law,), tuple(joins), results)
         if not heated:
             return result

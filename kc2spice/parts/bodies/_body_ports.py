@@ -13,13 +13,13 @@ from kc2spice.core.errors import unknown
 from kc2spice.core.naming import list_names
 from kc2spice.parts.bodies._linear_keys import LinearKeysT
 from kc2spice.parts.mechanics._contact_keys import ContactKeys
-from kc2spice.parts.mechanics._touching import ContactSurface, TouchablePart
+from kc2spice.parts.mechanics._contact_surfaces import ContactSurface, TouchablePart
 from kc2spice.physics.conductors import HEAT_TERMINALS, is_heated
 from kc2spice.rom.linear_model import LinearModel, Port
-from kc2spice.rom.modal import resonators
+from kc2spice.rom.modal_models import compute_resonators
 from kc2spice.scene.model import (
     GROUND,
-    Build,
+    BuiltScene,
     DeclaredScene,
     GovernedScene,
     JoinedScene,
@@ -28,7 +28,7 @@ from kc2spice.scene.model import (
     WiredScene,
 )
 from kc2spice.scene.part_records import EquilibriumConditions
-from kc2spice.synthesis.terminals import reference_pin
+from kc2spice.synthesis.terminals import find_reference_pin
 
 # Physical domain by kind of port, for ports with one pin of their own and a shared reference pin.
 SINGLE_PIN_KINDS = {kind: domain for kind, domain in PORTS.items() if domain.reference}
@@ -62,14 +62,16 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         """Return the first line of a body's library, which names the assumptions of the model."""
         return self.title
 
-    def rated_by_material(self, part: Part[LinearKeysT]) -> float | None:
+    def material_rating(self, part: Part[LinearKeysT]) -> float | None:
         """Return the voltage rating [V] that follows from the material; None if unknown."""
         return None
 
-    def rated_voltage(self, part: Part[LinearKeysT], build: Build | None = None) -> float | None:
+    def rated_voltage(
+        self, part: Part[LinearKeysT], build: BuiltScene | None = None
+    ) -> float | None:
         """Return the voltage rating [V] of the electrodes, from keys, layers or mesh."""
         mesh = {} if build is None else build.model(part, LinearModel).facts
-        known = part.keys.rated_voltage or self.rated_by_material(part)
+        known = part.keys.rated_voltage or self.material_rating(part)
         return known or mesh.get("depoling_voltage_v")
 
     def used_ports(self, part: Part[LinearKeysT], scene: JoinedScene) -> tuple[Port, ...]:
@@ -82,7 +84,7 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         every = self.ports(part, scene)
         if len(scene.parts) == 1 or scene.ports == "all":
             return every
-        names = required_ports(part, scene)
+        names = find_required_ports(part, scene)
         known = {"ground", *REFERENCES}.union(*map(_list_scene_names, every))
         if self.gives_off_heat(part, scene):
             known |= {HEAT, AMBIENT}
@@ -102,12 +104,12 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         result: list[Terminal] = []
         shared: set[str] = set()
         for port in ports:
-            if not port.paired:
+            if not port.is_paired:
                 continue
             plus, minus = port.terminals
             result.append(Terminal(plus, port.across, port.flow, rated=rated))
             if minus not in shared:
-                floating = minus in required_ports(part, scene) - set(part.pins)
+                floating = minus in find_required_ports(part, scene) - set(part.pins)
                 result.append(Terminal(minus, port.across, port.flow, None if floating else "gnd"))
             shared.add(minus)
         for port in ports:
@@ -117,7 +119,7 @@ class BodyPorts(TouchablePart[LinearKeysT]):
             if not port.conservative:
                 out = port.kind == "output"
                 result.append(Terminal(port.terminals[0], port.across, "-", signal_out=out))
-        last = reference_pin(ports)
+        last = find_reference_pin(ports)
         heat = HEAT_TERMINALS if self.gives_off_heat(part, scene) else ()
         return (*result, Terminal(last.name, last.unit, last.flow, "gnd"), *heat)
 
@@ -131,7 +133,7 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         ports = self.ports(part, scene)
         return all(p.name != HEAT and p.domain is not THERMAL for p in ports)
 
-    def reference(self, part: Part[LinearKeysT], scene: WiredScene) -> Terminal:
+    def reference_terminal(self, part: Part[LinearKeysT], scene: WiredScene) -> Terminal:
         """Return the reference pin of all ports that have a single pin."""
         last = -1 - len(HEAT_TERMINALS) * self.gives_off_heat(part, scene)
         return scene.pins(part.name)[last]
@@ -140,17 +142,17 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         self, part: Part[LinearKeysT], scene: WiredScene
     ) -> EquilibriumConditions:
         """Return the paths for steady flow in equilibrium: pairs of a pin and the reference pin."""
-        last = self.reference(part, scene)
+        last = self.reference_terminal(part, scene)
         end = GROUND if last.name in (BASE, "ground") else last.name
         paths = super().equilibrium_conditions(part, scene).paths
         if self.gives_off_heat(part, scene):
             paths = tuple(path for path in paths if HEAT not in path)
         return EquilibriumConditions(tuple((pin, end) for pin, _ in paths if pin != end))
 
-    def equilibrium_with_model(
-        self, part: Part[LinearKeysT], build: Build
+    def equilibrium_after_build(
+        self, part: Part[LinearKeysT], build: BuiltScene
     ) -> EquilibriumConditions:
-        """Return the paths for steady flow through the built model in equilibrium.
+        """Return the paths of steady flow, which depend on the built model.
 
         The pins of a supported body have paths to the reference pin. The pins of a free body have
         paths between each other. A steady flow passes an acoustic port only if the body is free.
@@ -158,12 +160,12 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         model, rest = build.models.get(part.name), build.scene.records[part.name].rest
         if not isinstance(model, LinearModel):
             return rest
-        ports, inert = self.used_ports(part, build.scene), inert_ports(model)
+        ports, inert = self.used_ports(part, build.scene), list_inertial_pins(model)
         if not has_energy_free_mode(model):
-            charged = {port.terminals[0] for port in ports if port.charged}
+            charged = {port.terminals[0] for port in ports if port.has_charge_output}
             paths = tuple(pair for pair in rest.paths if pair[0] not in charged)
             return EquilibriumConditions(paths, inertial_pins=inert)
-        free = {port.name for port in ports if not port.charged}
+        free = {port.name for port in ports if not port.has_charge_output}
         fixed, pins = [], []
         for pin, end in rest.paths:
             if pin in free:
@@ -173,12 +175,12 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         first, *others = pins or [GROUND]
         return EquilibriumConditions((*fixed, *product([first], others)), inertial_pins=inert)
 
-    def inertial(self, part: Part[LinearKeysT], scene: JoinedScene) -> tuple[str, ...]:
-        """Return the pins of the used mechanical ports, because moving such a pin moves a mass."""
+    def pins_with_mass(self, part: Part[LinearKeysT], scene: JoinedScene) -> tuple[str, ...]:
+        """Return the pins of the used mechanical ports; each moves a mass."""
         ports = mechanical_ports(self.used_ports(part, scene))
         return tuple(port.terminals[0] for port in ports)
 
-    def surface(
+    def contact_surface(
         self, part: Part[LinearKeysT], scene: GovernedScene, ports: tuple[str, ...] = ()
     ) -> ContactSurface | None:
         """Return the surface under a contact with its mechanical ports; None without such ports."""
@@ -204,7 +206,7 @@ def _reject_missing_ports(
         raise unknown(f"{part.name} has no such {kind}port", name, known, part.name)
 
 
-def required_ports(part: Part, scene: JoinedScene) -> set[str]:
+def find_required_ports(part: Part, scene: JoinedScene) -> set[str]:
     """Return the names of all ports and pins of ``part`` that the scene refers to.
 
     Other parts, probes, or the key ``pins`` of the part itself refer to these ports and pins.
@@ -232,9 +234,9 @@ def mechanical_ports(ports: Iterable[Port]) -> list[Port]:
     return [port for port in ports if port.domain is TRANSLATION]
 
 
-def paired_ports(ports: Iterable[Port]) -> list[Port]:
+def select_paired_ports(ports: Iterable[Port]) -> list[Port]:
     """Return those of the ``ports`` that have two pins of their own, such as electrodes."""
-    return [port for port in ports if port.paired]
+    return [port for port in ports if port.is_paired]
 
 
 def _list_scene_names(port: Port) -> set[str]:
@@ -242,7 +244,7 @@ def _list_scene_names(port: Port) -> set[str]:
     return {port.name, *port.terminals}
 
 
-def list_contacts_on(part: Part, scene: JoinedScene) -> Iterator[Part[ContactKeys]]:
+def list_contacts_on_part(part: Part, scene: JoinedScene) -> Iterator[Part[ContactKeys]]:
     """Yield the contact parts of the scene that press on a port of ``part``."""
     for contact in scene.list_parts_with_schema("contact", ContactKeys):
         targets = scene.joins[contact.name].values()
@@ -252,10 +254,10 @@ def list_contacts_on(part: Part, scene: JoinedScene) -> Iterator[Part[ContactKey
 
 def requires_massless_ports(part: Part, scene: JoinedScene) -> bool:
     """Return whether a contact presses on ``part`` and requires ports without inertia."""
-    return any(contact.keys.inertia == "massless" for contact in list_contacts_on(part, scene))
+    return any(contact.keys.inertia == "massless" for contact in list_contacts_on_part(part, scene))
 
 
-def inert_ports(model: LinearModel) -> tuple[str, ...]:
+def list_inertial_pins(model: LinearModel) -> tuple[str, ...]:
     """Return the displacement pins at which only inertia resists a sudden force.
 
     At these pins, the feedthrough matrix D is zero, and states without mass do not contribute to
@@ -263,7 +265,7 @@ def inert_ports(model: LinearModel) -> tuple[str, ...]:
     """
     if model.first_order or not model.symmetric:
         return ()
-    mass = model.pencil.dense().coefficients[2]
+    mass = model.pencil.make_dense().coefficients[2]
     yields = np.diag(model.D) + np.abs(model.B[~mass.any(axis=0)]).sum(axis=0)
     inputs = dict(zip(model.inputs, yields, strict=True))
     ports = mechanical_ports(model.ports)
@@ -272,9 +274,9 @@ def inert_ports(model: LinearModel) -> tuple[str, ...]:
 
 def has_energy_free_mode(model: LinearModel) -> bool:
     """Return whether a mode stores no energy, such as a rigid-body mode of an unsupported body."""
-    if resonators(model) is not None:
+    if compute_resonators(model) is not None:
         return False
-    rest = model.pencil.dense().coefficients[0]
+    rest = model.pencil.make_dense().coefficients[0]
     for axis in (1, 0):
         size = np.abs(rest).max(axis=axis, keepdims=True, initial=0.0)
         rest = rest / np.where(size > 0, size, 1.0)
@@ -282,20 +284,20 @@ def has_energy_free_mode(model: LinearModel) -> bool:
     return bool(values.min(initial=np.inf) <= ZERO_ENERGY * values.max(initial=0.0))
 
 
-def wave_name(name: str, ports: Sequence[Port], port: Port) -> str:
+def get_wave_name(name: str, ports: Sequence[Port], port: Port) -> str:
     """Return the name of a port in the results.
 
     For an electrical port, the returned name is the prefix of the result names ``.voltage`` and
     ``.current``. The first electrical port has the name of the part.
     """
-    if port.paired:
-        return name if port == paired_ports(ports)[0] else f"{name}.{port.name}"
+    if port.is_paired:
+        return name if port == select_paired_ports(ports)[0] else f"{name}.{port.name}"
     word = "" if port.domain is None else port.domain.output_symbol
     return ".".join(filter(None, (name, word, port.name)))
 
 
-def flow_name(name: str, ports: Sequence[Port], port: Port) -> str:
+def get_flow_name(name: str, ports: Sequence[Port], port: Port) -> str:
     """Return the result name of the flow through a port's pin, such as a current."""
-    if port.paired:
-        return f"{wave_name(name, ports, port)}.current"
+    if port.is_paired:
+        return f"{get_wave_name(name, ports, port)}.current"
     return f"{name}.{FLOW_SYMBOLS_OF_PORTS[port.kind]}.{port.name}"

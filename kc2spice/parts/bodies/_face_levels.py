@@ -16,14 +16,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kc2spice.bodies.face_motion import FaceMotion
-from kc2spice.core.prefix import format_quantity
+from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.parts.bodies._face_response import (
     HALF_OCTAVE,
     LOWEST_SHARE,
     FluidAtFace,
     LoadedFace,
 )
-from kc2spice.scene.part_records import Neglected
+from kc2spice.scene.part_records import NeglectedEffect
 
 TOLERANCE = 0.01  # relative tolerance of a resonance frequency and of a support's diameter
 # Largest product k a of wave number and radius for which the dipole formula is used.
@@ -75,7 +75,7 @@ class FaceLevelEffects:
     support: tuple[float, ...] = ()
 
     @property
-    def total(self) -> float | None:
+    def total_effect(self) -> float | None:
         """Root sum square [dB] of all effects except ``unbaffled``; None if unknown."""
         if self.detuned is None or self.halved is None:
             return None
@@ -100,8 +100,8 @@ def find_node_diameter(motion: FaceMotion, mode: int) -> float | None:
 
 def estimate_face_levels(face: LoadedFace) -> FaceLevelEffects | None:
     """Return the differences between a face and a piston; None without a resonance in the band."""
-    hertz, motion = face.motions()
-    select = np.abs(motion.volumes) > 0
+    hertz, motion = face.compute_mode_motions()
+    select = np.abs(motion.displaced_volumes) > 0
     hertz = hertz[select]
     if not hertz.size:
         return None
@@ -123,13 +123,13 @@ def estimate_face_levels(face: LoadedFace) -> FaceLevelEffects | None:
     result = _compare_with_piston(result, face, motion, hertz, main)
     if tone is None:
         return result
-    sides = face.levels(tone * np.array([1 - TOLERANCE, 1 + TOLERANCE])) - level
+    sides = face.compute_sound_levels(tone * np.array([1 - TOLERANCE, 1 + TOLERANCE])) - level
     damped = face.find_largest_level(tone, damping=2.0)
     near = 0.0
     if 0 < result.shift < np.inf:
         # The shift lowers the resonance frequencies, while the frequency of the tone is constant.
         # The level changes as it would for a tone at a higher frequency without the shift.
-        near = float((face.levels([tone * (1 + result.shift)]) - level)[0])
+        near = float((face.compute_sound_levels([tone * (1 + result.shift)]) - level)[0])
     return replace(
         result, detuned=float(sides.min()), halved=float(damped - level), near_field=near
     )
@@ -197,35 +197,39 @@ def _describe_near_field(levels: FaceLevelEffects) -> str:
 
 def list_level_effects(
     name: str, port: str, levels: FaceLevelEffects, *, direct: bool
-) -> Iterator[Neglected]:
+) -> Iterator[NeglectedEffect]:
     """Yield each assumption about a face, with its effect on the sound level of the face.
 
     With ``direct``, a part of type ``radiation`` is on the face.
     """
     place, percent = format_quantity(float(f"{levels.resonance:.4g}"), "Hz"), 100 * TOLERANCE
 
-    def effect(of: str, assumption: str, size: str) -> Neglected:
+    def make_neglected_effect(of: str, assumption: str, size: str) -> NeglectedEffect:
         """Return an assumption about the face as a neglected effect with its size."""
-        return Neglected(f"{name}: {of}", assumption, size, summarised=True)
+        return NeglectedEffect(f"{name}: {of}", assumption, size, summarised=True)
 
     if direct:
         shape = f"{levels.power:+.1f} dB of power at {place}"
-        yield effect(f"motion of {port}", "a piston", shape)
+        yield make_neglected_effect(f"motion of {port}", "a piston", shape)
     else:
         share = f"{levels.piston_ratio:.2g} of the volume velocity of a piston at {place}"
-        yield effect(f"motion of {port}", "a piston", share)
-        yield effect(f"near field of {port}", "uniform pressure", _describe_near_field(levels))
+        yield make_neglected_effect(f"motion of {port}", "a piston", share)
+        yield make_neglected_effect(
+            f"near field of {port}", "uniform pressure", _describe_near_field(levels)
+        )
     if levels.unbaffled is not None:
         size = f"about {levels.unbaffled:+.0f} dB without a baffle"
-        yield effect(f"baffle of {port}", "infinite and rigid", size)
+        yield make_neglected_effect(f"baffle of {port}", "infinite and rigid", size)
     if levels.detuned is not None:
         size = f"{levels.detuned:+.1f} dB for a tone {percent:g} % beside it"
-        yield effect("resonance", "exact", size)
+        yield make_neglected_effect("resonance", "exact", size)
     if levels.support:
         changes = ", ".join(f"{change:+.1f}" for change in levels.support)
         rings = ", ".join(f"{1e3 * ring:.3g}" for ring in levels.rings)
         ring = "a ring" if len(levels.rings) == 1 else "rings"
         size = f"{changes} dB on {ring} of {rings} mm"
-        yield effect("support", "ideal", size)
+        yield make_neglected_effect("support", "ideal", size)
     if levels.halved is not None:
-        yield effect("Q factor", "as stated", f"{levels.halved:+.1f} dB at half of it")
+        yield make_neglected_effect(
+            "Q factor", "as stated", f"{levels.halved:+.1f} dB at half of it"
+        )

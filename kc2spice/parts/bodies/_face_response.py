@@ -20,7 +20,7 @@ from scipy.linalg import eigh
 
 from kc2spice.bodies.face_motion import FaceMotion, sample_face_motion
 from kc2spice.bodies.fields import compute_lowest_modes, project_lowest_modes
-from kc2spice.bodies.undamped import FiniteElementModel
+from kc2spice.bodies.undamped_models import FiniteElementModel
 from kc2spice.parts.acoustics._acoustic_load import AcousticLoad
 from kc2spice.parts.acoustics._fluids import FluidTable
 from kc2spice.parts.acoustics.radiation import RadiationKeys
@@ -73,7 +73,7 @@ class LoadedFace:
     end: float
     count: int = MAX_MODES
 
-    def motions(self) -> tuple[np.ndarray, FaceMotion]:
+    def compute_mode_motions(self) -> tuple[np.ndarray, FaceMotion]:
         """Return natural frequencies [Hz] and face motions of the modes in the band."""
         hertz, z = compute_lowest_modes(self.device, self.count, self.end)
         return hertz, sample_face_motion(self.device, self.device.faces[self.port], z)
@@ -95,7 +95,9 @@ class LoadedFace:
         squares = eigh(self._reduced_model.K, self._reduced_model.M, eigvals_only=True)
         return np.asarray(np.sqrt(np.maximum(squares, 0.0)) / (2 * np.pi))
 
-    def levels(self, hertz: Sequence[float] | np.ndarray, damping: float = 1.0) -> np.ndarray:
+    def compute_sound_levels(
+        self, hertz: Sequence[float] | np.ndarray, damping: float = 1.0
+    ) -> np.ndarray:
         """Return the relative sound pressure level [dB] at each frequency, at a constant voltage.
 
         ``damping`` multiplies all losses of the body.
@@ -122,7 +124,7 @@ class LoadedFace:
         ]
         f = np.union1d(np.geomspace(low, high, SEARCH_POINTS), np.outer(near, MODE_RATIOS))
         f = f[(f >= low) & (f <= high)]
-        levels = self.levels(f, damping)
+        levels = self.compute_sound_levels(f, damping)
         for _ in range(REFINEMENTS):
             padded = np.pad(levels, 1, constant_values=-np.inf)
             peaks = (levels >= padded[:-2]) & (levels >= padded[2:])
@@ -132,7 +134,7 @@ class LoadedFace:
                 ends = f[max(k - 1, 0)], f[min(k + 1, f.size - 1)]
                 finer.append(np.linspace(*ends, REFINED_POINTS)[1:-1])
             f = np.unique(np.concatenate(finer))
-            levels = self.levels(f, damping)
+            levels = self.compute_sound_levels(f, damping)
         top = int(levels.argmax())
         return float(f[top]), float(levels[top])
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from pydantic import Field, model_validator
 
 from kc2spice.core.domains import THERMAL
-from kc2spice.core.quantities import Length, Section, invalid_value_error, si
+from kc2spice.core.quantities import Length, Section, make_invalid_value_error, si
 from kc2spice.parts.bodies._mesh_keys import MeshKeys, Name, Point
 from kc2spice.rom.linear_model import Port
 
@@ -23,23 +23,30 @@ class FilmKeys(Section):
 
     group: str = Field(
         examples=['"top"'],
-        description="Group of faces that transfer heat to the fluid; for layers, top or bottom",
+        description=(
+            "Group of faces that transfer heat to the fluid; in a body of layers, the group "
+            "top or bottom"
+        ),
     )
     coefficient: FilmCoefficient = Field(
         ge=0,
         description=(
-            "Heat transfer coefficient of the film; with a range in rom.parameters, it is a "
-            "parameter of the netlist"
+            "Heat transfer coefficient between faces and fluid; a parameter of the netlist "
+            "if rom.parameters contains its range"
         ),
     )
     pin: Name | None = Field(
-        None, description="Pin whose voltage is the fluid temperature; by default `ambient`"
+        None,
+        description=(
+            "Pin whose voltage represents the temperature of the fluid; by default `ambient`"
+        ),
     )
 
     @model_validator(mode="after")
     def _require_film_coefficient(self) -> FilmKeys:
+        """Require a positive coefficient for a film with a pin."""
         if self.pin is not None and not self.coefficient:
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 "a film with a pin needs a coefficient greater than 0",
                 None,
                 hint='write for example  coefficient = "10 W/(m2 K)"',
@@ -53,12 +60,16 @@ class InterfaceKeys(Section):
     between: tuple[str, str] = Field(
         examples=['["case", "chip"]'],
         description=(
-            "Two groups of elements, one on each side of the interface, named as in the key "
-            "materials"
+            "Two mesh groups, one on each side of the joint, with the names that the key "
+            "`materials` uses"
         ),
     )
     resistance: InterfaceResistance = Field(
-        gt=0, description="Thermal resistance of the joint, multiplied by its area"
+        gt=0,
+        description=(
+            "Thermal resistance of the joint between two groups, multiplied by the area of "
+            "the joint"
+        ),
     )
 
 
@@ -66,36 +77,51 @@ class LayerKeys(Section):
     """Layer of a stack; heat flows through the layer along the axis of the stack."""
 
     material: str | dict[str, Any] = Field(
-        examples=['"steel"'], description="Material of the layer, a name or a table"
+        examples=['"steel"'],
+        description="Material of the layer: a name, or a table of thermal constants",
     )
-    thickness: Length = Field(gt=0, description="Thickness of the layer")
-    area: Area = Field(gt=0, description="Cross-sectional area through which the heat flows")
+    thickness: Length = Field(
+        gt=0, description="Thickness of the layer in the direction of the heat flow"
+    )
+    area: Area = Field(
+        gt=0, description="Cross-sectional area of the layer, through which the heat flows"
+    )
     resistance: InterfaceResistance | None = Field(
         None,
         gt=0,
-        description="Thermal resistance of the joint below the layer, multiplied by "
-        "its area; by default 0",
+        description=(
+            "Thermal resistance of the joint below the layer, multiplied by the area of the "
+            "joint; by default 0"
+        ),
     )
 
 
 class HeatSourceKeys(Section):
-    """Place where heat enters the body through a pin.
+    """Keys of a place where heat enters the body through a pin.
 
     The voltage of the pin represents the mean temperature of this place.
     """
 
     group: str | None = Field(
         None,
-        description="Group of elements or faces over which the heat source is distributed evenly",
+        description=(
+            "Mesh group of elements or faces over which the heat of the source is "
+            "distributed evenly"
+        ),
     )
     at: Point | None = Field(
-        None, description=("Point; the heat enters the body at the mesh node nearest to it")
+        None,
+        description=(
+            "Coordinates of a point; the heat of the source enters the body at the mesh node "
+            "nearest to this point"
+        ),
     )
 
     @model_validator(mode="after")
     def _require_place(self) -> HeatSourceKeys:
+        """Reject an entry with both or neither of the keys ``group`` and ``at``."""
         if (self.group is None) == (self.at is None):
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 "this entry needs group or at",
                 None,
                 hint='add for example  group = "top"' if self.group is None else "delete at",
@@ -104,37 +130,46 @@ class HeatSourceKeys(Section):
 
 
 class HeatBodyKeys(MeshKeys):
-    """Heat-conducting body from a mesh, a CAD file, or a list of layers.
+    """Keys of a heat-conducting body from a mesh, a CAD file, or a list of layers.
 
     Layers are listed from the top down. A layered body has the groups ``top`` and ``bottom`` for
     its faces, and ``layer1``, ``layer2`` … for the volumes of its layers.
     """
 
     layers: tuple[LayerKeys, ...] = Field(
-        (), max_length=50, description="Layers from top to bottom, instead of a mesh"
+        (),
+        max_length=50,
+        description="Layers of the heat-conducting body from top to bottom, which replace a mesh",
     )
     sources: dict[Name, str | HeatSourceKeys] = Field(
         default_factory=dict,
         description=(
-            "Heat sources by the name of their pin: a mesh group, or a table with a group "
+            "Heat sources of the body: for each pin, a mesh group, or a table with a group "
             "or a point"
         ),
     )
     isothermal: dict[Name, str | tuple[str, ...]] = Field(
         default_factory=dict,
         description=(
-            "Isothermal faces by the name of their pin: a group of faces, or a list of groups"
+            "Faces of uniform temperature: for each pin, a mesh group of faces, or a list of groups"
         ),
     )
-    fixed: tuple[str, ...] = Field((), description="Groups of faces at the ambient temperature")
-    films: tuple[FilmKeys, ...] = Field((), description="Faces that transfer heat to a fluid")
+    fixed: tuple[str, ...] = Field(
+        (), description="Mesh groups of faces that are kept at the ambient temperature"
+    )
+    films: tuple[FilmKeys, ...] = Field(
+        (), description="Heat transfer from faces to a fluid: one table for each group of faces"
+    )
     interfaces: tuple[InterfaceKeys, ...] = Field(
-        (), description="Joints with a thermal resistance, each between two groups"
+        (),
+        description=(
+            "Joints with a thermal resistance between two mesh groups: one table for each joint"
+        ),
     )
 
     @property
-    def every_port(self) -> tuple[Port, ...]:
-        """All thermal ports of the body, in the order of its model."""
+    def all_ports(self) -> tuple[Port, ...]:
+        """Thermal ports of the body, in the order of its model."""
         names = [*self.isothermal, *self.sources, *self.film_pins]
         return tuple(Port(name, THERMAL.port) for name in names)
 
@@ -144,7 +179,7 @@ class HeatBodyKeys(MeshKeys):
         return (film.pin for film in self.films if film.pin is not None)
 
     @property
-    def leads_away(self) -> bool:
+    def has_path_to_surroundings(self) -> bool:
         """Whether heat reaches the surroundings through a fixed face or a film of the body."""
         films = (film for film in self.films if film.coefficient)
         return bool(self.fixed) or None in {film.pin for film in films}
@@ -152,52 +187,52 @@ class HeatBodyKeys(MeshKeys):
     @model_validator(mode="after")
     def _require_consistent_keys(self) -> HeatBodyKeys:
         if bool(self.layers) == bool(self.mesh):
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 "a heat_body needs either mesh or layers",
                 None,
                 hint="delete mesh" if self.mesh else 'add for example  mesh = "case.msh"',
             )
         if self.layers and (self.materials or self.interfaces or self.axisymmetric or self.groups):
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 "layers cannot be combined with materials, interfaces, axisymmetric or groups",
                 None,
                 hint="delete materials, interfaces, axisymmetric and groups",
             )
         if self.mesh and not self.materials:
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 "a mesh needs materials",
                 None,
                 hint='add for example  materials = { GROUP = "copper" }  with a group of the mesh',
             )
         stray = {name for item in self.interfaces for name in item.between} - set(self.materials)
         if stray:
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 f"interfaces contains groups without a material: {', '.join(sorted(stray))}",
                 None,
                 hint=f'add a material for {min(stray)}, such as  materials.{min(stray)} = "copper"',
             )
-        names = Counter(port.name for port in self.every_port)
+        names = Counter(port.name for port in self.all_ports)
         twice = [name for name, count in names.items() if count > 1]
         if twice:
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 f"several pins have the same name: {', '.join(sorted(twice))}",
                 None,
                 hint=f"rename one of the pins {twice[0]}",
             )
         if THERMAL.reference in names:
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 f"{THERMAL.reference} is a reserved name: the pin of the surroundings",
                 None,
                 hint="rename this pin, for example to outside",
             )
         if not names:
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 "a heat_body needs a source, an isothermal face or a film with a pin",
                 None,
                 hint='add for example  sources = { chip = "top" }',
             )
-        if not (self.leads_away or self.isothermal or [*self.film_pins]):
-            raise invalid_value_error(
+        if not (self.has_path_to_surroundings or self.isothermal or [*self.film_pins]):
+            raise make_invalid_value_error(
                 "heat cannot leave the body: add fixed, films or isothermal",
                 None,
                 hint='add for example  fixed = ["bottom"]',

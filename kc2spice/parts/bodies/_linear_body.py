@@ -17,26 +17,26 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Figure, FileWriter
 from kc2spice.core.mesh_error import MESH_QUANTITIES, NOT_ESTIMATED, PLANE_UNKNOWN_RATIO
 from kc2spice.core.naming import list_names
-from kc2spice.core.progress import Clock
+from kc2spice.core.progress import StageTimer
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.parts.bodies import _pictures
+from kc2spice.parts.bodies import _body_figures
 from kc2spice.parts.bodies._body_checks import STATE_FACTOR, BodyChecks
 from kc2spice.parts.bodies._body_model import (
     BAND_MODES,
     describe_target,
+    get_reduction_settings,
     has_complex_constants,
-    loss_tangent,
-    reduction_target,
+    read_loss_tangent,
 )
-from kc2spice.parts.bodies._body_ports import paired_ports
-from kc2spice.parts.bodies._box import list_varied_keys, read_key_values, with_values
+from kc2spice.parts.bodies._body_ports import select_paired_ports
 from kc2spice.parts.bodies._linear_keys import LinearKeysT
+from kc2spice.parts.bodies._varied_keys import list_varied_keys, read_key_values, with_values
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.modal import resonators
+from kc2spice.rom.modal_models import compute_resonators
 from kc2spice.scene.checks import Check, Metric
-from kc2spice.scene.model import Build, Part, Scene
-from kc2spice.scene.part_records import LargestRealPartFrequency, Neglected
-from kc2spice.scene.settings import Probe
+from kc2spice.scene.model import BuiltScene, Part, Scene
+from kc2spice.scene.part_records import LargestRealPartFrequency, NeglectedEffect
+from kc2spice.scene.settings import ProbeKeys
 from kc2spice.synthesis.mode_cards import COARSE_WEIGHTS
 
 # Fraction of an impedance's magnitude below which a negative real part is a rounding error.
@@ -52,7 +52,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
     """
 
     def metrics(
-        self, part: Part[LinearKeysT], build: Build, waves: Waveforms
+        self, part: Part[LinearKeysT], build: BuiltScene, waves: Waveforms
     ) -> Mapping[str, object]:
         """Return the metrics of the part, keyed by name."""
         z = compute_impedance(part, waves)
@@ -61,12 +61,12 @@ class LinearBody(BodyChecks[LinearKeysT]):
         from kc2spice.bodies.impedance import analyse_impedance
 
         frequency = waves["frequency"].real
-        result, keys = impedance_metrics(frequency, z), list_varied_keys(part)
+        result, keys = compute_impedance_metrics(frequency, z), list_varied_keys(part)
         if not keys or "bvd" not in result:
             return result
         # The sensitivities d ln(metric) / d ln(key) are central differences within the ranges.
-        box = self.build_over_ranges(part, build.scene, Clock())
-        port = paired_ports(box.ports)[0].name
+        box = self.reduce_body_over_ranges(part, build.scene, StageTimer())
+        port = select_paired_ports(box.ports)[0].name
         result["sensitivity"] = {}
         for key in keys:
             ends = np.clip(
@@ -74,7 +74,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
             )
             read = []
             for end in ends:
-                model = box.at(read_key_values(keys) | {key.key: float(end)})
+                model = box.evaluate(read_key_values(keys) | {key.key: float(end)})
                 H = model.select([port]).transfer(frequency)[:, 0, 0]
                 try:
                     read.append(
@@ -91,7 +91,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
             if len(read) < 2:
                 continue
             change = math.log(ends[1] / ends[0])
-            slopes = result["sensitivity"][key.param.name] = {}
+            slopes = result["sensitivity"][key.netlist_parameter.name] = {}
             for name, low in read[0].items():
                 if name != "bvd":
                     symbol = name.removesuffix("_hz").removesuffix("_f")
@@ -99,8 +99,8 @@ class LinearBody(BodyChecks[LinearKeysT]):
         return result
 
     def main_metrics(
-        self, part: Part[LinearKeysT], build: Build
-    ) -> Mapping[str, Probe | LargestRealPartFrequency]:
+        self, part: Part[LinearKeysT], build: BuiltScene
+    ) -> Mapping[str, ProbeKeys | LargestRealPartFrequency]:
         """Return the metric ``resonance_hz`` if the body's conductance has its peak there.
 
         At the frequency ``resonance_hz``, a voltage source at the first electrode delivers the
@@ -111,7 +111,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
             return {}
         return (
             {"resonance_hz": LargestRealPartFrequency(result)}
-            if self._is_driven_alone(part, build)
+            if self._has_single_resonant_drive(part, build)
             else {}
         )
 
@@ -119,20 +119,20 @@ class LinearBody(BodyChecks[LinearKeysT]):
         """Return the pins whose loads are so small that the same resonance remains the largest."""
         return set()
 
-    def _is_driven_alone(self, part: Part[LinearKeysT], build: Build) -> bool:
-        """Return whether one source drives the body, and its conductance peaks at a resonance."""
+    def _has_single_resonant_drive(self, part: Part[LinearKeysT], build: BuiltScene) -> bool:
+        """Return whether one source drives the body and can excite a resonance."""
         from kc2spice.bodies.impedance import analyse_impedance
 
         scene, model = build.scene, build.model(part, LinearModel)
         pins = set(list_names(scene.pins(part.name))) - self.lightly_loaded_pins(part, scene)
-        joined = {pin: scene.joined_pins(part.name, pin) for pin in pins}
-        port = paired_ports(model.ports)[0]
+        joined = {pin: scene.list_joined_pins(part.name, pin) for pin in pins}
+        port = select_paired_ports(model.ports)[0]
         plus, minus = port.terminals
         ((name, _),) = joined.pop(plus)
         drive = scene.parts[name].type.law(scene.parts[name], build)
         sources = drive.laws if isinstance(drive, laws.Equations) else ()
         ideal = [law for law in sources if isinstance(law, laws.IdealSource) and law.ac.real > 0]
-        if any(joined.values()) or scene.net(part.name, minus) != "0" or len(ideal) != 1:
+        if any(joined.values()) or scene.get_net(part.name, minus) != "0" or len(ideal) != 1:
             return False
         selected = scene.analysis
         if selected.start == 0.0:
@@ -148,30 +148,30 @@ class LinearBody(BodyChecks[LinearKeysT]):
         return bool(f[max(largest - 1, 0)] <= resonance <= f[min(largest + 1, len(f) - 1)])
 
     def figures(
-        self, part: Part[LinearKeysT], build: Build, waves: Waveforms
+        self, part: Part[LinearKeysT], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Figure | FileWriter]:
         """Yield the figures of the part for the report."""
-        yield from _pictures.plot_port_waves(part.name, waves)
+        yield from _body_figures.plot_port_waves(part.name, waves)
         z = compute_impedance(part, waves)
         if z is not None:
             how = f"as the circuit shows it at {part.name}"
             f = waves["frequency"].real
-            yield _pictures.plot_impedances(
-                part.name, f, {"": z}, how + _pictures.IMPEDANCE_CAPTION
+            yield _body_figures.plot_impedances(
+                part.name, f, {"": z}, how + _body_figures.IMPEDANCE_CAPTION
             )
             return
-        yield from _pictures.plot_responses(part.name, waves)
+        yield from _body_figures.plot_responses(part.name, waves)
         model = build.model(part, LinearModel)
-        yield from _pictures.plot_port_impedances(part.name, model, resonators(model))
+        yield from _body_figures.plot_port_impedances(part.name, model, compute_resonators(model))
 
-    def notes(self, part: Part[LinearKeysT], scene: Scene) -> Iterator[str | Neglected]:
+    def notes(self, part: Part[LinearKeysT], scene: Scene) -> Iterator[str | NeglectedEffect]:
         """Yield the assumptions of the model and the effects that it neglects."""
-        rom = reduction_target(part, scene)
+        rom = get_reduction_settings(part, scene)
         used = self.used_ports(part, scene)
         ports = ", ".join(list_names(used))
         reach = (
             ""
-            if self.least_band_end(part, scene) is None
+            if self.find_least_band_end(part, scene) is None
             else f", or {BAND_MODES} natural frequencies"
         )
         yield f"reduced to {describe_target(rom)}{reach}; ports {ports}"
@@ -181,23 +181,27 @@ class LinearBody(BodyChecks[LinearKeysT]):
             why = "nothing of the scene needs them"
             if part.declares_ports:
                 why = "nothing joins them: a run leaves them out, an export keeps them"
-            yield Neglected(what, why, "none")
+            yield NeglectedEffect(what, why, "none")
         if has_complex_constants(part):
             what = f"{part.name}: losses of shear and of piezoelectric constants of their own"
-            yield Neglected(what, "one Q for all compliances, real d of IEEE 176", "not estimated")
-        elif tangent := loss_tangent(part):
+            yield NeglectedEffect(
+                what, "one Q for all compliances, real d of IEEE 176", "not estimated"
+            )
+        elif tangent := read_loss_tangent(part):
             what = f"{part.name}: what a lossy dielectric changes of its stiffness"
             why = "its loss acts on the clamped capacitance"
-            yield Neglected(
+            yield NeglectedEffect(
                 what, why, f"{tangent:g} of the energy of fields inside at open electrodes"
             )
         yield from self.list_neglected_effects(part, scene)
 
-    def list_neglected_effects(self, part: Part[LinearKeysT], scene: Scene) -> Iterator[Neglected]:
+    def list_neglected_effects(
+        self, part: Part[LinearKeysT], scene: Scene
+    ) -> Iterator[NeglectedEffect]:
         """Yield the free ringing of the body, if ``solver.ringing = "coarse"`` neglects it."""
         if self.weights(part, scene) == COARSE_WEIGHTS:
             why = "solver.ringing lets go of it once nothing presses on the body"
-            yield Neglected(
+            yield NeglectedEffect(
                 f"free ringing of {part.name}", why, "all of its own current and motion"
             )
 
@@ -212,8 +216,8 @@ class LinearBody(BodyChecks[LinearKeysT]):
         """Return the number of dimensions of the mesh."""
         return 3
 
-    def finer_mesh(
-        self, part: Part[LinearKeysT], build: Build, clock: Clock, most: float
+    def compare_with_finer_mesh(
+        self, part: Part[LinearKeysT], build: BuiltScene, clock: StageTimer, most: float
     ) -> Iterator[Check | str]:
         """Yield the relative changes of characteristic values if the element size is halved."""
         if not self.discretisations:
@@ -228,11 +232,12 @@ class LinearBody(BodyChecks[LinearKeysT]):
             try:
                 doubled = with_values(part, {key: STATE_FACTOR * _read_count(part, key)})
                 with clock.time_stage("full model", f"{part.name}: mesh half as wide"):
-                    finer = self.full(doubled, build.scene, clock).facts
+                    finer = self.make_full_model(doubled, build.scene, clock).facts
             except UsageError as error:
                 cause = str(error.message)
         if finer is None:
-            yield f"{part.name}: no mesh half as wide ({cause}); {self.discretisation(part, build)}"
+            mesh = self.describe_discretisation(part, build)
+            yield f"{part.name}: no mesh half as wide ({cause}); {mesh}"
             return
         for item in MESH_QUANTITIES.values():
             if item.warning_limit is None:
@@ -243,9 +248,9 @@ class LinearBody(BodyChecks[LinearKeysT]):
                 name = f"mesh of {part.name} half as wide, {item.description}"
                 yield Check(name, max(changes), item.warning_limit)
 
-    def discretisation(self, part: Part[LinearKeysT], build: Build) -> str:
+    def describe_discretisation(self, part: Part[LinearKeysT], build: BuiltScene) -> str:
         """Return the error estimate of the mesh, or the reason why there is no estimate."""
-        return super().discretisation(part, build) or f"mesh: {NOT_ESTIMATED}"
+        return super().describe_discretisation(part, build) or f"mesh: {NOT_ESTIMATED}"
 
 
 def _read_count(part: Part, key: str) -> int:
@@ -256,7 +261,7 @@ def _read_count(part: Part, key: str) -> int:
     return int(value)
 
 
-def impedance_metrics(frequency: np.ndarray, impedance: np.ndarray) -> dict[str, Any]:
+def compute_impedance_metrics(frequency: np.ndarray, impedance: np.ndarray) -> dict[str, Any]:
     """Return the metrics of an impedance [Ohm], such as its resonance, and its curve.
 
     The metrics are the values that an impedance analyser derives from a measured impedance. If the
@@ -270,19 +275,21 @@ def impedance_metrics(frequency: np.ndarray, impedance: np.ndarray) -> dict[str,
         "impedance_ohm": Metric(np.abs(impedance).tolist(), "Ohm"),
     }
     try:
-        return curve | _with_units(asdict(analyse_impedance(frequency, impedance)))
+        return curve | _convert_to_metrics(asdict(analyse_impedance(frequency, impedance)))
     except UsageError:  # no resonance in the range
         return curve
 
 
-def _with_units(figures: Mapping[str, Any]) -> dict[str, Any]:
+def _convert_to_metrics(figures: Mapping[str, Any]) -> dict[str, Any]:
     """Return the named values of an impedance analyser as metrics with units."""
     from kc2spice.bodies.impedance import METRIC_UNITS
 
     result: dict[str, Any] = {}
     for name, value in figures.items():
         nested = isinstance(value, Mapping)
-        result[name] = _with_units(value) if nested else Metric(value, METRIC_UNITS.get(name, ""))
+        result[name] = (
+            _convert_to_metrics(value) if nested else Metric(value, METRIC_UNITS.get(name, ""))
+        )
     return result
 
 

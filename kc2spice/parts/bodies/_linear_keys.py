@@ -8,7 +8,7 @@ from pydantic import Field
 from typing_extensions import TypeVar
 
 from kc2spice.core.quantities import Section, Time, Voltage
-from kc2spice.scene.settings import PartNumber, Rom
+from kc2spice.scene.settings import PartNumber, RomKeys
 
 MAX_INSTANTS = 20  # largest number of times at which a run writes the fields to a file
 
@@ -16,16 +16,20 @@ MAX_INSTANTS = 20  # largest number of times at which a run writes the fields to
 class LinearKeys(Section):
     """Base class for the keys of all linear bodies."""
 
-    rom: Rom | None = None
+    rom: RomKeys | None = None
     number: PartNumber | None = Field(
         None,
-        description="Part number, which is the name of the exported library; by default SCENE_PART",
+        description=(
+            "Part number, used as the name of the exported library; by default SCENE_PART"
+        ),
     )
     rated_voltage: Voltage | None = Field(
         None,
         gt=0,
-        description="Largest voltage between electrodes; by default computed from the limits of "
-        "the materials",
+        description=(
+            "Largest permitted voltage between the electrodes; by default computed from the "
+            "limits of the materials"
+        ),
     )
 
 
@@ -41,8 +45,8 @@ class FieldKeys(LinearKeys):
     ) = Field(
         None,
         description=(
-            "Whether a run computes the fields inside the body, or a list of times at which it "
-            "also writes them to VTU files"
+            "Whether a run computes the fields inside the body, or a list of times at which "
+            "the run writes these fields to VTU files"
         ),
     )
 

@@ -11,7 +11,13 @@ import numpy as np
 from pydantic import Field, StringConstraints, model_validator
 
 from kc2spice.core.errors import UsageError, list_candidates, wrong
-from kc2spice.core.quantities import Count, Length, RefinementRule, Section, invalid_value_error
+from kc2spice.core.quantities import (
+    Count,
+    Length,
+    RefinementRule,
+    Section,
+    make_invalid_value_error,
+)
 from kc2spice.core.untrusted_files import locate_file_in_folder
 from kc2spice.fem import mesh_file
 from kc2spice.parts.bodies._linear_keys import FieldKeys
@@ -22,8 +28,10 @@ Name: TypeAlias = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9
 MeshFile: TypeAlias = Annotated[str, StringConstraints(min_length=1, max_length=255)]
 MESH_FIELD = Field(  # definition of the key ``mesh`` in part types that require a mesh
     examples=['"part.msh"'],
-    description="Mesh or CAD file beside the scene: .msh, .unv, .inp, .bdf, .nas, .vtu, .med, "
-    ".exo, .e, .step, .stp or .brep",
+    description=(
+        "Mesh or CAD file in the scene's folder: .msh, .unv, .inp, .bdf, .nas, .vtu, "
+        ".med, .exo, .e, .step, .stp or .brep"
+    ),
 )
 
 
@@ -33,34 +41,64 @@ class GroupKeys(Section):
     The entities contain one of the given points, or lie in a box.
     """
 
-    solids: tuple[Point, ...] = Field((), description="Solids that contain one of these points")
-    faces: tuple[Point, ...] = Field((), description="Faces that contain one of these points")
-    curves: tuple[Point, ...] = Field((), description="Curves that contain one of these points")
-    points: tuple[Point, ...] = Field((), description="Geometric points at these coordinates")
+    solids: tuple[Point, ...] = Field(
+        (),
+        description=(
+            "Points that select solids of the CAD file: each solid that contains one of the points"
+        ),
+    )
+    faces: tuple[Point, ...] = Field(
+        (),
+        description=(
+            "Points that select faces of the CAD file: each face that contains one of the points"
+        ),
+    )
+    curves: tuple[Point, ...] = Field(
+        (),
+        description=(
+            "Points that select curves of the CAD file: each curve that contains one of the points"
+        ),
+    )
+    points: tuple[Point, ...] = Field(
+        (), description="Coordinates that select geometric points of the CAD file"
+    )
     solids_in: tuple[Point, Point] | None = Field(
-        None, description="Solids inside a box, given by two of its corners"
+        None,
+        description=(
+            "Two opposite corners of a box that selects all solids of the CAD file inside the box"
+        ),
     )
     faces_in: tuple[Point, Point] | None = Field(
-        None, description="Faces inside a box, given by two of its corners"
+        None,
+        description=(
+            "Two opposite corners of a box that selects all faces of the CAD file inside the box"
+        ),
     )
     curves_in: tuple[Point, Point] | None = Field(
-        None, description="Curves inside a box, given by two of its corners"
+        None,
+        description=(
+            "Two opposite corners of a box that selects all curves of the CAD file inside the box"
+        ),
     )
     points_in: tuple[Point, Point] | None = Field(
-        None, description="Geometric points inside a box, given by two of its corners"
+        None,
+        description=(
+            "Two opposite corners of a box that selects all geometric points of the CAD file "
+            "inside the box"
+        ),
     )
 
     @model_validator(mode="after")
     def _require_one_selector(self) -> GroupKeys:
         if len({key.removesuffix("_in") for key in self.model_fields_set}) != 1:
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 "a group needs exactly one of the keys solids, faces, curves and points",
                 None,
                 hint="keep one of these keys in the group",
             )
         return self
 
-    def pick(self, unit: float) -> dict[str, Any]:
+    def make_selection(self, unit: float) -> dict[str, Any]:
         """Return the selection of mesh entities, with coordinates in the file's length unit [m]."""
         kind = next(iter(self.model_fields_set)).removesuffix("_in")
         dimension = ("points", "curves", "faces", "solids").index(kind)
@@ -76,34 +114,41 @@ class MeshKeys(FieldKeys):
     unit: str | None = Field(
         None,
         description=(
-            "Length unit of the coordinates in the file; required if the file contains no unit"
+            "Length unit of the coordinates in the mesh or CAD file; required if the file "
+            "states no unit"
         ),
     )
-    size: Length | None = Field(None, gt=0, description="Element size for the mesh of a CAD file")
+    size: Length | None = Field(
+        None, gt=0, description="Size of the finite elements in the mesh of a CAD file"
+    )
     refine: Annotated[Count, RefinementRule(2.0, model=True, mesh=True)] = Field(
-        1, ge=1, le=8, description="Factor that divides the size of all elements"
+        1,
+        ge=1,
+        le=8,
+        description="Refinement factor of the mesh, by which the size of all elements is divided",
     )
     merge: Length | None = Field(
         None,
         ge=0,
         description=(
-            "Largest distance between nodes that are merged; with 0, solids that touch are not "
+            "Distance up to which mesh nodes are merged; with 0, solids that touch are not "
             "connected"
         ),
     )
     axisymmetric: bool = Field(
         False,
         description=(
-            "Whether the mesh is the half section of a body of revolution, with x as the radius"
+            "Whether the mesh is the half section of a body of revolution, in which x is the radius"
         ),
     )
     groups: dict[str, GroupKeys] = Field(default_factory=dict)
     materials: dict[str, str | dict[str, Any]] = Field(
-        default_factory=dict, description="Material of each mesh group, a name or a table"
+        default_factory=dict,
+        description="Material of each mesh group: a name, or a table of constants",
     )
 
     @property
-    def splits(self) -> int:
+    def split_count(self) -> int:
         """Number of times that every edge of a mesh from a file is halved; 0 for a CAD file."""
         return 0 if self.size else int(np.ceil(np.log2(self.refine)))
 
@@ -146,7 +191,7 @@ def read_groups(keys: MeshKeys, home: Path, splits: int) -> mesh_file.GroupedMes
         path,
         unit=unit,
         size=None if keys.size is None else keys.size / keys.refine,
-        picks={name: group.pick(unit) for name, group in keys.groups.items()},
+        picks={name: group.make_selection(unit) for name, group in keys.groups.items()},
         dimension=2 if keys.axisymmetric else 3,
         splits=splits,
         merge=keys.merge,
@@ -165,7 +210,7 @@ def assign_materials(names: Iterable[str], groups: mesh_file.GroupedMesh) -> np.
     names = list(names)
     owner = np.full(groups.mesh.nelements, -1)
     for number, name in enumerate(names):
-        cells = groups.group(name, f"materials.{name}", 0).members
+        cells = groups.get_group(name, f"materials.{name}", 0).members
         if (owner[cells] >= 0).any():
             got = f"elements that are also in the group {names[int(owner[cells].max())]}"
             expected = "groups without common elements"

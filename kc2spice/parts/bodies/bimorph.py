@@ -27,7 +27,7 @@ from pydantic import Field, StringConstraints, model_validator
 
 from kc2spice.bodies.device import Block, BondedBlocks, Box, list_outer_faces
 from kc2spice.core.errors import wrong
-from kc2spice.core.key_errors import validate
+from kc2spice.core.key_errors import validate_table
 from kc2spice.core.quantities import (
     Count,
     Extent,
@@ -36,14 +36,14 @@ from kc2spice.core.quantities import (
     Section,
     Thickness,
     Width,
-    invalid_value_error,
+    make_invalid_value_error,
 )
-from kc2spice.fem.body_keys import Damping, Mesh
-from kc2spice.fem.materials import material
+from kc2spice.fem.body_keys import BodyMeshKeys, DampingKeys
+from kc2spice.fem.materials import find_material
 from kc2spice.parts.bodies._linear_keys import FieldKeys
-from kc2spice.parts.bodies._meshed import BondedBody
+from kc2spice.parts.bodies._meshed_bodies import BondedBody
 from kc2spice.scene.model import Part
-from kc2spice.scene.parttype import register
+from kc2spice.scene.parttype import register_part_type
 
 # Numbers of elements along and across the beam for ``mesh.refine = 1``.
 ELEMENTS_ALONG = 20
@@ -55,9 +55,10 @@ class BimorphLayer(Section):
     """Layer of a bimorph, which covers the whole beam."""
 
     material: str | dict[str, Any] = Field(
-        examples=['"steel"'], description="Material of the layer, a name or a table"
+        examples=['"steel"'],
+        description="Material of the layer of the beam: a name, or a table of constants",
     )
-    thickness: Thickness = Field(gt=0, description="Thickness of the layer")
+    thickness: Thickness = Field(gt=0, description="Thickness of the layer of the beam")
 
 
 class BimorphKeys(FieldKeys):
@@ -69,57 +70,71 @@ class BimorphKeys(FieldKeys):
     this line is the centre line of the whole plate.
     """
 
-    length: Extent = Field(gt=0, description="Free length of the beam")
+    length: Extent = Field(gt=0, description="Free length of the beam, without its clamped ends")
     width: Width = Field(gt=0, description="Width of the beam")
     layers: tuple[BimorphLayer, ...] = Field(
         examples=['[{ material = "PZT-5A", thickness = "0.2 mm" }]'], min_length=1
     )
     wiring: Literal["series", "parallel"] | None = Field(
-        None, description="Electrical connection of two ceramic layers"
+        None, description="Electrical connection of the two ceramic layers of the beam"
     )
-    tip_mass: Mass = Field(0.0, ge=0, description="Tip mass, distributed evenly over the end face")
+    tip_mass: Mass = Field(
+        0.0, ge=0, description="Mass at the tip of the beam, distributed evenly over the end face"
+    )
     support: Literal["cantilever", "clamped", "simply_supported", "free", "quarter"] = Field(
-        "cantilever", description="Mechanical support of the beam"
+        "cantilever",
+        description=(
+            "Mechanical support of the beam; quarter is a quarter of a plate that is clamped "
+            "along all edges"
+        ),
     )
     points: dict[
         Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,30}$")], Length
     ] = Field(
         default_factory=dict,
-        description="Further ports on the top face: a name and the distance from the clamp for "
-        "each",
+        description=(
+            "Further ports on the centre line of the top face: the name of each port and its "
+            "distance from the clamp"
+        ),
     )
     patches: Count | None = Field(
         None,
         ge=1,
         le=64,
         description=(
-            "Number of patches in each row: equal strips of the bottom face with the ports "
-            "patch1, patch2, …"
+            "Number of surface patches in each row; the patches divide the bottom face into "
+            "equal strips with the ports patch1, patch2, …"
         ),
     )
     rows: Count | None = Field(
-        None, ge=2, le=16, description="Number of rows of patches across the beam; by default one"
+        None,
+        ge=2,
+        le=16,
+        description=(
+            "Number of rows of surface patches across the width of the beam; by default one row"
+        ),
     )
-    damping: Damping = Damping()
-    mesh: Mesh = Mesh()
+    damping: DampingKeys = DampingKeys()
+    mesh: BodyMeshKeys = BodyMeshKeys()
 
     @model_validator(mode="after")
     def _check_consistency(self) -> BimorphKeys:
+        """Reject ``rows`` without ``patches``, and points with wrong names or positions."""
         if self.rows and self.patches is None:
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 "rows needs the key `patches`",
                 None,
                 hint="add for example  patches = 10  or delete rows",
             )
         for name, x in self.points.items():
             if name in ("tip", "base", "anode", "cathode") or name.startswith("patch"):
-                raise invalid_value_error(
+                raise make_invalid_value_error(
                     f"points: {name} is already the name of a port",
                     None,
                     hint=f"rename the point, such as {name}_point",
                 )
             if not 0 <= x <= self.length:
-                raise invalid_value_error(
+                raise make_invalid_value_error(
                     f"points.{name} is not on the beam",
                     None,
                     hint=f"lower points.{name} to at most {self.length:g} m",
@@ -140,14 +155,14 @@ def make_bimorph_blocks(
     ------
     UsageError : a material does not exist, or ``wiring`` is stated without a piezoelectric layer.
     """
-    beam = validate(BimorphKeys, keys, where)
+    beam = validate_table(BimorphKeys, keys, where)
     materials = [
-        material(layer.material, f"{where}.layers[{number}].material")
+        find_material(layer.material, f"{where}.layers[{number}].material")
         for number, layer in enumerate(beam.layers)
     ]
     heights = [*accumulate((layer.thickness for layer in beam.layers), initial=0.0)]
     spans = [*pairwise(heights)]
-    active = [k for k, one in enumerate(materials) if one.piezoelectric]
+    active = [k for k, one in enumerate(materials) if one.is_piezoelectric]
     if beam.wiring is not None and not active:
         raise wrong(
             "wiring",
@@ -157,11 +172,11 @@ def make_bimorph_blocks(
         )
     length, width, top = beam.length, beam.width, heights[-1]
 
-    def plane(height: float) -> Box:
+    def make_plane(height: float) -> Box:
         """Return the horizontal plane of the beam at ``height``."""
         return (0.0, length), (0.0, width), (height, height)
 
-    def across(x: float, y: tuple[float, float], z: tuple[float, float]) -> Box:
+    def make_cross_section(x: float, y: tuple[float, float], z: tuple[float, float]) -> Box:
         """Return the part of the cross-section at ``x`` that the intervals ``y`` and ``z`` span."""
         return (x, x), y, z
 
@@ -170,7 +185,7 @@ def make_bimorph_blocks(
     ends = [*chain.from_iterable(map(spans.__getitem__, active))]
     levels = [ends[:1], *zip(ends[1:-1:2], ends[2::2], strict=True), ends[-1:]] if active else []
     series = beam.wiring != "parallel"
-    faces = [list(map(plane, level)) for level in levels]
+    faces = [list(map(make_plane, level)) for level in levels]
     electrodes = {"anode": faces[::-2], "cathode": faces[-2::-2]}
     if series:
         electrodes = {"anode": faces[-1:], "cathode": faces[:1]}
@@ -180,20 +195,20 @@ def make_bimorph_blocks(
         # In a series bimorph, a positive voltage causes a downward field in all layers.
         # In a parallel bimorph, a positive voltage causes a downward field in every second layer.
         down = series or k not in active or (active.index(k) - len(active)) % 2
-        poled = one.poled((0, 0, -1.0 if down == above else 1.0)) if k in active else one
+        poled = one.rotate_z_axis((0, 0, -1.0 if down == above else 1.0)) if k in active else one
         box = ((0.0, length), (0.0, width), span)
         blocks.append(Block(box, replace(poled, name=f"layers[{k}] ({one.name})")))
-    full_width, end = (0.0, width), across(length, (0.0, width), (0.0, top))
-    clamp = ("xyz", across(0.0, full_width, (0.0, top)))
+    full_width, end = (0.0, width), make_cross_section(length, (0.0, width), (0.0, top))
+    clamp = ("xyz", make_cross_section(0.0, full_width, (0.0, top)))
     fixed = {
         "cantilever": [clamp],
         "clamped": [clamp, ("xyz", end)],
         # Only one corner of each supported edge is fixed in y, so that the width can change.
         "simply_supported": [
-            ("xz", across(0.0, full_width, (0.0, 0.0))),
-            ("z", across(length, full_width, (0.0, 0.0))),
-            ("y", across(0.0, (0.0, 0.0), (0.0, 0.0))),
-            ("y", across(length, (0.0, 0.0), (0.0, 0.0))),
+            ("xz", make_cross_section(0.0, full_width, (0.0, 0.0))),
+            ("z", make_cross_section(length, full_width, (0.0, 0.0))),
+            ("y", make_cross_section(0.0, (0.0, 0.0), (0.0, 0.0))),
+            ("y", make_cross_section(length, (0.0, 0.0), (0.0, 0.0))),
         ],
         "free": [],
         "quarter": [
@@ -207,7 +222,7 @@ def make_bimorph_blocks(
     ports = {} if clamped else {"tip": end}
     middle = (width, width) if beam.support == "quarter" else (width / 2, width / 2)
     for name, x in beam.points.items():
-        ports[name] = across(x, middle, (top, top))
+        ports[name] = make_cross_section(x, middle, (top, top))
     strips = pairwise(np.linspace(0, length, (beam.patches or 0) + 1).tolist())
     rows = pairwise(np.linspace(0, width, (beam.rows or 1) + 1).tolist())
     for k, (row, strip) in enumerate(product(rows, strips), 1):
@@ -262,4 +277,4 @@ class Bimorph(BondedBody[BimorphKeys]):
         return f"support is {part.keys.support}, ideal"
 
 
-register(Bimorph())
+register_part_type(Bimorph())

@@ -35,27 +35,33 @@ import numpy as np
 from pydantic import Field, StringConstraints, ValidationInfo, model_validator
 
 from kc2spice.bodies import device as fe
-from kc2spice.bodies.undamped import FiniteElementModel
+from kc2spice.bodies.undamped_models import FiniteElementModel
 from kc2spice.core.cache import load_or_build
 from kc2spice.core.domains import ACCELERATION, ACOUSTIC, ELECTRICAL, ROTATION, TRANSLATION
 from kc2spice.core.errors import UsageError, name_part_in_errors, wrong
 from kc2spice.core.figure import Curve, Figure, FileWriter, Panel
-from kc2spice.core.key_errors import validate
+from kc2spice.core.key_errors import validate_table
 from kc2spice.core.naming import list_names
-from kc2spice.core.quantities import Section, invalid_value_error
+from kc2spice.core.quantities import Section, make_invalid_value_error
 from kc2spice.core.untrusted_files import locate_file_in_folder
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem import mesh_file
-from kc2spice.fem.body_keys import Damping
-from kc2spice.fem.element_poling import PolingTable, compute_centres, find_parents, read_poling
+from kc2spice.fem.body_keys import DampingKeys
+from kc2spice.fem.element_poling import (
+    PolingTable,
+    compute_centres,
+    find_coarse_elements,
+    read_poling,
+)
 from kc2spice.fem.materials import (
     CylindricalAxes,
     ElementAxes,
     Material,
     compute_poling_rotation,
-    material,
+    find_material,
 )
 from kc2spice.fem.solid import Solid, compute_node_shares
+from kc2spice.parts.bodies._body_figures import draw_edges
 from kc2spice.parts.bodies._body_model import hash_file
 from kc2spice.parts.bodies._mesh_keys import (
     MESH_FIELD,
@@ -68,13 +74,12 @@ from kc2spice.parts.bodies._mesh_keys import (
     mesh_path,
     read_groups,
 )
-from kc2spice.parts.bodies._meshed import MeshedBody
-from kc2spice.parts.bodies._neglected import Envelope, box_envelope
-from kc2spice.parts.bodies._pictures import draw_edges
+from kc2spice.parts.bodies._meshed_bodies import MeshedBody
+from kc2spice.parts.bodies._neglected_effects import Envelope, estimate_box_envelope
 from kc2spice.rom.linear_model import Port
-from kc2spice.scene.model import Build, DeclaredScene, GovernedScene, Part, Scene
-from kc2spice.scene.part_records import Neglected
-from kc2spice.scene.parttype import register
+from kc2spice.scene.model import BuiltScene, DeclaredScene, GovernedScene, Part, Scene
+from kc2spice.scene.part_records import NeglectedEffect
+from kc2spice.scene.parttype import register_part_type
 
 Vector: TypeAlias = tuple[float, float, float]
 _MOTION_NAMES = ("x", "y", "z", "rx", "ry", "rz")
@@ -98,7 +103,7 @@ _PLACE_HINTS = {
 _REFERENCE_NAMES = ("cathode", "gnd", "ground")
 
 
-class FixedKeys(Section):
+class SupportKeys(Section):
     """Keys of a support: a mesh group with zero displacement along some axes.
 
     In an axisymmetric body, ``x`` is the radial axis.
@@ -108,7 +113,8 @@ class FixedKeys(Section):
     axes: Annotated[str, StringConstraints(pattern="^[xyz]{1,3}$")] = Field(
         "xyz",
         description=(
-            "Axes along which the nodes are clamped; x is the radius of an axisymmetric mesh"
+            "Axes along which the clamped nodes cannot move; x is the radius of an "
+            "axisymmetric mesh"
         ),
     )
 
@@ -125,16 +131,25 @@ class PortKeys(Section):
     a point.
     """
 
-    name: Name = Field(examples=['"tip"'], description="Name of the port and of its pin")
+    name: Name = Field(
+        examples=['"tip"'], description="Name of the body's port, which is also the name of its pin"
+    )
     group: str | None = Field(None, description="Mesh group on which the port acts")
-    at: Point | None = Field(None, description="Point; the port is the mesh node nearest to it")
+    at: Point | None = Field(
+        None,
+        description=(
+            "Coordinates of a point; the port acts on the mesh node nearest to this point"
+        ),
+    )
     axis: Literal["x", "y", "z", "rx", "ry", "rz"] | Vector | None = Field(
-        None, description="Direction of the displacement, or axis of the rotation"
+        None, description="Direction of the displacement at the port, or axis of the rotation"
     )
     kind: Literal["mean", "rigid", "base", "face"] = Field(
         "mean",
-        description="Kind of port: mean (mean displacement of a group), rigid (rigid "
-        "face), base (acceleration of the base) or face (sound pressure on a face)",
+        description=(
+            "Kind of port: mean displacement of a group, motion of a rigid face, "
+            "acceleration of the support (base), or sound pressure on a face"
+        ),
     )
 
     @model_validator(mode="after")
@@ -142,32 +157,32 @@ class PortKeys(Section):
         places = (self.group is not None) + (self.at is not None)
         of_group = self.kind in ("rigid", "face")
         if places != (0 if self.kind == "base" else 1) or (of_group and self.at):
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 f'kind = "{self.kind}" {_NEEDS_OF_KINDS[self.kind]}',
                 None,
                 hint=_PLACE_HINTS[self.kind],
             )
         if self.kind == "face":
             if self.axis is not None:
-                raise invalid_value_error(
+                raise make_invalid_value_error(
                     'a port with kind = "face" cannot have the key `axis`', None, hint="delete axis"
                 )
             return self
         turning = isinstance(self.axis, str) and self.axis.startswith("r")
         if self.kind != "rigid" and (self.axis is None or turning):
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 "this port needs the key `axis`: x, y, z or three numbers",
                 None,
                 hint='add for example  axis = "z"',
             )
         if self.kind == "rigid" and isinstance(self.axis, tuple):
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 "a rigid face moves along x, y, z, rx, ry or rz",
                 None,
                 hint='write for example  axis = "z"',
             )
         if isinstance(self.axis, tuple) and not any(self.axis):
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 "axis is a zero vector", None, hint='write for example  axis = "z"'
             )
         return self
@@ -207,12 +222,28 @@ class PolingKeys(Section):
     """
 
     direction: Vector | None = Field(
-        None, description="Radial, circumferential and axial component of the poling vector"
+        None, description="Radial, circumferential and axial component of the poling direction"
     )
-    axis: Vector = Field((0.0, 0.0, 1.0), description="Direction of the cylinder's axis")
-    through: Point = Field((0.0, 0.0, 0.0), description="Point on the cylinder's axis")
+    axis: Vector = Field(
+        (0.0, 0.0, 1.0),
+        description=(
+            "Direction of the axis to which the radial and circumferential components of the "
+            "poling refer"
+        ),
+    )
+    through: Point = Field(
+        (0.0, 0.0, 0.0),
+        description=(
+            "Point on the axis to which the radial and circumferential components of the "
+            "poling refer"
+        ),
+    )
     file: Annotated[str, StringConstraints(min_length=1, max_length=255)] | None = Field(
-        None, description="CSV file in the scene's folder with the poling of elements or points"
+        None,
+        description=(
+            "CSV file in the scene's folder that lists the poling direction of each element, "
+            "or at points of the body"
+        ),
     )
 
     @property
@@ -227,8 +258,8 @@ class PolingKeys(Section):
         return ""
 
     @property
-    def correction(self) -> str:
-        """Hint that corrects keys that define no poling."""
+    def correction_hint(self) -> str:
+        """Hint on how to correct missing or contradictory poling keys."""
         if self.direction is not None and self.file is not None:
             return "delete direction or file"
         if self.file:
@@ -240,46 +271,60 @@ class AxesKeys(Section):
     """Axes of all tensors of a material, while ``poling`` defines only the third axis."""
 
     z: Vector = Field(
-        (0.0, 0.0, 1.0), description="Direction of the third material axis, or axis of a cylinder"
+        (0.0, 0.0, 1.0),
+        description=(
+            "Direction of the third material axis; for cylindrical axes, direction of the "
+            "cylinder axis"
+        ),
     )
     x: Vector | None = Field(
-        None, description="Direction of the first material axis, perpendicular to z; by default x"
+        None,
+        description=(
+            "Direction of the first material axis, perpendicular to the key `z`; by default "
+            "the x axis of the body"
+        ),
     )
-    origin: Point | None = Field(None, description="Point on the axis of a cylinder")
+    origin: Point | None = Field(
+        None,
+        description=(
+            "Point on the cylinder axis of cylindrical material axes; by default the origin "
+            "of the body's coordinates"
+        ),
+    )
     kind: Literal["cartesian", "cylindrical"] = Field(
         "cartesian",
         description=(
-            "Kind of the axes: cartesian, or cylindrical with a radial, circumferential and "
-            "axial direction as the first, second and third material axis"
+            "Kind of the material axes: cartesian, or cylindrical with radial first, "
+            "circumferential second and axial third axis"
         ),
     )
 
     @model_validator(mode="after")
     def _require_valid_axes(self) -> AxesKeys:
         if not any(self.z):
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 "z has no length", None, hint="write for example  z = [0, 0, 1]"
             )
         if self.kind == "cylindrical":
             if self.x is not None:
-                raise invalid_value_error(
+                raise make_invalid_value_error(
                     "cylindrical axes cannot have the key `x`, because their first axis is radial",
                     None,
                     hint="delete x",
                 )
             return self
         if self.origin is not None:
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 'origin needs  kind = "cylindrical"', None, hint='write  kind = "cylindrical"'
             )
         first = np.asarray(self.x or (1.0, 0.0, 0.0))
         if not first.any():
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 "x has no length", None, hint="write for example  x = [1, 0, 0]"
             )
         if abs(first @ self.z) > 1e-6 * np.linalg.norm(first) * np.linalg.norm(self.z):
             problem = "x and z are not perpendicular"
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 problem if self.x else f"{problem}: state x beside z",
                 None,
                 hint="write for example  x = [1, 0, 0]  and  z = [0, 0, 1]",
@@ -295,10 +340,10 @@ class AxesKeys(Section):
         first = first / np.linalg.norm(first)
         return np.stack([first, np.cross(third, first), third], axis=-1)
 
-    def apply(self, plain: Material) -> Material:
+    def rotate_material(self, plain: Material) -> Material:
         """Return the material with its tensors rotated to the axes of these keys."""
         if self.kind == "cartesian":
-            return plain.rotated(self.rotation)
+            return plain.rotate(self.rotation)
         return replace(plain, local_axes=CylindricalAxes(self.z, self.origin or (0.0, 0.0, 0.0)))
 
 
@@ -314,37 +359,43 @@ class BodyKeys(MeshKeys):
     materials: dict[str, str | dict[str, Any]] = Field(
         examples=['{ GROUP = "steel" }  with a group of the mesh'],
         min_length=1,
-        description="Material of each mesh group, a name or a table",
+        description="Material of each mesh group: a name, or a table of constants",
     )
     poling: dict[str, Vector | Literal["radial", "tangential"] | PolingKeys] = Field(
         default_factory=dict,
         description=(
-            "Direction of the third material axis of each mesh group: a vector (by default z), "
-            '"radial" or "tangential" about z, a table with direction, axis and through, or a '
-            "table with a CSV file"
+            "Poling direction (third material axis) of each mesh group: a vector (by default "
+            'z), "radial" or "tangential" about z, or a table of poling keys'
         ),
     )
     axes: dict[str, AxesKeys] = Field(
         default_factory=dict,
         description=(
-            "Material axes of each mesh group: x and z, or z and origin of cylindrical axes"
+            "Material axes of each mesh group: the vectors x and z, or the vector z and the "
+            "origin of cylindrical axes"
         ),
     )
-    fixed: tuple[str | FixedKeys, ...] = Field(
-        (), description="Mesh groups whose nodes are clamped"
+    fixed: tuple[str | SupportKeys, ...] = Field(
+        (),
+        description=(
+            "Mesh groups whose nodes are clamped: names, or tables with a group and its "
+            "clamped axes"
+        ),
     )
     electrodes: dict[Name, str | tuple[str, ...]] = Field(
         default_factory=dict,
-        description="Electrodes by the name of their pin: a mesh group, or a list of groups",
+        description=(
+            "Electrodes of the body: for each pin, a mesh group, or a list of mesh groups"
+        ),
     )
     floating: tuple[str, ...] = Field(
-        (), description="Mesh groups that are conductors without a pin"
+        (), description="Floating electrodes: mesh groups of conductors that have no pin"
     )
     ports: tuple[PortKeys, ...] = ()
-    damping: Damping = Damping()
+    damping: DampingKeys = DampingKeys()
 
     @property
-    def reference(self) -> str:
+    def reference_electrode(self) -> str:
         """Name of the electrode with zero voltage; empty without electrodes."""
         last = next(reversed(self.electrodes), "")
         return next((name for name in _REFERENCE_NAMES if name in self.electrodes), last)
@@ -359,57 +410,58 @@ class BodyKeys(MeshKeys):
         return result
 
     @property
-    def every_port(self) -> tuple[Port, ...]:
-        """All ports of the model, electrical ports first."""
+    def all_ports(self) -> tuple[Port, ...]:
+        """Ports of the model, electrical ports first."""
         result = []
         for name in self.electrodes:
-            if name != self.reference:
-                result.append(Port(name, ELECTRICAL.port, pins=(name, self.reference)))
+            if name != self.reference_electrode:
+                result.append(Port(name, ELECTRICAL.port, pins=(name, self.reference_electrode)))
         for item in self.ports:
             result += item.ports
         return tuple(result)
 
     @model_validator(mode="after")
     def _check_consistency(self, info: ValidationInfo) -> BodyKeys:
+        """Reject contradictory keys, such as poling and axes of the same group."""
         stray = set(self.poling) - set(self.materials)
         if stray:
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 f"poling contains groups without a material: {', '.join(sorted(stray))}",
                 None,
                 hint=f"add a material for {min(stray)}, or delete poling.{min(stray)}",
             )
         stray = set(self.axes) - set(self.materials)
         if stray:
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 f"axes contains groups without a material: {', '.join(sorted(stray))}",
                 None,
                 hint=f"add a material for {min(stray)}, or delete axes.{min(stray)}",
             )
         both = set(self.axes) & set(self.poling)
         if both:
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 f"poling and axes cannot apply to the same group: {', '.join(sorted(both))}",
                 None,
                 hint=f"delete poling.{min(both)}, because axes.{min(both)}.z is its direction",
             )
         for group, item in self.poling.items():
             if isinstance(item, PolingKeys) and item.contradiction:
-                raise invalid_value_error(
-                    f"poling of {group}: {item.contradiction}", None, hint=item.correction
+                raise make_invalid_value_error(
+                    f"poling of {group}: {item.contradiction}", None, hint=item.correction_hint
                 )
         vectors = (item for item in self.poling.values() if isinstance(item, tuple))
         if not all(map(any, vectors)):
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 "poling contains a zero vector", None, hint="write for example  [0, 0, 1]"
             )
         if len(self.electrodes) == 1:
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 "the reference electrode is missing: a body needs at least two electrodes",
                 None,
                 hint='add for example  cathode = "GROUP"  to electrodes, with a group of faces',
             )
         if not self.electrodes and not self.ports:
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 "a body needs electrodes or ports",
                 "electrodes, each with a group of faces, or ports, each with a group or a point",
                 hint=f"add for example  {_write_terminal_example(self, info)}",
@@ -417,7 +469,7 @@ class BodyKeys(MeshKeys):
         names = Counter([*list_names(self.ports), *self.electrodes])
         twice = [name for name, count in names.items() if count > 1]
         if twice:
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 f"several ports or electrodes have the same name: {', '.join(sorted(twice))}",
                 None,
                 hint=f"rename one of the ports or electrodes {twice[0]}",
@@ -436,7 +488,9 @@ def _write_terminal_example(keys: BodyKeys, info: ValidationInfo) -> str:
     with suppress(UsageError):
         read = read_groups(keys, (info.context or {}).get("home", Path()), 0)
         faces = {k: g.members for k, g in read.groups.items() if g.codimension == 1 and k}
-        active = [k for k, item in keys.materials.items() if material(item, k).piezoelectric]
+        active = [
+            k for k, item in keys.materials.items() if find_material(item, k).is_piezoelectric
+        ]
         cells = [read.groups[k].members for k in active if k in read.groups]
         if cells:
             touching = np.any(np.isin(read.mesh.f2t, np.concatenate(cells)), axis=0)
@@ -448,7 +502,7 @@ def _write_terminal_example(keys: BodyKeys, info: ValidationInfo) -> str:
     return f'ports = [{{ name = "tip", {place}, axis = "z" }}]'
 
 
-def device(
+def build_fe_model(
     keys: BodyKeys | Mapping[str, Any], home: Path, where: str = "body"
 ) -> FiniteElementModel:
     """Read the mesh with its groups, and assemble the finite-element model of the body.
@@ -463,11 +517,11 @@ def device(
         twice; an element has no material; or an electrode is on a material that is not
         piezoelectric.
     """
-    keys = validate(BodyKeys, keys, where)
+    keys = validate_table(BodyKeys, keys, where)
     with name_part_in_errors(where):
-        result = read_groups(keys, home, keys.splits)
+        result = read_groups(keys, home, keys.split_count)
         solid = _make_solid(keys, result, _read_polings(keys, home, result))
-        assembled = fe.make_device(solid, _make_setup(keys, result, solid))
+        assembled = fe.make_device(solid, _make_boundary_conditions(keys, result, solid))
     axes = ("radius", "height") if keys.axisymmetric else "xyz"
     sides = zip(axes, 1e3 * np.ptp(result.mesh.p, axis=1), strict=True)
     facts = dict(assembled.model.facts)
@@ -492,13 +546,13 @@ def _read_polings(
         hint = "write a file with the columns x, y, z, px, py, pz"
         raise wrong(f"poling.{numbered[0]}", problem, hint=hint)
     numbers = groups.numbers
-    if numbered and keys.splits:
+    if numbered and keys.split_count:
         file_mesh = read_groups(keys, home, 0)
-        numbers = file_mesh.numbers[find_parents(file_mesh.mesh, groups.mesh)]
+        numbers = file_mesh.numbers[find_coarse_elements(file_mesh.mesh, groups.mesh)]
     result = {}
     unit = mesh_file.find_length_unit(locate_file_in_folder(home, keys.mesh, "mesh"), keys.unit)
     for group, table in tables.items():
-        members = groups.group(group, f"materials.{group}", 0).members
+        members = groups.get_group(group, f"materials.{group}", 0).members
         rows = table.select_rows(numbers, compute_centres(groups.mesh) / unit, members)
         rotations = np.tile(np.eye(3), (groups.mesh.nelements, 1, 1))
         rotations[members] = np.array([*map(compute_poling_rotation, table.directions)])[rows]
@@ -512,7 +566,7 @@ def _make_solid(
     owner = assign_materials(keys.materials, groups)
     materials = []
     for name, name_or_table in keys.materials.items():
-        plain = material(name_or_table, f"materials.{name}")
+        plain = find_material(name_or_table, f"materials.{name}")
         if name in element_axes:
             made_of = replace(plain, local_axes=element_axes[name])
         else:
@@ -532,7 +586,7 @@ def _orient_material(plain: Material, keys: BodyKeys, group: str) -> Material:
     UsageError : the axis of cylindrical axes differs from the axis of an axisymmetric mesh.
     """
     if group in keys.axes:
-        turned = keys.axes[group].apply(plain)
+        turned = keys.axes[group].rotate_material(plain)
         if isinstance(turned.local_axes, CylindricalAxes):
             _require_mesh_axis(keys, turned.local_axes, f"axes.{group}")
         return turned
@@ -542,9 +596,9 @@ def _orient_material(plain: Material, keys: BodyKeys, group: str) -> Material:
     if isinstance(direction, PolingKeys) and direction.direction:
         about = CylindricalAxes(direction.axis, direction.through)
         _require_mesh_axis(keys, about, f"poling.{group}")
-        return replace(plain.poled(direction.direction), local_axes=about)
+        return replace(plain.rotate_z_axis(direction.direction), local_axes=about)
     assert isinstance(direction, tuple)
-    poled = plain.poled(direction)
+    poled = plain.rotate_z_axis(direction)
     return (
         replace(poled, local_axes=CylindricalAxes())
         if keys.axisymmetric and any(direction[:2])
@@ -560,9 +614,10 @@ def _require_mesh_axis(keys: BodyKeys, about: CylindricalAxes, where: str) -> No
         raise wrong(where, problem, hint=hint)
 
 
-def _make_setup(
+def _make_boundary_conditions(
     keys: BodyKeys, groups: mesh_file.GroupedMesh, solid: Solid
 ) -> fe.BoundaryConditions:
+    """Make the supports, electrodes, ports and added masses on the mesh ``solid``."""
     electrodes = {}
     for pin, stated in keys.electrodes.items():
         names = [stated] if isinstance(stated, str) else stated
@@ -585,7 +640,7 @@ def _make_setup(
     return fe.BoundaryConditions(
         fixed=_find_clamped_components(keys, groups, solid),
         electrodes=electrodes,
-        reference=keys.reference,
+        reference=keys.reference_electrode,
         floating=[_find_electrode_nodes(solid, groups, name, "floating") for name in keys.floating],
         shapes=shapes,
         faces=faces,
@@ -599,7 +654,7 @@ def _make_rigid_face(port: PortKeys, groups: mesh_file.GroupedMesh, solid: Solid
     if solid.axisymmetric:
         problem = "an axisymmetric body cannot have rigid faces"
         raise wrong(where, problem, "rigid", "mean or base", 'write  kind = "mean"')
-    nodes = _find_facet_nodes(solid, groups.group(str(port.group), where, 1).members)
+    nodes = _find_facet_nodes(solid, groups.get_group(str(port.group), where, 1).members)
     unit = dict(zip(_MOTION_NAMES, np.eye(6), strict=True))
     moves = map(unit.__getitem__, port.motions)
     return fe.RigidFace(nodes, [*zip(port.ports, moves, strict=True)])
@@ -613,7 +668,7 @@ def boundary_facets(port: PortKeys, groups: mesh_file.GroupedMesh, solid: Solid)
     UsageError : a face of the group is inside the body.
     """
     where = f"ports.{port.name}"
-    facets = groups.group(str(port.group), where, 1).members
+    facets = groups.get_group(str(port.group), where, 1).members
     inside = int((solid.mesh.f2t[1, facets] >= 0).sum())
     if inside:
         problem = "a face that radiates sound must be on the surface of the body"
@@ -623,6 +678,7 @@ def boundary_facets(port: PortKeys, groups: mesh_file.GroupedMesh, solid: Solid)
 
 
 def _find_facet_nodes(solid: Solid, facets: np.ndarray) -> np.ndarray:
+    """Return the numbers of all nodes on the ``facets``."""
     return np.unique(solid.basis(1).get_dofs(facets).flatten())
 
 
@@ -630,14 +686,14 @@ def _find_electrode_nodes(
     solid: Solid, groups: mesh_file.GroupedMesh, name: str, where: str
 ) -> np.ndarray:
     """Return the nodes of an electrode; raise an error unless it is on a piezoelectric material."""
-    facets = groups.group(name, where, 1).members
-    active = np.array([m.piezoelectric for m in solid.materials])[solid.owner]
+    facets = groups.get_group(name, where, 1).members
+    active = np.array([m.is_piezoelectric for m in solid.materials])[solid.owner]
     sides = solid.mesh.f2t[:, facets]
     if not (active[sides] & (sides >= 0)).any():
         made_of = {solid.materials[k].name for k in solid.owner[sides[sides >= 0]]}
         problem = "this electrode is on a material that is not piezoelectric"
         got = f"{name} on {', '.join(sorted(made_of))}"
-        hint = 'give its group a piezoelectric material, such as "PZT-5A"'
+        hint = 'give the group of this face a piezoelectric material, such as "PZT-5A"'
         raise wrong(where, problem, got, "a face of a piezoelectric group", hint)
     return _find_facet_nodes(solid, facets)
 
@@ -645,12 +701,12 @@ def _find_electrode_nodes(
 def _find_clamped_components(
     keys: BodyKeys, groups: mesh_file.GroupedMesh, solid: Solid
 ) -> np.ndarray:
-    d, nodes = solid.components, solid.places.shape[1]
+    d, nodes = solid.component_count, solid.node_positions.shape[1]
     fixed = np.zeros((nodes, d), bool)
     letters = "xyz" if d == 3 else "xz"
     for entry in keys.fixed:
-        support = FixedKeys(group=entry) if isinstance(entry, str) else entry
-        group = groups.group(support.group, "fixed")
+        support = SupportKeys(group=entry) if isinstance(entry, str) else entry
+        group = groups.get_group(support.group, "fixed")
         members = group.members
         if group.codimension == 0:
             members = solid.nodes(members)
@@ -659,7 +715,7 @@ def _find_clamped_components(
         for axis in set(support.axes) & set(letters):
             fixed[members, letters.index(axis)] = True
     if solid.axisymmetric:
-        on_axis = solid.places[0] < 1e-9 * np.ptp(solid.mesh.p)
+        on_axis = solid.node_positions[0] < 1e-9 * np.ptp(solid.mesh.p)
         fixed[on_axis, 0] = True
     return fixed.ravel()
 
@@ -668,12 +724,12 @@ def _distribute_unit_force(
     port: PortKeys, groups: mesh_file.GroupedMesh, solid: Solid
 ) -> np.ndarray:
     """Return an array (nodes,) with the fraction of a unit force on a port at each node."""
-    shares = np.zeros(solid.places.shape[1])
+    shares = np.zeros(solid.node_positions.shape[1])
     if port.at is not None:
-        point = np.array(port.at)[solid.axes]
-        shares[np.argmin(np.linalg.norm(solid.places.T - point, axis=1))] = 1.0
+        point = np.array(port.at)[solid.axis_indices]
+        shares[np.argmin(np.linalg.norm(solid.node_positions.T - point, axis=1))] = 1.0
         return shares
-    group = groups.group(str(port.group), f"ports.{port.name}")
+    group = groups.get_group(str(port.group), f"ports.{port.name}")
     if group.codimension == 0:
         return compute_node_shares(solid, elements=group.members)
     if group.codimension == 1:
@@ -694,10 +750,10 @@ class Body(MeshedBody[BodyKeys]):
 
     def ports(self, part: Part[BodyKeys], scene: DeclaredScene) -> tuple[Port, ...]:
         """Return the ports of the model of the part."""
-        result: tuple[Port, ...] = part.keys.every_port
+        result: tuple[Port, ...] = part.keys.all_ports
         return result
 
-    def directions(
+    def pin_directions(
         self, part: Part[BodyKeys], scene: DeclaredScene
     ) -> Mapping[str, tuple[float, ...]]:
         """Return the unit vector of each translational port, keyed by the pin of the port."""
@@ -729,16 +785,16 @@ class Body(MeshedBody[BodyKeys]):
             yield error
         yield from find_mesh_problems(part, scene)
 
-    def notes(self, part: Part[BodyKeys], scene: Scene) -> Iterator[str | Neglected]:
+    def notes(self, part: Part[BodyKeys], scene: Scene) -> Iterator[str | NeglectedEffect]:
         """Yield notes for the report: the size of the mesh, then the notes of every linear body."""
-        sides = self.sides(part, scene)
+        sides = self.compute_side_lengths(part, scene)
         yield " x ".join(map("{:.4g}".format, np.multiply(1e3, sides))) + " mm"
         yield from super().notes(part, scene)
 
-    def sides(self, part: Part[BodyKeys], scene: DeclaredScene) -> list[float]:
-        """Return the side lengths [m] of the bounding box of the mesh, read from its file."""
+    def compute_side_lengths(self, part: Part[BodyKeys], scene: DeclaredScene) -> list[float]:
+        """Return the side lengths [m] of the bounding box of the mesh file."""
 
-        def size() -> list[float]:
+        def measure_sides() -> list[float]:
             """Read the side lengths [m] of the bounding box from the mesh file."""
             with name_part_in_errors(part.name):
                 path = mesh_path(part, scene)
@@ -748,14 +804,14 @@ class Body(MeshedBody[BodyKeys]):
             return list(map(float, sides))
 
         key = {"file": hash_file(mesh_path(part, scene)), "unit": part.keys.unit}
-        return load_or_build("extent", key, size, sources=self.source_modules())
+        return load_or_build("extent", key, measure_sides, sources=self.source_modules())
 
     def envelope(self, part: Part[BodyKeys], scene: DeclaredScene) -> Envelope:
         """Return the bounding box of the mesh, from which the effects of air are estimated."""
-        sides = self.sides(part, scene)
+        sides = self.compute_side_lengths(part, scene)
         if part.keys.axisymmetric:
             sides = list(filter(None, sides)) or sides[:2]
-        return box_envelope(sides)
+        return estimate_box_envelope(sides)
 
     def dimensions(self, part: Part[BodyKeys]) -> int:
         """Return the number of dimensions of the mesh."""
@@ -766,21 +822,24 @@ class Body(MeshedBody[BodyKeys]):
         groups = [item if isinstance(item, str) else item.group for item in part.keys.fixed]
         return f"{', '.join(groups)} held ideally" if groups else "nothing holds it"
 
-    def full_key(self, part: Part[BodyKeys], scene: GovernedScene) -> dict[str, Any]:
+    def make_full_model_key(self, part: Part[BodyKeys], scene: GovernedScene) -> dict[str, Any]:
         """Return the cache key of the full model, with hashes of mesh and poling files."""
-        result = {**super().full_key(part, scene), "file": hash_file(mesh_path(part, scene))}
+        result = {
+            **super().make_full_model_key(part, scene),
+            "file": hash_file(mesh_path(part, scene)),
+        }
         for where, path in _find_poling_paths(part, scene).items():
             result[where] = hash_file(path)
         return result
 
     def figures(
-        self, part: Part[BodyKeys], build: Build, waves: Waveforms
+        self, part: Part[BodyKeys], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Figure | FileWriter]:
         """Yield the figure of the mesh, then the figures that every meshed body has."""
         curve = load_or_build(
             "outline",
-            self.full_key(part, build.scene),
-            lambda: draw_edges("", self.device(part, build.scene).solid.mesh),
+            self.make_full_model_key(part, build.scene),
+            lambda: draw_edges("", self.get_fe_model(part, build.scene).solid.mesh),
             classes=(Curve,),
             sources=self.source_modules(),
         )
@@ -789,9 +848,9 @@ class Body(MeshedBody[BodyKeys]):
         yield Figure(f"{part.name}_mesh", f"Mesh of {part.name}", caption, (panel,))
         yield from super().figures(part, build, waves)
 
-    def make(self, part: Part[BodyKeys], scene: GovernedScene) -> FiniteElementModel:
+    def make_fe_model(self, part: Part[BodyKeys], scene: GovernedScene) -> FiniteElementModel:
         """Build the finite-element model on the mesh from the user's file."""
-        return device(part.keys, scene.home, part.name)
+        return build_fe_model(part.keys, scene.home, part.name)
 
 
 def _find_poling_paths(part: Part[BodyKeys], scene: DeclaredScene) -> dict[str, Path]:
@@ -803,4 +862,4 @@ def _find_poling_paths(part: Part[BodyKeys], scene: DeclaredScene) -> dict[str, 
     return result
 
 
-register(Body())
+register_part_type(Body())

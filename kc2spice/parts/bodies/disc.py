@@ -23,17 +23,24 @@ from typing import Any, Literal
 from pydantic import Field, model_validator
 
 from kc2spice.bodies.device import Block, BondedBlocks, Box, list_outer_faces
-from kc2spice.bodies.undamped import FiniteElementModel
+from kc2spice.bodies.undamped_models import FiniteElementModel
 from kc2spice.core.errors import UsageError, wrong
-from kc2spice.core.key_errors import validate
+from kc2spice.core.key_errors import validate_table
 from kc2spice.core.naming import list_names
-from kc2spice.core.quantities import Length, Ratio, Section, Thickness, Width, invalid_value_error
-from kc2spice.fem.body_keys import Damping, Mesh
-from kc2spice.fem.materials import material
+from kc2spice.core.quantities import (
+    Length,
+    Ratio,
+    Section,
+    Thickness,
+    Width,
+    make_invalid_value_error,
+)
+from kc2spice.fem.body_keys import BodyMeshKeys, DampingKeys
+from kc2spice.fem.materials import find_material
 from kc2spice.parts.bodies._linear_keys import FieldKeys
-from kc2spice.parts.bodies._meshed import BondedBody
+from kc2spice.parts.bodies._meshed_bodies import BondedBody
 from kc2spice.scene.model import GovernedScene, Part
-from kc2spice.scene.parttype import register
+from kc2spice.scene.parttype import register_part_type
 
 # number of mesh cells along the largest radius, or along half the height, before refinement
 _RADIAL_CELLS = 20
@@ -51,11 +58,13 @@ class FeedbackKeys(Section):
     inner: Length = Field(
         0.0,
         ge=0,
-        description=("Inner diameter of the feedback electrode; 0 for a circular electrode"),
+        description="Inner diameter of the feedback electrode; 0 for an electrode without a hole",
     )
     outer: Width = Field(gt=0, description="Outer diameter of the feedback electrode")
     gap: Length = Field(
-        0.5e-3, gt=0, description="Width of the gap between feedback and main electrode"
+        0.5e-3,
+        gt=0,
+        description="Width of the gap between the feedback electrode and the main electrode",
     )
 
 
@@ -67,21 +76,27 @@ class DiscLayer(Section):
     """
 
     material: str | dict[str, Any] = Field(
-        examples=['"steel"'], description="Material of the layer, a name or a table"
+        examples=['"steel"'],
+        description="Material of the layer of the disc: a name, or a table of constants",
     )
-    diameter: Width = Field(gt=0, description="Outer diameter of the layer")
+    diameter: Width = Field(gt=0, description="Outer diameter of one layer of the disc")
     thickness: Thickness = Field(gt=0, description="Thickness of one layer of the disc")
     electrodes: Length | None = Field(
         None,
         gt=0,
-        description="Diameter of the layer's electrodes; by default the diameter of the layer",
+        description=(
+            "Diameter of the electrodes on the faces of the layer; by default the diameter "
+            "of the layer"
+        ),
     )
     feedback: FeedbackKeys | None = None
     poling: Literal["up", "down"] = Field(
-        "up", description="Direction of poling of a ceramic layer"
+        "up", description="Poling direction of a ceramic layer of the disc: up or down"
     )
     quality: Ratio | None = Field(
-        None, gt=0, description="Q factor of the layer, used with damping.per_material"
+        None,
+        gt=0,
+        description="Mechanical Q factor of the layer, used if damping.per_material is true",
     )
 
     @property
@@ -90,10 +105,11 @@ class DiscLayer(Section):
         return self.electrodes or self.diameter
 
     @model_validator(mode="after")
-    def _require_fitting_parts(self) -> DiscLayer:
+    def _require_fitting_electrodes(self) -> DiscLayer:
+        """Reject electrodes that do not fit on the layer."""
         largest, ring = self.electrode_diameter, self.feedback
         if largest > self.diameter * (1 + 1e-9):
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 f"an electrode is larger than its layer, whose diameter is {self.diameter:g} m",
                 None,
                 hint=f"lower electrodes to at most {self.diameter:g} m",
@@ -102,7 +118,7 @@ class DiscLayer(Section):
             inner, outer = ring.inner / 2 - ring.gap, ring.outer / 2 + ring.gap
             filled = inner <= 0 and outer >= largest / 2
             if filled or not ring.inner < ring.outer <= largest:
-                raise invalid_value_error(
+                raise make_invalid_value_error(
                     (
                         "the feedback electrode does not fit: inner must be less than outer, and "
                         f"outer at most {largest:g} m, and a part of the main electrode must remain"
@@ -113,10 +129,12 @@ class DiscLayer(Section):
         return self
 
 
-class Node(Section):
+class KnifeEdgeSupport(Section):
     """Support of a disc on a knife-edge ring under it."""
 
-    node: Length = Field(gt=0, description="Diameter of the circle on which the disc rests")
+    node: Length = Field(
+        gt=0, description="Diameter of the knife-edge ring on which the disc rests"
+    )
 
 
 class DiscKeys(FieldKeys):
@@ -131,20 +149,20 @@ class DiscKeys(FieldKeys):
         examples=['[{ material = "PZT-5A", diameter = "20 mm", thickness = "0.2 mm" }]'],
         min_length=1,
     )
-    support: Literal["free", "clamped", "simply_supported"] | Node = "free"
+    support: Literal["free", "clamped", "simply_supported"] | KnifeEdgeSupport = "free"
     wiring: Literal["parallel", "series"] = Field(
-        "parallel", description="Electrical connection of several ceramic layers"
+        "parallel", description="Electrical connection of two or more ceramic layers of the disc"
     )
     centre: Length | None = Field(
         None,
         gt=0,
         description=(
-            "Diameter of the patch of the port `centre`; by default the thickness of the disc on "
-            "its axis"
+            "Diameter of the central patch on which the port `centre` acts; by default the "
+            "thickness of the disc on its axis"
         ),
     )
-    damping: Damping = Damping()
-    mesh: Mesh = Mesh()
+    damping: DampingKeys = DampingKeys()
+    mesh: BodyMeshKeys = BodyMeshKeys()
 
     @property
     def largest_diameter(self) -> float:
@@ -152,16 +170,17 @@ class DiscKeys(FieldKeys):
         return max(layer.diameter for layer in self.layers)
 
     @model_validator(mode="after")
-    def _require_fitting_parts(self) -> DiscKeys:
+    def _require_fitting_support(self) -> DiscKeys:
+        """Reject a support or a centre port outside of the disc."""
         widest, top = self.largest_diameter, self.layers[-1].diameter
-        if isinstance(self.support, Node) and self.support.node > widest:
-            raise invalid_value_error(
+        if isinstance(self.support, KnifeEdgeSupport) and self.support.node > widest:
+            raise make_invalid_value_error(
                 f"support: the nodal circle is outside of the body, whose diameter is {widest:g} m",
                 None,
                 hint=f"lower support.node below {widest:g} m",
             )
         if self.centre is not None and self.centre > top * (1 + 1e-9):
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 f"centre: the port is wider than the top layer, whose diameter is {top:g} m",
                 None,
                 hint=f"lower centre to at most {top:g} m",
@@ -176,7 +195,7 @@ def make_disc_blocks(keys: DiscKeys | Mapping[str, Any], where: str = "disc") ->
     ------
     UsageError : a key is invalid, or an electrode or support does not fit the layers.
     """
-    disc = validate(DiscKeys, keys, where)
+    disc = validate_table(DiscKeys, keys, where)
     pieces = _make_blocks(disc, where)
     conductors, series = _list_electrodes(disc, pieces, where), disc.wiring == "series"
     electrodes = {"anode": [*chain(*conductors[1::2])], "cathode": [*chain(*conductors[::2])]}
@@ -213,17 +232,17 @@ def _make_blocks(disc: DiscKeys, where: str) -> list[Block]:
     ends = pairwise(accumulate((layer.thickness for layer in disc.layers), initial=0.0))
     for i, (layer, span) in enumerate(zip(disc.layers, ends, strict=True)):
         here = f"{where}.layers.{i}"
-        one = material(layer.material, f"{here}.material")
-        if layer.electrodes is not None and not one.piezoelectric:
+        one = find_material(layer.material, f"{here}.material")
+        if layer.electrodes is not None and not one.is_piezoelectric:
             problem = "an electrode on a material that is not piezoelectric"
             hint = "delete the key `electrodes` of this layer"
             raise wrong(here, problem, one.name, "a piezoelectric material", hint)
-        poled = one.poled((0, 0, 1 if layer.poling == "up" else -1))
+        poled = one.rotate_z_axis((0, 0, 1 if layer.poling == "up" else -1))
         quality = layer.quality or one.quality
         poled = replace(poled, name=f"layers[{i}] ({one.name})", quality=quality)
         result.append(Block(((0.0, layer.diameter / 2), span), poled))
     materials = [block.material for block in result]
-    if not any(one.piezoelectric for one in materials):
+    if not any(one.is_piezoelectric for one in materials):
         raise UsageError(
             "the disc has no piezoelectric layer",
             where=f"{where}.layers",
@@ -245,7 +264,7 @@ def _list_electrodes(disc: DiscKeys, pieces: list[Block], where: str) -> list[li
     for i, height in enumerate(heights):
         ceramic, metal = [], []
         for k in range(max(i - 1, 0), min(i + 1, len(pieces))):
-            if pieces[k].material.piezoelectric:
+            if pieces[k].material.is_piezoelectric:
                 ceramic.append(k)
             if pieces[k].material.conductor:
                 metal.append(k)
@@ -291,7 +310,7 @@ def _make_supports(disc: DiscKeys, pieces: list[Block], radius: float) -> list[t
     """Return the supported faces or circles, each with the axes along which it is fixed."""
     if disc.support == "free":
         return []
-    if isinstance(disc.support, Node):
+    if isinstance(disc.support, KnifeEdgeSupport):
         r = disc.support.node / 2
         lowest = next(piece.box[1][0] for piece in pieces if piece.box[0][1] >= r)
         return [("z", _make_ring(r, r, lowest))]
@@ -315,7 +334,7 @@ class Disc(BondedBody[DiscKeys]):
         """Return a description of the support for the list of neglected effects."""
         return f"support is {part.keys.support}, ideal"
 
-    def devices_on_rings(
+    def make_models_on_rings(
         self,
         part: Part[DiscKeys],
         scene: GovernedScene,
@@ -323,10 +342,10 @@ class Disc(BondedBody[DiscKeys]):
         changes: Iterable[float],
     ) -> dict[float, FiniteElementModel]:
         """Return full models of the disc on supporting rings of changed diameter [m]."""
-        keys, faces = part.keys, self.sounding(part, scene).faces
+        keys, faces = part.keys, self.select_used_faces(part, scene).faces
         diameters = {"free": node, "simply_supported": keys.largest_diameter, "clamped": None}
         support = keys.support
-        diameter = support.node if isinstance(support, Node) else diameters[support]
+        diameter = support.node if isinstance(support, KnifeEdgeSupport) else diameters[support]
         devices = dict[float, FiniteElementModel]()
         if diameter is None:
             return devices
@@ -334,9 +353,9 @@ class Disc(BondedBody[DiscKeys]):
             ring = diameter * (1 + change)
             if ring <= keys.largest_diameter:
                 body = make_disc_blocks(
-                    keys.model_copy(update={"support": Node(node=ring)}), part.name
+                    keys.model_copy(update={"support": KnifeEdgeSupport(node=ring)}), part.name
                 )
-                devices[ring] = replace(body, faces=faces).device()
+                devices[ring] = replace(body, faces=faces).build_fe_model()
         return devices
 
     def is_clamped(self, part: Part[DiscKeys]) -> bool:
@@ -344,4 +363,4 @@ class Disc(BondedBody[DiscKeys]):
         return part.keys.support != "free"
 
 
-register(Disc())
+register_part_type(Disc())

@@ -51,19 +51,20 @@ from kc2spice.core.domains import THERMAL
 from kc2spice.core.errors import SimulationError, UsageError, name_part_in_errors, unknown, wrong
 from kc2spice.core.figure import Curve, Figure, FileWriter, Panel, scale_time_axis
 from kc2spice.core.naming import list_names
-from kc2spice.core.progress import Clock
+from kc2spice.core.progress import StageTimer
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem import mesh_file
 from kc2spice.fem.heat_conduction import (
     HeatSolid,
     duplicate_face_nodes,
+    evaluate_functions_at_point,
     find_common_faces,
     find_face_nodes,
-    find_point_shares,
 )
 from kc2spice.fem.solid import Solid, compute_node_shares
 from kc2spice.fem.thermal_materials import ThermalMaterialTable, find_thermal_material
 from kc2spice.netlist.spelling import LEAK_RATE
+from kc2spice.parts.bodies._body_figures import draw_edges, element_corners, map_surface
 from kc2spice.parts.bodies._body_model import hash_file
 from kc2spice.parts.bodies._heat_keys import HeatBodyKeys, HeatSourceKeys
 from kc2spice.parts.bodies._linear_body import LinearBody
@@ -73,24 +74,23 @@ from kc2spice.parts.bodies._mesh_keys import (
     mesh_path,
     read_groups,
 )
-from kc2spice.parts.bodies._meshed import (
+from kc2spice.parts.bodies._meshed_bodies import (
     check_mesh,
-    chosen_instants,
     find_field_problems,
-    metric_word,
+    list_field_instants,
+    make_metric_word,
 )
-from kc2spice.parts.bodies._pictures import draw_edges, element_corners, map_surface
-from kc2spice.rom.enriched import ReductionsByOrder
 from kc2spice.rom.heat_over_ranges import HeatOverRanges
-from kc2spice.rom.interface_modes import reduce_with_interfaces
+from kc2spice.rom.interface_reduction import reduce_with_interfaces
 from kc2spice.rom.linear_model import LinearModel, Norm, Port
 from kc2spice.rom.matrix_terms import MatrixTerms
-from kc2spice.rom.ranges import RangeTask
-from kc2spice.scene.checks import Balance, Check, Metric
-from kc2spice.scene.model import Build, DeclaredScene, GovernedScene, Part, Scene, WiredScene
-from kc2spice.scene.part_records import EquilibriumConditions, Neglected, Vector
-from kc2spice.scene.parttype import find_current_into, register
-from kc2spice.synthesis.heat import compute_heat_modes
+from kc2spice.rom.range_reduction import RangeTask
+from kc2spice.rom.time_domain_errors import ReductionsByOrder
+from kc2spice.scene.checks import Check, Metric, RunEnergyBalance
+from kc2spice.scene.model import BuiltScene, DeclaredScene, GovernedScene, Part, Scene, WiredScene
+from kc2spice.scene.part_records import EquilibriumConditions, NeglectedEffect, PartResult
+from kc2spice.scene.parttype import find_current_into, register_part_type
+from kc2spice.synthesis.heat_netlist import compute_heat_modes
 
 LAYER_ELEMENTS = 4  # number of elements through each layer
 # Factor on the tolerance for errors that are relative to the largest temperature of a pin.
@@ -110,16 +110,18 @@ class HeatGeometry:
         self.solid = solid
         self._group = group
 
-    def faces(self, name: str, where: str) -> np.ndarray:
+    def find_faces(self, name: str, where: str) -> np.ndarray:
         """Return the facet numbers of the group ``name``, which must be a group of faces."""
         return self._group(name, where, 1).members
 
-    def shares(self, source: str | HeatSourceKeys, where: str) -> np.ndarray:
+    def compute_heat_shares(self, source: str | HeatSourceKeys, where: str) -> np.ndarray:
         """Return an array (nodes,) with the fraction of a source's heat that enters each node."""
         if isinstance(source, str):
             source = HeatSourceKeys(group=source)
         if source.at is not None:
-            return find_point_shares(self.solid, np.array(source.at)[self.solid.geometry.axes])
+            return evaluate_functions_at_point(
+                self.solid, np.array(source.at)[self.solid.geometry.axis_indices]
+            )
         group = self._group(str(source.group), where, 0, 1)
         if group.codimension == 0:
             return compute_node_shares(self.solid.geometry, elements=group.members)
@@ -140,29 +142,35 @@ def make_heat_device(keys: HeatBodyKeys, home: Path, where: str = "heat_body") -
             geometry, interfaces = _stack_layers(keys)
         else:
             geometry, interfaces = _read_solid(keys, home)
-        return make_heat_model(geometry.solid, _make_setup(keys, geometry, interfaces))
+        return make_heat_model(
+            geometry.solid, _make_boundary_conditions(keys, geometry, interfaces)
+        )
 
 
 def _is_point(source: str | HeatSourceKeys) -> bool:
+    """Return whether heat enters at a single point."""
     return isinstance(source, HeatSourceKeys) and source.at is not None
 
 
-def _make_setup(
+def _make_boundary_conditions(
     keys: HeatBodyKeys, geometry: HeatGeometry, interfaces: list[tuple[np.ndarray, float]]
 ) -> HeatBoundaryConditions:
+    """Make the supports, electrodes, ports and added masses on the mesh ``solid``."""
     solid = geometry.solid.geometry
-    fixed = [find_face_nodes(solid, geometry.faces(name, "fixed")) for name in keys.fixed]
+    fixed = [find_face_nodes(solid, geometry.find_faces(name, "fixed")) for name in keys.fixed]
     isothermal = []
     for pin, stated in keys.isothermal.items():
         names = [stated] if isinstance(stated, str) else stated
-        faces = [geometry.faces(name, f"isothermal.{pin}") for name in names]
+        faces = [geometry.find_faces(name, f"isothermal.{pin}") for name in names]
         isothermal.append((Port(pin, THERMAL.port), find_face_nodes(solid, np.concatenate(faces))))
     sources = []
     for pin, source in keys.sources.items():
-        sources.append((Port(pin, THERMAL.port), geometry.shares(source, f"sources.{pin}")))
+        sources.append(
+            (Port(pin, THERMAL.port), geometry.compute_heat_shares(source, f"sources.{pin}"))
+        )
     films = []
     for number, film in enumerate(keys.films):
-        faces_of_film = geometry.faces(film.group, f"films[{number}].group")
+        faces_of_film = geometry.find_faces(film.group, f"films[{number}].group")
         port = None if film.pin is None else Port(film.pin, THERMAL.port)
         films.append(HeatFilm(faces_of_film, film.coefficient, port))
     return HeatBoundaryConditions(
@@ -182,7 +190,7 @@ def _read_solid(
 
     The second returned value contains the facets and the thermal resistance of each interface.
     """
-    groups = read_groups(keys, home, keys.splits)
+    groups = read_groups(keys, home, keys.split_count)
     owner = assign_materials(keys.materials, groups)
     materials = []
     for name, stated in keys.materials.items():
@@ -192,25 +200,25 @@ def _read_solid(
             raise wrong(
                 f"materials.{name}",
                 problem,
-                "x and y differ",
-                "equal values of x and y",
+                " and ".join(f"{value:g}" for value in made_of.conductivity[:2]) + " W/(m K)",
+                "equal conductivities along x and y",
                 "write the same conductivity for x and y",
             )
         materials.append(replace(made_of, name=f"{name} ({made_of.name})"))
     solid = Solid(groups.mesh, (), owner, keys.axisymmetric)
     interfaces = []
     for number, item in enumerate(keys.interfaces):
-        first, second = (groups.group(name, "interfaces", 0).members for name in item.between)
+        first, second = (groups.get_group(name, "interfaces", 0).members for name in item.between)
         facets = find_common_faces(solid, first, second)
         if not facets.size:
             got = " and ".join(item.between)
-            hint = "do the solids share nodes? The key `merge` joins those of touching solids"
+            hint = "set the key `merge`, which joins the nodes of touching solids"
             problem = "these groups have no common faces"
             raise wrong(f"interfaces[{number}].between", problem, got, "solids that touch", hint)
         interfaces.append((facets, item.resistance))
     if interfaces:
         solid = duplicate_face_nodes(solid, np.concatenate([facets for facets, _ in interfaces]))
-    return HeatGeometry(HeatSolid(solid, tuple(materials)), groups.group), interfaces
+    return HeatGeometry(HeatSolid(solid, tuple(materials)), groups.get_group), interfaces
 
 
 def _stack_layers(keys: HeatBodyKeys) -> tuple[HeatGeometry, list[tuple[np.ndarray, float]]]:
@@ -252,6 +260,7 @@ def _stack_layers(keys: HeatBodyKeys) -> tuple[HeatGeometry, list[tuple[np.ndarr
         groups[f"layer{number + 1}"] = mesh_file.Group(0, cells)
 
     def find_group(name: str, where: str, *codimensions: int) -> mesh_file.Group:
+        """Return a group of the layers; reject an unknown group, or one that is no face."""
         if name not in groups:
             raise unknown("the layers have no such group", name, list(groups), where)
         result = groups[name]
@@ -296,7 +305,7 @@ dc = "1 W"
 
     def ports(self, part: Part[HeatBodyKeys], scene: DeclaredScene) -> tuple[Port, ...]:
         """Return the ports of the model of the part."""
-        return part.keys.every_port
+        return part.keys.all_ports
 
     def files(self, part: Part[HeatBodyKeys], scene: DeclaredScene) -> tuple[str, ...]:
         """Return the path of the mesh file; empty for a stack of layers."""
@@ -320,24 +329,24 @@ dc = "1 W"
         Without a path to the pin ``ambient`` inside the body, heat flows between its other pins.
         """
         rest = super().equilibrium_conditions(part, scene)
-        if part.keys.leads_away:
+        if part.keys.has_path_to_surroundings:
             return rest
         first, *others = (pin for pin, _ in rest.paths)
         return EquilibriumConditions(tuple((pin, first) for pin in others))
 
-    def equilibrium_with_model(
-        self, part: Part[HeatBodyKeys], build: Build
+    def equilibrium_after_build(
+        self, part: Part[HeatBodyKeys], build: BuiltScene
     ) -> EquilibriumConditions:
         """Return the paths of steady heat flow, which do not depend on the built model."""
         return build.scene.records[part.name].rest
 
-    def default_band_end(self, scene: Scene) -> float:
+    def get_default_band_end(self, scene: Scene) -> float:
         """Return the upper end [Hz] of the default band of a transient.
 
         The upper end is :data:`RUN_POINTS` divided by the duration of the run, because a heat body
         has no resonance.
         """
-        return RUN_POINTS / scene.stop
+        return RUN_POINTS / scene.stop_time
 
     def limit_band(
         self,
@@ -353,7 +362,10 @@ dc = "1 W"
 
     def model_key(self, part: Part[HeatBodyKeys], scene: Scene) -> Mapping[str, Any]:
         """Return the cache key of the reduced model, with the flag ``limited`` of its band."""
-        chosen = self._stated_reduction(part, scene) is None and not scene.analysis.is_small_signal
+        chosen = (
+            self._find_reduction_settings(part, scene) is None
+            and not scene.analysis.is_small_signal
+        )
         return {**super().model_key(part, scene), "limited": chosen}
 
     def dimensions(self, part: Part[HeatBodyKeys]) -> int:
@@ -362,27 +374,31 @@ dc = "1 W"
             return 1
         return 2 if part.keys.axisymmetric else 3
 
-    def full_key(self, part: Part[HeatBodyKeys], scene: GovernedScene) -> Mapping[str, Any]:
+    def make_full_model_key(
+        self, part: Part[HeatBodyKeys], scene: GovernedScene
+    ) -> Mapping[str, Any]:
         """Return the cache key of the full model, with a hash of the mesh file."""
-        result = dict(super().full_key(part, scene))
+        result = dict(super().make_full_model_key(part, scene))
         if part.keys.mesh is not None:
             result["file"] = hash_file(mesh_path(part, scene))
         return result
 
-    def device(self, part: Part[HeatBodyKeys], scene: GovernedScene) -> HeatModel:
+    def get_fe_model(self, part: Part[HeatBodyKeys], scene: GovernedScene) -> HeatModel:
         """Return the full heat model, from the workspace if that contains the model."""
-        key = json.dumps([part.name, self.full_key(part, scene)], sort_keys=True)
+        key = json.dumps([part.name, self.make_full_model_key(part, scene)], sort_keys=True)
 
-        def make() -> HeatModel:
+        def make_full_heat_model() -> HeatModel:
             """Build the full heat model of the body."""
             return make_heat_device(part.keys, scene.home, part.name)
 
-        return scene.workspace.get_or_compute(f"device {self.name}", key, make)
+        return scene.workspace.get_or_compute(f"device {self.name}", key, make_full_heat_model)
 
-    def full(self, part: Part[HeatBodyKeys], scene: GovernedScene, clock: Clock) -> LinearModel:
+    def make_full_model(
+        self, part: Part[HeatBodyKeys], scene: GovernedScene, clock: StageTimer
+    ) -> LinearModel:
         """Return the matrices of the full heat model with its ports."""
         with clock.time_stage("assemble", f"mesh and matrices of {part.name}"):
-            return self.device(part, scene).model
+            return self.get_fe_model(part, scene).model
 
     def reduce_body(
         self,
@@ -412,12 +428,12 @@ dc = "1 W"
         known = _list_prescribed_names(part)
         return [*filter(known.__contains__, list_names(model.ports))]
 
-    def reduce_ranges(self, part: Part[HeatBodyKeys], task: RangeTask) -> HeatOverRanges:
+    def reduce_over_key_ranges(self, part: Part[HeatBodyKeys], task: RangeTask) -> HeatOverRanges:
         """Return a reduced model over the ranges of film coefficients and other keys.
 
         Prescribed temperatures and the error norm are treated as in :meth:`reduce_body`.
         """
-        from kc2spice.rom.heat_ranges import HeatReduction
+        from kc2spice.rom.heat_range_reduction import HeatReduction
 
         reduction = HeatReduction(task.full, task.axes, _list_prescribed_names(part))
 
@@ -428,7 +444,7 @@ dc = "1 W"
         return _reduce_with_peak_fallback(part, task.norm, reduce)
 
     def build(
-        self, part: Part[HeatBodyKeys], scene: Scene, clock: Clock, full: bool = False
+        self, part: Part[HeatBodyKeys], scene: Scene, clock: StageTimer, full: bool = False
     ) -> LinearModel | None:
         """Return the model; with parameter ranges, its thermal resistances are recomputed.
 
@@ -445,7 +461,7 @@ dc = "1 W"
         exact = {name: resistances[name] for name in known if name in resistances}
         return replace(model, facts={**model.facts, **exact})
 
-    def vectors(self, part: Part[HeatBodyKeys], build: Build) -> Mapping[str, Vector]:
+    def vectors(self, part: Part[HeatBodyKeys], build: BuiltScene) -> Mapping[str, PartResult]:
         """Return the ngspice vectors of the results of the ports, keyed by result name.
 
         For a port that is connected to a single part, the heat flow into the port is also a result.
@@ -453,54 +469,54 @@ dc = "1 W"
         result = dict(super().vectors(part, build))
         for port in self.used_ports(part, build.scene):
             flow = find_current_into(part, port.terminals[0], build)
-            if flow is not None and build.net(part, port.terminals[0]) != "0":
+            if flow is not None and build.get_net(part, port.terminals[0]) != "0":
                 result[f"{part.name}.heat.{port.name}"] = flow
         return result
 
     def metrics(
-        self, part: Part[HeatBodyKeys], build: Build, waves: Waveforms
+        self, part: Part[HeatBodyKeys], build: BuiltScene, waves: Waveforms
     ) -> Mapping[str, object]:
         """Return the thermal resistance of each port, and the peak temperature per material."""
         result: dict[str, object] = dict(super().metrics(part, build, waves))
         for name, value in build.facts(part).items():
             if name.startswith(RESISTANCE_PREFIX):
                 result[name] = Metric(value, "K/W")
-        field = self.temperatures(part, build, waves)
+        field = self.make_temperature_field(part, build, waves)
         for spot in field.find_hot_spots() if field else ():
-            word = metric_word(spot.material)
+            word = make_metric_word(spot.material)
             result[f"hottest_rise_{word}"] = Metric(spot.value, "K")
             result[f"hottest_time_{word}"] = Metric(spot.instant, "s")
         return result
 
     def checks(
-        self, part: Part[HeatBodyKeys], build: Build, waves: Waveforms
-    ) -> Iterator[Check | Balance]:
+        self, part: Part[HeatBodyKeys], build: BuiltScene, waves: Waveforms
+    ) -> Iterator[Check | RunEnergyBalance]:
         """Yield the checks of the part after a run."""
         yield from super().checks(part, build, waves)
         yield from check_mesh(part, build)
 
     def figures(
-        self, part: Part[HeatBodyKeys], build: Build, waves: Waveforms
+        self, part: Part[HeatBodyKeys], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Figure | FileWriter]:
         """Yield plots of temperatures, of the thermal impedance, and of the temperature field."""
         yield from _plot_temperatures(part.name, waves)
         yield from _plot_thermal_impedance(part.name, build.model(part, LinearModel))
-        field = self.temperatures(part, build, waves)
+        field = self.make_temperature_field(part, build, waves)
         if field is None:
             return
         instants = {"": float(field.time[-1])}
-        for number, instant in enumerate(chosen_instants(part), 1):
+        for number, instant in enumerate(list_field_instants(part), 1):
             instants[f"_{number}"] = instant
         for stem, instant in instants.items():
-            rises = field.at(instant)
+            rises = field.find_nearest_rises(instant)
             write = partial(write_temperatures, heat=field.heat, rises=rises)
             yield FileWriter(f"{part.name}_temperatures{stem}.vtu", write)
             yield from _draw_field(
                 f"{part.name}_field{stem}", part.name, field.heat, instant, rises
             )
 
-    def temperatures(
-        self, part: Part[HeatBodyKeys], build: Build, waves: Waveforms
+    def make_temperature_field(
+        self, part: Part[HeatBodyKeys], build: BuiltScene, waves: Waveforms
     ) -> TemperatureField | None:
         """Return the temperature field versus time; None without the key ``fields``.
 
@@ -511,35 +527,39 @@ dc = "1 W"
         if not part.keys.fields or "time" not in waves:
             return None
 
-        def recover() -> tuple[Waveforms, TemperatureField]:
+        def recover_field() -> tuple[Waveforms, TemperatureField]:
             """Compute the temperature field from the heat flows of the run."""
             flows = {}
             for port in self.used_ports(part, build.scene):
                 flow = waves.data.get(f"{part.name}.heat.{port.name}")
-                if flow is None and build.scene.joined_pins(part.name, port.terminals[0]):
-                    got = f"a heat flow into {port.name} that its part does not record"
+                if flow is None and build.scene.list_joined_pins(part.name, port.terminals[0]):
+                    got = f"a heat flow into {port.name} without a recorded value"
                     expected = "one source, thermal_resistor or other part at each pin"
                     problem = "fields need every heat flow into the body"
                     raise wrong(f"{part.name}.fields", problem, got, expected)
                 if flow is not None:
                     flows[port.name] = flow
-            heat = self.device(part, build.scene)
+            heat = self.get_fe_model(part, build.scene)
             return waves, recover_temperatures(heat, waves["time"], flows)
 
         # The stored result contains a reference to ``waves``.
         # No other object can therefore get the ``id`` of ``waves``, which is the key of the result.
         kind = f"temperatures of {part.name}"
-        return build.workspace.get_or_compute(kind, id(waves), recover)[1]
+        return build.workspace.get_or_compute(kind, id(waves), recover_field)[1]
 
-    def list_neglected_effects(self, part: Part[HeatBodyKeys], scene: Scene) -> Iterator[Neglected]:
+    def list_neglected_effects(
+        self, part: Part[HeatBodyKeys], scene: Scene
+    ) -> Iterator[NeglectedEffect]:
         """Yield the neglected effects, such as materials that depend on temperature."""
         yield from super().list_neglected_effects(part, scene)
         what = f"{part.name}: conductivity and specific heat that change with temperature"
-        yield Neglected(what, "constants of one temperature", "silicon loses 33 % up to 400 K")
+        yield NeglectedEffect(
+            what, "constants of one temperature", "silicon loses 33 % up to 400 K"
+        )
         if part.keys.layers:
             what = f"{part.name}: heat that spreads sideways in its layers"
             why = "heat flows straight down through the area of each layer"
-            yield Neglected(what, why, "lower temperatures than modelled: use a mesh")
+            yield NeglectedEffect(what, why, "lower temperatures than modelled: use a mesh")
 
 
 def _list_prescribed_names(part: Part[HeatBodyKeys]) -> set[str]:
@@ -619,9 +639,11 @@ def _draw_field(
         # The curve therefore contains the nodes of each element separately.
         cells = np.argsort(mesh.p[0, mesh.t].mean(axis=0))
         nodes = geometry.basis(1).element_dofs[:, cells]
-        nodes = np.take_along_axis(nodes, np.argsort(geometry.places[0, nodes], axis=0), axis=0)
+        nodes = np.take_along_axis(
+            nodes, np.argsort(geometry.node_positions[0, nodes], axis=0), axis=0
+        )
         path = nodes.T.ravel()
-        curve = Curve("", 1e3 * geometry.places[0, path], rises[path])
+        curve = Curve("", 1e3 * geometry.node_positions[0, path], rises[path])
         panel = Panel("height in mm", "temperature rise in K", (curve,))
     else:
         colours = map_surface(mesh, element_corners(mesh), values, "temperature rise in K")
@@ -630,4 +652,4 @@ def _draw_field(
     yield Figure(figure, title, caption, (panel,))
 
 
-register(HeatBody())
+register_part_type(HeatBody())

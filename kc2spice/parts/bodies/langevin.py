@@ -19,7 +19,7 @@ from pydantic import Field, model_validator
 
 from kc2spice.bodies.device import BACK_FACE, FRONT_FACE, Block, BondedBlocks, Box, RadiatingFace
 from kc2spice.core.errors import wrong
-from kc2spice.core.key_errors import validate
+from kc2spice.core.key_errors import validate_table
 from kc2spice.core.quantities import (
     Count,
     Extent,
@@ -28,16 +28,16 @@ from kc2spice.core.quantities import (
     Section,
     Thickness,
     Width,
-    invalid_value_error,
+    make_invalid_value_error,
 )
-from kc2spice.fem.body_keys import Damping, Mesh
-from kc2spice.fem.materials import material
+from kc2spice.fem.body_keys import BodyMeshKeys, DampingKeys
+from kc2spice.fem.materials import find_material
 from kc2spice.parts.bodies._linear_keys import FieldKeys
-from kc2spice.parts.bodies._meshed import BondedBody
-from kc2spice.parts.bodies._neglected import NOT_ESTIMATED_TEXT
+from kc2spice.parts.bodies._meshed_bodies import BondedBody
+from kc2spice.parts.bodies._neglected_effects import NOT_ESTIMATED_TEXT
 from kc2spice.scene.model import Part, Scene
-from kc2spice.scene.part_records import Neglected
-from kc2spice.scene.parttype import register
+from kc2spice.scene.part_records import NeglectedEffect
+from kc2spice.scene.parttype import register_part_type
 
 _RADIAL_CELLS = 8  # number of mesh cells along the largest radius before refinement
 
@@ -46,38 +46,54 @@ class PieceKeys(Section):
     """Keys common to all pieces of the transducer."""
 
     material: str | dict[str, Any] = Field(
-        examples=['"steel"'], description="Material of the piece, a name or a table"
+        examples=['"steel"'],
+        description="Material of this piece of the transducer: a name, or a table of constants",
     )
     quality: Ratio | None = Field(
-        None, gt=0, description="Q factor of the piece, used with damping.per_material"
+        None,
+        gt=0,
+        description=(
+            "Mechanical Q factor of this piece of the transducer, used if "
+            "damping.per_material is true"
+        ),
     )
 
 
 class CylinderKeys(PieceKeys):
     """Cylindrical section of the front or back mass."""
 
-    diameter: Width = Field(gt=0, description="Outer diameter of the cylinder")
-    length: Extent = Field(gt=0, description="Length of the cylinder along the axis")
+    diameter: Width = Field(
+        gt=0, description="Outer diameter of a cylindrical section of the front or back mass"
+    )
+    length: Extent = Field(
+        gt=0,
+        description="Length of a cylindrical section of the front or back mass along the axis",
+    )
 
 
-class Rings(PieceKeys):
-    """Stack of equal ceramic rings; with an even ``count``, both masses belong to the cathode."""
+class RingStackKeys(PieceKeys):
+    """Keys of equal ceramic rings; an even ``count`` joins both masses to the cathode."""
 
     outer: Width = Field(gt=0, description="Outer diameter of the ceramic rings")
     inner: Length = Field(gt=0, description="Diameter of the bore of the ceramic rings")
     thickness: Thickness = Field(gt=0, description="Thickness of one ceramic ring")
-    count: Count = Field(2, ge=2, le=20, description="Number of ceramic rings, which must be even")
+    count: Count = Field(
+        2,
+        ge=2,
+        le=20,
+        description="Number of ceramic rings in the transducer; must be an even number",
+    )
 
     @model_validator(mode="after")
-    def _require_valid_rings(self) -> Rings:
+    def _require_valid_rings(self) -> RingStackKeys:
         if self.count % 2:
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 "the number of rings is odd, so that the bolt connects the anode to the cathode",
                 None,
                 hint=f"write count = {self.count + 1}",
             )
         if self.inner >= self.outer:
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 "the inner diameter is not smaller than the outer diameter",
                 None,
                 hint=f"lower inner below {self.outer:g} m, or exchange inner and outer",
@@ -97,21 +113,21 @@ class BoltKeys(PieceKeys):
         None,
         gt=0,
         description=(
-            "Depth of the bolt in the front mass; by default the length of the front "
-            "cylinder at the rings"
+            "Length of the bolt inside the front mass; by default the length of the front "
+            "cylinder next to the ceramic rings"
         ),
     )
     head_diameter: Length | None = Field(
-        None, gt=0, description="Diameter of the head of the bolt; requires head_length"
+        None, gt=0, description="Diameter of the bolt's head; requires the key `head_length`"
     )
     head_length: Length | None = Field(
-        None, gt=0, description="Length of the head of the bolt; requires head_diameter"
+        None, gt=0, description="Length of the bolt's head; requires the key `head_diameter`"
     )
 
     @model_validator(mode="after")
     def _require_complete_head(self) -> BoltKeys:
         if (self.head_diameter is None) != (self.head_length is None):
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 "head_diameter and head_length must be used together",
                 None,
                 hint="add the missing one of the two keys",
@@ -129,13 +145,14 @@ class LangevinKeys(FieldKeys):
     back: tuple[CylinderKeys, ...] = Field(
         examples=['[{ material = "steel", diameter = "20 mm", length = "20 mm" }]'], min_length=1
     )
-    rings: Rings
+    rings: RingStackKeys
     bolt: BoltKeys
     support: Literal["free", "back"] = Field(
-        "free", description="Mechanical support: free, or clamped at the back face"
+        "free",
+        description="Mechanical support of the transducer: free, or clamped at the back face",
     )
-    damping: Damping = Damping()
-    mesh: Mesh = Mesh()
+    damping: DampingKeys = DampingKeys()
+    mesh: BodyMeshKeys = BodyMeshKeys()
 
     @model_validator(mode="after")
     def _require_fitting_pieces(self) -> LangevinKeys:
@@ -162,7 +179,7 @@ class LangevinKeys(FieldKeys):
                     )
                 elif key == "bolt.head_diameter":
                     smaller = f"raise bolt.head_diameter above {bolt.diameter:g} m"
-                raise invalid_value_error(problem, None, hint=smaller)
+                raise make_invalid_value_error(problem, None, hint=smaller)
         return self
 
 
@@ -175,7 +192,7 @@ def make_langevin_blocks(
     ------
     UsageError : a key is invalid, or the pieces do not fit into one another.
     """
-    body = validate(LangevinKeys, keys, where)
+    body = validate_table(LangevinKeys, keys, where)
     pieces, rings = _make_blocks(body, where), body.rings
     boxes = np.array([piece.box for piece in pieces])
     bottom, top = float(boxes[:, 1].min()), float(boxes[:, 1].max())
@@ -209,16 +226,16 @@ def _make_blocks(body: LangevinKeys, where: str) -> list[Block]:
         piece: PieceKeys, key: str, radii: tuple[float, float], low: float, high: float, up: int = 1
     ) -> None:
         """Add a block from height ``low`` to ``high``; ``up`` is the sign of its poling."""
-        one = material(piece.material, f"{where}.{key}.material")
+        one = find_material(piece.material, f"{where}.{key}.material")
         quality = piece.quality or one.quality
-        poled = replace(one.poled((0, 0, up)), name=f"{key} ({one.name})", quality=quality)
+        poled = replace(one.rotate_z_axis((0, 0, up)), name=f"{key} ({one.name})", quality=quality)
         result.append(Block((radii, (low, high)), poled))
 
     rings, bolt = body.rings, body.bolt
     core, ring = bolt.diameter / 2, (rings.inner / 2, rings.outer / 2)
     for i in range(rings.count):
         add(rings, f"rings[{i}]", ring, i * rings.thickness, (i + 1) * rings.thickness, (-1) ** i)
-    if not result[0].material.piezoelectric:
+    if not result[0].material.is_piezoelectric:
         problem = "the rings are not piezoelectric"
         raise wrong(
             f"{where}.rings.material",
@@ -273,13 +290,15 @@ stop = "100 kHz"
         """Return a description of the support for the list of neglected effects."""
         return f"support is {part.keys.support}, ideal"
 
-    def list_neglected_effects(self, part: Part[LangevinKeys], scene: Scene) -> Iterator[Neglected]:
+    def list_neglected_effects(
+        self, part: Part[LangevinKeys], scene: Scene
+    ) -> Iterator[NeglectedEffect]:
         """Yield the neglected effects, such as the preload of the bolt."""
         yield from super().list_neglected_effects(part, scene)
         why = "pieces are bonded and free of stress at rest"
-        yield Neglected(
+        yield NeglectedEffect(
             f"{part.name}: preload of the bolt, compliance of joints", why, NOT_ESTIMATED_TEXT
         )
 
 
-register(Langevin())
+register_part_type(Langevin())

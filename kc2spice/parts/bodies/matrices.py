@@ -11,17 +11,17 @@ from typing import Any
 from pydantic import Field
 
 from kc2spice.bodies.readers import list_source_files, locate_model, measure_mesh_extent, read_model
-from kc2spice.bodies.readers.raw import TRANSLATIONS
+from kc2spice.bodies.readers.raw_matrices import TRANSLATIONS
 from kc2spice.core.domains import ACCELERATION, TRANSLATION
 from kc2spice.core.figure import Shape
-from kc2spice.core.progress import Clock
+from kc2spice.core.progress import StageTimer
 from kc2spice.core.untrusted_files import locate_file_in_folder
 from kc2spice.parts.bodies._body_model import hash_file
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.parts.bodies._linear_keys import LinearKeys
 from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.scene.model import DeclaredScene, GovernedScene, Part, Scene
-from kc2spice.scene.parttype import register
+from kc2spice.scene.parttype import register_part_type
 from kc2spice.scene.settings import FileName
 
 LINE_HEIGHT = 0.02  # smallest drawn height of a mesh, relative to its width
@@ -32,10 +32,13 @@ class MatricesKeys(LinearKeys):
 
     file: FileName = Field(
         examples=['"FILE"'],
-        description="Matrix file in the scene's folder, or the common NAME of several matrix files",
+        description=(
+            "Matrix file in the scene's folder, or NAME for several matrix files NAME.M, NAME.K, …"
+        ),
     )
     sidecar: FileName | None = Field(
-        None, description="TOML file that describes the ports; by default NAME.toml"
+        None,
+        description="TOML file that describes the ports of the matrices; by default NAME.toml",
     )
 
 
@@ -52,7 +55,7 @@ class Matrices(LinearBody[MatricesKeys]):
         """Return the ports of the model of the part."""
         return self._read_model(part, scene).ports
 
-    def directions(
+    def pin_directions(
         self, part: Part[MatricesKeys], scene: DeclaredScene
     ) -> Mapping[str, tuple[float, ...]]:
         """Return the direction of each translational port, keyed by its pin.
@@ -69,9 +72,9 @@ class Matrices(LinearBody[MatricesKeys]):
                 result[pin] = tuple(entry.weights.get(axis, 0.0) for axis in TRANSLATIONS)
         return result
 
-    def full_key(self, part: Part[MatricesKeys], scene: GovernedScene) -> dict[str, Any]:
+    def make_full_model_key(self, part: Part[MatricesKeys], scene: GovernedScene) -> dict[str, Any]:
         """Return the cache key of the full model, with hashes of the matrix files."""
-        return {**super().full_key(part, scene), "files": self._hash_files(part, scene)}
+        return {**super().make_full_model_key(part, scene), "files": self._hash_files(part, scene)}
 
     def _hash_files(self, part: Part[MatricesKeys], scene: DeclaredScene) -> dict[str, str]:
         """Return a hash of the content of each matrix file, keyed by its path."""
@@ -82,7 +85,9 @@ class Matrices(LinearBody[MatricesKeys]):
         result = list_source_files(*self._find_paths(part, scene))
         return tuple(os.path.relpath(path, scene.home) for path in result)
 
-    def full(self, part: Part[MatricesKeys], scene: GovernedScene, clock: Clock) -> LinearModel:
+    def make_full_model(
+        self, part: Part[MatricesKeys], scene: GovernedScene, clock: StageTimer
+    ) -> LinearModel:
         """Return the full model, which the matrix files contain."""
         return self._read_model(part, scene)
 
@@ -118,4 +123,4 @@ def _read_model_files(path: Path, sidecar: Path | None, stamps: str) -> LinearMo
     return read_model(path, sidecar)
 
 
-register(Matrices())
+register_part_type(Matrices())

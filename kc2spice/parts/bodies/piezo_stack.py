@@ -11,26 +11,26 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, ValidationInfo, model_validator
 
-from kc2spice.bodies.stack_keys import PATCH_PORT, SECTORS, Chip
+from kc2spice.bodies.stack_keys import PATCH_PORT, SECTORS, StackKeys
 from kc2spice.core.cache import load_or_build
 from kc2spice.core.domains import ELECTRICAL, TRANSLATION
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Shape
-from kc2spice.core.quantities import Count, Section, Time, Voltage, invalid_value_error, si
+from kc2spice.core.quantities import Count, Section, Time, Voltage, make_invalid_value_error, si
 from kc2spice.core.waveforms import Waveforms, integrate_cumulatively
-from kc2spice.fem.materials import material
-from kc2spice.parts.bodies._body_model import MODEL_SOURCES, describe_target, reduction_target
-from kc2spice.parts.bodies._body_ports import required_ports
+from kc2spice.fem.materials import find_material
+from kc2spice.parts.bodies._body_model import MODEL_SOURCES, describe_target, get_reduction_settings
+from kc2spice.parts.bodies._body_ports import find_required_ports
 from kc2spice.parts.bodies._linear_keys import FieldKeys
-from kc2spice.parts.bodies._meshed import MeshedBody
-from kc2spice.parts.bodies._neglected import Envelope, disc_air_mass
-from kc2spice.parts.electronics.netlist import driver
+from kc2spice.parts.bodies._meshed_bodies import MeshedBody
+from kc2spice.parts.bodies._neglected_effects import Envelope, compute_disc_air_mass
+from kc2spice.parts.electronics.netlist import make_driver_table
 from kc2spice.parts.mechanics._contact_keys import ContactKeys
-from kc2spice.parts.mechanics._touching import ContactSurface, LargestIndentation, make_pair
+from kc2spice.parts.mechanics._contact_surfaces import ContactSurface, LargestIndentation, make_pair
 from kc2spice.rom.linear_model import Port
 from kc2spice.scene.checks import Metric
 from kc2spice.scene.model import (
-    Build,
+    BuiltScene,
     DeclaredScene,
     GovernedScene,
     JoinedScene,
@@ -38,17 +38,17 @@ from kc2spice.scene.model import (
     Scene,
     WiredScene,
 )
-from kc2spice.scene.part_records import Neglected, Numerics
-from kc2spice.scene.parttype import register
-from kc2spice.scene.plausible import check_range
-from kc2spice.scene.settings import Rom
+from kc2spice.scene.part_records import NeglectedEffect, NumericalRequirements
+from kc2spice.scene.parttype import register_part_type
+from kc2spice.scene.plausibility import check_range
+from kc2spice.scene.settings import RomKeys
 from kc2spice.synthesis.mode_cards import COARSE_WEIGHTS, THROWING_WEIGHTS, StepWeights
 
 # The modules with meshes and solvers are imported at first use.
 # Most runs do not need these modules, because they read their models from the cache.
 if TYPE_CHECKING:
     from kc2spice.bodies.pressure import LocalCompliance, PressureBasis
-    from kc2spice.bodies.undamped import FiniteElementModel
+    from kc2spice.bodies.undamped_models import FiniteElementModel
 
 DAMPING_FREQUENCY = 250e3  # frequency [Hz] at which the paper's chip has a damping ratio of 1 %
 # Damping ratio at ``DAMPING_FREQUENCY`` below which modes ring during the whole kick.
@@ -83,7 +83,7 @@ MOUNTING_TEXTS = {  # description of each value of the key ``mounting``
 PAPER_ORDER = 30  # number of states of the reduced model in the paper
 # Keys that determine the finite-element model.
 # All other keys, such as ``drive``, only affect the circuit.
-CHIP_KEYS = set(Chip.model_fields)
+CHIP_KEYS = set(StackKeys.model_fields)
 # Keys whose values do not decide whether a chip counts as the paper's chip.
 KEYS_IGNORED_FOR_PAPER_CHIP = {"mesh", "damping", "mounting", "preload_spring", "layer_thickness"}
 
@@ -94,19 +94,29 @@ class KickPulse(Section):
     ``width`` is its width at half height.
     """
 
-    voltage: Voltage = Field(100.0, description="Voltage of the pulse")
-    width: Time = Field(25e-6, gt=0, description="Width of the pulse at half of its height")
-    edge: Time = Field(0.1e-6, gt=0, description="Rise and fall time of the pulse")
-    start: Time = Field(0.5e-3, ge=0, description="Time at which the pulse begins to rise")
-    period: Time | None = Field(None, gt=0, description="Period of the pulse train")
+    voltage: Voltage = Field(100.0, description="Peak voltage of the drive pulse")
+    width: Time = Field(25e-6, gt=0, description="Width of the drive pulse at half of its height")
+    edge: Time = Field(
+        0.1e-6, gt=0, description="Rise time of the drive pulse, equal to the fall time"
+    )
+    start: Time = Field(
+        0.5e-3, ge=0, description="Time at which the first drive pulse begins to rise"
+    )
+    period: Time | None = Field(
+        None,
+        gt=0,
+        description="Period of the train of drive pulses; by default there is only one pulse",
+    )
     count: Count | None = Field(
-        None, ge=1, description="Number of pulses of the pulse train; by default unlimited"
+        None,
+        ge=1,
+        description="Number of pulses of the train of drive pulses; by default unlimited",
     )
 
     @model_validator(mode="after")
     def _require_edges_within_width(self) -> KickPulse:
         if self.edge > self.width:
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 "the pulse has an edge that is longer than its width",
                 None,
                 hint=f"lower edge to {self.width / 10:g} s",
@@ -114,28 +124,31 @@ class KickPulse(Section):
         return self
 
 
-class Stack(Chip, FieldKeys):
-    """Keys of a piezoelectric chip, which has its own drive if nothing else drives the anode."""
+class PiezoStackKeys(StackKeys, FieldKeys):
+    """Keys of a piezoelectric stack with a default drive of its anode."""
 
     electrical: Literal["open", "short", "driven"] = Field(
         "driven",
-        description="Electrical condition of the anode if no other part is connected to it",
+        description=(
+            "Electrical condition of the stack's anode if no other part is connected to the anode"
+        ),
     )
     rated_field: Annotated[float, si("V/m")] = Field(
         2e6,
         gt=0,
         description=(
-            "Largest electric field in a layer in the direction of poling, from the data "
-            "sheet; the default is 120 V across 60 um"
+            "Largest permitted electric field in a layer in the poling direction, as stated "
+            "in the data sheet; the default is 120 V across 60 um"
         ),
     )
     drive: KickPulse | None = Field(
-        None, description="Voltage pulse of an ideal source at the anode"
+        None, description="Voltage pulse that an ideal source applies to the anode of the stack"
     )
     driver: dict[str, dict[str, Any]] | None = Field(
         None,
         description=(
-            "Driver circuit between pulse source and chip, as a table { TYPE = { keys } }"
+            "Driver circuit between the pulse source and the stack: a table { TYPE = { keys "
+            "} }, where TYPE is the part type of a driver"
         ),
     )
 
@@ -152,9 +165,9 @@ class Stack(Chip, FieldKeys):
         return {"drive": {}, **data}
 
     @model_validator(mode="after")
-    def _require_compatible_keys(self) -> Stack:
+    def _require_compatible_keys(self) -> PiezoStackKeys:
         if self.fields and (self.mesh.order != 1 or self.mesh.layers_per_element != 1):
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 (
                     "fields need linear elements of one layer each: mesh.order = 1, "
                     "mesh.layers_per_element = 1"
@@ -163,7 +176,7 @@ class Stack(Chip, FieldKeys):
                 hint="write  mesh = { order = 1, layers_per_element = 1 }",
             )
         if self.driver and self.electrical != "driven":
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 'the key `driver` needs electrical = "driven"',
                 None,
                 hint='write  electrical = "driven"',
@@ -171,20 +184,20 @@ class Stack(Chip, FieldKeys):
         return self
 
 
-class PiezoStack(MeshedBody[Stack]):
+class PiezoStack(MeshedBody[PiezoStackKeys]):
     """Part type ``piezo_stack``: layered piezoelectric chip (3-D FE, reduced)."""
 
     name = "piezo_stack"
     title = "layered piezoelectric chip (3-D FE, reduced)"
     discretisations = ("mesh.refine",)
-    schema = Stack
+    schema = PiezoStackKeys
     source = "FE (piezoelectric, linear)"
 
-    def expand(
-        self, part: Part[Stack], data: Mapping[str, object]
+    def generate_tables(
+        self, part: Part[PiezoStackKeys], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
         """Return the tables of the source and the driver that the keys of the stack describe."""
-        keys: Stack = part.keys
+        keys: PiezoStackKeys = part.keys
         anode = f"{part.name}.anode"
         if keys.electrical == "short":
             return {f"{part.name}_drive": {"part": "source", "dc": 0.0, "pins": {"out": anode}}}
@@ -196,7 +209,7 @@ class PiezoStack(MeshedBody[Stack]):
         if keys.driver is None:
             return {f"{part.name}_drive": source}
         table, name = (
-            driver(part, part.keys.driver or {}, DRIVER_TYPES, data),
+            make_driver_table(part, part.keys.driver or {}, DRIVER_TYPES, data),
             f"{part.name}_driver",
         )
         pins = {"out": anode}
@@ -205,22 +218,22 @@ class PiezoStack(MeshedBody[Stack]):
         source["pins"] = {"out": f"{name}.command"}
         return {f"{part.name}_drive": source, name: {**table, "pins": pins}}
 
-    def ports(self, part: Part[Stack], scene: DeclaredScene) -> tuple[Port, ...]:
+    def ports(self, part: Part[PiezoStackKeys], scene: DeclaredScene) -> tuple[Port, ...]:
         """Return the ports of the model of the part."""
-        names = ring_names(part.keys.mesh.rings + 1)
+        names = list_ring_names(part.keys.mesh.rings + 1)
         if find_pressure_basis(part, scene) is not None:
             names = [PATCH_PORT]
         ring_ports = (Port(name, TRANSLATION.port) for name in names)
         return (*ring_ports, Port("anode", ELECTRICAL.port, pins=("anode", "cathode")))
 
-    def used_ports(self, part: Part[Stack], scene: JoinedScene) -> tuple[Port, ...]:
+    def used_ports(self, part: Part[PiezoStackKeys], scene: JoinedScene) -> tuple[Port, ...]:
         """Return the anode port, and the ports of all rings up to the last required ring."""
         if find_pressure_basis(part, scene) is not None:
             return super().used_ports(part, scene)
         *ring_ports, anode = self.ports(part, scene)
         return (*ring_ports[: count_used_rings(part, scene)], anode)
 
-    def problems(self, part: Part[Stack], scene: GovernedScene) -> Iterator[UsageError]:
+    def problems(self, part: Part[PiezoStackKeys], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield an error for each invalid key of the part."""
         yield from super().problems(part, scene)
         keys, name, drive = part.keys, part.name, part.keys.drive
@@ -234,19 +247,19 @@ class PiezoStack(MeshedBody[Stack]):
                 "roller, glued or a stiffness per area",
                 'write  mounting = "glued"',
             )
-        if drive and keys.electrical == "driven" and transient and drive.start >= scene.stop:
-            expected = f"before the end of the simulation, {scene.stop:g} s"
+        if drive and keys.electrical == "driven" and transient and drive.start >= scene.stop_time:
+            expected = f"before the end of the simulation, {scene.stop_time:g} s"
             problem = "the kick starts after the simulation ends"
             yield part.wrong(
                 "drive.start",
                 problem,
                 f"{drive.start:g} s",
                 expected,
-                f"lower drive.start below {scene.stop:g} s",
+                f"lower drive.start below {scene.stop_time:g} s",
             )
         reason = "multilayer ceramics are sintered from 0.1 mm to 0.1 m"
         wide = "side" if keys.diameter is None else "diameter"
-        yield from check_range(f"{name}.{wide}", 2 * max(keys.half), "m", 1e-4, 0.1, reason)
+        yield from check_range(f"{name}.{wide}", 2 * max(keys.half_widths), "m", 1e-4, 0.1, reason)
         yield from check_range(f"{name}.height", keys.height, "m", 1e-5, 0.2, reason)
         layer = keys.height / keys.layers
         tape = "ceramic tape is 1 um to a few millimetres thick; this is height / layers"
@@ -256,8 +269,8 @@ class PiezoStack(MeshedBody[Stack]):
             why = f"{drive.voltage:g} V across {layer:.3g} m; the ceramic breaks down"
             yield from check_range(f"{name}.drive.voltage", field, "V/m", 0.0, 2e7, why)
 
-    def surface(
-        self, part: Part[Stack], scene: GovernedScene, ports: tuple[str, ...] = ()
+    def contact_surface(
+        self, part: Part[PiezoStackKeys], scene: GovernedScene, ports: tuple[str, ...] = ()
     ) -> ContactSurface:
         """Return the surface under a contact: the contact rings, or the pressure patch, on top."""
         if part.keys.poling == "x":
@@ -269,10 +282,10 @@ class PiezoStack(MeshedBody[Stack]):
                 "poling = z for a stack with a contact",
                 'write  poling = "z"',
             )
-        shape, radii = find_pressure_basis(part, scene), ring_radii(part.keys)
+        shape, radii = find_pressure_basis(part, scene), compute_ring_radii(part.keys)
         modulus = self.indentation_modulus(part)
         if shape is None:
-            names = ports or tuple(ring_names(len(radii)))
+            names = ports or tuple(list_ring_names(len(radii)))
             rings = list(map(partial(_read_ring_number, part), names))
             distance = tuple(radii[rings].tolist())
             return ContactSurface(part.name, names, distance, sectors=SECTORS, modulus=modulus)
@@ -287,13 +300,15 @@ class PiezoStack(MeshedBody[Stack]):
             modulus=modulus,
         )
 
-    def numerics(self, part: Part[Stack], scene: WiredScene) -> Iterator[Numerics]:
+    def numerics(
+        self, part: Part[PiezoStackKeys], scene: WiredScene
+    ) -> Iterator[NumericalRequirements]:
         """Yield tighter solver tolerances for chips that ring, and for low kicks.
 
-        Ringing increases the phase error of the trapezoidal rule. A kick with a low voltage closes
-        fewer contact rings, so its launch velocity depends more on each time step. At 40 to 60 V,
-        the relative error of the launch velocity is ten times the error at 100 V with the same
-        tolerances. The error of the launch velocity is proportional to reltol^0.55.
+        Ringing increases the phase error of the trapezoidal rule. A kick with a low voltage
+        closes fewer contact rings, so its launch velocity depends more on each time step. At 40 to
+        60 V, the relative error of the launch velocity is ten times the error at 100 V with the
+        same tolerances. The error of the launch velocity is proportional to reltol^0.55.
         """
         if not scene.list_parts("contact"):
             return
@@ -304,15 +319,17 @@ class PiezoStack(MeshedBody[Stack]):
             # Parts other than sources at the anode can slow down a kick.
             # With an amplifier of 5 A, the launch velocity is 0.67 m/s.
             # With the tolerances for 1 m/s, the relative error of this launch velocity is 1.5e-3.
-            driven = not scene.joined_types(part.name, "anode") <= {"source"}
+            driven = not scene.list_joined_types(part.name, "anode") <= {"source"}
             close *= min(1.0, LOW_KICK_FACTOR if driven else max(speed**8, LOW_KICK_FACTOR))
         if _moves_down_first(part):
             close = min(close, DOWNWARD_RELTOL_FACTOR)
         what = f"contacts of {part.name}, within which error control decides"
         chgtol = min(1.0, speed or 1.0)
-        yield Numerics(what, MAX_TIME_STEP, overrides_others=True, reltol=close, chgtol=chgtol)
+        yield NumericalRequirements(
+            what, MAX_TIME_STEP, overrides_others=True, reltol=close, chgtol=chgtol
+        )
 
-    def weights(self, part: Part[Stack], scene: DeclaredScene) -> StepWeights:
+    def weights(self, part: Part[PiezoStackKeys], scene: DeclaredScene) -> StepWeights:
         """Return the weights of the modes in step control; a downward kick has its own weights.
 
         After a downward kick, the chip rings until it hits the sphere.
@@ -320,31 +337,33 @@ class PiezoStack(MeshedBody[Stack]):
         return THROWING_WEIGHTS if _moves_down_first(part) else super().weights(part, scene)
 
     def largest_indentations(
-        self, part: Part[Stack], scene: GovernedScene
+        self, part: Part[PiezoStackKeys], scene: GovernedScene
     ) -> Iterator[LargestIndentation]:
         """Yield the largest dynamic stroke of the chip, an upper bound of an indentation."""
-        voltage = highest_voltage(part, scene)
+        voltage = find_highest_voltage(part, scene)
         if voltage:
-            stroke = free_stroke(part.keys, voltage)
+            stroke = compute_free_stroke(part.keys, voltage)
             why = f"{OVERSHOOT:g} times the free stroke of {part.name} at {voltage:g} V"
             yield LargestIndentation(OVERSHOOT * stroke, why)
 
-    def outline(self, part: Part[Stack], scene: Scene) -> Iterator[Shape]:
+    def outline(self, part: Part[PiezoStackKeys], scene: Scene) -> Iterator[Shape]:
         """Yield the side view of the stack."""
         keys = part.keys
         label = f"{part.name}: {1e3 * keys.side:g} mm wide, {1e3 * keys.height:g} mm high, "
         label += f"{keys.layers} layers"
         yield Shape(0.0, -keys.height / 2, keys.side, keys.height, "ceramic", label, keys.layers)
 
-    def headline(self, part: Part[Stack]) -> str:
+    def headline(self, part: Part[PiezoStackKeys]) -> str:
         """Return the first line of the chip's library, which names its mounting."""
         return f"{self.title}; {describe_mounting(part.keys)}"
 
-    def rated_by_material(self, part: Part[Stack]) -> float:
+    def material_rating(self, part: Part[PiezoStackKeys]) -> float:
         """Return the voltage rating [V], the rated field times the layer thickness."""
         return float(part.keys.rated_field * part.keys.height / part.keys.layers)
 
-    def full_key(self, part: Part[Stack], scene: GovernedScene) -> Mapping[str, Any]:
+    def make_full_model_key(
+        self, part: Part[PiezoStackKeys], scene: GovernedScene
+    ) -> Mapping[str, Any]:
         """Return the cache key of the full model, with chip, rated field and pressure nodes."""
         shape, chip = (
             find_pressure_basis(part, scene),
@@ -353,7 +372,7 @@ class PiezoStack(MeshedBody[Stack]):
         result = {"chip": chip, "field": part.keys.rated_field}
         return result if shape is None else result | {"pressure_basis": shape.nodes.tolist()}
 
-    def reduction(self, part: Part[Stack], scene: Scene) -> Rom:
+    def choose_reduction(self, part: Part[PiezoStackKeys], scene: Scene) -> RomKeys:
         """Return the reduction settings that the scene states, or default settings.
 
         For the paper's chip, the default is the number of states in the paper. For other stacks,
@@ -368,38 +387,46 @@ class PiezoStack(MeshedBody[Stack]):
             getattr(part.keys, key) == getattr(plain, key)
             for key in CHIP_KEYS - KEYS_IGNORED_FOR_PAPER_CHIP
         ):
-            return Rom(order=PAPER_ORDER, band=specified.band)
+            return RomKeys(order=PAPER_ORDER, band=specified.band)
         if "band" in specified.model_fields_set:
             return specified
         low, high = specified.band
-        return Rom(band=(low, high * plain.height / part.keys.height))
+        return RomKeys(band=(low, high * plain.height / part.keys.height))
 
-    def envelope(self, part: Part[Stack], scene: DeclaredScene) -> Envelope:
+    def envelope(self, part: Part[PiezoStackKeys], scene: DeclaredScene) -> Envelope:
         """Return the outer size of the stack, from which neglected effects are estimated."""
         keys = part.keys
-        (x, y), caps = keys.half, (keys.bottom_cap, keys.top_cap)
+        (x, y), caps = keys.half_widths, (keys.bottom_cap, keys.top_cap)
         height = keys.height + sum(cap.thickness for cap in caps if cap is not None)
         area, rim = 4 * x * y, 4 * (x + y)
         if keys.diameter is not None:
             area, rim = math.pi * x**2, 2 * math.pi * x
         surface = 2 * area + rim * height
         return Envelope(
-            disc_air_mass(math.sqrt(area / math.pi)), area * height * keys.ceramic.density, surface
+            compute_disc_air_mass(math.sqrt(area / math.pi)),
+            area * height * keys.ceramic.density,
+            surface,
         )
 
-    def describe_support(self, part: Part[Stack]) -> str:
+    def describe_support(self, part: Part[PiezoStackKeys]) -> str:
         """Return a description of the support for the list of neglected effects."""
         return "" if part.keys.mounting == "roller" else describe_mounting(part.keys)
 
-    def make(self, part: Part[Stack], scene: GovernedScene) -> FiniteElementModel:
+    def make_fe_model(self, part: Part[PiezoStackKeys], scene: GovernedScene) -> FiniteElementModel:
         """Build the finite-element model of the stack."""
         from kc2spice.bodies.stack import make_stack
 
         shape = find_pressure_basis(part, scene)
-        pressure = None if shape is None else shape.pressure(_find_compliance(part, shape).shares)
+        pressure = (
+            None
+            if shape is None
+            else shape.compute_pressure(_find_compliance(part, shape).rigid_force_shares)
+        )
         return make_stack(part.keys, part.keys.rated_field, pressure)
 
-    def metrics(self, part: Part[Stack], build: Build, waves: Waveforms) -> Mapping[str, object]:
+    def metrics(
+        self, part: Part[PiezoStackKeys], build: BuiltScene, waves: Waveforms
+    ) -> Mapping[str, object]:
         """Return the metrics of the part, keyed by name."""
         result = dict(super().metrics(part, build, waves))
         if "time" not in waves:
@@ -416,7 +443,7 @@ class PiezoStack(MeshedBody[Stack]):
             contacts = scene.list_parts_with_schema("contact", ContactKeys)
             name = next(c.name for c in contacts if c.keys.shape == "pressure")
             if (most := float(waves[f"{name}.force"].max())) > 0:
-                forces = make_pair(scene.parts[name], scene).basis_forces(most)
+                forces = make_pair(scene.parts[name], scene).compute_basis_forces(most)
                 inside = compute_stresses_under_force(part.keys, shape, forces)
                 for key, value in inside.items():
                     result[f"{name}_{key}"] = Metric(value, UNITS[key])
@@ -430,16 +457,16 @@ class PiezoStack(MeshedBody[Stack]):
                 result["kick_charge_peak_c"] = Metric(float(np.abs(charge).max()), "C")
         return result
 
-    def indentation_modulus(self, part: Part[Stack]) -> float:
+    def indentation_modulus(self, part: Part[PiezoStackKeys]) -> float:
         """Return the indentation modulus [Pa] of the top cap, or of the ceramic without a cap."""
         keys, cap = part.keys, part.keys.top_cap
         stated = None if cap is None else cap.material
-        top = keys.ceramic if stated is None else material(stated, "top_cap.material")
+        top = keys.ceramic if stated is None else find_material(stated, "top_cap.material")
         return float(top.indentation_modulus)
 
-    def notes(self, part: Part[Stack], scene: Scene) -> Iterator[str | Neglected]:
+    def notes(self, part: Part[PiezoStackKeys], scene: Scene) -> Iterator[str | NeglectedEffect]:
         """Yield the assumptions of the model and the effects that it neglects."""
-        keys, rom = part.keys, reduction_target(part, scene)
+        keys, rom = part.keys, get_reduction_settings(part, scene)
         pressed = find_pressure_basis(part, scene) is not None
         used, last = count_used_rings(part, scene), keys.mesh.rings
         ports = "a patch of pressure as port" if pressed else f"{used} rings as ports"
@@ -449,45 +476,49 @@ class PiezoStack(MeshedBody[Stack]):
         if keys.mounting == "roller":
             why = "its bottom face slides without friction on a plane"
             error = f"compare with {part.name}.mounting = 'glued'; the usual chip: stroke -16 %, "
-            yield Neglected(f"what holds {part.name}", why, error + "first resonance +14 %")
+            yield NeglectedEffect(f"what holds {part.name}", why, error + "first resonance +14 %")
         if keys.fields and pressed:
             why = "its own mesh is too coarse for it; pressure and shear are those of a graded one"
-            yield Neglected(f"tension around the contact on {part.name}", why, "not estimated")
+            yield NeglectedEffect(
+                f"tension around the contact on {part.name}", why, "not estimated"
+            )
         if (several := keys.mesh.layers_per_element) > 1:
             why = f"{several} layers share one: mesh.layers_per_element"
             error = f"{(several / keys.layers) ** 2:.2g} of the first resonances, at most; "
             error += "stroke and capacitance are those of the layers"
-            yield Neglected(f"layers of {part.name} within an element", why, error)
+            yield NeglectedEffect(f"layers of {part.name} within an element", why, error)
         if used <= last and not pressed:
             effect = f"{part.name}: ports at ring{used}" + f" to ring{last}" * (used < last)
-            yield Neglected(effect, "nothing of the scene needs them", "checked after the run")
+            yield NeglectedEffect(
+                effect, "nothing of the scene needs them", "checked after the run"
+            )
 
 
-def _estimate_kick_speed(part: Part[Stack], scene: GovernedScene) -> float | None:
+def _estimate_kick_speed(part: Part[PiezoStackKeys], scene: GovernedScene) -> float | None:
     """Return the speed [m/s] of the chip's top face in a kick; None without a voltage.
 
     The speed is the free stroke divided by ``4 H / c``, where H is the height of the chip and c is
     the speed of sound. If the edge time of the pulse is longer than ``4 H / c``, the edge time is
     the divisor instead.
     """
-    voltage = highest_voltage(part, scene)
+    voltage = find_highest_voltage(part, scene)
     if not voltage:
         return None
     ceramic = part.keys.ceramic
     sound = math.sqrt(ceramic.C[2, 2] / ceramic.density)
-    stroke = free_stroke(part.keys, voltage)
+    stroke = compute_free_stroke(part.keys, voltage)
     edge = 0.0 if part.keys.drive is None else part.keys.drive.edge
     speed = stroke / max(4 * part.keys.height / sound, edge)
     return max(1e-3, DOWNWARD_SPEED_RATIO * speed if _moves_down_first(part) else speed)
 
 
-def _moves_down_first(part: Part[Stack]) -> bool:
+def _moves_down_first(part: Part[PiezoStackKeys]) -> bool:
     """Return whether the pulse has a negative voltage, which first moves the top face down."""
     drive = part.keys.drive
     return drive is not None and part.keys.electrical == "driven" and drive.voltage < 0
 
 
-def describe_mounting(keys: Chip) -> str:
+def describe_mounting(keys: StackKeys) -> str:
     """Return a description of the support, and of caps, springs or other additions to a stack."""
     words = [MOUNTING_TEXTS.get(str(keys.mounting), "")]
     if isinstance(keys.mounting, float):
@@ -504,7 +535,7 @@ def describe_mounting(keys: Chip) -> str:
     return ", ".join(words)
 
 
-def find_pressure_basis(part: Part[Stack], scene: DeclaredScene) -> PressureBasis | None:
+def find_pressure_basis(part: Part[PiezoStackKeys], scene: DeclaredScene) -> PressureBasis | None:
     """Return the basis functions for the contact pressure on the top face of the chip.
 
     Return None if no contact has ``shape = "pressure"``. The basis functions cover the radius of
@@ -514,16 +545,18 @@ def find_pressure_basis(part: Part[Stack], scene: DeclaredScene) -> PressureBasi
         if contact.keys.shape == "pressure" and contact.keys.a in (None, part.name):
             from kc2spice.bodies.pressure import choose_pressure_basis
 
-            return choose_pressure_basis(contact.keys.spacing, float(ring_radii(part.keys)[-1]))
+            return choose_pressure_basis(
+                contact.keys.spacing, float(compute_ring_radii(part.keys)[-1])
+            )
     return None
 
 
-def ring_radii(keys: Chip) -> np.ndarray:
-    """Return the radii [m] of the contact rings; the first ring ``ring0`` is the centre node."""
+def compute_ring_radii(keys: StackKeys) -> np.ndarray:
+    """Return the radii [m] of the contact rings; ``ring0``, the centre node, is first."""
     return keys.mesh.ring_spacing * np.arange(keys.mesh.rings + 1)
 
 
-def count_used_rings(part: Part[Stack], scene: JoinedScene) -> int:
+def count_used_rings(part: Part[PiezoStackKeys], scene: JoinedScene) -> int:
     """Return the number of contact rings that are ports, counted from ``ring0``.
 
     The last of these rings is the outermost ring that another part or a probe uses. If the stack is
@@ -531,7 +564,7 @@ def count_used_rings(part: Part[Stack], scene: JoinedScene) -> int:
     """
     if len(scene.parts) == 1 or scene.ports == "all":
         return 1 + int(part.keys.mesh.rings)
-    names = required_ports(part, scene)
+    names = find_required_ports(part, scene)
     for probe in scene.probes.values():
         owner, dot, rest = probe.of.partition(".")
         if owner == part.name and dot:
@@ -540,12 +573,13 @@ def count_used_rings(part: Part[Stack], scene: JoinedScene) -> int:
     return 1 + max(rings, default=-1)
 
 
-def ring_names(count: int) -> list[str]:
+def list_ring_names(count: int) -> list[str]:
     """Return the port names of the first ``count`` contact rings, from the centre outwards."""
     return list(map("ring{}".format, range(count)))
 
 
-def _read_ring_number(part: Part[Stack], name: str) -> int:
+def _read_ring_number(part: Part[PiezoStackKeys], name: str) -> int:
+    """Return the number of the ring that a port name states, such as 3 in ``ring3``."""
     match, last = re.fullmatch(r"ring(\d{1,3})", name), part.keys.mesh.rings
     if match is None or int(match[1]) > last:
         raise part.wrong(
@@ -558,7 +592,7 @@ def _read_ring_number(part: Part[Stack], name: str) -> int:
     return int(match[1])
 
 
-def highest_voltage(part: Part[Stack], scene: DeclaredScene) -> float:
+def find_highest_voltage(part: Part[PiezoStackKeys], scene: DeclaredScene) -> float:
     """Return the largest voltage [V] that the drive of the anode can have; 0 without a drive."""
     keys = part.keys
     if keys.drive is not None and keys.electrical == "driven":
@@ -572,7 +606,7 @@ def highest_voltage(part: Part[Stack], scene: DeclaredScene) -> float:
     return max(result, default=0.0)
 
 
-def free_stroke(keys: Chip, voltage: float) -> float:
+def compute_free_stroke(keys: StackKeys, voltage: float) -> float:
     """Return the static stroke [m] of a stack without load, ``layers |d voltage|``.
 
     The piezoelectric constant d is d33, or d15 if the stack deforms in shear.
@@ -581,7 +615,7 @@ def free_stroke(keys: Chip, voltage: float) -> float:
     return keys.layers * abs(keys.ceramic.d[axis, strain] * voltage)
 
 
-def _find_compliance(part: Part[Stack], shape: PressureBasis) -> LocalCompliance:
+def _find_compliance(part: Part[PiezoStackKeys], shape: PressureBasis) -> LocalCompliance:
     """Return the local compliance of the top face under pressure, from the cache if possible."""
     from kc2spice.bodies.pressure import LocalCompliance, compute_local_compliance
 
@@ -595,4 +629,4 @@ def _find_compliance(part: Part[Stack], shape: PressureBasis) -> LocalCompliance
     )
 
 
-register(PiezoStack())
+register_part_type(PiezoStack())

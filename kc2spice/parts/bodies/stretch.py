@@ -27,10 +27,10 @@ from pydantic import Field
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Count, Length, Section, Stiffness, si
-from kc2spice.parts.electrostatics.gap import PatchedPart, patch_ports
+from kc2spice.parts.electrostatics.gap import PatchedPart, list_patch_ports
 from kc2spice.physics import Declaration, displacement
 from kc2spice.scene.model import GovernedScene, Part
-from kc2spice.scene.parttype import register
+from kc2spice.scene.parttype import register_part_type
 
 
 class StretchKeys(Section):
@@ -43,36 +43,47 @@ class StretchKeys(Section):
 
     a: str | tuple[str, ...] = Field(
         examples=['"BODY"'],
-        description="Name of the body with surface patches, or a list of its ports",
+        description="Name of the beam or plate with surface patches, or a list of its ports",
     )
     length: Length = Field(
-        gt=0, description="Length of the beam, equal to the total length of the patches in a row"
+        gt=0,
+        description=(
+            "Length of the beam or plate, equal to the total length of the patches in one row"
+        ),
     )
     stiffness: Stiffness = Field(
         gt=0,
         description=(
-            "Stiffness E A / length along the beam; for a plate, E A / length / (1 - nu^2)"
+            "Axial stiffness E A / length of the beam; for a plate, E A / (length (1 - nu^2))"
         ),
     )
     tension: Annotated[float, si("N")] = Field(
-        0.0, description="Axial tension at rest, in addition to a residual_stress of the body"
+        0.0,
+        description=(
+            "Axial tension of the beam or plate at rest, in addition to the key "
+            "residual_stress of its material"
+        ),
     )
-    rows: Count = Field(1, ge=1, description="Number of equal rows of patches across a plate")
+    rows: Count = Field(
+        1, ge=1, description="Number of equal rows of surface patches across the plate"
+    )
     width: Length = Field(
-        0.0, ge=0, description="Width of the plate, equal to the total width of all rows"
+        0.0,
+        ge=0,
+        description="Width of the plate, equal to the total width of all rows of patches",
     )
 
 
 class Stretch(PatchedPart[StretchKeys]):
-    """Part type ``stretch``; the number of its branches is the number of patches."""
+    """Part type ``stretch``: stretching force of a beam or plate with fixed edges."""
 
     def make_declaration(self, part: Part[StretchKeys], scene: GovernedScene) -> Declaration:
         """Return the declaration for the keys of the part."""
-        return _declare_stretching(len(patch_ports(part, scene)), part.keys.rows)
+        return _declare_stretching(len(list_patch_ports(part, scene)), part.keys.rows)
 
     def problems(self, part: Part[StretchKeys], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield an error for each invalid key of the part."""
-        keys, count = part.keys, len(patch_ports(part, scene))
+        keys, count = part.keys, len(list_patch_ports(part, scene))
         if count % keys.rows:
             problem = "the number of patches is not a multiple of the number of rows"
             got = f"{count} patches, {keys.rows} rows"
@@ -102,23 +113,28 @@ def _declare_stretching(count: int, rows: int) -> Declaration:
             return 1 - k
         return 2 * count + 1 - k if k > count else k
 
-    def w(i: int, j: int) -> str:
-        """Return the symbol of a patch's mean deflection; beyond a clamp, w is mirrored."""
+    def deflection_symbol(i: int, j: int) -> str:
+        """Return the symbol of the mean deflection of a patch, mirrored beyond a clamp."""
         i, j = mirror_index(i, len(along)), mirror_index(j, rows)
         return f"x{(j - 1) * len(along) + i}"
 
-    def slope(i: int, j: int, di: int, dj: int) -> str:
+    def write_squared_slope(i: int, j: int, di: int, dj: int) -> str:
         """Return the squared slope between two neighbouring patches, times ``(12 d)^2``."""
-        before, low, high, after = (w(i + k * di, j + k * dj) for k in (-1, 0, 1, 2))
+        before, low, high, after = (
+            deflection_symbol(i + k * di, j + k * dj) for k in (-1, 0, 1, 2)
+        )
         return f"(15*({high} - {low}) - ({after} - {before}))^2"
 
-    lengthwise = [slope(i, j, 1, 0) for i, j in product(along[:-1], across)]
+    lengthwise = [write_squared_slope(i, j, 1, 0) for i, j in product(along[:-1], across)]
     longer = f"{len(along)}/length/{288 * rows}*({' + '.join(lengthwise)})"
     if rows > 1:
-        crosswise = [slope(i, j, 0, 1) for i, j in product(along, across[:-1])]
+        crosswise = [write_squared_slope(i, j, 0, 1) for i, j in product(along, across[:-1])]
         twists = []
         for i, j in product(along[:-1], across[:-1]):
-            twists.append(f"({w(i + 1, j + 1)} - {w(i, j + 1)} - {w(i + 1, j)} + {w(i, j)})^2")
+            twists.append(
+                f"({deflection_symbol(i + 1, j + 1)} - {deflection_symbol(i, j + 1)}"
+                f" - {deflection_symbol(i + 1, j)} + {deflection_symbol(i, j)})^2"
+            )
         cx, cy = f"{len(along)}/length/{rows}", f"{rows}*length/width^2/{len(along)}"
         longer += f" + {cy}/288*({' + '.join(crosswise)})"
         longer = f"({longer} + ({cx} + {cy})/24*({' + '.join(twists)}))"
@@ -162,4 +178,4 @@ kind = "force"
 dc = "1 uN"
 pins = { out = "middle.a" }
 """
-register(Stretch(_declare_stretching(3, 1)))
+register_part_type(Stretch(_declare_stretching(3, 1)))

@@ -10,44 +10,73 @@ from pydantic import Field
 from kc2spice.core.quantities import Current, Length, Section, Time, si
 
 
-class Control(Section):
-    """Keys of a PID controller with limited output, see section 2.4 of the paper.
+class PidKeys(Section):
+    """Keys of a PID controller with limited output.
 
     The controller drives opposite currents of equal magnitude through both coils.
     """
 
-    setpoint: Length = Field(2.5e-3, description="Set point of the sphere's height")
+    setpoint: Length = Field(2.5e-3, description="Set point of the height of the sphere's centre")
     kp: Annotated[float, si("A/m")] = Field(
-        5e4, ge=0, description="Proportional gain of the controller"
+        5e4,
+        ge=0,
+        description="Proportional gain of the PID controller, from height error to coil current",
     )
     ki: Annotated[float, si("A/(m s)")] = Field(
-        10.0, ge=0, description="Integral gain of the controller"
+        10.0,
+        ge=0,
+        description=(
+            "Integral gain of the PID controller, from the time integral of the height error "
+            "to coil current"
+        ),
     )
     kd: Annotated[float, si("A s/m")] = Field(
-        20.0, ge=0, description="Derivative gain of the controller"
+        20.0,
+        ge=0,
+        description=(
+            "Derivative gain of the PID controller, from the rate of the height error to "
+            "coil current"
+        ),
     )
-    rolloff: Time = Field(100e-9, gt=0, description="Time constant of the differentiator's pole")
-    current_limit: Current = Field(0.1, gt=0, description="Largest current of each coil")
+    rolloff: Time = Field(
+        100e-9,
+        gt=0,
+        description=(
+            "Time constant of the low-pass filter in the derivative term of the PID controller"
+        ),
+    )
+    current_limit: Current = Field(
+        0.1, gt=0, description="Largest current that the controller drives through each coil"
+    )
     form: Literal["opamps", "ideal"] | None = Field(
         None,
-        description="Form of the netlist: a circuit of op-amps, or ideal controlled "
-        "sources, which simulate faster",
+        description=(
+            "Form of the controller's netlist: a circuit of op-amps, or ideal controlled "
+            "sources, which simulate faster"
+        ),
     )
     enable_at: Time | tuple[Time, ...] = Field(
-        0.5e-3, description="Time at which the controller is enabled, or a list of times"
+        0.5e-3, description="Time or list of times at which the controller is enabled"
     )
     disable_at: tuple[Time, ...] = Field(
         (),
         description=(
-            "Times at which the controller is disabled, one after each enable_at except the last"
+            "Times at which the controller is disabled: one after each time in enable_at, "
+            "except after the last"
         ),
     )
     of: str | None = Field(
         None,
-        description="Sphere whose height is controlled; by default the only sphere of the scene",
+        description=(
+            "Name of the sphere whose height is controlled; by default the only sphere of the scene"
+        ),
     )
     coils: str | None = Field(
-        None, description="Coils that the controller drives; by default the only coils of the scene"
+        None,
+        description=(
+            "Name of the part with the coils that the controller drives; by default the only "
+            "such part of the scene"
+        ),
     )
 
     @property

@@ -16,11 +16,11 @@ from pydantic import Field
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.laws import MissingEquations
-from kc2spice.core.prefix import format_quantity
 from kc2spice.core.quantities import Section, Time
+from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.netlist.circuit import Element, Item
 from kc2spice.scene.model import (
-    Build,
+    BuiltScene,
     GovernedScene,
     JoinedScene,
     Part,
@@ -29,8 +29,8 @@ from kc2spice.scene.model import (
     Terminal,
     WiredScene,
 )
-from kc2spice.scene.part_records import SampledSource, Vector
-from kc2spice.scene.parttype import register
+from kc2spice.scene.part_records import PartResult, SampledSource
+from kc2spice.scene.parttype import register_part_type
 from kc2spice.scene.settings import FileName
 
 Function = Callable[[float, Mapping[str, float]], float]
@@ -45,21 +45,34 @@ class ControllerKeys(Section):
 
     kind: Literal["python"] = Field("python", description="Kind of controller: a Python function")
     file: FileName | None = Field(
-        None, description="Python file in the scene's folder, which runs only with --trust"
+        None,
+        description=(
+            "Python file in the scene's folder with the function of the controller; runs "
+            "only with the option --trust"
+        ),
     )
     function: str = Field(
-        "control", pattern=r"^[A-Za-z_]\w{0,63}$", description="Name of the function in the file"
+        "control",
+        pattern=r"^[A-Za-z_]\w{0,63}$",
+        description="Name of the controller's function in the Python file",
     )
     period: Time = Field(1e-5, gt=0, description="Sampling period of the controller")
-    delay: Time = Field(0.0, ge=0, description="Delay from the sample to the output")
+    delay: Time = Field(
+        0.0,
+        ge=0,
+        description=(
+            "Delay from each sample of the inputs to the change of the controller's output"
+        ),
+    )
     inputs: tuple[str, ...] = Field(
         (), max_length=16, description="Names of the controller's input pins"
     )
     units: dict[str, Literal["um", "V", "m/s"]] = Field(
-        default_factory=dict, description="Unit of each input pin; by default um"
+        default_factory=dict, description="Unit of each input pin of the controller; by default um"
     )
     output: Literal["voltage", "current"] = Field(
-        "voltage", description="Kind of output: a voltage or a current"
+        "voltage",
+        description="Quantity at the output pin of the controller: a voltage or a current",
     )
 
 
@@ -123,54 +136,64 @@ wiring = "parallel"
                 'add  inputs = ["y"]',
             )
 
-    def cards(self, part: Part[ControllerKeys], build: Build) -> tuple[Item, ...]:
+    def cards(self, part: Part[ControllerKeys], build: BuiltScene) -> tuple[Item, ...]:
         """Return the cards of the part in the deck."""
-        out, ret = build.net(part, "out"), build.net(part, "ret")
+        out, ret = build.get_net(part, "out"), build.get_net(part, "ret")
         if part.keys.output == "voltage":
-            return (Element.of(f"V{part.name}", out, ret, "EXTERNAL"),)
-        level = build.inner_name(part, part.name.lower(), "held")
+            return (Element.from_words(f"V{part.name}", out, ret, "EXTERNAL"),)
+        level = build.get_inner_name(part, part.name.lower(), "held")
         return (
-            Element.of(f"V{part.name}", level, "0", "EXTERNAL"),
-            Element.of(f"G{part.name}", ret, out, level, "0", "1"),
+            Element.from_words(f"V{part.name}", level, "0", "EXTERNAL"),
+            Element.from_words(f"G{part.name}", ret, out, level, "0", "1"),
         )
 
-    def inner_names(
+    def list_inner_names(
         self, part: Part[ControllerKeys], scene: WiredScene
     ) -> Iterator[tuple[str, ...]]:
         """Yield the name of the node whose voltage is the sampled output current."""
         yield part.name.lower(), "held"
 
-    def law(self, part: Part[ControllerKeys], build: Build) -> MissingEquations:
+    def law(self, part: Part[ControllerKeys], build: BuiltScene) -> MissingEquations:
         """Return the reason why the controller has no model equations."""
         return MissingEquations("its equations are a Python function")
 
-    def vectors(self, part: Part[ControllerKeys], build: Build) -> Mapping[str, Vector]:
+    def vectors(self, part: Part[ControllerKeys], build: BuiltScene) -> Mapping[str, PartResult]:
         """Return the ngspice vectors of the part's results, keyed by result name."""
-        return {f"{part.name}.{name}": build.across(part, name) for name in part.keys.inputs}
+        return {
+            f"{part.name}.{name}": build.get_pin_vector(part, name) for name in part.keys.inputs
+        }
 
-    def settable(self, part: Part[ControllerKeys], build: Build) -> Mapping[str, SampledSource]:
+    def settable_quantities(
+        self, part: Part[ControllerKeys], build: BuiltScene
+    ) -> Mapping[str, SampledSource]:
         """Return the source that the Python function sets during the simulation."""
         keys = part.keys
         sources = {}
         for name in keys.inputs:
-            sources[name] = build.net(part, name), build.across(part, name).factor
+            sources[name] = build.get_net(part, name), build.get_pin_vector(part, name).factor
 
-        def load() -> Callable[[float, Mapping[str, float]], float]:
+        def make_output_function() -> Callable[[float, Mapping[str, float]], float]:
             """Return a function of time and node voltages that calls the user's function."""
             function = build.functions.get(part.name) or self._load_function(part, build)
 
-            def call(time: float, values: Mapping[str, float]) -> float:
+            def compute_output(time: float, values: Mapping[str, float]) -> float:
                 """Return the output of the user's function at a time, for node voltages."""
                 inputs = {name: factor * values[net] for name, (net, factor) in sources.items()}
                 return float(function(time, inputs))
 
-            return call
+            return compute_output
 
         return {
-            "out": SampledSource(f"v{part.name}".lower(), keys.period, keys.delay, load(), load)
+            "out": SampledSource(
+                f"v{part.name}".lower(),
+                keys.period,
+                keys.delay,
+                make_output_function(),
+                make_output_function,
+            )
         }
 
-    def _load_function(self, part: Part[ControllerKeys], build: Build) -> Function:
+    def _load_function(self, part: Part[ControllerKeys], build: BuiltScene) -> Function:
         """Load the Python function of the controller from its file."""
         keys = part.keys
         if keys.file is None:
@@ -211,4 +234,4 @@ wiring = "parallel"
         yield f"{keys.output} every {period}, held from {delay} later on"
 
 
-register(Controller())
+register_part_type(Controller())

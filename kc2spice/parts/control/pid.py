@@ -10,23 +10,23 @@ import numpy as np
 from kc2spice.core import laws
 from kc2spice.core.domains import DISPLACEMENT
 from kc2spice.core.errors import UsageError
-from kc2spice.core.magnets import EMTable
+from kc2spice.core.magnets import MagnetostaticTable
 from kc2spice.core.naming import list_names
 from kc2spice.core.quantities import Section
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.netlist.circuit import Param, positive_parameter
+from kc2spice.netlist.circuit import Param, make_positive_parameter
 from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.transforms import merge_helpers
-from kc2spice.parts.control._pid_keys import Control
-from kc2spice.parts.electronics._template import GAIN_BANDWIDTH, opamp_subcircuit
-from kc2spice.parts.magnetics.ring_magnet_coils import Coils, get_result_prefix
+from kc2spice.parts.control._pid_keys import PidKeys
+from kc2spice.parts.electronics._template_parts import GAIN_BANDWIDTH, make_opamp_subcircuit
+from kc2spice.parts.magnetics.ring_magnet_coils import RingMagnetCoilsKeys, get_result_prefix
 from kc2spice.parts.mechanics import sphere
 from kc2spice.physics.declaration import Branch, Declaration, displacement, measured, voltage
 from kc2spice.physics.law import DeclaredLaw
-from kc2spice.physics.part import declared_subcircuit
+from kc2spice.physics.part import make_declared_subcircuit
 from kc2spice.scene.checks import Check, Metric
 from kc2spice.scene.model import (
-    Build,
+    BuiltScene,
     DeclaredScene,
     GovernedScene,
     JoinedScene,
@@ -35,8 +35,8 @@ from kc2spice.scene.model import (
     Scene,
     Terminal,
 )
-from kc2spice.scene.part_records import Vector
-from kc2spice.scene.parttype import register
+from kc2spice.scene.part_records import PartResult
+from kc2spice.scene.parttype import register_part_type
 from kc2spice.synthesis.header import render_library
 
 SENSOR_GAIN = 2e3  # V/m; the sensor voltage is 5 V at the paper's set point
@@ -73,7 +73,7 @@ def _list_pins(output: bool) -> tuple[Terminal, ...]:
     )
 
 
-def declare_control(control: Control, *, output: bool = True) -> Declaration:
+def declare_control(control: PidKeys, *, output: bool = True) -> Declaration:
     """Return the declaration of the ideal controller.
 
     The output current is ``i = clip(kp e + ki integral(e) + kd de/dt / (1 + rolloff s),
@@ -125,18 +125,20 @@ def declare_control(control: Control, *, output: bool = True) -> Declaration:
     )
 
 
-def _list_parameters(control: Control) -> Iterator[Param]:
+def _list_parameters(control: PidKeys) -> Iterator[Param]:
     """Yield the parameters that an instance of the controller's subcircuit can set."""
     yield Param("setpoint", control.setpoint, "m", "height of the sphere's centre")
     for gain, item, unit, doc in GAIN_PARAMETERS:
         if getattr(control, gain):
-            yield positive_parameter(item, getattr(control, item), unit, doc)
-    yield positive_parameter("current_limit", control.current_limit, "A", "largest coil current")
+            yield make_positive_parameter(item, getattr(control, item), unit, doc)
+    yield make_positive_parameter(
+        "current_limit", control.current_limit, "A", "largest coil current"
+    )
 
 
-def pid_subcircuit(
+def make_pid_subcircuit(
     header: Header,
-    control: Control,
+    control: PidKeys,
     *,
     output: bool = True,
     load: float = 0.0,
@@ -154,7 +156,7 @@ def pid_subcircuit(
     """
     declared = declare_control(control, output=output)
     if control.form == "ideal":
-        return declared_subcircuit(header, name, declared, declared.values(control))
+        return make_declared_subcircuit(header, name, declared, declared.values(control))
     limit = control.current_limit
     sense = min(SENSE_RESISTANCE, MAX_COMMAND / limit) if output else SENSE_RESISTANCE
     supply = max(SUPPLY_VOLTAGE, 100.0 * math.ceil(SUPPLY_RATIO * limit * (load + sense) / 100.0))
@@ -163,10 +165,10 @@ def pid_subcircuit(
     params = [
         *declared.given,
         Param("offset", 0.0, "V", doc),
-        positive_parameter("rail", rail, "V", "supply of the signal amplifiers"),
+        make_positive_parameter("rail", rail, "V", "supply of the signal amplifiers"),
     ]
     if output:
-        params += [positive_parameter("compliance", supply, "V", "supply of the output stage")]
+        params += [make_positive_parameter("compliance", supply, "V", "supply of the output stage")]
     gains = list_names(params)
     part = render_library(
         "pid",
@@ -184,18 +186,18 @@ def pid_subcircuit(
         pi=math.pi,
         output=output,
     )
-    return merge_helpers(part, [opamp_subcircuit(header)])
+    return merge_helpers(part, [make_opamp_subcircuit(header)])
 
 
-class Pid(PartType[Control]):
+class Pid(PartType[PidKeys]):
     """Part type ``pid``: PID controller of a sphere's height."""
 
     name = "pid"
     title = "PID controller of a sphere's height"
-    schema = Control
+    schema = PidKeys
 
-    def expand(
-        self, part: Part[Control], data: Mapping[str, object]
+    def generate_tables(
+        self, part: Part[PidKeys], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
         """Return the source that enables the controller at its switching times."""
         switching, pins = part.keys.switching_times, {"out": f"{part.name}.enable"}
@@ -208,20 +210,20 @@ class Pid(PartType[Control]):
             state = value
         return {f"{part.name}_enable": {"part": "source", "pwl": tuple(points), "pins": pins}}
 
-    def pins(self, part: Part[Control], scene: JoinedScene) -> tuple[Terminal, ...]:
+    def pins(self, part: Part[PidKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
         """Return the pins in the order of the subcircuit."""
         return _list_pins(not _drives_external_circuit(part, scene))
 
-    def default_joins(self, part: Part[Control], scene: GovernedScene) -> Mapping[str, str]:
+    def default_joins(self, part: Part[PidKeys], scene: GovernedScene) -> Mapping[str, str]:
         """Return the default connections: input to the controlled sphere, output to the coils."""
-        ball = sphere.controlled_sphere(part, scene)
+        ball = sphere.find_controlled_sphere(part, scene)
         joins = {} if ball is None else {"y": f"{ball.name}.y"}
         if not _drives_external_circuit(part, scene):
             coils = _find_driven_coils(part, scene).name
             joins |= {"drive": f"{coils}.drive", "sense": f"{coils}.ret"}
         return joins
 
-    def problems(self, part: Part[Control], scene: GovernedScene) -> Iterator[UsageError]:
+    def problems(self, part: Part[PidKeys], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield an error for each invalid key of the part."""
         keys, coils = part.keys, _find_driven_coils(part, scene)
         low, high = coils.keys.y_min, coils.keys.y_max
@@ -247,44 +249,46 @@ class Pid(PartType[Control]):
             hint = "delete disable_at" if keys.disable_at else "write  enable_at = 0"
             expected = "an enable time, then a disable time, and so on, all from 0 on"
             yield part.wrong("enable_at", problem, got, expected, hint)
-        if scene.analysis.type == "transient" and times[0] >= scene.stop:
+        if scene.analysis.type == "transient" and times[0] >= scene.stop_time:
             problem = "the controller starts after the simulation ends"
-            expected = f"before the end of the simulation, {scene.stop:g} s"
+            expected = f"before the end of the simulation, {scene.stop_time:g} s"
             yield part.wrong(
                 "enable_at",
                 problem,
                 f"{times[0]:g} s",
                 expected,
-                f"lower enable_at below {scene.stop:g} s",
+                f"lower enable_at below {scene.stop_time:g} s",
             )
 
     def subcircuits(
-        self, part: Part[Control], build: Build, header: Header
+        self, part: Part[PidKeys], build: BuiltScene, header: Header
     ) -> tuple[Subcircuit, ...]:
         """Return the subcircuit of the part."""
         local = not _drives_external_circuit(part, build.scene)
-        load = float(build.model(_find_driven_coils(part, build.scene), EMTable).resistance.sum())
+        load = float(
+            build.model(_find_driven_coils(part, build.scene), MagnetostaticTable).resistance.sum()
+        )
         name = build.libraries[part.name]
-        return (pid_subcircuit(header, part.keys, output=local, load=load, name=name),)
+        return (make_pid_subcircuit(header, part.keys, output=local, load=load, name=name),)
 
-    def vectors(self, part: Part[Control], build: Build) -> Mapping[str, Vector]:
+    def vectors(self, part: Part[PidKeys], build: BuiltScene) -> Mapping[str, PartResult]:
         """Return the ngspice vectors of the part's results, keyed by result name."""
         node = "error" if part.keys.form == "ideal" else "e"
-        error = Vector(f"v(x{part.name.lower()}.{node})", 1.0 / SENSOR_GAIN, "m")
+        error = PartResult(f"v(x{part.name.lower()}.{node})", 1.0 / SENSOR_GAIN, "m")
         result = {f"{part.name}.error": error}
         if _drives_external_circuit(part, build.scene):
-            command = f"v({build.net(part, 'command')})"
-            result["coil.wanted"] = Vector(command, 1.0 / SENSE_RESISTANCE, "A")
+            command = f"v({build.get_net(part, 'command')})"
+            result["coil.wanted"] = PartResult(command, 1.0 / SENSE_RESISTANCE, "A")
         return result
 
-    def law(self, part: Part[Control], build: Build) -> laws.Equations | laws.MissingEquations:
+    def law(self, part: Part[PidKeys], build: BuiltScene) -> laws.Equations | laws.MissingEquations:
         """Return the equations of the ideal controller, from which an op-amp circuit deviates."""
         keys, n, scene = part.keys, part.name, build.scene
-        if build.net(part, "ref") != "0":
+        if build.get_net(part, "ref") != "0":
             return laws.MissingEquations("its pin ref is not connected to ground")
         external = _drives_external_circuit(part, scene)
         declared = declare_control(keys, output=not external)
-        height = sphere.height_offset(part, "y", scene)
+        height = sphere.find_height_offset(part, "y", scene)
         values = declared.values(keys) | {"setpoint": keys.setpoint - height}
         controller = DeclaredLaw(n, declared, tuple(values.values()))
         error = laws.scale_wave(f"{n}.y", -DISPLACEMENT.factor, keys.setpoint - height)
@@ -293,13 +297,15 @@ class Pid(PartType[Control]):
             results["coil.wanted"] = laws.scale_wave(f"{n}.command", 1.0 / SENSE_RESISTANCE)
         return laws.Equations((controller,), controller.pin_pairs, results)
 
-    def metrics(self, part: Part[Control], build: Build, waves: Waveforms) -> Mapping[str, object]:
+    def metrics(
+        self, part: Part[PidKeys], build: BuiltScene, waves: Waveforms
+    ) -> Mapping[str, object]:
         """Return the metrics of the part, keyed by name."""
-        ball = sphere.controlled_sphere(part, build.scene)
+        ball = sphere.find_controlled_sphere(part, build.scene)
         if "time" not in waves or ball is None or f"{ball.name}.y" not in waves:
             return {}
         t, y, setpoint = waves["time"], waves[f"{ball.name}.y"], part.keys.setpoint
-        settled = settling_time(t, y, setpoint, sphere.settling_band(part, ball))
+        settled = compute_settling_time(t, y, setpoint, sphere.compute_settling_band(part, ball))
         current = waves.data.get(
             f"{get_result_prefix(_find_driven_coils(part, build.scene))}.upper.current"
         )
@@ -307,11 +313,13 @@ class Pid(PartType[Control]):
         return {
             "settling_time_s": Metric(settled, "s"),
             "final_error_m": Metric(float(setpoint - y[-1]), "m"),
-            "hold_current_a": Metric(None if current is None else mean_at_end(t, current), "A"),
+            "hold_current_a": Metric(
+                None if current is None else compute_final_mean(t, current), "A"
+            ),
             "caught": Metric(caught),
         }
 
-    def checks(self, part: Part[Control], build: Build, waves: Waveforms) -> Iterator[Check]:
+    def checks(self, part: Part[PidKeys], build: BuiltScene, waves: Waveforms) -> Iterator[Check]:
         """Yield the checks of the part after a run."""
         current = waves.data.get(
             f"{get_result_prefix(_find_driven_coils(part, build.scene))}.upper.current"
@@ -321,35 +329,37 @@ class Pid(PartType[Control]):
         t, start = waves["time"], part.keys.switching_times[0][0]
         limited = (np.abs(current) >= 0.999 * part.keys.current_limit) & (t >= start)
         share = float(np.trapezoid(limited.astype(float), t)) / (t[-1] - start)
-        advice = "the coils cannot give what the controller asks for: raise "
+        advice = "the current limit is lower than the current that the controller requests: raise "
         advice, action = f"{advice}{part.name}.current_limit", build.scene.checks.saturation
         yield Check("saturation", share, MAX_SATURATED_SHARE, "of the time", advice, action)
 
-    def notes(self, part: Part[Control], scene: Scene) -> Iterator[str]:
+    def notes(self, part: Part[PidKeys], scene: Scene) -> Iterator[str]:
         """Yield the assumptions of the model and the effects that it neglects."""
         coils = "real coils" if _drives_external_circuit(part, scene) else "current-driven coils"
         form = "ideal" if part.keys.form == "ideal" else "op-amp"
         yield f"{form} PID, output clamped at {part.keys.current_limit:g} A, {coils}"
 
 
-def _find_driven_coils(part: Part[Control], scene: DeclaredScene) -> Part[Coils]:
+def _find_driven_coils(part: Part[PidKeys], scene: DeclaredScene) -> Part[RingMagnetCoilsKeys]:
     """Return the coils that the controller drives."""
-    return scene.partner(part, "ring_magnet_coils", key="coils").with_schema(Coils)
+    return scene.find_partner(part, "ring_magnet_coils", key="coils").with_schema(
+        RingMagnetCoilsKeys
+    )
 
 
-def _drives_external_circuit(part: Part[Control], scene: DeclaredScene) -> bool:
+def _drives_external_circuit(part: Part[PidKeys], scene: DeclaredScene) -> bool:
     """Return whether another circuit, which the pin ``command`` controls, drives the coils."""
     joined = scene.is_target(part.name, "command") or "command" in part.pins
     return joined or bool(_find_driven_coils(part, scene).keys.driver)
 
 
-def mean_at_end(t: np.ndarray, values: np.ndarray) -> float:
+def compute_final_mean(t: np.ndarray, values: np.ndarray) -> float:
     """Return the time average of ``values`` over the last twentieth of the run."""
     tail = t >= t[-1] - 0.05 * (t[-1] - t[0])
     return float(np.trapezoid(values[tail], t[tail]) / np.ptp(t[tail]))
 
 
-def settling_time(t: np.ndarray, y: np.ndarray, target: float, band: float) -> float | None:
+def compute_settling_time(t: np.ndarray, y: np.ndarray, target: float, band: float) -> float | None:
     """Return the time at which ``y`` enters the band ``target`` ± ``band`` for the last time.
 
     Return None if the last value of ``y`` is outside this band.
@@ -364,4 +374,4 @@ def settling_time(t: np.ndarray, y: np.ndarray, target: float, band: float) -> f
     return float(t[k] + (edge - y[k]) / (y[k + 1] - y[k]) * (t[k + 1] - t[k]))
 
 
-register(Pid())
+register_part_type(Pid())

@@ -10,20 +10,20 @@ from pydantic import Field
 from kc2spice.core import laws
 from kc2spice.core.domains import DISPLACEMENT, TRANSLATION
 from kc2spice.core.errors import UsageError
-from kc2spice.core.prefix import format_quantity
 from kc2spice.core.quantities import BOLTZMANN, DEFAULT_TEMPERATURE, Frequency, Length, Section
+from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.netlist.circuit import Element, Item, Param
-from kc2spice.netlist.elements import attach_comments
 from kc2spice.netlist.library import Header, Subcircuit
+from kc2spice.netlist.shared_cards import attach_comments
 from kc2spice.netlist.spelling import format_number
 from kc2spice.parts.mechanics import sphere
-from kc2spice.physics.cards import state_node
+from kc2spice.physics.cards import get_state_node
 from kc2spice.physics.declaration import Declaration, displacement, measured
 from kc2spice.physics.law import DeclaredLaw
-from kc2spice.physics.part import declared_subcircuit
+from kc2spice.physics.part import make_declared_subcircuit
 from kc2spice.scene.model import (
     GROUND,
-    Build,
+    BuiltScene,
     GovernedScene,
     JoinedScene,
     Part,
@@ -31,23 +31,32 @@ from kc2spice.scene.model import (
     Scene,
     Terminal,
 )
-from kc2spice.scene.part_records import Vector
-from kc2spice.scene.parttype import register
+from kc2spice.scene.part_records import PartResult
+from kc2spice.scene.parttype import register_part_type
 
-VOLTS_PER_METRE = f"{DISPLACEMENT.per_unit:g}"  # V/m, pin voltage that represents one metre
+VOLTS_PER_METRE = (
+    f"{DISPLACEMENT.pin_value_per_si_unit:g}"  # V/m, pin voltage that represents one metre
+)
 
 
 class SensorKeys(Section):
     """Keys of a position sensor: bandwidth of its low-pass filter, offset and white noise."""
 
     bandwidth: Frequency = Field(
-        1e6, gt=0, description="Bandwidth of the sensor, which is a first-order low-pass filter"
+        1e6,
+        gt=0,
+        description=(
+            "Bandwidth of the position sensor, which is modelled as a first-order low-pass filter"
+        ),
     )
     offset: Length = Field(0.0, description="Constant error of the measured position")
     noise: Length = Field(
         0.0,
         ge=0,
-        description="Rms noise of each sample; the sample rate is twice the bandwidth",
+        description=(
+            "Rms noise of each sample of the measured position; the sample rate is twice the "
+            "bandwidth"
+        ),
     )
 
 
@@ -100,64 +109,68 @@ dc = "1 um"
         return (
             Terminal.signal("of", DISPLACEMENT, required=True),
             Terminal.signal("out", DISPLACEMENT, signal_out=True),
-            Terminal.of("ref", TRANSLATION, GROUND),
+            Terminal.from_domain("ref", TRANSLATION, GROUND),
         )
 
     def problems(self, part: Part[SensorKeys], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield an error for each invalid key of the part."""
         kinds = ("transient", "noise")
         if part.keys.noise and scene.analysis.type not in kinds:
-            words = "the noise of a sensor does not apply to this analysis"
+            problem = "the noise of a sensor does not apply to this analysis"
             yield part.wrong(
                 "noise",
-                words,
+                problem,
                 scene.analysis.type,
                 f"{' or '.join(kinds)}, or none",
                 "delete noise",
             )
 
     def subcircuits(
-        self, part: Part[SensorKeys], build: Build, header: Header
+        self, part: Part[SensorKeys], build: BuiltScene, header: Header
     ) -> tuple[Subcircuit, ...]:
         """Return the subcircuit of the part."""
         d, keys = declare_sensor(part.keys), part.keys
         cards: tuple[Item, ...] = ()
-        size = DISPLACEMENT.per_unit * keys.noise
+        size = DISPLACEMENT.pin_value_per_si_unit * keys.noise
         if keys.noise and build.has_noise:
             # The white noise is a multiple of the noise voltage of a resistor of 1 Ohm.
             root = math.sqrt(4 * BOLTZMANN * DEFAULT_TEMPERATURE * keys.bandwidth)
             cards = attach_comments((
                 "* noise of 1 Ohm at 27 C times a gain",
-                Element.of("Rnoise", "drawn", "ref", "1"),
-                Element.of("Gnoise", "ref", "out", "drawn", "ref", size / root),
+                Element.from_words("Rnoise", "drawn", "ref", "1"),
+                Element.from_words("Gnoise", "ref", "out", "drawn", "ref", size / root),
             ))  # fmt: skip
         elif keys.noise:
             step = format_number(0.5 / keys.bandwidth)
             wave = f"TRNOISE({format_number(size)} {step} 0 0)"
             cards = attach_comments((
                 f"* noise in {DISPLACEMENT.pin_unit}, a new random value at every {step} s",
-                Element.of("Inoise", "ref", "out", "DC", "0", wave),
+                Element.from_words("Inoise", "ref", "out", "DC", "0", wave),
             ))  # fmt: skip
         name = build.libraries[part.name]
-        return (declared_subcircuit(header, name, d, d.values(Section()), more=cards),)
+        return (make_declared_subcircuit(header, name, d, d.values(Section()), more=cards),)
 
-    def settable(self, part: Part[SensorKeys], build: Build) -> Mapping[str, float]:
-        """Return the initial state of the sensor, which is the height of the measured sphere."""
-        start = sphere.initial_height(part, "of", build.scene)
+    def settable_quantities(self, part: Part[SensorKeys], build: BuiltScene) -> Mapping[str, float]:
+        """Return the initial state of the sensor, the height of the measured sphere."""
+        start = sphere.find_initial_height(part, "of", build.scene)
         if start is None:
             return {}
-        return {f"x{part.name}.{state_node('followed')}": DISPLACEMENT.per_unit * start}
+        return {
+            f"x{part.name}.{get_state_node('followed')}": DISPLACEMENT.pin_value_per_si_unit * start
+        }
 
-    def vectors(self, part: Part[SensorKeys], build: Build) -> Mapping[str, Vector]:
+    def vectors(self, part: Part[SensorKeys], build: BuiltScene) -> Mapping[str, PartResult]:
         """Return the ngspice vectors of the part's results, keyed by result name."""
-        return {f"{part.name}.y": build.across(part, "out")}
+        return {f"{part.name}.y": build.get_pin_vector(part, "out")}
 
-    def law(self, part: Part[SensorKeys], build: Build) -> laws.Equations | laws.MissingEquations:
+    def law(
+        self, part: Part[SensorKeys], build: BuiltScene
+    ) -> laws.Equations | laws.MissingEquations:
         """Return the model equations of the part."""
         if part.keys.noise:
             return laws.MissingEquations("its noise is a random waveform of the simulator")
         n, d = part.name, declare_sensor(part.keys)
-        height = sphere.height_offset(part, "of", build.scene)
+        height = sphere.find_height_offset(part, "of", build.scene)
         values = d.values(Section()) | {"offset": part.keys.offset + height}
         declared_law = DeclaredLaw(n, d, tuple(values.values()))
         pins = tuple((pin, f"{n}.{pin}") for pin in ("of", "out", "ref"))
@@ -171,4 +184,4 @@ dc = "1 um"
         yield f"{format_quantity(keys.bandwidth, 'Hz')}, offset {offset}, noise {noise} rms"
 
 
-register(Sensor())
+register_part_type(Sensor())

@@ -21,9 +21,13 @@ from typing import NamedTuple
 
 from kc2spice.core.quantities import AIR_DENSITY, Section
 from kc2spice.fem.thermal_materials import find_resistance_coefficient
-from kc2spice.netlist.circuit import Param, positive_parameter
+from kc2spice.netlist.circuit import Param, make_positive_parameter
 from kc2spice.netlist.spelling import round_to_digits
-from kc2spice.parts.datasheet._ladders import RelaxationLadder, creep_ladder, semi_inductance_ladder
+from kc2spice.parts.datasheet._ladders import (
+    RelaxationLadder,
+    fit_creep_ladder,
+    make_semi_inductance_ladder,
+)
 from kc2spice.parts.datasheet._resonator import TWO_PI
 from kc2spice.physics import Declaration, current, displacement
 from kc2spice.physics.declaration import Branch, branch
@@ -40,7 +44,7 @@ _EDDY, _CREEP = "eddy", "creep"  # inner nodes behind the voice coil, and in the
 _CREEP_AT_FS = complex(0.5 * math.log(2), -math.pi / 4)
 
 
-def baffle_air_mass(area: float) -> float:
+def compute_baffle_air_mass(area: float) -> float:
     """Return the mass [kg] of air that a piston in a baffle moves on one side.
 
     This mass is the low-frequency limit.
@@ -138,7 +142,7 @@ def _add_semi_inductance(
     for name, unit in values.items():
         value = getattr(semi, name)
         if value:
-            terms.params.append(positive_parameter(name, value, unit, notes[name]))
+            terms.params.append(make_positive_parameter(name, value, unit, notes[name]))
     if semi.leb:
         terms.coenergy.append(f"0.5*leb*{COIL}^2")
     # Parallel inductors are combined into a single inductor.
@@ -166,7 +170,9 @@ def _add_creep(terms: _DeclarationTerms, creep: float, ladder: RelaxationLadder)
     is the elongation of one element of creep.
     """
     terms.params.append(
-        positive_parameter("creep", creep, "-", "creep of the suspension, c0 ln(1 + 2 pi fs/s)")
+        make_positive_parameter(
+            "creep", creep, "-", "creep of the suspension, c0 ln(1 + 2 pi fs/s)"
+        )
     )
     real, imaginary = _CREEP_AT_FS.real, _CREEP_AT_FS.imag
     terms.constants |= {
@@ -196,7 +202,7 @@ def _add_sound(terms: _DeclarationTerms, sides: tuple[str, ...], area: float) ->
     coenergy ``sd x p``. On the front, where the cone presses air out, the coenergy is ``-sd x p``.
     """
     terms.params.append(
-        positive_parameter("sd", round_to_digits(area), "m2", "effective area of the cone")
+        make_positive_parameter("sd", round_to_digits(area), "m2", "effective area of the cone")
     )
     for side, sign in ((FRONT, "-"), (REAR, "")):
         if side in sides:
@@ -208,12 +214,12 @@ def _add_sound(terms: _DeclarationTerms, sides: tuple[str, ...], area: float) ->
 def declare_motor(
     params: tuple[Param, ...], driver: SpeakerParameters, sides: tuple[str, ...] = ()
 ) -> Declaration:
-    """Return the declaration of a driver without the mass of its cone."""
+    """Declare the motor of a driver: the driver without the mass of its cone."""
     more, semi, creeps = _DeclarationTerms(), driver.semi, driver.creep > 0
     if semi:
-        _add_semi_inductance(more, semi, semi_inductance_ladder())
+        _add_semi_inductance(more, semi, make_semi_inductance_ladder())
     if creeps:
-        _add_creep(more, driver.creep, creep_ladder())
+        _add_creep(more, driver.creep, fit_creep_ladder())
     if sides and driver.sd:
         _add_sound(more, sides, driver.sd)
     coil = current(COIL, "plus", _EDDY) if semi else current("i", "plus", "minus")
@@ -222,8 +228,8 @@ def declare_motor(
     coenergy = [f"{i}*bl*x"] if semi else ["i*bl*x", "0.5*le*i^2"]
     content = [f"0.5*re*{i}^2", "0.5*r0*x_rate^2" if creeps else "0.5*rms*x_rate^2"]
     cone = displacement("x", "cone", "frame")
-    electrical = [b for b in more.branches if b.flows]
-    others = [b for b in more.branches if not b.flows]
+    electrical = [b for b in more.branches if b.is_flow]
+    others = [b for b in more.branches if not b.is_flow]
     return Declaration(
         "loudspeaker",
         "loudspeaker from its Thiele-Small parameters",
@@ -257,13 +263,13 @@ def declare_moving_mass(mass: float, air: float = 0.0, added: float = 0.0) -> De
     ``air`` [kg] is the share of ``mass`` that connected parts of type ``radiation`` already
     contain. ``added`` [kg] is an additional mass on the cone.
     """
-    moving, params = "mms", [positive_parameter("mms", mass, "kg", "moving mass")]
+    moving, params = "mms", [make_positive_parameter("mms", mass, "kg", "moving mass")]
     if air:
         moving += " - air"
-        params.append(positive_parameter("air", round_to_digits(air), "kg", AIR_NOTE))
+        params.append(make_positive_parameter("air", round_to_digits(air), "kg", AIR_NOTE))
     if added:
         moving += " + added_mass"
-        params.append(positive_parameter("added_mass", added, "kg", "mass fixed to the cone"))
+        params.append(make_positive_parameter("added_mass", added, "kg", "mass fixed to the cone"))
     return Declaration(
         "cone",
         "moving mass",

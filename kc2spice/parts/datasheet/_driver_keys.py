@@ -20,7 +20,7 @@ from kc2spice.core.quantities import (
     Resistance,
     si,
 )
-from kc2spice.parts.datasheet._driver_circuit import baffle_air_mass
+from kc2spice.parts.datasheet._driver_circuit import compute_baffle_air_mass
 from kc2spice.parts.datasheet._resonator import TWO_PI, NumberedKeys
 from kc2spice.parts.datasheet._stated_values import Relation
 from kc2spice.physics.conductors import ConductorKeys
@@ -40,67 +40,136 @@ class LoudspeakerKeys(ConductorKeys, NumberedKeys):
     (R. H. Small, J. Audio Eng. Soc. 20 (1972) 383).
     """
 
-    fs: Frequency | None = Field(None, gt=0, description="Resonance frequency in free air")
+    fs: Frequency | None = Field(
+        None, gt=0, description="Resonance frequency of the loudspeaker driver in free air"
+    )
     re: Resistance | None = Field(None, gt=0, description="DC resistance of the voice coil")
     le: Inductance | None = Field(
         None,
         gt=0,
         description=(
-            "Inductance of the voice coil. If `ke` or `rss` is stated, this inductance is in "
-            "parallel with them. By default `re` times 1 us, or none with `ke` or `rss`"
+            "Inductance of the voice coil, in parallel with `ke` and `rss` if stated; by "
+            "default `re` times 1 us, or none with `ke` or `rss`"
         ),
     )
     leb: Inductance | None = Field(
-        None, gt=0, description="Inductance of the voice coil in series with ke, rss and le"
+        None,
+        gt=0,
+        description=(
+            "Inductance of the voice coil in series with the parallel circuit of `ke`, `rss` "
+            "and `le`"
+        ),
     )
     ke: Ratio | None = Field(
         None,
         gt=0,
-        description="Semi-inductance in Ohm s^(1/2), whose impedance is ke sqrt(2 pi f j); by "
-        "default the voice coil has a constant inductance",
+        description=(
+            "Semi-inductance of the voice coil in Ohm s^(1/2), with the impedance ke sqrt(2 "
+            "pi f j); by default the coil has a constant inductance"
+        ),
     )
     rss: Resistance | None = Field(
-        None, gt=0, description="Resistance of shorted turns in parallel with ke and le"
+        None,
+        gt=0,
+        description=(
+            "Resistance of the shorted turns, in parallel with the semi-inductance `ke` and "
+            "the inductance `le`"
+        ),
     )
-    qms: Ratio | None = Field(None, gt=0, description="Mechanical Q factor at fs")
-    qes: Ratio | None = Field(None, gt=0, description="Electrical Q factor at fs")
-    qts: Ratio | None = Field(None, gt=0, description="Total Q factor, qms * qes / (qms + qes)")
+    qms: Ratio | None = Field(
+        None,
+        gt=0,
+        description=(
+            "Mechanical Q factor of the loudspeaker driver at the resonance frequency `fs`"
+        ),
+    )
+    qes: Ratio | None = Field(
+        None,
+        gt=0,
+        description=(
+            "Electrical Q factor of the loudspeaker driver at the resonance frequency `fs`"
+        ),
+    )
+    qts: Ratio | None = Field(
+        None,
+        gt=0,
+        description=(
+            "Total Q factor of the loudspeaker driver at the frequency `fs`, qms * qes / "
+            "(qms + qes)"
+        ),
+    )
     bl: Annotated[float, si("N/A")] | None = Field(
-        None, gt=0, description="Force factor B l, in N/A or T m"
+        None, gt=0, description="Force factor B l of the voice coil, in N/A or T m"
     )
-    mms: Mass | None = Field(None, gt=0, description="Moving mass including the air load")
+    mms: Mass | None = Field(
+        None, gt=0, description="Moving mass of the loudspeaker driver, including the air load"
+    )
     mmd: Mass | None = Field(
-        None, gt=0, description="Moving mass without air: mms - 16/3 rho a^3, with sd = pi a^2"
+        None,
+        gt=0,
+        description=(
+            "Moving mass of the loudspeaker driver without the air load: mms - 16/3 rho a^3, "
+            "with sd = pi a^2"
+        ),
     )
     cms: Annotated[float, si("m/N")] | None = Field(
-        None, gt=0, description="Compliance of the suspension"
+        None, gt=0, description="Mechanical compliance of the loudspeaker driver's suspension"
     )
     rms: MechanicalDamping | None = Field(
-        None, gt=0, description="Mechanical resistance of the suspension"
+        None,
+        gt=0,
+        description=(
+            "Mechanical resistance (viscous damping) of the loudspeaker driver's suspension"
+        ),
     )
-    sd: Area | None = Field(None, gt=0, description="Effective area of the cone")
+    sd: Area | None = Field(
+        None, gt=0, description="Effective area of the loudspeaker driver's cone"
+    )
     vas: Annotated[float, si("m3")] | None = Field(
-        None, gt=0, description="Volume of air that has the compliance of the suspension"
+        None,
+        gt=0,
+        description=(
+            "Volume of air with the same compliance as the loudspeaker driver's suspension"
+        ),
     )
     added_mass: Mass | None = Field(
-        None, ge=0, description="Mass fixed to the cone besides mms; by default none"
+        None,
+        ge=0,
+        description=(
+            "Mass fixed to the loudspeaker's cone in addition to the moving mass `mms`; by "
+            "default none"
+        ),
     )
-    zmax: Resistance | None = Field(None, gt=0, description="Impedance at fs, re (1 + qms/qes)")
+    zmax: Resistance | None = Field(
+        None,
+        gt=0,
+        description=(
+            "Impedance of the loudspeaker driver at the resonance frequency `fs`, re (1 + qms/qes)"
+        ),
+    )
     creep: Ratio | None = Field(
         None,
         gt=0,
         lt=1,
         description=(
-            "Relative increase of the suspension's compliance if the frequency falls by a factor "
-            "of 2.718; by default the compliance is constant. `cms` and `rms` hold at the "
-            "frequency `fs`"
+            "Relative increase of the suspension's compliance for each decrease of the "
+            "frequency by a factor of 2.718; by default the compliance is constant. `cms` "
+            "and `rms` apply at the frequency `fs`"
         ),
     )
     xmax: Length | None = Field(
-        None, gt=0, description="Largest linear displacement in one direction"
+        None,
+        gt=0,
+        description=(
+            "Largest displacement of the cone from rest in one direction for linear operation"
+        ),
     )
     tolerance: dict[str, Annotated[Ratio, Field(gt=0, lt=1)]] = Field(
-        {}, description="Relative tolerance of each value by its key, such as fs = '15 %'"
+        {},
+        description=(
+            "Relative tolerance of each data-sheet value, under the key of the value, such "
+            "as fs = '15 %'"
+        ),
     )
 
 
@@ -133,11 +202,12 @@ def compute_thiele_small(driver: Mapping[str, float]) -> dict[str, float]:
         "qts": qms * qes / (qms + qes),
         "vas": AIR_STIFFNESS * driver["sd"] ** 2 * driver["cms"],
         "zmax": driver["re"] * (1 + qms / qes),
-        "mmd": driver["mms"] - 2 * baffle_air_mass(driver["sd"]),
+        "mmd": driver["mms"] - 2 * compute_baffle_air_mass(driver["sd"]),
     }
 
 
 def make_relation(key: str, names: tuple[str, ...]) -> Relation:
+    """Return the function that computes ``key`` from the values of ``names``."""
     area = {"sd": EXAMPLE_WOOFER["sd"]}
     return lambda values: compute_thiele_small(
         area | dict(zip(names, values.tolist(), strict=True))

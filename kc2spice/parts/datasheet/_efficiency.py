@@ -46,10 +46,10 @@ def compute_efficiency(part: Part, scene: Scene, waves: Waveforms) -> np.ndarray
     if "frequency" in waves:
         return np.asarray(radiated / electrical)
     delay = keys.distance / fluid.sound_speed
-    return _average_periods(waves["time"], radiated, electrical, scene.period, delay)
+    return _compute_efficiency(waves["time"], radiated, electrical, scene.period, delay)
 
 
-def _average_periods(
+def _compute_efficiency(
     time: np.ndarray,
     radiated: np.ndarray,
     electrical: np.ndarray,

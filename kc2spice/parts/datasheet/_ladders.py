@@ -91,7 +91,7 @@ def fit_ladder(
         low, high = np.abs(response(1j * np.array(band)))
         start.append(np.log([high / 3, low * band[0] / 3]))
 
-    def terms(x: np.ndarray) -> np.ndarray:
+    def evaluate_terms(x: np.ndarray) -> np.ndarray:
         """Return the terms of the ladder, divided by the response, for log-coefficients ``x``."""
         weight, corner = np.exp(x[:count]), np.exp(x[count : 2 * count])
         columns = [weight * corner / (s[:, None] + corner)]
@@ -102,12 +102,12 @@ def fit_ladder(
 
     def residuals(x: np.ndarray) -> np.ndarray:
         """Return real and imaginary parts of the ladder's relative error."""
-        error = terms(x).sum(axis=1) - 1
+        error = evaluate_terms(x).sum(axis=1) - 1
         return np.concatenate([error.real, error.imag])
 
     def slopes(x: np.ndarray) -> np.ndarray:
         """Return the derivatives of the residuals with respect to ``x``."""
-        columns, corner = terms(x), np.exp(x[count : 2 * count])
+        columns, corner = evaluate_terms(x), np.exp(x[count : 2 * count])
         moved = columns[:, :count] * s[:, None] / (s[:, None] + corner)
         by_all = np.hstack([columns[:, :count], moved, columns[:, count:]])
         return np.concatenate([by_all.real, by_all.imag])
@@ -124,13 +124,13 @@ def fit_ladder(
 
 
 @cache
-def semi_inductance_ladder() -> RelaxationLadder:
+def make_semi_inductance_ladder() -> RelaxationLadder:
     """Return the ladder for ``1/sqrt(s)``, the admittance of a semi-inductance of 1 semi-henry."""
     return fit_ladder(lambda s: s**-0.5, SEMI_INDUCTANCE_BAND, SEMI_INDUCTANCE_BRANCHES, ends=True)
 
 
 @cache
-def creep_ladder() -> RelaxationLadder:
+def fit_creep_ladder() -> RelaxationLadder:
     """Return the ladder for ``ln(1 + 1/s)``, the relative increase of a compliance by creep.
 
     The frequency ``s`` is relative to the creep frequency.

@@ -30,15 +30,15 @@ from kc2spice.core.quantities import Section, Voltage
 from kc2spice.core.untrusted_files import make_identifier
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Circuit, Element, Item, Param, Parameters, Pin
-from kc2spice.netlist.elements import attach_comments
 from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.prefixes import abbreviate_number
+from kc2spice.netlist.shared_cards import attach_comments
 from kc2spice.netlist.spelling import LEAK_RATE, format_comment
 from kc2spice.parts.datasheet._stated_values import Relation
 from kc2spice.physics.conductors import HEAT_TERMINALS, is_heated
-from kc2spice.physics.loss_heat import add_loss_heat, heat_vectors
+from kc2spice.physics.loss_heat import add_loss_heat, list_heat_vectors
 from kc2spice.scene.model import (
-    Build,
+    BuiltScene,
     GovernedScene,
     JoinedScene,
     KeysT,
@@ -48,9 +48,14 @@ from kc2spice.scene.model import (
     Terminal,
     WiredScene,
 )
-from kc2spice.scene.part_records import EquilibriumConditions, Neglected, Vector
+from kc2spice.scene.part_records import EquilibriumConditions, NeglectedEffect, PartResult
 from kc2spice.scene.settings import PartNumber
-from kc2spice.synthesis.heat_sources import HEAT_PIN_ROWS, METER, heat_source, meter_cards
+from kc2spice.synthesis.heat_sources import (
+    HEAT_PIN_ROWS,
+    METER,
+    write_heat_meter,
+    write_heat_source,
+)
 
 TWO_PI = 2 * math.pi
 
@@ -60,8 +65,9 @@ class NumberedKeys(Section):
 
     number: PartNumber | None = Field(
         None,
-        description="Part number, which is the name of the exported library; by default "
-        "the part type",
+        description=(
+            "Part number, used as the name of the exported library; by default the part type"
+        ),
     )
 
 
@@ -71,7 +77,9 @@ class RatedKeys(NumberedKeys):
     rated_voltage: Voltage | None = Field(
         None,
         gt=0,
-        description="Largest voltage between the pins; by default the voltage is not checked",
+        description=(
+            "Largest permitted voltage between the pins; by default the voltage is not checked"
+        ),
     )
 
 
@@ -123,7 +131,7 @@ class Resonator:
             result = result + s * cm / (1 + s * rm * cm + s**2 * lm * cm)
         return np.asarray(result)
 
-    def capacitance(self, frequency: float) -> float:
+    def compute_capacitance(self, frequency: float) -> float:
         """Return the capacitance [F] of the circuit without losses at ``frequency`` [Hz].
 
         The capacitance is ``c0 + sum cm / (1 - (f / fs)^2)``.
@@ -131,11 +139,11 @@ class Resonator:
         modes = zip(self.cm, self.fs, strict=True)
         return self.c0 + sum(c / (1 - (frequency / f) ** 2) for c, f in modes)
 
-    def coupling(self, mode: int) -> float:
+    def compute_coupling(self, mode: int) -> float:
         """Return the effective coupling coefficient of a mode, ``sqrt(1 - (fs / fp)^2)``."""
         return math.sqrt(max(0.0, 1 - (self.fs[mode] / self.fp[mode]) ** 2))
 
-    def q_factor(self, mode: int) -> float:
+    def compute_q_factor(self, mode: int) -> float:
         """Return the Q factor of a mode, ``1 / (2 pi fs rm cm)``."""
         return 1 / (TWO_PI * self.fs[mode] * self.rm[mode] * self.cm[mode])
 
@@ -180,7 +188,7 @@ class ResonatorPart(NumberedPart[KeysT]):
         """
 
     @abstractmethod
-    def netlist(self, part: Part[KeysT], circuit: Resonator) -> ResonatorNetlist:
+    def make_resonator_netlist(self, part: Part[KeysT], circuit: Resonator) -> ResonatorNetlist:
         """Return the parameters of the netlist, and expressions for its circuit elements."""
 
     def shared_data(self, part: Part[KeysT], scene: GovernedScene) -> Resonator:
@@ -189,7 +197,7 @@ class ResonatorPart(NumberedPart[KeysT]):
 
     def circuit(self, part: Part[KeysT], scene: GovernedScene) -> Resonator:
         """Return the circuit elements of the part, from the record of the scene if it has them."""
-        record = scene.record(part)
+        record = scene.get_record(part)
         if record is None or not isinstance(record.shared_data, Resonator):
             return self.resonator(part)
         return record.shared_data
@@ -211,20 +219,23 @@ class ResonatorPart(NumberedPart[KeysT]):
         return EquilibriumConditions(tuple(path for path in paths if HEAT not in path))
 
     def subcircuits(
-        self, part: Part[KeysT], build: Build, header: Header
+        self, part: Part[KeysT], build: BuiltScene, header: Header
     ) -> tuple[Subcircuit, ...]:
         """Return the subcircuit of the part."""
-        from kc2spice.synthesis.header import parameter_defaults_of, part_header  # loads slowly
+        from kc2spice.synthesis.header import (
+            format_parameter_defaults,
+            write_part_header,
+        )  # loads slowly
 
-        content = self.netlist(part, self.circuit(part, build.scene))
+        content = self.make_resonator_netlist(part, self.circuit(part, build.scene))
         name, pins = build.libraries[part.name], tuple(Pin(end, "V", "A") for end in self.ends)
         heated = is_heated(part, build.scene)
         pins += HEAT_PIN_ROWS if heated else ()
         title = f"{name}: {self.title}"
         words: dict[str, Any] = {"rating": self.rating, "heat": HEAT_PINS if heated else ""}
-        head = part_header(header, title, pins, content.params, **words)
+        head = write_part_header(header, title, pins, content.params, **words)
         items = (*_list_cards(content, *self.ends), *(_list_heat_cards(content) if heated else ()))
-        ends, defaults = tuple(list_names(pins)), parameter_defaults_of(content.params)
+        ends, defaults = tuple(list_names(pins)), format_parameter_defaults(content.params)
         circuit = Circuit(name, ends, defaults, items, notes=head)
         tree = Circuit(items=(circuit,))
         return (
@@ -240,21 +251,21 @@ class ResonatorPart(NumberedPart[KeysT]):
 
     # --- results ----------------------------------------------------------------------------------
 
-    def vectors(self, part: Part[KeysT], build: Build) -> Mapping[str, Vector]:
+    def vectors(self, part: Part[KeysT], build: BuiltScene) -> Mapping[str, PartResult]:
         """Return the ngspice vectors of the part's results, keyed by result name."""
         result, (plus, minus) = {}, self.ends
         nets = (
-            (sign, build.net(part, end)) for sign, end in zip(("", "-"), self.ends, strict=True)
+            (sign, build.get_net(part, end)) for sign, end in zip(("", "-"), self.ends, strict=True)
         )
         if across := "".join(f"{sign}v({net})" for sign, net in nets if net != "0"):
-            result[f"{part.name}.voltage"] = Vector(across, 1.0, "V")
+            result[f"{part.name}.voltage"] = PartResult(across, 1.0, "V")
         meter = f"i(v.x{part.name.lower()}.vmeter)"
-        result[f"{part.name}.current"] = Vector(meter, 1.0, "A", (minus,), (plus,))
+        result[f"{part.name}.current"] = PartResult(meter, 1.0, "A", (minus,), (plus,))
         if is_heated(part, build.scene):
-            result |= heat_vectors(part, build, METER)
+            result |= list_heat_vectors(part, build, METER)
         return result
 
-    def law(self, part: Part[KeysT], build: Build) -> laws.Equations:
+    def law(self, part: Part[KeysT], build: BuiltScene) -> laws.Equations:
         """Return the model equations of the part."""
         from kc2spice.rom.linear_model import LinearModel, Port  # loads slowly
 
@@ -278,43 +289,45 @@ class ResonatorPart(NumberedPart[KeysT]):
         result = laws.Equations((body,), tuple((end, f"{n}.{end}") for end in self.ends), results)
         return add_loss_heat(result, body) if is_heated(part, build.scene) else result
 
-    def metrics(self, part: Part[KeysT], build: Build, waves: Waveforms) -> Mapping[str, object]:
+    def metrics(
+        self, part: Part[KeysT], build: BuiltScene, waves: Waveforms
+    ) -> Mapping[str, object]:
         """Return the metrics of the part, keyed by name."""
-        from kc2spice.parts.bodies._linear_body import compute_impedance, impedance_metrics
+        from kc2spice.parts.bodies._linear_body import compute_impedance, compute_impedance_metrics
 
         z = compute_impedance(part, waves)
-        return {} if z is None else impedance_metrics(waves["frequency"].real, z)
+        return {} if z is None else compute_impedance_metrics(waves["frequency"].real, z)
 
-    def figures(self, part: Part[KeysT], build: Build, waves: Waveforms) -> Iterator[Figure]:
+    def figures(self, part: Part[KeysT], build: BuiltScene, waves: Waveforms) -> Iterator[Figure]:
         """Yield the figures of the part for the report."""
+        from kc2spice.parts.bodies._body_figures import IMPEDANCE_CAPTION, plot_impedances
         from kc2spice.parts.bodies._linear_body import compute_impedance
-        from kc2spice.parts.bodies._pictures import IMPEDANCE_CAPTION, plot_impedances
 
         z = compute_impedance(part, waves)
         if z is not None:
             how = f"as the circuit shows it at {part.name}{IMPEDANCE_CAPTION}"
             yield plot_impedances(part.name, waves["frequency"].real, {"": z}, how)
 
-    def notes(self, part: Part[KeysT], scene: Scene) -> Iterator[str | Neglected]:
+    def notes(self, part: Part[KeysT], scene: Scene) -> Iterator[str | NeglectedEffect]:
         """Yield the assumptions of the model and the effects that it neglects."""
         circuit = self.circuit(part, scene)
         yield f"c0 = {circuit.c0:.4g} F"
         for n, fs in enumerate(circuit.fs):
             yield (
                 f"mode {n + 1}: fs {fs:.6g} Hz, fp {circuit.fp[n]:.6g} Hz, Q "
-                f"{circuit.q_factor(n):.4g}, coupling {circuit.coupling(n):.4g}, "
+                f"{circuit.compute_q_factor(n):.4g}, coupling {circuit.compute_coupling(n):.4g}, "
                 f"rm {circuit.rm[n]:.4g} Ohm"
             )
-        yield Neglected("further modes", "the data sheet states none", "not estimated")
-        yield Neglected(
+        yield NeglectedEffect("further modes", "the data sheet states none", "not estimated")
+        yield NeglectedEffect(
             "dielectric loss", "c0 is an ideal capacitance", "tan delta of its admittance"
         )
-        yield Neglected(
+        yield NeglectedEffect(
             "nonlinearity and temperature", "the circuit is that of small signals", "not estimated"
         )
 
 
-def as_function_of_unknowns(value: Callable[[Resonator], float]) -> Relation:
+def make_unknowns_relation(value: Callable[[Resonator], float]) -> Relation:
     """Return a function that computes ``value`` of the resonator with the passed unknowns."""
     return lambda unknowns: value(Resonator.from_unknowns(unknowns))
 
@@ -327,28 +340,30 @@ def _list_cards(content: ResonatorNetlist, plus: str, minus: str) -> Iterator[It
     """
     for name, text in content.constants.items():
         yield Parameters({name: f"{{{text}}}"})
-    yield Element.of("Vmeter", plus, "inner", "0")
-    yield Element.of("C0", "inner", minus, "{c0}")
+    yield Element.from_words("Vmeter", plus, "inner", "0")
+    yield Element.from_words("C0", "inner", minus, "{c0}")
     for n in content.modes:
         # The inductor separates the resistor with a large conductance from the capacitor.
         # At a common node, this conductance would cause rounding errors in the small admittance.
         inductor, capacitor = f"motion{n}", f"charge{n}"
-        yield Element.of(f"Rm{n}", "inner", inductor, f"{{rm{n}}}")
-        yield Element.of(f"Lm{n}", inductor, capacitor, f"{{lm{n}}}")
-        yield Element.of(f"Cm{n}", capacitor, minus, f"{{cm{n}}}")
+        yield Element.from_words(f"Rm{n}", "inner", inductor, f"{{rm{n}}}")
+        yield Element.from_words(f"Lm{n}", inductor, capacitor, f"{{lm{n}}}")
+        yield Element.from_words(f"Cm{n}", capacitor, minus, f"{{cm{n}}}")
     total = "+".join(("c0", *(f"cm{n}" for n in content.modes)))
-    yield Element.of("Gleak", "inner", minus, "inner", minus, f"{{{LEAK_RATE:g}*({total})}}")
+    yield Element.from_words(
+        "Gleak", "inner", minus, "inner", minus, f"{{{LEAK_RATE:g}*({total})}}"
+    )
 
 
 def _list_heat_cards(content: ResonatorNetlist) -> Iterator[Item]:
     """Yield the cards of the heat pin: its ammeter, and the power of each motional resistance."""
-    yield from attach_comments(meter_cards())
+    yield from attach_comments(write_heat_meter())
     for n in content.modes:
         drop = f"V(inner,motion{n})"
-        yield heat_source(n, f"{drop}*{drop}/rm{n}")
+        yield write_heat_source(n, f"{drop}*{drop}/rm{n}")
 
 
-def tolerance_note(value: float, tolerance: float | None) -> str:
+def write_tolerance_note(value: float, tolerance: float | None) -> str:
     """Return the tolerance range of a parameter as text for the library header.
 
     Without a tolerance, the text is empty.
@@ -359,6 +374,6 @@ def tolerance_note(value: float, tolerance: float | None) -> str:
     return f", tolerance {100 * tolerance:.4g} % ({low} to {high})"
 
 
-def mode_suffixes(modes: int) -> Sequence[str]:
+def list_mode_suffixes(modes: int) -> Sequence[str]:
     """Return the suffix of each mode's element names; an empty suffix for a single mode."""
     return ("",) if modes == 1 else [str(n + 1) for n in range(modes)]

@@ -67,13 +67,13 @@ class StatedValues:
         """
         self._require_plausible_values()
         self._require_enough_values()
-        result = self._fitted_unknowns
+        result = self._fitted_logarithms
         self._require_solution(result)
         self._require_agreement(result)
         self._require_unique_circuit(result)
         return np.exp(result)
 
-    def tolerance_of(self, key: str) -> float:
+    def get_log_tolerance(self, key: str) -> float:
         """Return the tolerance of the value ``key``, as a difference of logarithms."""
         return math.log1p(self.tolerance.get(key, self.rounding.get(key, VALUE_ROUNDING)))
 
@@ -106,7 +106,7 @@ class StatedValues:
         return self._compute_logarithm(key, x) - math.log(self.stated[key])
 
     @cached_property
-    def _fitted_unknowns(self) -> np.ndarray:
+    def _fitted_logarithms(self) -> np.ndarray:
         """Logarithms of the unknowns, fitted to the stated values."""
         return self._fit_unknowns(np.log(self.start))
 
@@ -114,7 +114,7 @@ class StatedValues:
         """Return the logarithms of the unknowns, fitted to the stated values from ``start`` on."""
         from scipy.optimize import least_squares  # loads slowly
 
-        weights = np.array([1 / self.tolerance_of(key) for key in self.stated])
+        weights = np.array([1 / self.get_log_tolerance(key) for key in self.stated])
         weights /= weights.max()
 
         def residuals(x: np.ndarray) -> np.ndarray:
@@ -181,7 +181,10 @@ class StatedValues:
             self._raise_contradiction(x, misses)
 
     def _raise_contradiction(self, x: np.ndarray, misses: Mapping[str, float]) -> None:
-        first, second = sorted(misses, key=lambda key: -misses[key] / self.tolerance_of(key))[:2]
+        """Raise an error that names the two stated values with the largest misfits."""
+        first, second = sorted(misses, key=lambda key: -misses[key] / self.get_log_tolerance(key))[
+            :2
+        ]
         nearest = (
             self.text(key, math.exp(self._compute_logarithm(key, x))) for key in (first, second)
         )
@@ -208,23 +211,23 @@ class StatedValues:
                 redundant[key] = others._compute_sensitivities(key, x)
         if not any(self._is_contradicted(key, shares, x) for key, shares in redundant.items()):
             return
-        key = max(redundant, key=self._compute_correction)
+        key = max(redundant, key=self._compute_deviation)
         shares = redundant[key]
-        other = max(shares, key=lambda name: abs(shares[name]) * self.tolerance_of(name))
+        other = max(shares, key=lambda name: abs(shares[name]) * self.get_log_tolerance(name))
         raise self._make_contradiction_error(key, other)
 
     def _is_contradicted(self, key: str, shares: Mapping[str, float], x: np.ndarray) -> bool:
         """Return whether the value ``key`` contradicts the value that all other values imply."""
         implied = sum(share * self._compute_residual(name, x) for name, share in shares.items())
-        allowed = sum(abs(share) * self.tolerance_of(name) for name, share in shares.items())
-        return abs(implied - self._compute_residual(key, x)) > allowed + self.tolerance_of(key)
+        allowed = sum(abs(share) * self.get_log_tolerance(name) for name, share in shares.items())
+        return abs(implied - self._compute_residual(key, x)) > allowed + self.get_log_tolerance(key)
 
-    def _compute_correction(self, key: str) -> float:
+    def _compute_deviation(self, key: str) -> float:
         """Return how far the value ``key`` is from the value that all other values imply.
 
         The distance is the magnitude of the logarithm of the ratio of both values.
         """
-        return abs(self._compute_residual(key, self._drop_value(key)._fitted_unknowns))
+        return abs(self._compute_residual(key, self._drop_value(key)._fitted_logarithms))
 
     def _require_unique_circuit(self, x: np.ndarray) -> None:
         """Raise an error if two circuits have the same data-sheet values.
@@ -259,7 +262,7 @@ class StatedValues:
 
     def _compute_sensitivities(self, key: str, x: np.ndarray) -> dict[str, float]:
         """Return the derivatives of the implied value of ``key`` with respect to other values."""
-        weights = np.array([1 / self.tolerance_of(name) for name in self.stated])
+        weights = np.array([1 / self.get_log_tolerance(name) for name in self.stated])
         slopes = np.array([self._compute_gradient(name, x) for name in self.stated])
         solution = np.linalg.pinv(weights[:, None] * slopes) * weights
         return dict(zip(self.stated, self._compute_gradient(key, x) @ solution, strict=True))
@@ -268,12 +271,12 @@ class StatedValues:
         """Return the error for the two contradicting values ``key`` and ``other``."""
         implied = {name: self._drop_value(name) for name in (key, other)}
         texts = {
-            name: self.text(name, math.exp(rest._compute_logarithm(name, rest._fitted_unknowns)))
+            name: self.text(name, math.exp(rest._compute_logarithm(name, rest._fitted_logarithms)))
             for name, rest in implied.items()
         }
         changes = {
             name: abs(
-                rest._compute_logarithm(name, rest._fitted_unknowns) - math.log(self.stated[name])
+                rest._compute_logarithm(name, rest._fitted_logarithms) - math.log(self.stated[name])
             )
             for name, rest in implied.items()
         }

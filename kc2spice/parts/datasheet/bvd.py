@@ -16,9 +16,9 @@ from kc2spice.core.quantities import (
     Inductance,
     Ratio,
     Resistance,
-    invalid_value_error,
+    make_invalid_value_error,
 )
-from kc2spice.netlist.circuit import Param, positive_parameter
+from kc2spice.netlist.circuit import Param, make_positive_parameter
 from kc2spice.netlist.spelling import round_to_digits
 from kc2spice.parts.datasheet._resonator import (
     TWO_PI,
@@ -26,13 +26,13 @@ from kc2spice.parts.datasheet._resonator import (
     Resonator,
     ResonatorNetlist,
     ResonatorPart,
-    as_function_of_unknowns,
-    mode_suffixes,
-    tolerance_note,
+    list_mode_suffixes,
+    make_unknowns_relation,
+    write_tolerance_note,
 )
 from kc2spice.parts.datasheet._stated_values import Relation, StatedValues
 from kc2spice.scene.model import GovernedScene, Part
-from kc2spice.scene.parttype import register
+from kc2spice.scene.parttype import register_part_type
 
 MAX_MODES = 8
 CAPACITANCE_FREQUENCY = 1e3  # Hz, at which data sheets usually state capacitances
@@ -48,11 +48,11 @@ START_FREQUENCY = 1e4
 START_CAPACITANCE = 1e-9
 
 
-def _wrap_in_list(value: object) -> object:
+def _convert_to_sequence(value: object) -> object:
     """Return a single value as a tuple, and return a list unchanged."""
     if isinstance(value, (list, tuple)):
         if value == []:  # the default is an empty tuple
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 "the list is empty",
                 "a value, or a list with one value for each mode",
                 hint="write the value of the lowest mode",
@@ -61,7 +61,7 @@ def _wrap_in_list(value: object) -> object:
     return (value,)
 
 
-Modes = BeforeValidator(_wrap_in_list)
+Modes = BeforeValidator(_convert_to_sequence)
 
 
 class BvdKeys(RatedKeys):
@@ -71,40 +71,64 @@ class BvdKeys(RatedKeys):
     """
 
     fs: Annotated[tuple[Annotated[Frequency, Field(gt=0)], ...], Modes] = Field(
-        (), description="Series resonance frequency, at which the motional reactance is zero"
+        (),
+        description=(
+            "Series resonance frequency of each mode, at which the reactance of the motional "
+            "branch is zero"
+        ),
     )
     fp: Annotated[tuple[Annotated[Frequency, Field(gt=0)], ...], Modes] = Field(
-        (), description="Parallel resonance frequency (antiresonance) of the circuit without losses"
+        (),
+        description=(
+            "Parallel resonance frequency (antiresonance) of each mode, for the circuit "
+            "without losses"
+        ),
     )
     keff: Annotated[tuple[Annotated[Ratio, Field(gt=0, lt=1)], ...], Modes] = Field(
-        (), description="Effective coupling coefficient, sqrt(1 - (fs/fp)^2)"
+        (), description="Effective coupling factor of each mode, sqrt(1 - (fs/fp)^2)"
     )
     cm: Annotated[tuple[Annotated[Capacitance, Field(gt=0)], ...], Modes] = Field(
-        (), description="Motional capacitance, also called C1"
+        (), description="Motional capacitance of each mode, also called C1"
     )
     lm: Annotated[tuple[Annotated[Inductance, Field(gt=0)], ...], Modes] = Field(
-        (), description="Motional inductance, also called L1"
+        (), description="Motional inductance of each mode, also called L1"
     )
     rm: Annotated[tuple[Annotated[Resistance, Field(gt=0)], ...], Modes] = Field(
-        (), description="Motional resistance, also called R1"
+        (), description="Motional resistance of each mode, also called R1"
     )
     qm: Annotated[tuple[Annotated[Ratio, Field(gt=0)], ...], Modes] = Field(
-        (), description="Mechanical Q factor, 1/(2 pi fs rm cm)"
+        (), description="Mechanical Q factor of each mode, 1/(2 pi fs rm cm)"
     )
     zs: Annotated[tuple[Annotated[Resistance, Field(gt=0)], ...], Modes] = Field(
-        (), description="Magnitude of the impedance at the series resonance"
+        (),
+        description="Magnitude of the resonator's impedance at the series resonance of each mode",
     )
     c0: Capacitance | None = Field(
-        None, gt=0, description="Clamped capacitance, parallel to the motional branch"
+        None,
+        gt=0,
+        description=(
+            "Clamped capacitance of the resonator, in parallel with the motional branches"
+        ),
     )
     c_low: Capacitance | None = Field(
-        None, gt=0, description="Capacitance at the frequency c_low_at, below the resonances"
+        None,
+        gt=0,
+        description=(
+            "Capacitance of the resonator at the frequency `c_low_at`, below all resonances"
+        ),
     )
     c_low_at: Frequency = Field(
-        CAPACITANCE_FREQUENCY, ge=0, lt=1e12, description="Frequency at which c_low was measured"
+        CAPACITANCE_FREQUENCY,
+        ge=0,
+        lt=1e12,
+        description="Frequency at which the capacitance `c_low` was measured",
     )
     tolerance: dict[str, Annotated[Ratio, Field(gt=0, lt=1)]] = Field(
-        {}, description="Relative tolerance of each value by its key, such as c_low = '30 %'"
+        {},
+        description=(
+            "Relative tolerance of each data-sheet value, under the key of the value, such "
+            "as c_low = '30 %'"
+        ),
     )
 
 
@@ -112,11 +136,11 @@ class BvdKeys(RatedKeys):
 MODE_VALUES: Mapping[str, Callable[..., float]] = {
     "fs": lambda circuit, mode: circuit.fs[mode],
     "fp": lambda circuit, mode: circuit.fp[mode],
-    "keff": lambda circuit, mode: circuit.coupling(mode),
+    "keff": lambda circuit, mode: circuit.compute_coupling(mode),
     "cm": lambda circuit, mode: circuit.cm[mode],
     "lm": lambda circuit, mode: circuit.lm[mode],
     "rm": lambda circuit, mode: circuit.rm[mode],
-    "qm": lambda circuit, mode: circuit.q_factor(mode),
+    "qm": lambda circuit, mode: circuit.compute_q_factor(mode),
     "zs": lambda circuit, mode: 1 / abs(circuit.admittance(np.array(circuit.fs[mode]))),
 }
 VALUE_UNITS_OF_SHEET = {
@@ -181,7 +205,7 @@ stop = "10 kHz"
             labels = _list_mode_labels(name, modes)
             stated |= dict(zip(labels, getattr(keys, name), strict=False))
         stated |= {name: v for name in ("c0", "c_low") if (v := getattr(keys, name)) is not None}
-        self._check_tolerances(part)
+        self._require_tolerance_values(part)
         start = _choose_initial_unknowns(keys, modes)
         for problem in _find_impossible_pairs(part, start):
             raise problem
@@ -215,7 +239,8 @@ stop = "10 kHz"
             )
         return most
 
-    def _check_tolerances(self, part: Part[BvdKeys]) -> None:
+    def _require_tolerance_values(self, part: Part[BvdKeys]) -> None:
+        """Reject a tolerance whose value the data sheet does not state."""
         for name in part.keys.tolerance:
             if not (name in VALUE_UNITS_OF_SHEET and getattr(part.keys, name)):
                 values = [key for key in VALUE_UNITS_OF_SHEET if getattr(part.keys, key)]
@@ -229,10 +254,10 @@ stop = "10 kHz"
                     else None,
                 )
 
-    def netlist(self, part: Part[BvdKeys], circuit: Resonator) -> ResonatorNetlist:
+    def make_resonator_netlist(self, part: Part[BvdKeys], circuit: Resonator) -> ResonatorNetlist:
         """Return the netlist parameters, and the equations of the circuit elements."""
         keys, modes = part.keys, len(circuit.fs)
-        ends, params, constants = mode_suffixes(modes), list[Param](), dict[str, str]()
+        ends, params, constants = list_mode_suffixes(modes), list[Param](), dict[str, str]()
         level = "c0" if keys.c_low is None else "c_low"
         total, fixed = ["1"], []
         for n, end in enumerate(ends):
@@ -246,8 +271,10 @@ stop = "10 kHz"
             square = f"keff{end}*keff{end}" if ratio == "keff" else "(1-fs*fs/(fp*fp))"
             constants[f"ratio{end}"] = f"{square}/(1-{square})"
             total.append(f"ratio{end}{slow}")
-        value = round_to_digits(circuit.c0 if level == "c0" else circuit.capacitance(keys.c_low_at))
-        params.append(positive_parameter(level, value, "F", _describe_key(keys, level, value)))
+        value = round_to_digits(
+            circuit.c0 if level == "c0" else circuit.compute_capacitance(keys.c_low_at)
+        )
+        params.append(make_positive_parameter(level, value, "F", _describe_key(keys, level, value)))
         if level == "c_low":
             constants["c0"] = f"(c_low{''.join(fixed)})/({'+'.join(total)})"
         for end in ends:
@@ -272,7 +299,7 @@ def _find_impossible_pairs(part: Part[BvdKeys], start: np.ndarray) -> Iterator[U
             "c_low",
             "the low-frequency capacitance is not greater than the clamped capacitance",
             f"c0 = {keys.c0:g} F and c_low = {keys.c_low:g} F",
-            "c_low = c0 plus the motional capacitances",
+            "c_low above c0",
             "exchange both values, or delete c0",
         )
     if len(keys.zs) == 1:
@@ -288,6 +315,7 @@ def _find_impossible_pairs(part: Part[BvdKeys], start: np.ndarray) -> Iterator[U
 
 
 def _list_mode_labels(name: str, modes: int) -> list[str]:
+    """Return the label of each mode; a single mode has the plain ``name``."""
     return [name] if modes == 1 else [f"{name}[{n}]" for n in range(modes)]
 
 
@@ -295,10 +323,10 @@ def _list_relations(modes: int, low: float) -> dict[str, Relation]:
     """Return all values that a data sheet can state, each as a function of the unknowns."""
     result: dict[str, Relation] = {}
     for name, function in MODE_VALUES.items():
-        functions = (as_function_of_unknowns(partial(function, mode=n)) for n in range(modes))
+        functions = (make_unknowns_relation(partial(function, mode=n)) for n in range(modes))
         result |= dict(zip(_list_mode_labels(name, modes), functions, strict=True))
     result["c0"] = lambda unknowns: float(unknowns[0])
-    result["c_low"] = lambda unknowns: Resonator.from_unknowns(unknowns).capacitance(low)
+    result["c_low"] = lambda unknowns: Resonator.from_unknowns(unknowns).compute_capacitance(low)
     return result
 
 
@@ -341,8 +369,9 @@ def _choose_loss_key(keys: BvdKeys, modes: int) -> str:
 
 
 def _describe_key(keys: BvdKeys, key: str, value: float) -> str:
+    """Return the description of a netlist parameter, with its tolerance."""
     words = f"capacitance at {keys.c_low_at:g} Hz" if key == "c_low" else VALUE_NAMES[key]
-    return words + tolerance_note(value, keys.tolerance.get(key))
+    return words + write_tolerance_note(value, keys.tolerance.get(key))
 
 
 def _make_mode_parameter(keys: BvdKeys, circuit: Resonator, key: str, mode: int, end: str) -> Param:
@@ -355,7 +384,7 @@ def _make_mode_parameter(keys: BvdKeys, circuit: Resonator, key: str, mode: int,
     if key == "keff":
         value = (circuit.cm[mode] / (circuit.c0 + circuit.cm[mode])) ** 0.5
     unit, value = VALUE_UNITS_OF_SHEET[key] or "-", round_to_digits(value)
-    return positive_parameter(f"{key}{end}", value, unit, _describe_key(keys, key, value))
+    return make_positive_parameter(f"{key}{end}", value, unit, _describe_key(keys, key, value))
 
 
 def _write_element_equations(end: str, ratio: str, loss: str) -> dict[str, str]:
@@ -371,4 +400,4 @@ def _write_element_equations(end: str, ratio: str, loss: str) -> dict[str, str]:
     return result
 
 
-register(Bvd())
+register_part_type(Bvd())

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from kc2spice.core.quantities import Capacitance, Frequency, Inductance, Ratio, Resistance
-from kc2spice.netlist.circuit import positive_parameter
+from kc2spice.netlist.circuit import make_positive_parameter
 from kc2spice.netlist.spelling import round_to_digits
 from kc2spice.parts.datasheet._resonator import (
     TWO_PI,
@@ -17,12 +17,12 @@ from kc2spice.parts.datasheet._resonator import (
     Resonator,
     ResonatorNetlist,
     ResonatorPart,
-    as_function_of_unknowns,
-    tolerance_note,
+    make_unknowns_relation,
+    write_tolerance_note,
 )
 from kc2spice.parts.datasheet._stated_values import Relation, StatedValues
 from kc2spice.scene.model import Part
-from kc2spice.scene.parttype import register
+from kc2spice.scene.parttype import register_part_type
 
 # Relative rounding error of a stated frequency, a tenth of the usual frequency tolerance.
 FREQUENCY_ROUNDING = 1e-6
@@ -42,23 +42,38 @@ class CrystalKeys(RatedKeys):
     f: Frequency = Field(
         gt=0,
         description=(
-            "Nominal frequency: the series resonance, or with the key `cl` the resonance with "
-            "this load capacitance"
+            "Nominal frequency of the crystal: the series resonance, or with the key `cl` "
+            "the resonance with this load capacitance"
         ),
     )
     cl: Capacitance | None = Field(
         None,
         gt=0,
-        description="Load capacitance at which the crystal resonates at f; by default f is the "
-        "series resonance",
+        description=(
+            "Load capacitance with which the crystal resonates at the frequency `f`; by "
+            "default `f` is the series resonance"
+        ),
     )
-    c0: Capacitance = Field(gt=0, description="Shunt capacitance of the electrodes and the holder")
-    c1: Capacitance | None = Field(None, gt=0, description="Motional capacitance, also called C1")
-    l1: Inductance | None = Field(None, gt=0, description="Motional inductance, also called L1")
-    r1: Resistance | None = Field(None, gt=0, description="Motional resistance, also called ESR")
-    q: Ratio | None = Field(None, gt=0, description="Q factor of the motional branch")
+    c0: Capacitance = Field(
+        gt=0, description="Shunt capacitance of the electrodes and the holder of the crystal"
+    )
+    c1: Capacitance | None = Field(
+        None, gt=0, description="Motional capacitance of the crystal, also called C1"
+    )
+    l1: Inductance | None = Field(
+        None, gt=0, description="Motional inductance of the crystal, also called L1"
+    )
+    r1: Resistance | None = Field(
+        None, gt=0, description="Motional resistance of the crystal, also called ESR"
+    )
+    q: Ratio | None = Field(
+        None, gt=0, description="Q factor of the motional branch of the crystal"
+    )
     f_tolerance: Ratio | None = Field(
-        None, gt=0, lt=1, description="Relative tolerance of the frequency, such as 20e-6"
+        None,
+        gt=0,
+        lt=1,
+        description="Relative tolerance of the crystal's frequency `f`, such as 20e-6",
     )
 
 
@@ -108,31 +123,35 @@ scale = "linear"
         values = StatedValues(part.name, stated, relations, start, CRYSTAL_UNITS, {}, rounding)
         return Resonator.from_unknowns(values.solve())
 
-    def netlist(self, part: Part[CrystalKeys], circuit: Resonator) -> ResonatorNetlist:
+    def make_resonator_netlist(
+        self, part: Part[CrystalKeys], circuit: Resonator
+    ) -> ResonatorNetlist:
         """Return the netlist parameters, and the equations of the circuit elements."""
         keys = part.keys
         loaded = "" if keys.cl is None else "(c0+cl)"
         words = "frequency with the load cl" if loaded else "series resonance"
         f = round_to_digits(_compute_loaded_frequency(circuit, keys.cl))
         params = [
-            positive_parameter("f", f, "Hz", words + tolerance_note(f, keys.f_tolerance)),
-            positive_parameter("c0", round_to_digits(circuit.c0), "F", "shunt capacitance"),
+            make_positive_parameter(
+                "f", f, "Hz", words + write_tolerance_note(f, keys.f_tolerance)
+            ),
+            make_positive_parameter("c0", round_to_digits(circuit.c0), "F", "shunt capacitance"),
         ]
         if keys.cl is not None:
             params.append(
-                positive_parameter("cl", keys.cl, "F", "load capacitance at which f is stated")
+                make_positive_parameter("cl", keys.cl, "F", "load capacitance at which f is stated")
             )
         motion = "c1" if keys.c1 or not keys.l1 else "l1"
         value = circuit.cm[0] if motion == "c1" else circuit.lm[0]
         words = "motional capacitance" if motion == "c1" else "motional inductance"
         params.append(
-            positive_parameter(motion, round_to_digits(value), CRYSTAL_UNITS[motion], words)
+            make_positive_parameter(motion, round_to_digits(value), CRYSTAL_UNITS[motion], words)
         )
         loss = "r1" if keys.r1 else "q"
-        value = circuit.rm[0] if loss == "r1" else circuit.q_factor(0)
+        value = circuit.rm[0] if loss == "r1" else circuit.compute_q_factor(0)
         words = "motional resistance" if loss == "r1" else "Q factor"
         params.append(
-            positive_parameter(loss, round_to_digits(value), CRYSTAL_UNITS[loss] or "-", words)
+            make_positive_parameter(loss, round_to_digits(value), CRYSTAL_UNITS[loss] or "-", words)
         )
         inverse = f"{TWO_PI**2!r}*f*f*l1" + f"-1/{loaded}" * bool(loaded)
         cm = "c1" if motion == "c1" else f"1/({inverse})"
@@ -159,9 +178,9 @@ def _list_relations(load: float | None) -> dict[str, Relation]:
         "c1": lambda circuit: circuit.cm[0],
         "l1": lambda circuit: circuit.lm[0],
         "r1": lambda circuit: circuit.rm[0],
-        "q": lambda circuit: circuit.q_factor(0),
+        "q": lambda circuit: circuit.compute_q_factor(0),
     }
-    return {key: as_function_of_unknowns(value) for key, value in values.items()}
+    return {key: make_unknowns_relation(value) for key, value in values.items()}
 
 
-register(Crystal())
+register_part_type(Crystal())

@@ -11,9 +11,9 @@ import numpy as np
 from kc2spice.core import laws
 from kc2spice.core.errors import list_candidates
 from kc2spice.core.figure import Figure
-from kc2spice.core.prefix import format_quantity
+from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.netlist.circuit import positive_parameter
+from kc2spice.netlist.circuit import make_positive_parameter
 from kc2spice.netlist.spelling import round_to_digits
 from kc2spice.parts.datasheet._driver_circuit import (
     COIL,
@@ -21,7 +21,7 @@ from kc2spice.parts.datasheet._driver_circuit import (
     REAR,
     SemiInductance,
     SpeakerParameters,
-    baffle_air_mass,
+    compute_baffle_air_mass,
     declare_motor,
     declare_moving_mass,
 )
@@ -39,21 +39,21 @@ from kc2spice.parts.datasheet._ladders import (
     CREEP_BAND,
     SEMI_INDUCTANCE_BAND,
     RelaxationLadder,
-    creep_ladder,
-    semi_inductance_ladder,
+    fit_creep_ladder,
+    make_semi_inductance_ladder,
 )
 from kc2spice.parts.datasheet._resonator import (
     TWO_PI,
     NumberedPart,
-    tolerance_note,
+    write_tolerance_note,
 )
 from kc2spice.parts.datasheet._stated_values import StatedValues
 from kc2spice.physics import Declaration, current
-from kc2spice.physics.part import across_vector
+from kc2spice.physics.part import get_across_vector
 from kc2spice.physics.part_with_mass import DeclaredPartWithMass
 from kc2spice.scene.checks import Check, Metric
 from kc2spice.scene.model import (
-    Build,
+    BuiltScene,
     DeclaredScene,
     GovernedScene,
     JoinedScene,
@@ -62,8 +62,8 @@ from kc2spice.scene.model import (
     Terminal,
     WiredScene,
 )
-from kc2spice.scene.part_records import EquilibriumConditions, Neglected, Vector
-from kc2spice.scene.parttype import register
+from kc2spice.scene.part_records import EquilibriumConditions, NeglectedEffect, PartResult
+from kc2spice.scene.parttype import register_part_type
 
 RADIATION = "radiation"  # part type that models the mass of the air at the cone
 # Default ratio le / re [s] for a data sheet without le.
@@ -116,7 +116,7 @@ def _require_area_and_mass(part: Part[LoudspeakerKeys], driver: SpeakerParameter
     if driver.sd is None or driver.mmd is None:
         raise part.wrong(
             "sd",
-            "the area of the cone is missing, which the acoustic pins need",
+            "a loudspeaker with acoustic pins needs the area of its cone",
             "no sd",
             "the key sd, or vas with cms or with fs and mms",
             'add for example  sd = "132 cm2"',
@@ -183,7 +183,7 @@ stop = "1 kHz"
         first = EXAMPLE_WOOFER | {name: stated[name] for name in names if name in stated}
         # The iteration must begin with a positive mmd, also for a large cone.
         if "mmd" in stated and "mms" not in stated:
-            first["mms"] = stated["mmd"] + 2 * baffle_air_mass(first["sd"])
+            first["mms"] = stated["mmd"] + 2 * compute_baffle_air_mass(first["sd"])
         start = np.array(list(map(first.__getitem__, names)))
         relations = {key: make_relation(key, names) for key in known}
         tolerance = dict(keys.tolerance)
@@ -212,7 +212,7 @@ stop = "1 kHz"
         self, part: Part[LoudspeakerKeys], scene: GovernedScene
     ) -> SpeakerParameters:
         """Return the parameters of the part, from the record of the scene if it has them."""
-        record = scene.record(part)
+        record = scene.get_record(part)
         if record is None or not isinstance(record.shared_data, SpeakerParameters):
             return self.solve(part)
         return record.shared_data
@@ -223,10 +223,12 @@ stop = "1 kHz"
         params = []
         for key, (unit, words) in DRIVER_PARAMETERS.items():
             value = round_to_digits(getattr(driver, key))
-            note = words + tolerance_note(value, tolerance.get(key))
-            params.append(positive_parameter(key, value, unit, note))
+            note = words + write_tolerance_note(value, tolerance.get(key))
+            params.append(make_positive_parameter(key, value, unit, note))
         if driver.semi is None:
-            params.append(positive_parameter("le", driver.le, "H", "inductance of the voice coil"))
+            params.append(
+                make_positive_parameter("le", driver.le, "H", "inductance of the voice coil")
+            )
         sides = _list_joined_sides(part, scene)
         if sides:
             _require_area_and_mass(part, driver)
@@ -237,7 +239,7 @@ stop = "1 kHz"
         pins = super().pins(part, scene)
         return tuple(replace(pin, required=False) if pin.name == "cone" else pin for pin in pins)
 
-    def mass_declaration(self, part: Part[LoudspeakerKeys], scene: WiredScene) -> Declaration:
+    def declare_mass(self, part: Part[LoudspeakerKeys], scene: WiredScene) -> Declaration:
         """Return the declaration of the moving mass.
 
         The moving mass excludes the mass of the air that connected parts of type ``radiation``
@@ -247,9 +249,9 @@ stop = "1 kHz"
         sides = [
             side
             for side in _list_joined_sides(part, scene)
-            if RADIATION in scene.joined_types(part.name, side)
+            if RADIATION in scene.list_joined_types(part.name, side)
         ]
-        air = 0.0 if driver.sd is None else len(sides) * baffle_air_mass(driver.sd)
+        air = 0.0 if driver.sd is None else len(sides) * compute_baffle_air_mass(driver.sd)
         return declare_moving_mass(driver.mms, air, part.keys.added_mass or 0.0)
 
     def equilibrium_conditions(
@@ -258,7 +260,7 @@ stop = "1 kHz"
         """Return the path for a steady force in equilibrium, the suspension from cone to frame."""
         return EquilibriumConditions((self.moving_pins,), inertial_pins=self.moving_pins[:1])
 
-    def vectors(self, part: Part[LoudspeakerKeys], build: Build) -> Mapping[str, Vector]:
+    def vectors(self, part: Part[LoudspeakerKeys], build: BuiltScene) -> Mapping[str, PartResult]:
         """Return the ngspice vectors of the part's results, keyed by result name.
 
         The results are those of the declaration, and the current and voltage of the whole part.
@@ -266,11 +268,11 @@ stop = "1 kHz"
         result, n = dict(super().vectors(part, build)), part.name
         if f"{n}.{COIL}" in result:
             whole = current("i", "plus", "minus")
-            result[f"{n}.v"] = across_vector(build, part, whole)
+            result[f"{n}.v"] = get_across_vector(build, part, whole)
             result[f"{n}.i"] = replace(result[f"{n}.{COIL}"], leaves=("minus",))
         return result
 
-    def law(self, part: Part[LoudspeakerKeys], build: Build) -> laws.Equations:
+    def law(self, part: Part[LoudspeakerKeys], build: BuiltScene) -> laws.Equations:
         """Return the model equations of the part."""
         equations, n = super().law(part, build), part.name
         results = dict(equations.results)
@@ -279,12 +281,14 @@ stop = "1 kHz"
             results[f"{n}.i"] = results[f"{n}.{COIL}"]
         return replace(equations, results=results)
 
-    def checks(self, part: Part[LoudspeakerKeys], build: Build, waves: Waveforms) -> Iterator[Any]:
+    def checks(
+        self, part: Part[LoudspeakerKeys], build: BuiltScene, waves: Waveforms
+    ) -> Iterator[Any]:
         """Yield the checks of the part after a run."""
         yield from super().checks(part, build, waves)
         limit, x = part.keys.xmax, waves.data.get(f"{part.name}.x")
         if limit is not None and x is not None:
-            advice = "the force factor and the compliance change there: lower the drive"
+            advice = "beyond xmax, force factor and compliance change: lower the drive"
             largest = float(np.abs(x).max())
             yield Check(f"excursion of {part.name}", largest, limit, "m", advice, "warn")
 
@@ -298,7 +302,7 @@ stop = "1 kHz"
         return waves["frequency"].real, known[0] / known[1]
 
     def metrics(
-        self, part: Part[LoudspeakerKeys], build: Build, waves: Waveforms
+        self, part: Part[LoudspeakerKeys], build: BuiltScene, waves: Waveforms
     ) -> Mapping[str, object]:
         """Return the metrics of the part, keyed by name."""
         result = self._compute_impedances(part, waves)
@@ -314,13 +318,13 @@ stop = "1 kHz"
         return rows if share is None else rows | {"efficiency": Metric(share.tolist(), "")}
 
     def figures(
-        self, part: Part[LoudspeakerKeys], build: Build, waves: Waveforms
+        self, part: Part[LoudspeakerKeys], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Figure]:
         """Yield the figures of the part for the report."""
         result = self._compute_impedances(part, waves)
         if result is not None:
             how = f"as the circuit shows it at {part.name}: maximum at resonance."
-            from kc2spice.parts.bodies._pictures import plot_impedances
+            from kc2spice.parts.bodies._body_figures import plot_impedances
 
             yield plot_impedances(part.name, result[0], {"": result[1]}, how)
         x = waves.data.get(f"{part.name}.x")
@@ -334,39 +338,45 @@ stop = "1 kHz"
 
     def _describe_air(
         self, part: Part[LoudspeakerKeys], scene: Scene, area: float, sides: tuple[str, ...]
-    ) -> Iterator[str | Neglected]:
+    ) -> Iterator[str | NeglectedEffect]:
         """Yield a note on each side of the cone, stating which part contains the air mass."""
-        load = f"{1e3 * baffle_air_mass(area):.3g} g"
+        load = f"{1e3 * compute_baffle_air_mass(area):.3g} g"
         for side in (FRONT, REAR):
             if side not in sides:
-                yield Neglected(
+                yield NeglectedEffect(
                     f"radiation at the {side}", f"mms includes {load} of air there", "resistance"
                 )
-            elif RADIATION in scene.joined_types(part.name, side):
+            elif RADIATION in scene.list_joined_types(part.name, side):
                 yield f"{load} of mms, the air at the {side}, are replaced by the radiation part"
             else:
                 yield f"{load} of mms are the air at the {side}, as in a baffle"
 
-    def notes(self, part: Part[LoudspeakerKeys], scene: Scene) -> Iterator[str | Neglected]:
+    def notes(self, part: Part[LoudspeakerKeys], scene: Scene) -> Iterator[str | NeglectedEffect]:
         """Yield the assumptions of the model and the effects that it neglects."""
         driver = self._find_parameters(part, scene)
         qts = driver.qms * driver.qes / (driver.qms + driver.qes)
         peak = driver.re * (1 + driver.qms / driver.qes)
         yield f"fs {driver.fs:.4g} Hz, Qts {qts:.4g}, impedance at fs {peak:.4g} Ohm"
-        yield Neglected("large strokes", "Bl and compliance are constant", "see part voice_coil")
+        yield NeglectedEffect(
+            "large strokes", "Bl and compliance are constant", "see part voice_coil"
+        )
         sides = _list_joined_sides(part, scene)
         if not sides:
-            yield Neglected(
+            yield NeglectedEffect(
                 "radiation", "mms includes the mass of the air", "resistance not estimated"
             )
         elif driver.sd is not None:
             yield from self._describe_air(part, scene, driver.sd, sides)
         if driver.semi is None:
-            yield Neglected("eddy currents in the pole", "le is constant", "impedance above 1 kHz")
+            yield NeglectedEffect(
+                "eddy currents in the pole", "le is constant", "impedance above 1 kHz"
+            )
         elif driver.semi.ke:
-            yield _describe_ladder("ke", semi_inductance_ladder(), SEMI_INDUCTANCE_BAND, 1 / TWO_PI)
+            yield _describe_ladder(
+                "ke", make_semi_inductance_ladder(), SEMI_INDUCTANCE_BAND, 1 / TWO_PI
+            )
         if driver.creep:
-            yield _describe_ladder("creep", creep_ladder(), CREEP_BAND, driver.fs)
+            yield _describe_ladder("creep", fit_creep_ladder(), CREEP_BAND, driver.fs)
         yield from self.list_neglected_effects(part, scene)
 
 
@@ -381,4 +391,4 @@ def _describe_ladder(
     )
 
 
-register(Loudspeaker())
+register_part_type(Loudspeaker())

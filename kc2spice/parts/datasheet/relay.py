@@ -11,18 +11,18 @@ from pydantic import Field
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Inductance, Ratio, Resistance, Section, Time, Voltage
 from kc2spice.fem.thermal_materials import find_resistance_coefficient
-from kc2spice.netlist.circuit import Param, positive_parameter
+from kc2spice.netlist.circuit import Param, make_positive_parameter
 from kc2spice.netlist.spelling import round_to_digits
 from kc2spice.parts.datasheet._resonator import (
     NumberedKeys,
     NumberedPart,
-    tolerance_note,
+    write_tolerance_note,
 )
 from kc2spice.physics import Declaration, DeclaredPart, current, voltage
 from kc2spice.physics.conductors import ConductorKeys
 from kc2spice.scene.model import GovernedScene, JoinedScene, Part, Scene, Terminal, WiredScene
-from kc2spice.scene.part_records import Neglected, Numerics
-from kc2spice.scene.parttype import register
+from kc2spice.scene.part_records import NeglectedEffect, NumericalRequirements
+from kc2spice.scene.parttype import register_part_type
 
 # Assumed rise time of the current, divided by the operate time, for an unknown inductance.
 CURRENT_RISE_SHARE = 0.9
@@ -37,25 +37,36 @@ class RelayKeys(ConductorKeys, NumberedKeys):
     releases when this product falls below ``release``.
     """
 
-    resistance: Resistance = Field(gt=0, description="Resistance of the coil")
-    voltage: Voltage = Field(gt=0, description="Rated voltage of the coil")
+    resistance: Resistance = Field(gt=0, description="Resistance of the relay's coil")
+    voltage: Voltage = Field(gt=0, description="Rated voltage of the relay's coil")
     pick_up: Voltage = Field(gt=0, description="Coil voltage at which the armature pulls in")
     release: Voltage = Field(gt=0, description="Coil voltage at which the armature releases")
     inductance: Inductance | None = Field(
-        None, gt=0, description="Inductance of the coil; by default computed from operate_time"
+        None,
+        gt=0,
+        description=(
+            "Inductance of the relay's coil; by default computed from the key `operate_time`"
+        ),
     )
     operate_time: Time | None = Field(
-        None, gt=0, description="Time between applying the rated voltage and closing of the contact"
+        None,
+        gt=0,
+        description=(
+            "Time from the application of the rated voltage to the closing of the relay's contact"
+        ),
     )
-    contact_resistance: Resistance = Field(0.1, gt=0, description="Resistance of a closed contact")
+    contact_resistance: Resistance = Field(
+        0.1, gt=0, description="Resistance of a closed contact of the relay"
+    )
     insulation_resistance: Resistance = Field(
-        1e8, gt=0, description="Resistance of an open contact"
+        1e8, gt=0, description="Resistance of an open contact of the relay"
     )
     changeover: bool = Field(
-        False, description="Whether the relay has a normally closed contact, with the pin nc"
+        False,
+        description="Whether the relay also has a normally closed contact, whose pin is `nc`",
     )
     resistance_tolerance: Ratio | None = Field(
-        None, gt=0, lt=1, description="Relative tolerance of the coil resistance"
+        None, gt=0, lt=1, description="Relative tolerance of the resistance of the relay's coil"
     )
 
 
@@ -200,21 +211,27 @@ pins = { a = "relay.com", b = "gnd" }
 
     def make_declaration(self, part: Part[RelayKeys], scene: GovernedScene) -> Declaration:
         """Return the declaration for the keys of the part."""
-        keys, record = part.keys, scene.record(part)
+        keys, record = part.keys, scene.get_record(part)
         detail = record.shared_data if record is not None else None
         times = detail if isinstance(detail, RelayTiming) else solve_timing(part)
-        words = "coil resistance" + tolerance_note(keys.resistance, keys.resistance_tolerance)
+        words = "coil resistance" + write_tolerance_note(keys.resistance, keys.resistance_tolerance)
         inductance, armature = map(round_to_digits, (times.inductance, times.armature))
         params = (
-            positive_parameter("resistance", keys.resistance, "Ohm", words),
-            positive_parameter("inductance", inductance, "H", "coil inductance"),
-            positive_parameter("pick_up", keys.pick_up, "V", "coil voltage at which it operates"),
-            positive_parameter("release", keys.release, "V", "coil voltage at which it releases"),
-            positive_parameter("armature_time", armature, "s", "time constant of the armature"),
-            positive_parameter(
+            make_positive_parameter("resistance", keys.resistance, "Ohm", words),
+            make_positive_parameter("inductance", inductance, "H", "coil inductance"),
+            make_positive_parameter(
+                "pick_up", keys.pick_up, "V", "coil voltage at which it operates"
+            ),
+            make_positive_parameter(
+                "release", keys.release, "V", "coil voltage at which it releases"
+            ),
+            make_positive_parameter(
+                "armature_time", armature, "s", "time constant of the armature"
+            ),
+            make_positive_parameter(
                 "contact_resistance", keys.contact_resistance, "Ohm", "closed contact"
             ),
-            positive_parameter(
+            make_positive_parameter(
                 "insulation_resistance", keys.insulation_resistance, "Ohm", "open contact"
             ),
         )
@@ -225,13 +242,15 @@ pins = { a = "relay.com", b = "gnd" }
         pins = super().pins(part, scene)
         return tuple(replace(p, required=False) if p.name in ("no", "nc") else p for p in pins)
 
-    def numerics(self, part: Part[RelayKeys], scene: WiredScene) -> Iterator[Numerics]:
+    def numerics(self, part: Part[RelayKeys], scene: WiredScene) -> Iterator[NumericalRequirements]:
         """Yield numerical requirements, with a time step that resolves the armature's motion."""
         yield from super().numerics(part, scene)
         times = solve_timing(part)
-        yield Numerics(f"a tenth of the time constant of {part.name}", 0.1 * times.armature)
+        yield NumericalRequirements(
+            f"a tenth of the time constant of {part.name}", 0.1 * times.armature
+        )
 
-    def notes(self, part: Part[RelayKeys], scene: Scene) -> Iterator[str | Neglected]:
+    def notes(self, part: Part[RelayKeys], scene: Scene) -> Iterator[str | NeglectedEffect]:
         """Yield the assumptions of the model and the effects that it neglects."""
         keys, times = part.keys, solve_timing(part)
         yield (
@@ -240,13 +259,15 @@ pins = { a = "relay.com", b = "gnd" }
         )
         if keys.inductance is None:
             share = f"{100 * CURRENT_RISE_SHARE:g} % of the operate time"
-            yield Neglected("share of the armature in the operate time", share, "not estimated")
-        yield Neglected("bounce of contacts", "they switch once", "a few milliseconds")
-        yield Neglected(
+            yield NeglectedEffect(
+                "share of the armature in the operate time", share, "not estimated"
+            )
+        yield NeglectedEffect("bounce of contacts", "they switch once", "a few milliseconds")
+        yield NeglectedEffect(
             "inductance that depends on the armature", "one value", "the dip of the coil's current"
         )
-        yield Neglected("arcs", "contacts are resistances", "not estimated")
+        yield NeglectedEffect("arcs", "contacts are resistances", "not estimated")
         yield from self.list_neglected_effects(part, scene)
 
 
-register(Relay())
+register_part_type(Relay())

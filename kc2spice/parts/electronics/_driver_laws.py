@@ -185,7 +185,7 @@ def declare_pwm_drive(
         },
         states={
             "compensation": f"{unity}*(command - v_inverting - compensation/{STATIC_GAIN!r}"
-            f" - {RAIL_GAIN!r}*({_write_excess(repr(-supply), repr(supply))}))"
+            f" - {RAIL_GAIN!r}*({_write_rail_excess(repr(-supply), repr(supply))}))"
         },
         given=tuple(parameters),
         constants={SERIES_PARAMETER: "resistance"},
@@ -227,11 +227,11 @@ def _write_compensation_rate(difference: str, low: str, high: str) -> str:
     """
     return (
         f"slew*clip(unity*({difference})/slew) - unity*compensation/{STATIC_GAIN!r}"
-        f" - {RAIL_STIFFNESS!r}*slew*({_write_excess(low, high)})"
+        f" - {RAIL_STIFFNESS!r}*slew*({_write_rail_excess(low, high)})"
     )
 
 
-def _write_excess(low: str, high: str) -> str:
+def _write_rail_excess(low: str, high: str) -> str:
     """Return the expression of the voltage [V] by which an amplifier exceeds a rail.
 
     The amplifier's voltage is the voltage before its output resistance.

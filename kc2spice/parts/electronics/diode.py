@@ -10,17 +10,17 @@ from pydantic import Field
 from kc2spice.core import laws
 from kc2spice.core.quantities import Capacitance, Current, Ratio, Resistance, Section, Time, Voltage
 from kc2spice.netlist.circuit import Param
-from kc2spice.parts.electronics._template import TemplatePart
+from kc2spice.parts.electronics._template_parts import TemplatePart
 from kc2spice.physics.junction import Junction
 from kc2spice.scene.model import (
-    Build,
+    BuiltScene,
     Part,
     Scene,
     Terminal,
     WiredScene,
 )
-from kc2spice.scene.part_records import Neglected, Numerics, Vector
-from kc2spice.scene.parttype import register
+from kc2spice.scene.part_records import NeglectedEffect, NumericalRequirements, PartResult
+from kc2spice.scene.parttype import register_part_type
 
 
 class DiodeKeys(Section):
@@ -32,18 +32,22 @@ class DiodeKeys(Section):
     """
 
     saturation_current: Current = Field(
-        2.52e-9, gt=0, description="Saturation current, IS of the SPICE model"
+        2.52e-9, gt=0, description="Saturation current of the diode, IS of the SPICE model"
     )
-    emission: Ratio = Field(1.752, gt=0, description="Emission coefficient, N of the SPICE model")
+    emission: Ratio = Field(
+        1.752, gt=0, description="Emission coefficient of the diode, N of the SPICE model"
+    )
     series_resistance: Resistance = Field(
-        0.568, ge=0, description="Series resistance, RS of the SPICE model"
+        0.568, ge=0, description="Series resistance of the diode, RS of the SPICE model"
     )
     capacitance: Capacitance = Field(
-        4e-12, ge=0, description="Junction capacitance at 0 V, CJO of the SPICE model"
+        4e-12, ge=0, description="Junction capacitance of the diode at 0 V, CJO of the SPICE model"
     )
-    transit_time: Time = Field(20e-9, ge=0, description="Transit time, TT of the SPICE model")
+    transit_time: Time = Field(
+        20e-9, ge=0, description="Transit time of the diode, TT of the SPICE model"
+    )
     breakdown_voltage: Voltage = Field(
-        100.0, gt=0, description="Breakdown voltage, BV of the SPICE model"
+        100.0, gt=0, description="Breakdown voltage of the diode, BV of the SPICE model"
     )
 
 
@@ -60,7 +64,7 @@ class Diode(TemplatePart[DiodeKeys]):
     fixed = tuple(Terminal(pin, "V", "A", required=True) for pin in ("anode", "cathode"))
 
     def template_values(
-        self, part: Part[DiodeKeys], build: Build
+        self, part: Part[DiodeKeys], build: BuiltScene
     ) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
         """Return the parameters of the diode model; the template needs no other values."""
         keys = part.keys
@@ -74,7 +78,7 @@ class Diode(TemplatePart[DiodeKeys]):
         )
         return params, {}
 
-    def law(self, part: Part[DiodeKeys], build: Build) -> laws.Equations:
+    def law(self, part: Part[DiodeKeys], build: BuiltScene) -> laws.Equations:
         """Return the model equations of the part."""
         junction = Junction(part.name, *part.keys.model_dump().values())
         ends = tuple((pin.name, f"{part.name}.{pin.name}") for pin in self.fixed)
@@ -82,12 +86,12 @@ class Diode(TemplatePart[DiodeKeys]):
         results = {f"{part.name}.i": laws.scale_wave(f"{part.name}.{flow}.through")}
         return laws.Equations((junction,), ends, results)
 
-    def vectors(self, part: Part[DiodeKeys], build: Build) -> Mapping[str, Vector]:
+    def vectors(self, part: Part[DiodeKeys], build: BuiltScene) -> Mapping[str, PartResult]:
         """Return the ngspice vectors of the part's results, keyed by result name."""
         read, ends = f"@d.x{part.name.lower()}.djunction[id]", (("cathode",), ("anode",))
-        return {f"{part.name}.i": Vector(read, 1.0, "A", *ends)}
+        return {f"{part.name}.i": PartResult(read, 1.0, "A", *ends)}
 
-    def numerics(self, part: Part[DiodeKeys], scene: WiredScene) -> Iterator[Numerics]:
+    def numerics(self, part: Part[DiodeKeys], scene: WiredScene) -> Iterator[NumericalRequirements]:
         """Yield a tighter tolerance for all analyses except transients.
 
         Newton's method needs this tighter tolerance, because the equation of the diode is
@@ -95,13 +99,13 @@ class Diode(TemplatePart[DiodeKeys]):
         """
         if scene.analysis.type != "transient":
             change = "1e-9", "change at which Newton's method stops: exponential laws"
-            yield Numerics(part.name, options={"reltol": change})
+            yield NumericalRequirements(part.name, options={"reltol": change})
 
-    def notes(self, part: Part[DiodeKeys], scene: Scene) -> Iterator[str | Neglected]:
+    def notes(self, part: Part[DiodeKeys], scene: Scene) -> Iterator[str | NeglectedEffect]:
         """Yield the assumptions of the model and the effects that it neglects."""
         keys = part.keys
         yield f"diode, IS {keys.saturation_current:g} A, N {keys.emission:g}"
-        yield Neglected("heating of diodes", "27 °C throughout", "not estimated")
+        yield NeglectedEffect("heating of diodes", "27 °C throughout", "not estimated")
 
 
-register(Diode())
+register_part_type(Diode())

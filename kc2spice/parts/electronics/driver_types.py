@@ -21,8 +21,8 @@ from kc2spice.core.quantities import (
     Time,
     Voltage,
 )
-from kc2spice.core.waveforms import sine_waveform
-from kc2spice.netlist.circuit import Param, positive_parameter
+from kc2spice.core.waveforms import make_sine_waveform
+from kc2spice.netlist.circuit import Param, make_positive_parameter
 from kc2spice.parts.control.pid import SENSE_RESISTANCE
 from kc2spice.parts.electronics._driver_laws import (
     declare_amplifier,
@@ -31,33 +31,41 @@ from kc2spice.parts.electronics._driver_laws import (
     declare_linear_drive,
     declare_pwm_drive,
 )
-from kc2spice.parts.electronics._template import (
+from kc2spice.parts.electronics._template_parts import (
     CoilDriver,
     CoilLoad,
     Driver,
     InputNoise,
-    ends,
+    make_driver_pins,
     parameters,
 )
 from kc2spice.physics.declaration import Declaration
 from kc2spice.scene.model import (
-    Build,
+    BuiltScene,
     DeclaredScene,
     Part,
     WiredScene,
 )
-from kc2spice.scene.part_records import HighestFrequency, Numerics
-from kc2spice.scene.parttype import register
+from kc2spice.scene.part_records import HighestFrequency, NumericalRequirements
+from kc2spice.scene.parttype import register_part_type
 
 
 class AmplifierKeys(InputNoise):
     """Keys of a high-voltage operational amplifier with a class-AB output stage and gain 20."""
 
-    rail: Voltage = Field(120.0, gt=0, description="Supply voltage of the driver")
-    resistance: Resistance = Field(2.0, gt=0, description="Resistance between amplifier and chip")
-    bandwidth: Frequency = Field(2e6, gt=0, description="Bandwidth of the closed loop")
-    slew: Slew = Field(1e9, gt=0, description="Largest rate of change of the output voltage")
-    current_limit: Current = Field(15.0, gt=0, description="Largest output current")
+    rail: Voltage = Field(120.0, gt=0, description="Positive supply voltage of the amplifier")
+    resistance: Resistance = Field(
+        2.0, gt=0, description="Series resistance between the amplifier and the piezoelectric chip"
+    )
+    bandwidth: Frequency = Field(2e6, gt=0, description="Closed-loop bandwidth of the amplifier")
+    slew: Slew = Field(
+        1e9,
+        gt=0,
+        description="Slew rate: largest rate of change of the amplifier's output voltage",
+    )
+    current_limit: Current = Field(
+        15.0, gt=0, description="Largest output current of the amplifier"
+    )
 
 
 class Amplifier(Driver[AmplifierKeys]):
@@ -78,39 +86,58 @@ class Amplifier(Driver[AmplifierKeys]):
         return self.constants["sink"], part.keys.rail
 
 
-class ChargeKeys(InputNoise):
+class ChargeDriveKeys(InputNoise):
     """Keys of an amplifier that controls the charge of a chip.
 
     The charge is ``capacitance`` times the command voltage.
     """
 
     capacitance: Capacitance = Field(
-        150e-9, gt=0, description="Charge of the chip per volt of command"
+        150e-9,
+        gt=0,
+        description="Charge of the piezoelectric chip for each volt of the command voltage",
     )
     sense: Capacitance = Field(
-        1e-6, gt=0, description="Capacitance in series with the chip, which measures the charge"
+        1e-6,
+        gt=0,
+        description=(
+            "Capacitance in series with the piezoelectric chip, whose voltage measures the "
+            "charge of the chip"
+        ),
     )
-    rail: Voltage = Field(300.0, gt=0, description="Supply voltage of the driver")
-    resistance: Resistance = Field(20.0, gt=0, description="Resistance between amplifier and chip")
-    bandwidth: Frequency = Field(200e3, gt=0, description="Bandwidth of the closed loop")
-    slew: Slew = Field(1e9, gt=0, description="Largest rate of change of the output voltage")
-    current_limit: Current = Field(10.0, gt=0, description="Largest output current")
+    rail: Voltage = Field(
+        300.0, gt=0, description="Magnitude U of the amplifier's supply voltages, +U and -U"
+    )
+    resistance: Resistance = Field(
+        20.0, gt=0, description="Series resistance between the amplifier and the piezoelectric chip"
+    )
+    bandwidth: Frequency = Field(
+        200e3, gt=0, description="Closed-loop bandwidth of the charge amplifier"
+    )
+    slew: Slew = Field(
+        1e9,
+        gt=0,
+        description="Slew rate: largest rate of change of the amplifier's output voltage",
+    )
+    current_limit: Current = Field(
+        10.0, gt=0, description="Largest output current of the amplifier"
+    )
 
 
-class ChargeDrive(Driver[ChargeKeys]):
+class ChargeDrive(Driver[ChargeDriveKeys]):
     """Part type ``charge_drive``: charge drive for a floating capacitive load."""
 
     name, title = "charge_drive", "charge drive for a floating capacitive load"
-    schema = ChargeKeys
+    schema = ChargeDriveKeys
     template, heading = "driver_charge", "charge drive for the chip"
     noise = ("Rout", "Rsense", "Rchip")
-    terminals, fixed = ("anode", "cathode"), ends("anode", "cathode")
+    terminals, fixed = ("anode", "cathode"), make_driver_pins("anode", "cathode")
 
     def declare_circuit(self, parameters: tuple[Param, ...]) -> Declaration:
         """Return the declaration of the charge drive's circuit."""
         return declare_charge_drive(parameters)
 
-    def rails(self, part: Part[ChargeKeys]) -> tuple[float, float]:
+    def rails(self, part: Part[ChargeDriveKeys]) -> tuple[float, float]:
         """Return the negative and the positive supply voltage [V]."""
         return -part.keys.rail, part.keys.rail
 
@@ -121,25 +148,35 @@ class HalfBridgeKeys(Section):
     The upper transistor conducts during the kick pulse.
     """
 
-    rail: Voltage = Field(100.0, gt=0, description="Supply voltage of the driver")
-    resistance: Resistance = Field(2.0, gt=0, description="Resistance between bridge and chip")
+    rail: Voltage = Field(100.0, gt=0, description="Supply voltage of the half-bridge")
+    resistance: Resistance = Field(
+        2.0,
+        gt=0,
+        description="Series resistance between the half-bridge and the piezoelectric chip",
+    )
     gate_resistance: Resistance = Field(
-        10.0, gt=0, description="Series resistance at the gate of each transistor"
+        10.0,
+        gt=0,
+        description="Resistance in series with the gate of each transistor of the half-bridge",
     )
     current_limit: Current = Field(
-        15.0, gt=0, description="Current at which a transistor saturates"
+        15.0, gt=0, description="Current at which each transistor of the half-bridge saturates"
     )
     reservoir: Capacitance = Field(
-        10e-6, gt=0, description="Capacitance of the supply, which delivers the charge of a pulse"
+        10e-6,
+        gt=0,
+        description="Capacitance of the supply capacitor, which delivers the charge of a pulse",
     )
     supply_resistance: Resistance = Field(
-        100.0, gt=0, description="Resistance through which the supply capacitance is recharged"
+        100.0, gt=0, description="Resistance through which the supply capacitor is recharged"
     )
     leakage: Resistance = Field(
         10e6,
         gt=0,
-        description="Leakage resistance from the bridge output to ref while both "
-        "transistors are off",
+        description=(
+            "Leakage resistance from the half-bridge's output to the pin `ref`, which "
+            "matters while both transistors are off"
+        ),
     )
 
 
@@ -168,9 +205,17 @@ class LinearDriverKeys(InputNoise):
     It consists of an operational amplifier between two rails and a sense resistor.
     """
 
-    rail: Voltage = Field(48.0, gt=0, description="Magnitude U of both supply voltages, +U and -U")
-    bandwidth: Frequency = Field(50e3, gt=0, description="Bandwidth of the current loop")
-    slew: Slew = Field(20e6, gt=0, description="Largest rate of change of the output voltage")
+    rail: Voltage = Field(
+        48.0, gt=0, description="Magnitude U of the amplifier's supply voltages, +U and -U"
+    )
+    bandwidth: Frequency = Field(
+        50e3, gt=0, description="Bandwidth of the control loop for the coil current"
+    )
+    slew: Slew = Field(
+        20e6,
+        gt=0,
+        description="Slew rate: largest rate of change of the amplifier's output voltage",
+    )
 
 
 class LinearDrive(CoilDriver[LinearDriverKeys]):
@@ -202,7 +247,9 @@ class LinearDrive(CoilDriver[LinearDriverKeys]):
         """
         ratio = 2 * math.pi * keys.bandwidth * load.inductance / SENSE_RESISTANCE
         resistance = load.resistance + SENSE_RESISTANCE
-        limit = positive_parameter("current_limit", 2 * load.current, "A", "largest output current")
+        limit = make_positive_parameter(
+            "current_limit", 2 * load.current, "A", "largest output current"
+        )
         return (*parameters(keys, "rail", "slew"), limit), {
             "inductance": load.inductance,
             "resistance": resistance,
@@ -223,11 +270,21 @@ class PwmKeys(Section):
     It consists of an H-bridge, a pulse-width modulator and a PI controller.
     """
 
-    rail: Voltage = Field(100.0, gt=0, description="Supply voltage of the bridge")
-    frequency: Frequency = Field(100e3, gt=0, description="Carrier frequency of the bridge")
-    bandwidth: Frequency = Field(10e3, gt=0, description="Bandwidth of the current loop")
-    resistance: Resistance = Field(0.5, gt=0, description="On-resistance of each switch")
-    edge: Time = Field(50e-9, gt=0, description="Rise and fall time of the switched voltage")
+    rail: Voltage = Field(100.0, gt=0, description="Supply voltage of the H-bridge")
+    frequency: Frequency = Field(
+        100e3, gt=0, description="Carrier frequency of the pulse-width modulation"
+    )
+    bandwidth: Frequency = Field(
+        10e3, gt=0, description="Bandwidth of the control loop for the coil current"
+    )
+    resistance: Resistance = Field(
+        0.5, gt=0, description="On-resistance of each switch of the H-bridge"
+    )
+    edge: Time = Field(
+        50e-9,
+        gt=0,
+        description="Rise time of the switched voltage of the H-bridge, equal to the fall time",
+    )
 
 
 class PwmDrive(CoilDriver[PwmKeys]):
@@ -247,13 +304,13 @@ class PwmDrive(CoilDriver[PwmKeys]):
     def declare_circuit(self, parameters: tuple[Param, ...]) -> Declaration:
         return declare_pwm_drive(parameters, **self.constants)
 
-    def law(self, part: Part[PwmKeys], build: Build) -> laws.Equations | laws.MissingEquations:
+    def law(self, part: Part[PwmKeys], build: BuiltScene) -> laws.Equations | laws.MissingEquations:
         """Return the model equations of the circuit, and of the sine that generates the carrier."""
         result = super().law(part, build)
         if isinstance(result, laws.MissingEquations):
             return result
         name = f"{part.name} carrier"
-        carrier = laws.IdealSource(name, "signal", sine_waveform(1.0, part.keys.frequency))
+        carrier = laws.IdealSource(name, "signal", make_sine_waveform(1.0, part.keys.frequency))
         # The resistor to the pin ``drive`` begins at the output of one bridge leg.
         # The output of this bridge leg is not a node of the equations.
         results = {
@@ -295,13 +352,15 @@ class PwmDrive(CoilDriver[PwmKeys]):
             "constant": load.inductance / resistance,
         }
 
-    def numerics(self, part: Part[PwmKeys], scene: WiredScene) -> Iterable[Numerics]:
+    def numerics(self, part: Part[PwmKeys], scene: WiredScene) -> Iterable[NumericalRequirements]:
         """Return the longest time step and the highest frequency that the carrier requires."""
         f, edge = part.keys.frequency, part.keys.edge
         what = f"a tenth of a period of the carrier of {part.name}"
-        return (Numerics(what, 0.1 / f, 1 / edge),)
+        return (NumericalRequirements(what, 0.1 / f, 1 / edge),)
 
-    def highest_frequency(self, part: Part[PwmKeys], scene: DeclaredScene) -> HighestFrequency:
+    def make_frequency_estimator(
+        self, part: Part[PwmKeys], scene: DeclaredScene
+    ) -> HighestFrequency:
         """Return a function for the highest relevant frequency [Hz] of the current ripple."""
         return partial(_compute_ripple_frequency, float(part.keys.frequency))
 
@@ -312,4 +371,4 @@ def _compute_ripple_frequency(carrier: float, constant: float) -> float:
 
 
 for _driver in (Amplifier, ChargeDrive, HalfBridge, LinearDrive, PwmDrive):
-    register(_driver())
+    register_part_type(_driver())

@@ -28,10 +28,14 @@ from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.read import read_cards
 from kc2spice.netlist.scope import Scope, build_scope, has_vector
 from kc2spice.netlist.spelling import require_name as checked
-from kc2spice.parts.electronics._template import RAIL_MARGIN, make_rails_check, pin_voltages
+from kc2spice.parts.electronics._template_parts import (
+    RAIL_MARGIN,
+    list_pin_voltages,
+    make_rails_check,
+)
 from kc2spice.scene.checks import Check
 from kc2spice.scene.model import (
-    Build,
+    BuiltScene,
     DeclaredScene,
     GovernedScene,
     JoinedScene,
@@ -40,8 +44,8 @@ from kc2spice.scene.model import (
     Scene,
     Terminal,
 )
-from kc2spice.scene.part_records import Vector
-from kc2spice.scene.parttype import register
+from kc2spice.scene.part_records import PartResult
+from kc2spice.scene.parttype import register_part_type
 from kc2spice.scene.settings import FileName
 
 # Device parameter that is the current of an element in ngspice, by the letter of the element.
@@ -68,37 +72,55 @@ class PinRating(Section):
     The voltages are relative to ``ref`` if the circuit has this pin.
     """
 
-    low: Voltage | None = Field(None, description="Lowest allowed voltage of the pin")
-    high: Voltage | None = Field(None, description="Largest allowed voltage of the pin")
+    low: Voltage | None = Field(
+        None,
+        description=(
+            "Lowest permitted voltage at the pin, relative to the pin `ref` if the circuit "
+            "has this pin"
+        ),
+    )
+    high: Voltage | None = Field(
+        None,
+        description=(
+            "Highest permitted voltage at the pin, relative to the pin `ref` if the circuit "
+            "has this pin"
+        ),
+    )
     slew: Slew | None = Field(
-        None, gt=0, description="Largest allowed rate of change of the voltage"
+        None, gt=0, description="Largest permitted rate of change of the voltage at the pin"
     )
 
 
 class NetlistKeys(Section):
     """Keys of a user's subcircuit ``.subckt SUBCKT`` in a netlist file beside the scene."""
 
-    file: FileName = Field(examples=['"FILE"'], description="Netlist file in the scene's folder")
+    file: FileName = Field(
+        examples=['"FILE"'],
+        description="Netlist file in the scene's folder that contains the subcircuit",
+    )
     subckt: str = Field(
         examples=['"NAME"'],
         pattern=r"^[A-Za-z][A-Za-z0-9_]{0,63}$",
-        description="Name of the subcircuit in the file",
+        description="Name of the subcircuit in the netlist file",
     )
     syntax: Syntax = Field(
         "ngspice",
-        description="Simulator that the file was written for: ngspice, ltspice or pspice",
+        description=(
+            "Simulator for which the netlist file was written: ngspice, ltspice or pspice"
+        ),
     )
     units: dict[str, str] = Field(
         default_factory=dict,
         description=(
-            f"Unit of each pin that is not electrical: {OTHER_KINDS}, or V for a "
-            "signal; by default V/A"
+            f"Unit pair (value/flow) of each pin that is not electrical: {OTHER_KINDS}, or V for "
+            "a signal pin; by default V/A"
         ),
     )
     ratings: dict[str, PinRating] = Field(
         default_factory=dict,
         description=(
-            "Voltage limits of each pin, { PIN = { low, high, slew } }, which each run checks"
+            "Permitted voltages and slew rates of the pins, { PIN = { low, high, slew } }, "
+            "which each run checks"
         ),
     )
 
@@ -165,7 +187,9 @@ class Netlist(PartType[NetlistKeys]):
                         "of the source",
                     )
                 continue
-            nodes = dict.fromkeys((*pins, *chain.from_iterable(e.ends for e in scope.elements)))
+            nodes = dict.fromkeys(
+                (*pins, *chain.from_iterable(e.lower_case_nodes for e in scope.elements))
+            )
             choices = [*filter("0".__ne__, nodes)]
             choices += [f"i({e.key})" for e in scope.elements if e.kind in _CURRENT_PARAMETERS]
             yield UsageError(
@@ -185,7 +209,7 @@ class Netlist(PartType[NetlistKeys]):
                     did_you_mean(name, pins) or f"write {pins[0]} in place of {name}",
                 )
 
-    def drives(self, part: Part[NetlistKeys], scene: DeclaredScene) -> bool:
+    def has_ac_source(self, part: Part[NetlistKeys], scene: DeclaredScene) -> bool:
         """Return whether the netlist contains a source with a small-signal (``ac``) amplitude."""
         return _read_subcircuits(
             part.keys.file, scene.home, _read_modification_time(part, scene)
@@ -196,7 +220,7 @@ class Netlist(PartType[NetlistKeys]):
         return str(part.keys.subckt)
 
     def subcircuits(
-        self, part: Part[NetlistKeys], build: Build, header: Header
+        self, part: Part[NetlistKeys], build: BuiltScene, header: Header
     ) -> tuple[Subcircuit, ...]:
         """Return the subcircuit of the part."""
         result = read_included_netlist(part.keys.file, build.scene.home, trust=build.trust)
@@ -208,11 +232,11 @@ class Netlist(PartType[NetlistKeys]):
         name = part.keys.subckt
         return (Subcircuit(name, pins, (), tree, title=title, file=file, source=source),)
 
-    def law(self, part: Part[NetlistKeys], build: Build) -> MissingEquations:
+    def law(self, part: Part[NetlistKeys], build: BuiltScene) -> MissingEquations:
         """Return the reason why the netlist has no model equations."""
         return MissingEquations("its equations are a netlist of the user")
 
-    def vectors(self, part: Part[NetlistKeys], build: Build) -> Mapping[str, Vector]:
+    def vectors(self, part: Part[NetlistKeys], build: BuiltScene) -> Mapping[str, PartResult]:
         """Return the ngspice vectors of the part's results, keyed by result name.
 
         The results are the voltages of rated pins, and the pins, currents and inner nodes that
@@ -222,22 +246,24 @@ class Netlist(PartType[NetlistKeys]):
         rated = part.keys.ratings if scene.analysis.type == "transient" else ()
         probed = dict.fromkeys(node for _, node in _list_probed_nodes(part, scene))
         volts = [p for p in probed if p in pins and pins[p].unit == "V"]
-        result = pin_voltages(part, build, dict.fromkeys((*rated, *volts)))
-        base = build.net(part, "ref") if "ref" in pins else "0"
+        result = list_pin_voltages(part, build, dict.fromkeys((*rated, *volts)))
+        base = build.get_net(part, "ref") if "ref" in pins else "0"
         for node in probed:
             name = f"{part.name}.{node}"
             if node in volts:
                 continue
             if node in pins:
-                result[name] = build.across(part, node)
+                result[name] = build.get_pin_vector(part, node)
             elif node.lower().startswith("i("):
-                result[name] = Vector(_write_inner_vector(node, part.name), 1.0, "A")
+                result[name] = PartResult(_write_inner_vector(node, part.name), 1.0, "A")
             else:
                 inner = f"v(x{part.name.lower()}.{node.lower()})"
-                result[name] = Vector(inner if base == "0" else f"{inner}-v({base})", 1.0, "V")
+                result[name] = PartResult(inner if base == "0" else f"{inner}-v({base})", 1.0, "V")
         return result
 
-    def checks(self, part: Part[NetlistKeys], build: Build, waves: Waveforms) -> Iterator[Check]:
+    def checks(
+        self, part: Part[NetlistKeys], build: BuiltScene, waves: Waveforms
+    ) -> Iterator[Check]:
         """Yield the checks of the part after a run."""
         for pin, rating in part.keys.ratings.items():
             name, volts = f"{part.name}.{pin}", waves.data.get(f"{part.name}.{pin}")
@@ -258,7 +284,7 @@ class Netlist(PartType[NetlistKeys]):
         yield f".subckt {part.keys.subckt} of {part.keys.file}"
 
 
-def driver(
+def make_driver_table(
     part: Part,
     drivers: Mapping[str, dict[str, Any]],
     known: Mapping[str, str],
@@ -379,7 +405,7 @@ def _read_subcircuit(part: Part[NetlistKeys], scene: DeclaredScene) -> Scope:
     """Return the scope of the part's subcircuit, which contains its elements and nodes."""
     flat = read_untrusted_netlist(part.keys.file, scene.home)
     tree = translate_circuit(read_cards(flat.text, flat.file), part.keys.syntax)
-    result = build_scope(tree).find(part.keys.subckt)
+    result = build_scope(tree).find_subcircuit(part.keys.subckt)
     if result is None:
         raise part.wrong("subckt", "no such subcircuit", part.keys.subckt)
     return result
@@ -415,4 +441,4 @@ def _read_subcircuits(file: str, home: Path, stamp: int) -> _NetlistFile:
     return _NetlistFile(result, excites)
 
 
-register(Netlist())
+register_part_type(Netlist())

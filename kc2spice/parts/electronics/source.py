@@ -16,7 +16,7 @@ from kc2spice.core import laws
 from kc2spice.core import waveforms as waves_
 from kc2spice.core.domains import QUANTITIES, Domain, Quantity, Side
 from kc2spice.core.errors import UsageError
-from kc2spice.core.quantities import Section, invalid_value_error, quantity
+from kc2spice.core.quantities import Section, convert_quantity, make_invalid_value_error
 from kc2spice.core.spectrum import find_waveform_frequency
 from kc2spice.core.toml_text import clip_text, format_toml
 from kc2spice.core.untrusted_files import locate_file_in_folder, read_bounded
@@ -26,7 +26,7 @@ from kc2spice.netlist.read import split_words
 from kc2spice.netlist.spelling import format_number, format_voltage
 from kc2spice.scene.checks import Check
 from kc2spice.scene.model import (
-    Build,
+    BuiltScene,
     DeclaredScene,
     GovernedScene,
     JoinedScene,
@@ -39,11 +39,11 @@ from kc2spice.scene.model import (
 from kc2spice.scene.part_records import (
     EquilibriumConditions,
     HighestFrequency,
-    Numerics,
+    NumericalRequirements,
+    PartResult,
     SweptSource,
-    Vector,
 )
-from kc2spice.scene.parttype import register
+from kc2spice.scene.parttype import register_part_type
 
 
 class SourceKind(NamedTuple):
@@ -58,7 +58,7 @@ class SourceKind(NamedTuple):
     @property
     def quantity(self) -> Quantity:
         """Physical quantity that the source prescribes."""
-        return self.domain.quantity(self.side)
+        return self.domain.get_quantity(self.side)
 
     @property
     def unit(self) -> str:
@@ -66,9 +66,9 @@ class SourceKind(NamedTuple):
         return self.quantity.unit
 
     @property
-    def scale(self) -> float:
+    def netlist_factor(self) -> float:
         """Number of volts or amperes that represent one SI unit in the netlist."""
-        return self.quantity.per_unit
+        return self.quantity.pin_value_per_si_unit
 
     @property
     def letter(self) -> str:
@@ -81,7 +81,7 @@ class SourceKind(NamedTuple):
         return self.domain.value_unit(self.letter)
 
     @property
-    def sets(self) -> str:
+    def prescribed_symbol(self) -> str:
         """Symbol of the prescribed quantity in result names."""
         return self.quantity.symbol
 
@@ -113,62 +113,77 @@ class SourceKeys(Section):
     """
 
     kind: Literal[tuple(SOURCE_TYPES)] = Field(  # type: ignore[valid-type]
-        "voltage", description="Quantity that the source prescribes"
+        "voltage", description="Quantity that the source prescribes, such as a voltage or a force"
     )
-    dc: float | str | None = Field(None, description="Constant value, in the unit of the source")
+    dc: float | str | None = Field(
+        None, description="Constant value of the source, in the unit of the source"
+    )
     pulse: PulseKeys | None = None
     sine: SineKeys | None = None
     pwl: tuple[tuple[float | str, float | str], ...] | None = Field(
-        None, description="Corners [time, value] of a piecewise linear waveform"
+        None,
+        description=(
+            "Waveform of the source as corners [time, value], connected by straight lines"
+        ),
     )
     file: str | None = Field(
-        None, description="CSV file in the scene's folder with the columns time and value"
+        None,
+        description=(
+            "CSV file in the scene's folder with the waveform of the source in the columns "
+            "time and value"
+        ),
     )
-    ac: float | str = Field(0.0, description="Amplitude in ac analyses, in the unit of the source")
+    ac: float | str = Field(
+        0.0, description="Amplitude of the source in ac analyses, in the unit of the source"
+    )
     _waveform: Waveform = PrivateAttr()
     _amplitude: float = PrivateAttr()
 
     @field_validator("pwl", mode="before")
     @classmethod
     def _require_corners(cls, rows: object) -> object:
+        """Check that ``pwl`` is a list of corners, each a time and a value."""
         expected = "a list of corners, [[TIME, VALUE], [TIME, VALUE], …]"
         hint = 'write for example  pwl = [[0, 0], ["1 ms", 1]]'
         if rows is None:
             return rows
         if not isinstance(rows, (list, tuple)):
-            raise invalid_value_error("the corners are not a list", expected, hint=hint)
+            raise make_invalid_value_error("the corners are not a list", expected, hint=hint)
         plain = [row for row in rows if not isinstance(row, (list, tuple))]
         if plain and len(plain) == len(rows):
             if len(rows) % 2 == 0:
                 pairs = list(zip(rows[::2], rows[1::2], strict=True))
                 hint = f"write  pwl = {clip_text(format_toml(pairs))}"
-            raise invalid_value_error("the corners are not lists of two", expected, hint=hint)
+            raise make_invalid_value_error("the corners are not lists of two", expected, hint=hint)
         for row in rows:
             if isinstance(row, (list, tuple)) and len(row) > 2:
                 short = format_toml([row[:2]])[1:-1]
                 hint = f"write  {short}  in place of  {format_toml([row])[1:-1]}"
                 problem = f"a corner has {len(row)} entries"
-                raise invalid_value_error(problem, expected, hint=hint)
+                raise make_invalid_value_error(problem, expected, hint=hint)
         return rows
 
     @model_validator(mode="after")
     def _require_one_waveform(self, info: ValidationInfo) -> SourceKeys:
+        """Require at most one waveform, and read the waveform and the amplitude."""
         shapes = self._stated_waveform_keys
         if len(shapes) > 1:
             hint = f"delete the key {shapes[0]} or the key {shapes[1]}"
-            raise invalid_value_error(
+            raise make_invalid_value_error(
                 "the source has two waveforms: " + " and ".join(shapes), "one of them", hint=hint
             )
         try:
             self._waveform = self._read_waveform((info.context or {}).get("home", Path()))
-            self._amplitude = quantity(self.ac, self.unit, where="ac")
+            self._amplitude = convert_quantity(self.ac, self.unit, where="ac")
         except UsageError as error:
             expected = error.expected or "numbers with units"
-            raise invalid_value_error(error.message, expected, error.where, error.hint) from None
+            raise make_invalid_value_error(
+                error.message, expected, error.where, error.hint
+            ) from None
         return self
 
     @property
-    def shape(self) -> str:
+    def waveform_key(self) -> str:
         """Name of the key that defines the waveform of the source; by default ``dc``."""
         return next(iter(self._stated_waveform_keys), "dc")
 
@@ -179,6 +194,7 @@ class SourceKeys(Section):
 
     @property
     def _stated_waveform_keys(self) -> list[str]:
+        """Names of the stated keys that define a waveform."""
         return [name for name in WAVEFORM_KEYS if getattr(self, name) is not None]
 
     @property
@@ -206,8 +222,8 @@ class SourceKeys(Section):
         unit = self.unit
         if self.pulse is not None:
             p = self.pulse
-            low = quantity(p.low, unit, where="pulse.low")
-            high = quantity(p.high, unit, where="pulse.high")
+            low = convert_quantity(p.low, unit, where="pulse.low")
+            high = convert_quantity(p.high, unit, where="pulse.high")
             if p.width < p.edge or p.edge <= 0:
                 raise UsageError(
                     "the pulse has an edge that is longer than its width",
@@ -222,22 +238,24 @@ class SourceKeys(Section):
                     expected=f"a period of at least width + edge, {p.width + p.edge:g} s",
                     hint=f"raise pulse.period to {p.width + p.edge:g} s",
                 )
-            return waves_.pulse_waveform(low, high, p.start, p.width, p.edge, p.period, p.count)
+            return waves_.make_pulse_waveform(
+                low, high, p.start, p.width, p.edge, p.period, p.count
+            )
         if self.sine is not None:
             s = self.sine
-            return waves_.sine_waveform(
-                quantity(s.amplitude, unit, where="sine.amplitude"), s.frequency, s.start
+            return waves_.make_sine_waveform(
+                convert_quantity(s.amplitude, unit, where="sine.amplitude"), s.frequency, s.start
             )
         if self.pwl is not None:
             points = []
             for k, (t, v) in enumerate(self.pwl):
-                time = quantity(t, "s", where=f"pwl.{k}.0")
-                points.append([time, quantity(v, unit, where=f"pwl.{k}.1")])
+                time = convert_quantity(t, "s", where=f"pwl.{k}.0")
+                points.append([time, convert_quantity(v, unit, where=f"pwl.{k}.1")])
             return _make_waveform(np.array(points), "pwl")
         if self.file is not None:
             return _make_waveform(_read_table(home, self.file), self.file)
-        return waves_.constant_waveform(
-            quantity(0.0 if self.dc is None else self.dc, unit, where="dc")
+        return waves_.make_constant_waveform(
+            convert_quantity(0.0 if self.dc is None else self.dc, unit, where="dc")
         )
 
 
@@ -268,25 +286,29 @@ class Source(PartType[SourceKeys]):
                 stacklevel=2,
             )
 
-    def numerics(self, part: Part[SourceKeys], scene: WiredScene) -> Iterator[Numerics]:
+    def numerics(
+        self, part: Part[SourceKeys], scene: WiredScene
+    ) -> Iterator[NumericalRequirements]:
         """Yield the numerical requirements of the waveform: edges, time step and period."""
         yield from list_waveform_numerics(part.name, part.keys.waveform)
         pulse = part.keys.pulse
         if pulse is not None and pulse.count is None and pulse.period:
-            yield Numerics(part.name, period=pulse.period)
+            yield NumericalRequirements(part.name, period=pulse.period)
 
     def voltage(self, part: Part[SourceKeys], scene: DeclaredScene) -> Waveform | None:
         """Return the prescribed voltage [V] versus time; None for other kinds of sources."""
         return part.keys.waveform if part.keys.kind == "voltage" else None
 
-    def drives(self, part: Part[SourceKeys], scene: DeclaredScene) -> bool:
+    def has_ac_source(self, part: Part[SourceKeys], scene: DeclaredScene) -> bool:
         """Return whether the source has a small-signal amplitude."""
         return part.keys.amplitude != 0
 
-    def highest_frequency(self, part: Part[SourceKeys], scene: DeclaredScene) -> HighestFrequency:
+    def make_frequency_estimator(
+        self, part: Part[SourceKeys], scene: DeclaredScene
+    ) -> HighestFrequency:
         """Return a function for the highest relevant frequency [Hz] of the waveform."""
         share = 1.0 if part.keys.kind in SMOOTHED_KINDS else 0.0
-        return partial(_find_filtered_frequency, part.keys.waveform, scene.stop, share)
+        return partial(_find_filtered_frequency, part.keys.waveform, scene.stop_time, share)
 
     def equilibrium_conditions(
         self, part: Part[SourceKeys], scene: WiredScene
@@ -302,68 +324,80 @@ class Source(PartType[SourceKeys]):
             moves = wave.amplitude or np.ptp(np.array(wave.points)[:, 1])
             # The derivative of a sine that starts later also has a jump.
             kinked = part.keys.kind == "displacement" and moves
-            return EquilibriumConditions(pair, pair, jump_key=part.keys.shape if kinked else "")
+            return EquilibriumConditions(
+                pair, pair, jump_key=part.keys.waveform_key if kinked else ""
+            )
         constant = part.keys.waveform(np.zeros(1))[0]
         return EquilibriumConditions(loaded_pins=("out", "ret") if constant else ())
 
-    def cards(self, part: Part[SourceKeys], build: Build) -> tuple[Item, ...]:
+    def cards(self, part: Part[SourceKeys], build: BuiltScene) -> tuple[Item, ...]:
         """Return the cards of the part in the deck."""
         kind = SOURCE_TYPES[part.keys.kind]
-        ends = [build.net(part, "out"), build.net(part, "ret")]
+        ends = [build.get_net(part, "out"), build.get_net(part, "ret")]
         if kind.letter == "I":  # the current flows out of the source at "out" and back at "ret"
             ends.reverse()
         if _sweeps_back(part, build.scene):
             swept = _write_sweep_cards(part, build, kind, ends)
             return tuple(card.with_unit(kind.value_unit) for card in swept)
-        wave = part.keys.waveform.format_spice(kind.scale)
-        size = kind.scale * part.keys.amplitude
+        wave = part.keys.waveform.format_spice(kind.netlist_factor)
+        size = kind.netlist_factor * part.keys.amplitude
         ac = ("AC", format_number(size)) if size else ()
-        card = Element.of(f"{kind.letter}{part.name}", *ends, *split_words(wave), *ac)
+        card = Element.from_words(f"{kind.letter}{part.name}", *ends, *split_words(wave), *ac)
         return (card.with_unit(kind.value_unit),)
 
-    def inner_names(self, part: Part[SourceKeys], scene: WiredScene) -> Iterator[tuple[str, ...]]:
+    def list_inner_names(
+        self, part: Part[SourceKeys], scene: WiredScene
+    ) -> Iterator[tuple[str, ...]]:
         """Yield the names of the inner nodes for a dc sweep that returns to its first value."""
         if _sweeps_back(part, scene):
             yield part.name, "swept"
             yield part.name, "folded"
 
-    def settable(self, part: Part[SourceKeys], build: Build) -> Mapping[str, SweptSource]:
+    def settable_quantities(
+        self, part: Part[SourceKeys], build: BuiltScene
+    ) -> Mapping[str, SweptSource]:
         """Return the simulator's source that a dc sweep of the key ``dc`` varies."""
         kind = SOURCE_TYPES[part.keys.kind]
         if _sweeps_back(part, build.scene):
-            return {"dc": SweptSource(f"V{build.inner_name(part, part.name, 'swept')}", kind.scale)}
-        return {"dc": SweptSource(f"{kind.letter}{part.name}", kind.scale)}
+            return {
+                "dc": SweptSource(
+                    f"V{build.get_inner_name(part, part.name, 'swept')}", kind.netlist_factor
+                )
+            }
+        return {"dc": SweptSource(f"{kind.letter}{part.name}", kind.netlist_factor)}
 
-    def vectors(self, part: Part[SourceKeys], build: Build) -> Mapping[str, Vector]:
+    def vectors(self, part: Part[SourceKeys], build: BuiltScene) -> Mapping[str, PartResult]:
         """Return the ngspice vectors of the part's results, keyed by result name."""
         n, kind, result = part.name, SOURCE_TYPES[part.keys.kind], {}
         flow = kind.domain.through_variable
         name, factor, unit = f"{n}.{flow.symbol}", flow.factor, flow.unit
         if kind.letter == "V":
-            result[name] = Vector(f"i(v{n.lower()})", -factor, unit, ("out",), ("ret",))
+            result[name] = PartResult(f"i(v{n.lower()})", -factor, unit, ("out",), ("ret",))
         elif build.scene.analysis.type == "transient":
             pushed = (("out",), ("ret",)) if kind.domain.input_side == "through" else ()
-            result[name] = Vector(f"@i{n.lower()}[current]", factor, unit, *pushed)
-        out, ret = build.net(part, "out"), build.net(part, "ret")
+            result[name] = PartResult(f"@i{n.lower()}[current]", factor, unit, *pushed)
+        out, ret = build.get_net(part, "out"), build.get_net(part, "ret")
         if out != ret and (kind.letter == "V" or ret == "0"):
             across = kind.domain.across
             ends = format_voltage(out, ret)
-            result[f"{n}.{across.symbol}"] = Vector(ends, across.factor, across.unit)
+            result[f"{n}.{across.symbol}"] = PartResult(ends, across.factor, across.unit)
         return result
 
-    def checks(self, part: Part[SourceKeys], build: Build, waves: Waveforms) -> Iterator[Check]:
+    def checks(
+        self, part: Part[SourceKeys], build: BuiltScene, waves: Waveforms
+    ) -> Iterator[Check]:
         """Yield the check that the simulated source equals its definition at all time points."""
-        result = waves.data.get(f"{part.name}.{SOURCE_TYPES[part.keys.kind].sets}")
+        result = waves.data.get(f"{part.name}.{SOURCE_TYPES[part.keys.kind].prescribed_symbol}")
         if result is None or "time" not in waves:
             return
         wave = part.keys.waveform
         expected = wave(waves["time"])
         swing = float(np.ptp(expected)) or float(np.abs(expected).max()) or 1.0
         off, name = float(np.abs(result - expected).max()) / swing, f"{part.name} drives as defined"
-        advice = "the netlist's source is not the scene's: please report it"
+        advice = "report this error: the source in the netlist differs from the scene"
         yield Check(name, off, MAX_DEVIATION, "of its swing", advice, wiring=True)
 
-    def law(self, part: Part[SourceKeys], build: Build) -> laws.Equations:
+    def law(self, part: Part[SourceKeys], build: BuiltScene) -> laws.Equations:
         """Return the model equations of the part."""
         n, keys = part.name, part.keys
         wave, size = keys.waveform, complex(keys.amplitude)
@@ -381,7 +415,7 @@ class Source(PartType[SourceKeys]):
 
     def notes(self, part: Part[SourceKeys], scene: Scene) -> Iterator[str]:
         """Yield the assumptions of the model and the effects that it neglects."""
-        yield f"{part.keys.kind}, {part.keys.shape}"
+        yield f"{part.keys.kind}, {part.keys.waveform_key}"
 
 
 def _find_filtered_frequency(wave: Waveform, stop: float, share: float, constant: float) -> float:
@@ -400,7 +434,7 @@ def _sweeps_back(part: Part[SourceKeys], scene: DeclaredScene) -> bool:
 
 
 def _write_sweep_cards(
-    part: Part[SourceKeys], build: Build, kind: SourceKind, ends: list[str]
+    part: Part[SourceKeys], build: BuiltScene, kind: SourceKind, ends: list[str]
 ) -> Iterator[Element]:
     """Yield the cards of a source with a dc sweep that returns from ``to`` to its first value.
 
@@ -409,61 +443,63 @@ def _write_sweep_cards(
     solution of the previous point.
     """
     selected = build.scene.analysis
-    first = kind.scale * quantity(selected.from_, kind.unit)
-    last = kind.scale * quantity(selected.to, kind.unit)
-    swept = build.inner_name(part, part.name, "swept")
-    folded = build.inner_name(part, part.name, "folded")
+    first = kind.netlist_factor * convert_quantity(selected.from_, kind.unit)
+    last = kind.netlist_factor * convert_quantity(selected.to, kind.unit)
+    swept = build.get_inner_name(part, part.name, "swept")
+    folded = build.get_inner_name(part, part.name, "folded")
     end = format_number(last)
     value = f"{end}{'-' if first < last else '+'}abs(V({swept})-({end}))"
-    yield Element.of(f"V{swept}", swept, "0", first)
+    yield Element.from_words(f"V{swept}", swept, "0", first)
     if kind.letter == "I":
-        yield Element.behaviour(f"BI{part.name}", ends[0], ends[1], "I", value)
+        yield Element.behavioural_source(f"BI{part.name}", ends[0], ends[1], "I", value)
     else:
-        yield Element.behaviour(f"B{folded}", folded, ends[1], "V", value)
-        yield Element.of(f"V{part.name}", ends[0], folded, "0")
+        yield Element.behavioural_source(f"B{folded}", folded, ends[1], "V", value)
+        yield Element.from_words(f"V{part.name}", ends[0], folded, "0")
 
 
-def list_waveform_numerics(name: str, wave: Waveform) -> Iterator[Numerics]:
+def list_waveform_numerics(name: str, wave: Waveform) -> Iterator[NumericalRequirements]:
     """Yield the largest time step and the highest frequency of a waveform's sine or edges."""
     if not wave.is_piecewise_linear:
         f = wave.frequency
         what = f"1/{POINTS_PER_PERIOD} of a period of {name}, a sine at {f:g} Hz"
-        yield Numerics(what, 1 / (POINTS_PER_PERIOD * f), RESOLVED_HARMONICS * f, period=1 / f)
+        yield NumericalRequirements(
+            what, 1 / (POINTS_PER_PERIOD * f), RESOLVED_HARMONICS * f, period=1 / f
+        )
     else:
         times, values = np.array(wave.points).T
         moving = np.diff(times)[np.diff(values) != 0]
         if moving.size:
-            yield Numerics(
+            yield NumericalRequirements(
                 f"edges of {name}, {moving.min():g} s", highest_frequency=EDGE_FACTOR / moving.min()
             )
 
 
-def _drives_only_signals(part: Part[SourceKeys], build: Build) -> bool:
+def _drives_only_signals(part: Part[SourceKeys], build: BuiltScene) -> bool:
     """Return whether the source drives only signal inputs, which draw no current."""
     scene = build.scene
-    flows = {scene.terminals[end].flow for end in scene.joined_pins(part.name, "out")}
-    return flows == {"-"} and build.net(part, "ret") == "0"
+    flows = {scene.terminals[end].flow for end in scene.list_joined_pins(part.name, "out")}
+    return flows == {"-"} and build.get_net(part, "ret") == "0"
 
 
-def _make_waveform(points: np.ndarray, what: str) -> Waveform:
+def _make_waveform(points: np.ndarray, data_name: str) -> Waveform:
     """Return the piecewise linear waveform through ``points``, whose times must increase."""
-    key = "pwl" if what == "pwl" else "file"
+    key = "pwl" if data_name == "pwl" else "file"
     if len(points) < 2:
         expected = "at least two rows of time and value"
         corner = f'["{points[0, 0] + 1e-3:g} s", {points[0, 1]:g}]' if len(points) else ""
         hint = "add at least two rows" if not corner else f"add a second corner, such as  {corner}"
-        count = f"{len(points)} row{'' if len(points) == 1 else 's'}"
-        raise UsageError(f"{what} has {count}", where=key, expected=expected, hint=hint)
+        row_count = f"{len(points)} row{'' if len(points) == 1 else 's'}"
+        raise UsageError(f"{data_name} has {row_count}", where=key, expected=expected, hint=hint)
     late = np.flatnonzero(np.diff(points[:, 0]) <= 0)
     if late.size:
         first = int(late[0])
         raise UsageError(
-            f"the times of {what} do not increase from row {first + 1} to row {first + 2}",
+            f"the times of {data_name} do not increase from row {first + 1} to row {first + 2}",
             where=key,
             expected="times that increase from row to row",
             hint="sort the rows by time, and delete rows with equal times",
         )
-    return waves_.linear_waveform(points)
+    return waves_.make_linear_waveform(points)
 
 
 def _read_table(home: Path, name: str) -> np.ndarray:
@@ -504,4 +540,4 @@ def _read_table(home: Path, name: str) -> np.ndarray:
     return rows
 
 
-register(Source())
+register_part_type(Source())

@@ -13,8 +13,8 @@ from typing import Annotated, Any, NamedTuple
 
 from pydantic import Field, create_model
 
-from kc2spice.core.prefix import format_quantity
 from kc2spice.core.quantities import Capacitance, Inductance, Section, si
+from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.netlist.circuit import Element, Item
 from kc2spice.netlist.expression import Number, Tree
 from kc2spice.netlist.library import Header, Subcircuit
@@ -39,15 +39,15 @@ from kc2spice.physics.symbolic import (
     multiply_trees,
 )
 from kc2spice.scene.model import (
-    Build,
+    BuiltScene,
     DeclaredScene,
     KeysT,
     Part,
     Scene,
     WiredScene,
 )
-from kc2spice.scene.part_records import Neglected, Vector
-from kc2spice.scene.parttype import register
+from kc2spice.scene.part_records import NeglectedEffect, PartResult
+from kc2spice.scene.parttype import register_part_type
 
 
 class ElementRow(NamedTuple):
@@ -108,12 +108,24 @@ TABLE = (
 
 # Types with a plausible range of values, by the unit of the key.
 _TYPES_OF_UNITS: Mapping[str, Any] = {"F": Capacitance, "H": Inductance}
+# Descriptions of the key of each element.
+_KEY_DESCRIPTIONS = {
+    "resistor": "Electrical resistance of the resistor",
+    "capacitor": "Capacitance of the capacitor",
+    "inductor": "Inductance of the inductor",
+    "spring": "Stiffness of the linear spring",
+    "damper": "Viscous damping coefficient of the damper",
+    "thermal_resistor": "Thermal resistance between the two temperature pins",
+    "thermal_capacitor": "Heat capacity between the temperature pin and its surroundings",
+    "acoustic_resistor": "Acoustic resistance between the two pressure pins",
+    "acoustic_compliance": "Acoustic compliance of the closed volume",
+    "acoustic_mass": "Acoustic mass of the moving fluid between the two pressure pins",
+}
 
 
 def declare_element(row: ElementRow) -> Declaration:
     """Return the declaration of the element of a table row, with its key and an example."""
-    noun = row.name.replace("_", " ")
-    value = Field(gt=0, description=f"{row.key.capitalize()} of the {noun}")
+    value = Field(gt=0, description=_KEY_DESCRIPTIONS[row.name])
     number = _TYPES_OF_UNITS.get(row.unit, Annotated[float, si(row.unit)])
     fields: dict[str, Any] = {row.key: (number, value)}
     words = f"{row.name.title().replace('_', '')}Keys"
@@ -152,22 +164,22 @@ class LinearElement(DeclaredPart[KeysT]):
         return self.declaration.branches[0]
 
     @cached_property
-    def admittance_law(self) -> tuple[int, Tree]:
-        """Order of the derivative, and admittance as an expression, from the declaration."""
+    def admittance_term(self) -> tuple[int, Tree]:
+        """Order of the time derivative, and admittance as an expression."""
         d, b = self.declaration, self.branch
-        flow = d.direct_flow(b)
+        flow = d.derive_direct_flow(b)
         stiff, slow = differentiate_tree(flow, b.name), differentiate_tree(flow, b.rate)
-        stored = differentiate_tree(d.stored_quantity(b), b.name)
-        if b.flows:
+        stored = differentiate_tree(d.derive_stored_quantity(b), b.name)
+        if b.is_flow:
             return -1, divide_trees(ONE, stored)
-        if b.moves:
+        if b.is_motion:
             return (-1, stiff) if stiff != ZERO else (0, slow)
         return (1, stored) if stored != ZERO else (0, stiff)
 
     @cached_property
     def _letter(self) -> str:
         """First letter of the element's name in the netlist: L, R or C."""
-        return {-1: "L", 0: "R", 1: "C"}[self.admittance_law[0] + self.branch.moves]
+        return {-1: "L", 0: "R", 1: "C"}[self.admittance_term[0] + self.branch.is_motion]
 
     @cached_property
     def _unit_factor(self) -> Number:
@@ -184,12 +196,12 @@ class LinearElement(DeclaredPart[KeysT]):
         return is_heated(part, scene)
 
     def subcircuits(
-        self, part: Part[KeysT], build: Build, header: Header
+        self, part: Part[KeysT], build: BuiltScene, header: Header
     ) -> tuple[Subcircuit, ...]:
         """Return the subcircuit of the part."""
         return super().subcircuits(part, build, header) if is_heated(part, build.scene) else ()
 
-    def inner_names(self, part: Part[KeysT], scene: WiredScene) -> Iterator[tuple[str, ...]]:
+    def list_inner_names(self, part: Part[KeysT], scene: WiredScene) -> Iterator[tuple[str, ...]]:
         """Yield the names of the inner nodes, the ammeter, the leak and the noise sources."""
         if is_heated(part, scene):
             return
@@ -197,31 +209,33 @@ class LinearElement(DeclaredPart[KeysT]):
         yield from ((f"V{n}", "meter"), (n.lower(), "metered"), (f"G{n}", "leak"))
         yield from ((f"R{n}", "noise"), (f"G{n}", "noise"), (n.lower(), "noise"))
 
-    def cards(self, part: Part[KeysT], build: Build) -> tuple[Item, ...]:
+    def cards(self, part: Part[KeysT], build: BuiltScene) -> tuple[Item, ...]:
         """Return the cards of the part in the deck."""
         if is_heated(part, build.scene):
             return super().cards(part, build)
-        a, b = build.net(part, "a"), build.net(part, "b")
-        admittance = multiply_trees(self._unit_factor, self.admittance_law[1])
+        a, b = build.get_net(part, "a"), build.get_net(part, "b")
+        admittance = multiply_trees(self._unit_factor, self.admittance_term[1])
         if self._letter != "C":
             value = self._evaluate(part, divide_trees(ONE, admittance))
             separate = build.has_noise and not self._has_si_units
-            noise = self._noise_cards(part, build, a, b) if separate else ()
+            noise = self._write_noise_cards(part, build, a, b) if separate else ()
             silent = self._letter == "R" and not (self._has_loss and self._has_si_units)
             words = {"noisy": "0"} if build.has_noise and silent else {}
-            card = Element.of(f"{self._letter}{part.name}", a, b, value, **words)
+            card = Element.from_words(f"{self._letter}{part.name}", a, b, value, **words)
             return (card.with_unit(self.branch.domain.value_unit(self._letter)), *noise)
-        inner = build.inner_name(part, part.name.lower(), "metered")
+        inner = build.get_inner_name(part, part.name.lower(), "metered")
         return (
-            Element.of(_name_meter(part, build), a, inner, "0"),
-            Element.of(f"C{part.name}", inner, b, self._evaluate(part, admittance)).with_unit(
-                self.branch.domain.value_unit("C")
-            ),
-            *(() if self.branch.moves else self._leak_cards(part, build, a, b)),
-            *(self._noise_cards(part, build, a, b) if build.has_noise else ()),
+            Element.from_words(_name_meter(part, build), a, inner, "0"),
+            Element.from_words(
+                f"C{part.name}", inner, b, self._evaluate(part, admittance)
+            ).with_unit(self.branch.domain.value_unit("C")),
+            *(() if self.branch.is_motion else self._write_leak_card(part, build, a, b)),
+            *(self._write_noise_cards(part, build, a, b) if build.has_noise else ()),
         )
 
-    def _leak_cards(self, part: Part[KeysT], build: Build, a: str, b: str) -> tuple[Element, ...]:
+    def _write_leak_card(
+        self, part: Part[KeysT], build: BuiltScene, a: str, b: str
+    ) -> tuple[Element, ...]:
         """Return the card of a leak conductance that conserves the charge of a floating net.
 
         The conductance is proportional to the capacitance, as for an electrode of a body. If the
@@ -229,21 +243,27 @@ class LinearElement(DeclaredPart[KeysT]):
         therefore also zero.
         """
         value = LEAK_RATE * self._evaluate(
-            part, multiply_trees(self._unit_factor, self.admittance_law[1])
+            part, multiply_trees(self._unit_factor, self.admittance_term[1])
         )
-        return (Element.of(build.inner_name(part, f"G{part.name}", "leak"), a, b, a, b, value),)
+        return (
+            Element.from_words(
+                build.get_inner_name(part, f"G{part.name}", "leak"), a, b, a, b, value
+            ),
+        )
 
     @cached_property
     def _has_loss(self) -> bool:
         """Whether the element has a loss, and therefore thermal noise."""
-        return self.declaration.loss_coefficient(self.branch) != ZERO
+        return self.declaration.derive_loss_coefficient(self.branch) != ZERO
 
     @cached_property
     def _has_si_units(self) -> bool:
         """Whether the pins have SI units, so that a resistor card has the noise of the loss."""
         return self._unit_factor == ONE
 
-    def _noise_cards(self, part: Part[KeysT], build: Build, a: str, b: str) -> tuple[Element, ...]:
+    def _write_noise_cards(
+        self, part: Part[KeysT], build: BuiltScene, a: str, b: str
+    ) -> tuple[Element, ...]:
         """Return the cards of the thermal noise of a loss, such as the force noise of a damper.
 
         The spectral density of the force is ``4 k T c`` [N^2/Hz] for the damping c. The value of
@@ -251,31 +271,34 @@ class LinearElement(DeclaredPart[KeysT]):
         """
         if not self._has_loss:
             return ()
-        n, value = part.name, self._evaluate(part, self.admittance_law[1])
-        R, G = build.inner_name(part, f"R{n}", "noise"), build.inner_name(part, f"G{n}", "noise")
-        node = build.inner_name(part, n.lower(), "noise")
-        gain = f"{self.branch.domain.through_variable.per_unit:g}"
-        return Element.of(R, node, "0", value), Element.of(G, a, b, node, "0", gain)
+        n, value = part.name, self._evaluate(part, self.admittance_term[1])
+        R, G = (
+            build.get_inner_name(part, f"R{n}", "noise"),
+            build.get_inner_name(part, f"G{n}", "noise"),
+        )
+        node = build.get_inner_name(part, n.lower(), "noise")
+        gain = f"{self.branch.domain.through_variable.pin_value_per_si_unit:g}"
+        return Element.from_words(R, node, "0", value), Element.from_words(G, a, b, node, "0", gain)
 
-    def vectors(self, part: Part[KeysT], build: Build) -> Mapping[str, Vector]:
+    def vectors(self, part: Part[KeysT], build: BuiltScene) -> Mapping[str, PartResult]:
         """Return the ngspice vectors of the part's results, keyed by result name."""
         if is_heated(part, build.scene):
             return super().vectors(part, build)
         across, n, b = branch_voltage(build, part, self.branch), part.name, self.branch
         voltage, flow = b.domain.across, b.domain.through_variable
         if self._letter == "R":
-            admittance = multiply_trees(Number(f"{voltage.factor:g}"), self.admittance_law[1])
+            admittance = multiply_trees(Number(f"{voltage.factor:g}"), self.admittance_term[1])
             factor = self._evaluate(part, admittance)
-            through = Vector(across, factor, flow.unit, ("b",), ("a",))
+            through = PartResult(across, factor, flow.unit, ("b",), ("a",))
         else:
             instance = _name_meter(part, build) if self._letter == "C" else f"l{n}"
-            through = Vector(f"i({instance.lower()})", flow.factor, flow.unit, ("b",), ("a",))
-        if b.moves:
+            through = PartResult(f"i({instance.lower()})", flow.factor, flow.unit, ("b",), ("a",))
+        if b.is_motion:
             return {f"{n}.{b.through}": through}
-        difference = Vector(across, voltage.factor, voltage.unit)
+        difference = PartResult(across, voltage.factor, voltage.unit)
         return {f"{n}.{b.across}": difference, f"{n}.{b.through}": through}
 
-    def notes(self, part: Part[KeysT], scene: Scene) -> Iterator[str | Neglected]:
+    def notes(self, part: Part[KeysT], scene: Scene) -> Iterator[str | NeglectedEffect]:
         """Yield the assumptions of the model and the effects that it neglects."""
         if is_heated(part, scene):
             yield from super().notes(part, scene)
@@ -285,14 +308,15 @@ class LinearElement(DeclaredPart[KeysT]):
         yield f"{row.name.replace('_', ' ')} of {value}"
 
 
-def _name_meter(part: Part, build: Build) -> str:
-    return build.inner_name(part, f"V{part.name}", "meter")
+def _name_meter(part: Part, build: BuiltScene) -> str:
+    """Return the name of the ammeter of the part in the netlist."""
+    return build.get_inner_name(part, f"V{part.name}", "meter")
 
 
 DECLARED = {row.name: declare_element(row) for row in TABLE}
 
 
-def element(name: str, kind: str, value: float) -> DeclaredLaw:
+def make_element_law(name: str, kind: str, value: float) -> DeclaredLaw:
     """Return the equations of an element of type ``kind`` with ``value`` in SI units.
 
     ``kind`` is the name of a table row, such as ``spring``.
@@ -301,4 +325,4 @@ def element(name: str, kind: str, value: float) -> DeclaredLaw:
 
 
 for _declared in DECLARED.values():
-    register(LinearElement(_declared))
+    register_part_type(LinearElement(_declared))

@@ -5,7 +5,7 @@ from pydantic import Field
 from kc2spice.core.quantities import EPSILON_0, Length, Ratio, Stiffness
 from kc2spice.parts.mechanics import _stop
 from kc2spice.physics import Declaration, DeclaredPart, displacement, voltage
-from kc2spice.scene.parttype import register
+from kc2spice.scene.parttype import register_part_type
 
 
 class CombDriveKeys(_stop.StopKeys):
@@ -18,18 +18,30 @@ class CombDriveKeys(_stop.StopKeys):
     fingers: Ratio = Field(
         examples=["50"],
         gt=0,
-        description="Number of fingers of the moving comb, each between two fixed fingers",
+        description=(
+            "Number of fingers of the moving comb, each of which lies between two fixed fingers"
+        ),
     )
     thickness: Length = Field(
-        gt=0, description="Thickness of the fingers, perpendicular to the motion and the gap"
+        gt=0,
+        description=(
+            "Thickness of the fingers, perpendicular to their motion and to the gap between "
+            "the fingers"
+        ),
     )
-    gap: Length = Field(gt=0, description="Gap between neighbouring fingers")
-    overlap: Length = Field(gt=0, description="Overlap of the fingers at x = 0")
-    travel: Length = Field(gt=0, description="Displacement x at which the comb meets its stop")
-    stop: Stiffness = Field(1e4, gt=0, description="Stiffness of the stop")
+    gap: Length = Field(
+        gt=0, description="Width of the gap between neighbouring fingers of the two combs"
+    )
+    overlap: Length = Field(
+        gt=0, description="Overlap length of moving and fixed fingers at the displacement x = 0"
+    )
+    travel: Length = Field(
+        gt=0, description="Displacement x at which the moving comb hits its stop"
+    )
+    stop: Stiffness = Field(1e4, gt=0, description="Stiffness of the stop of the moving comb")
 
 
-register(
+register_part_type(
     DeclaredPart(
         Declaration(
             "comb_drive",

@@ -37,7 +37,7 @@ from kc2spice.core import laws
 from kc2spice.core.domains import HEAT
 from kc2spice.core.errors import UsageError
 from kc2spice.core.naming import list_names
-from kc2spice.core.progress import Clock
+from kc2spice.core.progress import StageTimer
 from kc2spice.core.quantities import (
     EPSILON_0,
     Count,
@@ -54,10 +54,10 @@ from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.parts.mechanics import _stop
 from kc2spice.physics import Declaration, DeclaredPart, displacement, voltage
 from kc2spice.physics.symbolic import evaluate_tree
-from kc2spice.scene.checks import Balance, Check, Gate, Metric
+from kc2spice.scene.checks import Check, Gate, Metric, RunEnergyBalance
 from kc2spice.scene.highest_frequency import highest_frequency
 from kc2spice.scene.model import (
-    Build,
+    BuiltScene,
     DeclaredScene,
     GovernedScene,
     JoinedScene,
@@ -66,8 +66,8 @@ from kc2spice.scene.model import (
     Scene,
     Terminal,
 )
-from kc2spice.scene.part_records import Vector
-from kc2spice.scene.parttype import register
+from kc2spice.scene.part_records import PartResult
+from kc2spice.scene.parttype import register_part_type
 
 PATCH_PREFIX = "patch"  # prefix of the names of ports that form a row of patches
 # Relative error of force / displacement due to the iterations of an operating point.
@@ -88,8 +88,10 @@ MAX_BRANCHES = 100
 class FringingKeys(Section):
     """Keys for the fringing field between a strip and a plane."""
 
-    width: Length = Field(gt=0, description="Width of the strip")
-    thickness: Length = Field(gt=0, description="Thickness of the strip")
+    width: Length = Field(gt=0, description="Width of the strip whose fringing field is modelled")
+    thickness: Length = Field(
+        gt=0, description="Thickness of the strip whose fringing field is modelled"
+    )
 
 
 class SqueezeFilmKeys(Section):
@@ -99,26 +101,32 @@ class SqueezeFilmKeys(Section):
     """
 
     length: Length = Field(
-        gt=0, description="Length of the face in the direction in which patches divide it"
+        gt=0, description="Length of the gas film, measured along a row of patches"
     )
-    width: Length = Field(gt=0, description="Width of the face")
+    width: Length = Field(gt=0, description="Width of the gas film, perpendicular to its length")
     viscosity: Annotated[float, si("Pa s")] = Field(
-        18.3e-6, gt=0, description="Dynamic viscosity of the gas"
+        18.3e-6, gt=0, description="Dynamic viscosity of the gas in the film"
     )
-    pressure: Pressure = Field(101325.0, gt=0, description="Ambient pressure of the gas")
+    pressure: Pressure = Field(
+        101325.0, gt=0, description="Ambient pressure of the gas in the film"
+    )
     branches: Count | None = Field(
         None,
         ge=1,
         le=MAX_BRANCHES,
-        description="Number of series terms of the squeezed film; by default 3 to 100, "
-        "depending on the tolerance and the highest frequency of the scene",
+        description=(
+            "Number of series terms for the force of the gas film; by default 3 to 100, "
+            "depending on `tolerance` and the scene's highest frequency"
+        ),
     )
     tolerance: Ratio = Field(
         0.01,
         gt=1e-6,
         lt=0.5,
-        description="Largest relative error of the film force at the highest frequency of the "
-        "scene, due to the truncated series",
+        description=(
+            "Largest relative error of the film force at the highest frequency of the scene, "
+            "caused by truncating the series"
+        ),
     )
 
 
@@ -131,35 +139,50 @@ class GapKeys(_stop.StopKeys):
 
     a: str | tuple[str, ...] = Field(
         examples=['"BODY"'],
-        description="Name of the body with surface patches, or a list of its ports",
+        description=(
+            "Name of the body with surface patches opposite the electrode, or a list of the "
+            "body's ports"
+        ),
     )
     area: Annotated[float, si("m2")] = Field(
-        gt=0, description="Total area of the electrode over all patches"
+        gt=0, description="Total area of the electrode opposite all patches"
     )
-    gap: Length = Field(gt=0, description="Width of the gap at rest without voltage")
+    gap: Length = Field(
+        gt=0, description="Width of the gap between body and electrode at rest, without voltage"
+    )
     side: Literal["below", "above"] = Field(
-        "below", description="Side of the body that faces the electrode"
+        "below", description="Side of the body that faces the fixed electrode: below or above"
     )
     permittivity: Ratio = Field(
         1.0, gt=0, description="Relative permittivity of the medium in the gap"
     )
     travel: Length = Field(
         gt=0,
-        description="Displacement at which a patch hits its stop; must be less than the gap",
+        description=(
+            "Displacement at which each patch hits its stop; must be less than the key `gap`"
+        ),
     )
-    stop: Stiffness = Field(1e6, gt=0, description="Total stiffness of the stop over all patches")
+    stop: Stiffness = Field(1e6, gt=0, description="Stiffness of the stop, summed over all patches")
     shares: tuple[float, ...] | None = Field(
         None,
-        description="Fraction of the total area that each patch covers; by default equal fractions",
+        description=(
+            "Fraction of the total electrode area that each patch covers; by default equal "
+            "fractions"
+        ),
     )
     fringing: FringingKeys | None = Field(
         None,
-        description="Table of the strip whose fringing field is modelled; by default the "
-        "fringing field is neglected",
+        description=(
+            "Strip whose fringing field is modelled, as a table of its dimensions; by "
+            "default the fringing field is neglected"
+        ),
     )
     film: SqueezeFilmKeys | None = Field(
         None,
-        description="Table of the squeezed gas film in the gap; by default the gas is neglected",
+        description=(
+            "Squeezed gas film in the gap, as a table of its keys; by default the gas film "
+            "is neglected"
+        ),
     )
 
 
@@ -173,11 +196,11 @@ class PatchedPart(DeclaredPart[KeysT]):
 
     def default_joins(self, part: Part[KeysT], scene: GovernedScene) -> Mapping[str, str]:
         """Return the port of the body to which each patch pin is connected by default."""
-        return {f"p{k}": port for k, port in enumerate(patch_ports(part, scene), 1)}
+        return {f"p{k}": port for k, port in enumerate(list_patch_ports(part, scene), 1)}
 
 
 class Gap(PatchedPart[GapKeys]):
-    """Part type ``gap``; its keys determine the number of patches and of film branches."""
+    """Part type ``gap``: gap between a face of a body and a fixed electrode."""
 
     discretisations = ("film.branches",)
 
@@ -185,7 +208,7 @@ class Gap(PatchedPart[GapKeys]):
         """Return the declaration for the keys of the part."""
         return self._declare_branches(part, scene, count_film_branches(part, scene))
 
-    def built_declaration(self, part: Part[GapKeys], build: Build) -> Declaration:
+    def declare_after_build(self, part: Part[GapKeys], build: BuiltScene) -> Declaration:
         """Return the declaration with the number of film branches of the built model."""
         finer = build.models.get(part.name)
         if not isinstance(finer, int):
@@ -193,7 +216,7 @@ class Gap(PatchedPart[GapKeys]):
         return self._declare_branches(part, build.scene, finer)
 
     def build(
-        self, part: Part[GapKeys], scene: Scene, clock: Clock, full: bool = False
+        self, part: Part[GapKeys], scene: Scene, clock: StageTimer, full: bool = False
     ) -> int | None:
         """Return the number of film branches of the reference model; None for the netlist model.
 
@@ -201,7 +224,7 @@ class Gap(PatchedPart[GapKeys]):
         """
         return REFINEMENT_RATIO * count_film_branches(part, scene) or None if full else None
 
-    def law(self, part: Part[GapKeys], build: Build) -> laws.Equations:
+    def law(self, part: Part[GapKeys], build: BuiltScene) -> laws.Equations:
         """Return the model equations, without pins of film branches that the netlist lacks."""
         result, known = super().law(part, build), set(list_names(build.scene.pins(part.name)))
         return replace(result, pins=tuple(pair for pair in result.pins if pair[0] in known))
@@ -211,11 +234,13 @@ class Gap(PatchedPart[GapKeys]):
     ) -> Declaration:
         """Return the declaration of a gap with the given number of film branches."""
         keys, top = part.keys, highest_frequency(scene) if part.keys.film else 0.0
-        return _declare_gap(keys.model_dump_json(), len(patch_ports(part, scene)), branches, top)
+        return _declare_gap(
+            keys.model_dump_json(), len(list_patch_ports(part, scene)), branches, top
+        )
 
     def problems(self, part: Part[GapKeys], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield an error for each invalid key of the part."""
-        keys, ports = part.keys, patch_ports(part, scene)
+        keys, ports = part.keys, list_patch_ports(part, scene)
         if not keys.travel < keys.gap:
             got, expected = f"{keys.travel:g} m", f"less than the gap, {keys.gap:g} m"
             yield part.wrong("travel", "the stop is behind the fixed electrode", got, expected)
@@ -226,7 +251,7 @@ class Gap(PatchedPart[GapKeys]):
                 "shares", "the numbers of patches and of area shares differ", got, expected, hint
             )
 
-    def vectors(self, part: Part[GapKeys], build: Build) -> Mapping[str, Vector]:
+    def vectors(self, part: Part[GapKeys], build: BuiltScene) -> Mapping[str, PartResult]:
         """Return the ngspice vectors of the part's results, keyed by result name.
 
         The forces at the pins of the film are zero, and are not among the results.
@@ -235,8 +260,8 @@ class Gap(PatchedPart[GapKeys]):
         return {name: row for name, row in result.items() if ".film_force" not in name}
 
     def checks(
-        self, part: Part[GapKeys], build: Build, waves: Waveforms
-    ) -> Iterator[Check | Balance | Gate]:
+        self, part: Part[GapKeys], build: BuiltScene, waves: Waveforms
+    ) -> Iterator[Check | RunEnergyBalance | Gate]:
         """Yield the checks of the gap after a run.
 
         After a dc sweep, the checks include a check that no point is on the unstable branch between
@@ -246,20 +271,22 @@ class Gap(PatchedPart[GapKeys]):
         yield from _check_film(part, build, waves)
         d, recorded = (
             self.declare_part(part, build.scene),
-            self._recorded_variables(part, build, waves),
+            self._list_recorded_waves(part, build, waves),
         )
         if "sweep" not in waves or waves.scale.size < 2 or set(recorded) != set(d.coordinates):
             return
         (branch,) = (b for b in d.branches if b.kind == "voltage")
         unit = d.values(part.keys) | recorded | {branch.name: 1.0}
-        capacitance = np.asarray(evaluate_tree(d.stored_quantity(branch), unit))
+        capacitance = np.asarray(evaluate_tree(d.derive_stored_quantity(branch), unit))
         rises = np.diff(capacitance) * -np.sign(np.diff(np.abs(recorded[branch.name])))
         name, most = f"{part.name} where nothing rests", float(rises.max() / capacitance.max())
-        advice = "the sweep turns next to a fold, or steps over it: other points, or a wider one"
+        advice = "the sweep turns next to a fold, or steps over a fold: widen the sweep"
         what = "of its capacitance, more as the voltage falls"
         yield Check(name, most, MAX_CAPACITANCE_CHANGE, what, advice)
 
-    def metrics(self, part: Part[GapKeys], build: Build, waves: Waveforms) -> Mapping[str, object]:
+    def metrics(
+        self, part: Part[GapKeys], build: BuiltScene, waves: Waveforms
+    ) -> Mapping[str, object]:
         """Return the metrics: pull-in voltage, release voltage and largest displacement.
 
         At pull-in, the first patch touches the stop. At release, the last patch leaves the stop.
@@ -295,14 +322,14 @@ class Gap(PatchedPart[GapKeys]):
         return result | {"largest_travel_m": Metric(float(stroke.max()), "m")}
 
 
-def patch_ports(part: Part, scene: DeclaredScene) -> tuple[str, ...]:
+def list_patch_ports(part: Part, scene: DeclaredScene) -> tuple[str, ...]:
     """Return the ports of the body on which a part acts, in the order of its patches."""
     name = getattr(part.keys, "a", "")
     if not isinstance(name, str):
         return tuple(name)
     if "." in name:
         return (name,)
-    body = scene.part(name, f"{part.name}.a")
+    body = scene.get_part(name, f"{part.name}.a")
     offered = body.type.ports(body, scene) if isinstance(body.type, LinearBody) else ()
     row = [port.name for port in offered if port.name.startswith(PATCH_PREFIX)]
     if not row:
@@ -323,13 +350,15 @@ def count_film_branches(part: Part[GapKeys], scene: GovernedScene) -> int:
         return keys.film.branches
     top = highest_frequency(scene)
     for count in range(MIN_BRANCHES, MAX_BRANCHES):
-        if truncation_error(keys.film, keys.gap, count, top) <= keys.film.tolerance:
+        if compute_truncation_error(keys.film, keys.gap, count, top) <= keys.film.tolerance:
             return count
     return MAX_BRANCHES
 
 
 @lru_cache(maxsize=256)
-def truncation_error(film: SqueezeFilmKeys, gap: float, branches: int, frequency: float) -> float:
+def compute_truncation_error(
+    film: SqueezeFilmKeys, gap: float, branches: int, frequency: float
+) -> float:
     """Return the larger of the relative errors of damping and force with ``branches`` springs.
 
     The errors are computed at ``frequency`` [Hz]. A term of the film series has the ratio of force
@@ -352,7 +381,7 @@ def _list_patch_waves(part: Part[GapKeys], word: str, waves: Waveforms) -> list[
     return [wave for name, wave in waves.data.items() if name.startswith(prefix)]
 
 
-def _check_film(part: Part[GapKeys], build: Build, waves: Waveforms) -> Iterator[Check | Gate]:
+def _check_film(part: Part[GapKeys], build: BuiltScene, waves: Waveforms) -> Iterator[Check | Gate]:
     """Yield checks of the error of the film series at the highest frequency of a run.
 
     In a transient, 99.9 % of the energy of the patch velocities is below this frequency.
@@ -372,7 +401,7 @@ def _check_film(part: Part[GapKeys], build: Build, waves: Waveforms) -> Iterator
         for x in _list_patch_waves(part, "x", waves):
             frequency = max(frequency, find_energy_frequency(time, np.gradient(x, time)))
     branches = count_film_branches(part, build.scene)
-    error = truncation_error(film, part.keys.gap, branches, frequency)
+    error = compute_truncation_error(film, part.keys.gap, branches, frequency)
     name = f"{branches} branches of the film of {part.name} at {frequency:.3g} Hz"
     advice = f"raise {part.name}.film.branches"
     unit = "of damping and force"
@@ -456,7 +485,7 @@ def _list_neglected_effects(
     if keys.film is None:
         yield "squeezed gas", "no key film", "not estimated"
     else:
-        error = truncation_error(keys.film, keys.gap, branches, top)
+        error = compute_truncation_error(keys.film, keys.gap, branches, top)
         what, size = f"the springs of all but {branches} terms of the film's series", "none at rest"
         if top:
             size = f"{100 * error:.2g} % of its damping or force at {top:.4g} Hz"
@@ -529,4 +558,4 @@ part = "source"
 dc = "3 V"
 """
 _EXAMPLE_KEYS = GapKeys(a="mass.a", area=1e-8, gap=2e-6, travel=1.5e-6, side="above")
-register(Gap(_declare_gap(_EXAMPLE_KEYS.model_dump_json(), 1, 0, 0.0)))
+register_part_type(Gap(_declare_gap(_EXAMPLE_KEYS.model_dump_json(), 1, 0, 0.0)))

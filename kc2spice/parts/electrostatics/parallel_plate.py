@@ -7,7 +7,7 @@ from pydantic import Field
 from kc2spice.core.quantities import EPSILON_0, Length, Ratio, Stiffness, si
 from kc2spice.parts.mechanics import _stop
 from kc2spice.physics import Declaration, DeclaredPart, displacement, voltage
-from kc2spice.scene.parttype import register
+from kc2spice.scene.parttype import register_part_type
 
 
 class ParallelPlateKeys(_stop.StopKeys):
@@ -18,19 +18,22 @@ class ParallelPlateKeys(_stop.StopKeys):
     k gap^3 / (27 eps area))`` with ``eps = permittivity eps0``.
     """
 
-    area: Annotated[float, si("m2")] = Field(gt=0, description="Area of the plates")
-    gap: Length = Field(gt=0, description="Distance between the plates at x = 0")
+    area: Annotated[float, si("m2")] = Field(gt=0, description="Area of each of the two plates")
+    gap: Length = Field(gt=0, description="Distance between the plates at the displacement x = 0")
     permittivity: Ratio = Field(
         1.0, gt=0, description="Relative permittivity of the medium between the plates"
     )
     travel: Length = Field(
         gt=0,
-        description="Displacement x at which the plate hits its stop; must be less than the gap",
+        description=(
+            "Displacement x at which the moving plate hits its stop; must be less than the "
+            "key `gap`"
+        ),
     )
-    stop: Stiffness = Field(1e5, gt=0, description="Stiffness of the stop")
+    stop: Stiffness = Field(1e5, gt=0, description="Stiffness of the stop of the moving plate")
 
 
-register(
+register_part_type(
     DeclaredPart(
         Declaration(
             "parallel_plate",

@@ -13,19 +13,19 @@ from pydantic import Field
 
 from kc2spice.core import laws
 from kc2spice.core.domains import DISPLACEMENT, TRANSLATION
-from kc2spice.core.magnets import EMTable
+from kc2spice.core.magnets import MagnetostaticTable
 from kc2spice.core.quantities import Current, Section
-from kc2spice.core.waveforms import Waveforms, constant_waveform
+from kc2spice.core.waveforms import Waveforms, make_constant_waveform
 from kc2spice.netlist.circuit import Element, Item
-from kc2spice.netlist.elements import Line, attach_comments
+from kc2spice.netlist.shared_cards import Line, attach_comments
 from kc2spice.netlist.spelling import format_number
-from kc2spice.parts.magnetics.ring_magnet_coils import Coils
+from kc2spice.parts.magnetics.ring_magnet_coils import RingMagnetCoilsKeys
 from kc2spice.parts.mechanics.sphere import find_sphere
 from kc2spice.physics import coils
 from kc2spice.scene.checks import SOLUTION_PAIRS, Check, Gate, Metric
 from kc2spice.scene.model import (
     GROUND,
-    Build,
+    BuiltScene,
     DeclaredScene,
     JoinedScene,
     Part,
@@ -34,8 +34,8 @@ from kc2spice.scene.model import (
     Terminal,
     WiredScene,
 )
-from kc2spice.scene.part_records import Governed, SweptSource, Vector
-from kc2spice.scene.parttype import register
+from kc2spice.scene.part_records import Governed, PartResult, SweptSource
+from kc2spice.scene.parttype import register_part_type
 
 # number of heights at which the force table is evaluated: five for each segment of the table
 LOOKUP_HEIGHTS = 2001
@@ -52,7 +52,8 @@ class CurrentCasesKeys(Section):
         min_length=1,
         max_length=1000,
         description=(
-            "Currents of each coil; the force is computed for every pair of these currents"
+            "Currents that each of the two coils carries in turn; the force is computed for "
+            "every pair of currents"
         ),
     )
 
@@ -65,7 +66,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
     schema = CurrentCasesKeys
     source = "ideal sources"
 
-    def expand(
+    def generate_tables(
         self, part: Part[CurrentCasesKeys], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
         """Return the analysis: a dc sweep of the height of the sphere."""
@@ -75,7 +76,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
     def pins(self, part: Part[CurrentCasesKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
         """Return the pins in the order of the subcircuit."""
         height = Terminal.signal("y", DISPLACEMENT, signal_out=True)
-        return height, Terminal.speed("v", TRANSLATION, GROUND)
+        return height, Terminal.make_rate_pin("v", TRANSLATION, GROUND)
 
     def governed_parts(
         self, part: Part[CurrentCasesKeys], scene: DeclaredScene
@@ -83,74 +84,80 @@ class CurrentCases(PartType[CurrentCasesKeys]):
         """Return the sphere that this part moves, and the coils that this part copies."""
         return {_find_sphere(part, scene): "moved", _find_coils(part, scene).name: "copied"}
 
-    def cards(self, part: Part[CurrentCasesKeys], build: Build) -> tuple[Item, ...]:
+    def cards(self, part: Part[CurrentCasesKeys], build: BuiltScene) -> tuple[Item, ...]:
         """Return the cards of the part in the deck."""
-        library, y = build.libraries[_find_coils(part, build.scene).name], build.net(part, "y")
-        height = Element.of(build.inner_name(part, "Vheight"), y, "0", "0")
+        library, y = build.libraries[_find_coils(part, build.scene).name], build.get_net(part, "y")
+        height = Element.from_words(build.get_inner_name(part, "Vheight"), y, "0", "0")
         cards: list[Line] = [height.with_unit(DISPLACEMENT.pin_unit)]
-        for k, (lower, upper) in enumerate(current_pairs(part)):
-            a, b = build.inner_name(part, f"lower{k}"), build.inner_name(part, f"upper{k}")
-            force = build.inner_name(part, f"force{k}")
+        for k, (lower, upper) in enumerate(list_current_pairs(part)):
+            a, b = build.get_inner_name(part, f"lower{k}"), build.get_inner_name(part, f"upper{k}")
+            force = build.get_inner_name(part, f"force{k}")
             cards += [
                 f"* {format_number(lower)} A in the lower, "
                 f"{format_number(upper)} A in the upper coil",
-                Element.of(
-                    build.inner_name(part, f"Xcatch{k}"), a, "0", b, "0", y, force, "0", library
+                Element.from_words(
+                    build.get_inner_name(part, f"Xcatch{k}"), a, "0", b, "0", y, force, "0", library
                 ),
-                Element.of(build.inner_name(part, f"Ilower{k}"), "0", a, lower),
-                Element.of(build.inner_name(part, f"Iupper{k}"), "0", b, upper),
-                Element.of(build.inner_name(part, f"Vforce{k}"), force, "0", "0"),
+                Element.from_words(build.get_inner_name(part, f"Ilower{k}"), "0", a, lower),
+                Element.from_words(build.get_inner_name(part, f"Iupper{k}"), "0", b, upper),
+                Element.from_words(build.get_inner_name(part, f"Vforce{k}"), force, "0", "0"),
             ]
         return attach_comments(cards)
 
-    def inner_names(
+    def list_inner_names(
         self, part: Part[CurrentCasesKeys], scene: WiredScene
     ) -> Iterator[tuple[str, ...]]:
         """Yield the names of the inner nodes and elements for each pair of currents."""
         yield ("Vheight",)
         words = "lower", "upper", "force", "Xcatch", "Ilower", "Iupper", "Vforce"
-        for k, word in product(range(len(current_pairs(part))), words):
+        for k, word in product(range(len(list_current_pairs(part))), words):
             yield (f"{word}{k}",)
 
-    def settable(self, part: Part[CurrentCasesKeys], build: Build) -> Mapping[str, SweptSource]:
+    def settable_quantities(
+        self, part: Part[CurrentCasesKeys], build: BuiltScene
+    ) -> Mapping[str, SweptSource]:
         """Return the source of the sphere's height, which the dc sweep varies."""
         keys = _find_coils(part, build.scene).keys
         heights = keys.y_min + keys.shift, keys.y_max + keys.shift
         return {
-            "height": SweptSource(build.inner_name(part, "Vheight"), DISPLACEMENT.per_unit, heights)
+            "height": SweptSource(
+                build.get_inner_name(part, "Vheight"), DISPLACEMENT.pin_value_per_si_unit, heights
+            )
         }
 
-    def vectors(self, part: Part[CurrentCasesKeys], build: Build) -> Mapping[str, Vector]:
+    def vectors(self, part: Part[CurrentCasesKeys], build: BuiltScene) -> Mapping[str, PartResult]:
         """Return the ngspice vectors of the part's results, keyed by result name."""
-        result = {f"{_find_sphere(part, build.scene)}.y": build.across(part, "y")}
+        result = {f"{_find_sphere(part, build.scene)}.y": build.get_pin_vector(part, "y")}
         for k, name in enumerate(_list_force_names(part, build)):
-            result[name] = Vector(f"i({build.inner_name(part, f'Vforce{k}').lower()})", 1.0, "N")
+            result[name] = PartResult(
+                f"i({build.get_inner_name(part, f'Vforce{k}').lower()})", 1.0, "N"
+            )
         return result
 
     def metrics(
-        self, part: Part[CurrentCasesKeys], build: Build, waves: Waveforms
+        self, part: Part[CurrentCasesKeys], build: BuiltScene, waves: Waveforms
     ) -> Mapping[str, object]:
         """Return the metrics of the part, keyed by name."""
         forces = _read_recorded_forces(part, build, waves)
         return {
             "force_max_n": Metric(float(np.abs(forces).max()), "N"),
             "position_m": Metric(waves[f"{_find_sphere(part, build.scene)}.y"].tolist(), "m"),
-            "current_pairs_a": Metric(list(map(list, current_pairs(part))), "A"),
+            "current_pairs_a": Metric(list(map(list, list_current_pairs(part))), "A"),
             "force_n": Metric(forces.tolist(), "N"),
         }
 
-    def law(self, part: Part[CurrentCasesKeys], build: Build) -> laws.Equations:
+    def law(self, part: Part[CurrentCasesKeys], build: BuiltScene) -> laws.Equations:
         """Return the model equations of all copies of the coils.
 
         A source prescribes the height of the sphere, and the forces of the coils act on the sphere.
         """
         n, pulled, fed = part.name, _find_sphere(part, build.scene), _find_coils(part, build.scene)
-        table, height = build.model(fed, EMTable), [f"{n}.out"]
-        result: list[laws.Law] = [laws.IdealSource(n, "displacement", constant_waveform(0.0))]
+        table, height = build.model(fed, MagnetostaticTable), [f"{n}.out"]
+        result: list[laws.Law] = [laws.IdealSource(n, "displacement", make_constant_waveform(0.0))]
         results = {f"{pulled}.y": laws.scale_wave(f"{n}.out")}
         for k, force in enumerate(_list_force_names(part, build)):
             case = f"{fed.name} {k}"  # unique name, because part names contain no spaces
-            lower, upper = current_pairs(part)[k]
+            lower, upper = list_current_pairs(part)[k]
             declared = coils.declare_prescribed_currents()
             result.append(coils.make_law(case, declared, table, lower=lower, upper=upper))
             height.append(f"{case}.y")
@@ -159,7 +166,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
         return laws.Equations(tuple(result), pins, results, sweeps, (tuple(height),))
 
     def checks(
-        self, part: Part[CurrentCasesKeys], build: Build, waves: Waveforms
+        self, part: Part[CurrentCasesKeys], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Check | Gate]:
         """Yield the check of the force table's slope, and the error limits of the forces.
 
@@ -181,30 +188,30 @@ class CurrentCases(PartType[CurrentCasesKeys]):
 
     def notes(self, part: Part[CurrentCasesKeys], scene: Scene) -> Iterator[str]:
         """Yield the assumptions of the model and the effects that it neglects."""
-        yield f"{len(current_pairs(part))} pairs of currents"
+        yield f"{len(list_current_pairs(part))} pairs of currents"
 
 
-def current_pairs(part: Part[CurrentCasesKeys]) -> list[tuple[float, float]]:
+def list_current_pairs(part: Part[CurrentCasesKeys]) -> list[tuple[float, float]]:
     """Return all pairs of currents [A] in the lower and the upper coil."""
     return [*product(part.keys.currents, part.keys.currents)]
 
 
-def _list_force_names(part: Part[CurrentCasesKeys], build: Build) -> list[str]:
+def _list_force_names(part: Part[CurrentCasesKeys], build: BuiltScene) -> list[str]:
     """Return the result names of the forces, one for each pair of currents."""
     name = _find_coils(part, build.scene).name
-    return [f"{name}.force.{k}" for k in range(len(current_pairs(part)))]
+    return [f"{name}.force.{k}" for k in range(len(list_current_pairs(part)))]
 
 
 def _read_recorded_forces(
-    part: Part[CurrentCasesKeys], build: Build, waves: Waveforms
+    part: Part[CurrentCasesKeys], build: BuiltScene, waves: Waveforms
 ) -> np.ndarray:
     """Return the recorded forces [N] as an array of shape (current pairs, heights)."""
     return np.array([*map(waves.__getitem__, _list_force_names(part, build))])
 
 
-def _find_coils(part: Part[CurrentCasesKeys], scene: DeclaredScene) -> Part[Coils]:
+def _find_coils(part: Part[CurrentCasesKeys], scene: DeclaredScene) -> Part[RingMagnetCoilsKeys]:
     """Return the coils whose force the experiment computes."""
-    return scene.partner(part, "ring_magnet_coils").with_schema(Coils)
+    return scene.find_partner(part, "ring_magnet_coils").with_schema(RingMagnetCoilsKeys)
 
 
 def _find_sphere(part: Part[CurrentCasesKeys], scene: DeclaredScene) -> str:
@@ -212,4 +219,4 @@ def _find_sphere(part: Part[CurrentCasesKeys], scene: DeclaredScene) -> str:
     return find_sphere(_find_coils(part, scene), scene).name
 
 
-register(CurrentCases())
+register_part_type(CurrentCases())

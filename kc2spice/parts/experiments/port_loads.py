@@ -19,16 +19,16 @@ from kc2spice.core.domains import BASE, DISPLACEMENT, TRANSLATION
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.naming import list_names
-from kc2spice.core.prefix import format_quantity
 from kc2spice.core.quantities import Count, Frequency, RefinementRule, Section
-from kc2spice.core.waveforms import Waveforms, constant_waveform
+from kc2spice.core.si_prefix_format import format_quantity
+from kc2spice.core.waveforms import Waveforms, make_constant_waveform
 from kc2spice.netlist.circuit import Element, Item
-from kc2spice.netlist.elements import Line, attach_comments
-from kc2spice.parts.bodies.piezo_stack import Stack
-from kc2spice.parts.electronics.two_terminal_types import element
+from kc2spice.netlist.shared_cards import Line, attach_comments
+from kc2spice.parts.bodies.piezo_stack import PiezoStackKeys
+from kc2spice.parts.electronics.two_terminal_types import make_element_law
 from kc2spice.scene.checks import SOLUTION_PAIRS, Gate, Metric
 from kc2spice.scene.model import (
-    Build,
+    BuiltScene,
     DeclaredScene,
     GovernedScene,
     Part,
@@ -36,8 +36,8 @@ from kc2spice.scene.model import (
     Scene,
     WiredScene,
 )
-from kc2spice.scene.part_records import Governed, Vector
-from kc2spice.scene.parttype import register
+from kc2spice.scene.part_records import Governed, PartResult
+from kc2spice.scene.parttype import register_part_type
 
 # Capacitance [F] in series with a voltage source of 1 C / CHARGE_CAPACITANCE.
 # The charge of this capacitance is one coulomb at any voltage of the anode.
@@ -47,14 +47,28 @@ CHARGE_CAPACITANCE = 1e-24
 class PortLoadsKeys(Section):
     """Keys of the experiment: the body, and the frequencies of the unit loads on its ports."""
 
-    start: Frequency = Field(0.0, ge=0, description="Lowest frequency of the responses")
-    stop: Frequency = Field(500e3, gt=0, description="Highest frequency of the responses")
+    start: Frequency = Field(
+        0.0,
+        ge=0,
+        description="Lower end of the frequency range of the responses to the unit loads",
+    )
+    stop: Frequency = Field(
+        500e3,
+        gt=0,
+        description="Upper end of the frequency range of the responses to the unit loads",
+    )
     steps: Annotated[Count, RefinementRule(2.0)] = Field(
-        200, ge=2, le=100_000, description="Number of frequencies of the responses"
+        200,
+        ge=2,
+        le=100_000,
+        description="Number of frequencies at which the responses to the unit loads are computed",
     )
     of: str | None = Field(
         None,
-        description="Body whose ports are loaded; by default the only body with a contact surface",
+        description=(
+            "Name of the body whose ports carry the unit loads; by default the only body "
+            "with a contact surface"
+        ),
     )
 
 
@@ -66,7 +80,7 @@ class PortLoads(PartType[PortLoadsKeys]):
     schema = PortLoadsKeys
     source = "unit loads"
 
-    def expand(
+    def generate_tables(
         self, part: Part[PortLoadsKeys], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
         """Return the analysis: a linear frequency sweep of the loads."""
@@ -74,7 +88,7 @@ class PortLoads(PartType[PortLoadsKeys]):
         linear = {"scale": "linear", "points": points, "stop": stop}
         return {"analysis": {"type": "ac", "start": start + (stop - start) / points, **linear}}
 
-    def drives(self, part: Part[PortLoadsKeys], scene: DeclaredScene) -> bool:
+    def has_ac_source(self, part: Part[PortLoadsKeys], scene: DeclaredScene) -> bool:
         """Return True, because the unit loads are the small signals of the analysis."""
         return True
 
@@ -97,37 +111,37 @@ class PortLoads(PartType[PortLoadsKeys]):
         """Return the loaded body, which this part copies once for each loaded port."""
         return {find_loaded_body(part, scene).name: "copied"}
 
-    def cards(self, part: Part[PortLoadsKeys], build: Build) -> tuple[Item, ...]:
+    def cards(self, part: Part[PortLoadsKeys], build: BuiltScene) -> tuple[Item, ...]:
         """Return the cards of the part in the deck."""
-        body, name = find_loaded_body(part, build.scene), partial(build.inner_name, part)
+        body, name = find_loaded_body(part, build.scene), partial(build.get_inner_name, part)
         rings, library = _list_loaded_rings(body, build.scene), build.libraries[body.name]
         is_open = body.keys.electrical == "open"
         cards: list[Line] = []
         for load in (*rings, "anode"):
             nodes = [name(ring, load) for ring in rings]
             anode, charge, source = name("anode", load), name("charge", load), name("Vanode", load)
-            instance = Element.of(name(f"X{load}"), anode, "0", *nodes, "0", library)
+            instance = Element.from_words(name(f"X{load}"), anode, "0", *nodes, "0", library)
             cards += [f"* Load on {load}", instance]
             if load != "anode":
-                drive = Element.of(name(f"I{load}"), "0", name(load, load), "AC", "1")
-                cards.append(drive.with_unit(TRANSLATION.flow))
+                drive = Element.from_words(name(f"I{load}"), "0", name(load, load), "AC", "1")
+                cards.append(drive.with_unit(TRANSLATION.flow_unit))
             if is_open and load == "anode":
                 unit, node = name("Vload"), name("load")
                 cards += [
-                    Element.of(unit, node, "0", "AC", "1"),
-                    Element.of(name("Cload"), node, "0", "1"),
-                    Element.of(name("Fload"), "0", anode, unit, "-1"),
+                    Element.from_words(unit, node, "0", "AC", "1"),
+                    Element.from_words(name("Cload"), node, "0", "1"),
+                    Element.from_words(name("Fload"), "0", anode, unit, "-1"),
                 ]
             if not is_open:
                 cards += [
-                    Element.of(source, anode, "0", "AC", f"{load == 'anode':d}"),
-                    Element.of(name("Fcharge", load), charge, "0", source, "1"),
-                    Element.of(name("Ccharge", load), charge, "0", "1"),
-                    Element.of(name("Rcharge", load), charge, "0", 1e9),
+                    Element.from_words(source, anode, "0", "AC", f"{load == 'anode':d}"),
+                    Element.from_words(name("Fcharge", load), charge, "0", source, "1"),
+                    Element.from_words(name("Ccharge", load), charge, "0", "1"),
+                    Element.from_words(name("Rcharge", load), charge, "0", 1e9),
                 ]
         return attach_comments(cards)
 
-    def inner_names(
+    def list_inner_names(
         self, part: Part[PortLoadsKeys], scene: WiredScene
     ) -> Iterator[tuple[str, ...]]:
         """Yield the names of the copies of the body, and of the elements that load these copies."""
@@ -139,7 +153,7 @@ class PortLoads(PartType[PortLoadsKeys]):
             yield from product((*rings, *words), (load,))
         yield from zip(("Vload", "load", "Cload", "Fload"))
 
-    def vectors(self, part: Part[PortLoadsKeys], build: Build) -> Mapping[str, Vector]:
+    def vectors(self, part: Part[PortLoadsKeys], build: BuiltScene) -> Mapping[str, PartResult]:
         """Return the ngspice vectors of the responses, with keys ``INPUT>OUTPUT``.
 
         The response of a contact ring is its displacement [m]. The response of the anode is its
@@ -151,17 +165,17 @@ class PortLoads(PartType[PortLoadsKeys]):
         result = {}
         for load in (*rings, "anode"):
             for ring in rings:
-                node = build.inner_name(part, ring, load).lower()
-                result[f"{load}>{ring}"] = Vector(
+                node = build.get_inner_name(part, ring, load).lower()
+                result[f"{load}>{ring}"] = PartResult(
                     f"v({node})", DISPLACEMENT.factor, DISPLACEMENT.unit
                 )
-            result[f"{load}>anode"] = Vector(
-                f"v({build.inner_name(part, meter, load).lower()})", 1.0, unit
+            result[f"{load}>anode"] = PartResult(
+                f"v({build.get_inner_name(part, meter, load).lower()})", 1.0, unit
             )
         return result
 
     def metrics(
-        self, part: Part[PortLoadsKeys], build: Build, waves: Waveforms
+        self, part: Part[PortLoadsKeys], build: BuiltScene, waves: Waveforms
     ) -> Mapping[str, object]:
         """Return the metric ``amplitude[input][output]`` for a unit input at each frequency."""
         amplitude: dict[str, dict[str, Metric]] = {}
@@ -173,7 +187,9 @@ class PortLoads(PartType[PortLoadsKeys]):
                 row[sink] = Metric(np.abs(response).tolist(), vectors[name].unit)
         return {"frequency_hz": Metric(waves["frequency"].tolist(), "Hz"), "amplitude": amplitude}
 
-    def checks(self, part: Part[PortLoadsKeys], build: Build, waves: Waveforms) -> Iterator[Gate]:
+    def checks(
+        self, part: Part[PortLoadsKeys], build: BuiltScene, waves: Waveforms
+    ) -> Iterator[Gate]:
         """Yield the error limits of the responses, which include the tolerance of the reduction."""
         gates, target = (
             build.scene.gates,
@@ -186,7 +202,7 @@ class PortLoads(PartType[PortLoadsKeys]):
         yield Gate("response, lowest fifth of the band", "*>*", low, "spectral", share=0.2)
 
     def figures(
-        self, part: Part[PortLoadsKeys], build: Build, waves: Waveforms
+        self, part: Part[PortLoadsKeys], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Figure]:
         """Yield the figures of the part for the report."""
         f = waves["frequency"].real / 1e3
@@ -197,7 +213,7 @@ class PortLoads(PartType[PortLoadsKeys]):
         yield Figure(f"{part.name}_responses", "Frequency response", caption, (panel,))
 
     def law(
-        self, part: Part[PortLoadsKeys], build: Build
+        self, part: Part[PortLoadsKeys], build: BuiltScene
     ) -> laws.Equations | laws.MissingEquations | None:
         """Return the model equations of the body, with a copy for each loaded port.
 
@@ -213,7 +229,7 @@ class PortLoads(PartType[PortLoadsKeys]):
         result: list[laws.Law] = []
         nets: list[tuple[str, ...]] = []
         results: dict[str, laws.WaveCombination] = {}
-        still = constant_waveform(0.0)
+        still = make_constant_waveform(0.0)
         for load in (*rings, "anode"):
             name = f"{body.name} {load}"  # unique name, because part names contain no spaces
             result.append(replace(law, name=name))
@@ -225,7 +241,7 @@ class PortLoads(PartType[PortLoadsKeys]):
                 result.append(volts)
                 nets.append((f"{name}.anode", f"{name}_volts.out"))
             elif load == "anode":
-                speck = element(f"{name}_speck", "capacitor", CHARGE_CAPACITANCE)
+                speck = make_element_law(f"{name}_speck", "capacitor", CHARGE_CAPACITANCE)
                 result += [replace(volts, ac=1.0 / CHARGE_CAPACITANCE), speck]
                 nets += [(f"{name}_volts.out", f"{name}_speck.a")]
                 nets += [(f"{name}.anode", f"{name}_speck.b")]
@@ -242,7 +258,7 @@ class PortLoads(PartType[PortLoadsKeys]):
         yield f"{keys.steps} frequencies, {ends}"
 
 
-def find_loaded_body(part: Part[PortLoadsKeys], scene: DeclaredScene) -> Part[Stack]:
+def find_loaded_body(part: Part[PortLoadsKeys], scene: DeclaredScene) -> Part[PiezoStackKeys]:
     """Return the stack on which the loads act.
 
     Raises
@@ -251,8 +267,8 @@ def find_loaded_body(part: Part[PortLoadsKeys], scene: DeclaredScene) -> Part[St
         has no contact rings.
     """
     if part.keys.of is not None:
-        body = scene.part(part.keys.of, f"{part.name}.of")
-        if not isinstance(body.keys, Stack):
+        body = scene.get_part(part.keys.of, f"{part.name}.of")
+        if not isinstance(body.keys, PiezoStackKeys):
             problem, got = "this part has no rings to load", f"{body.name}, a {body.type.name}"
             stacks = [other.name for other in scene.list_parts("piezo_stack")]
             hint = (
@@ -260,15 +276,15 @@ def find_loaded_body(part: Part[PortLoadsKeys], scene: DeclaredScene) -> Part[St
                 if stacks
                 else "add [kick]; an empty table takes the defaults"
             )
-            raise part.wrong("of", problem, got, "the name of a piezo_stack", hint)
-        return body.with_schema(Stack)
+            raise part.wrong("of", problem, got, "the name of a part of type piezo_stack", hint)
+        return body.with_schema(PiezoStackKeys)
     result = scene.bodies
-    if len(result) != 1 or not isinstance(result[0].keys, Stack):
+    if len(result) != 1 or not isinstance(result[0].keys, PiezoStackKeys):
         problem = f"{part.name} does not state which piezo_stack it loads"
         got = ", ".join(list_names(result)) or "no body"
         hint = "add [kick]; an empty table takes the defaults"
-        raise part.wrong("of", problem, got, "the name of a piezo_stack", hint)
-    return result[0].with_schema(Stack)
+        raise part.wrong("of", problem, got, "the name of a part of type piezo_stack", hint)
+    return result[0].with_schema(PiezoStackKeys)
 
 
 def _list_loaded_rings(body: Part, scene: WiredScene) -> tuple[str, ...]:
@@ -277,4 +293,4 @@ def _list_loaded_rings(body: Part, scene: WiredScene) -> tuple[str, ...]:
     return tuple(pin.name for pin in pins if pin.unit == DISPLACEMENT.pin_unit and pin.name != BASE)
 
 
-register(PortLoads())
+register_part_type(PortLoads())

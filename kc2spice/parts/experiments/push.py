@@ -13,11 +13,11 @@ from pydantic import Field
 from kc2spice.core import laws
 from kc2spice.core.domains import DISPLACEMENT, TRANSLATION
 from kc2spice.core.errors import UsageError
-from kc2spice.core.prefix import format_quantity
 from kc2spice.core.quantities import Count, Length, Section
-from kc2spice.core.waveforms import Waveforms, constant_waveform
+from kc2spice.core.si_prefix_format import format_quantity
+from kc2spice.core.waveforms import Waveforms, make_constant_waveform
 from kc2spice.netlist.circuit import Element, Item
-from kc2spice.parts.mechanics._touching import (
+from kc2spice.parts.mechanics._contact_surfaces import (
     ContactPair,
     LargestIndentation,
     TouchablePart,
@@ -27,7 +27,7 @@ from kc2spice.parts.mechanics.sphere import find_sphere
 from kc2spice.scene.checks import Gate, Measure, Metric
 from kc2spice.scene.model import (
     GROUND,
-    Build,
+    BuiltScene,
     DeclaredScene,
     GovernedScene,
     JoinedScene,
@@ -36,19 +36,25 @@ from kc2spice.scene.model import (
     Terminal,
     WiredScene,
 )
-from kc2spice.scene.part_records import Governed, Numerics, SweptSource, Vector
-from kc2spice.scene.parttype import register
+from kc2spice.scene.part_records import Governed, NumericalRequirements, PartResult, SweptSource
+from kc2spice.scene.parttype import register_part_type
 
 
 class PushKeys(Section):
     """Keys of an experiment that pushes a sphere down in equal steps."""
 
-    depth: Length = Field(50e-6, gt=0, description="Largest indentation depth")
+    depth: Length = Field(
+        50e-6, gt=0, description="Largest indentation depth to which the sphere is pushed"
+    )
     steps: Count = Field(
-        250, ge=1, le=100_000, description="Number of equal steps of the indentation depth"
+        250,
+        ge=1,
+        le=100_000,
+        description="Number of equal steps from zero to the largest indentation depth",
     )
     of: str | None = Field(
-        None, description="Sphere that is pushed; by default the only sphere of the scene"
+        None,
+        description="Name of the sphere that is pushed; by default the only sphere of the scene",
     )
 
 
@@ -60,7 +66,7 @@ class Push(TouchablePart[PushKeys]):
     schema = PushKeys
     source = "prescribed"
 
-    def expand(
+    def generate_tables(
         self, part: Part[PushKeys], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
         """Return the analysis: a dc sweep of the depth."""
@@ -70,7 +76,7 @@ class Push(TouchablePart[PushKeys]):
     def pins(self, part: Part[PushKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
         """Return the pins in the order of the subcircuit."""
         bottom = Terminal.signal("bottom", DISPLACEMENT, signal_out=True)
-        return bottom, Terminal.speed("v", TRANSLATION, GROUND)
+        return bottom, Terminal.make_rate_pin("v", TRANSLATION, GROUND)
 
     def governed_parts(self, part: Part[PushKeys], scene: DeclaredScene) -> Mapping[str, Governed]:
         """Return the sphere, whose position this part prescribes."""
@@ -85,15 +91,19 @@ class Push(TouchablePart[PushKeys]):
             problem = "the depth exceeds the radius of the sphere"
             yield part.wrong("depth", problem, f"{part.keys.depth:g} m", expected)
 
-    def cards(self, part: Part[PushKeys], build: Build) -> tuple[Item, ...]:
+    def cards(self, part: Part[PushKeys], build: BuiltScene) -> tuple[Item, ...]:
         """Return the cards of the part in the deck."""
-        drive = Element.of(f"V{part.name}", build.net(part, "bottom"), "0", "0")
+        drive = Element.from_words(f"V{part.name}", build.get_net(part, "bottom"), "0", "0")
         return (drive.with_unit(DISPLACEMENT.pin_unit),)
 
-    def settable(self, part: Part[PushKeys], build: Build) -> Mapping[str, SweptSource]:
+    def settable_quantities(
+        self, part: Part[PushKeys], build: BuiltScene
+    ) -> Mapping[str, SweptSource]:
         """Return the source of the depth, which the dc sweep varies."""
         return {
-            "depth": SweptSource(f"V{part.name}", -DISPLACEMENT.per_unit, (0.0, part.keys.depth))
+            "depth": SweptSource(
+                f"V{part.name}", -DISPLACEMENT.pin_value_per_si_unit, (0.0, part.keys.depth)
+            )
         }
 
     def largest_indentations(
@@ -102,12 +112,12 @@ class Push(TouchablePart[PushKeys]):
         """Yield the prescribed depth, which is the largest indentation of the contact."""
         yield LargestIndentation(part.keys.depth, f"{part.name}.depth")
 
-    def vectors(self, part: Part[PushKeys], build: Build) -> Mapping[str, Vector]:
+    def vectors(self, part: Part[PushKeys], build: BuiltScene) -> Mapping[str, PartResult]:
         """Return the ngspice vectors of the part's results, keyed by result name."""
-        bottom = build.across(part, "bottom")
+        bottom = build.get_pin_vector(part, "bottom")
         return {f"{part.name}.depth": replace(bottom, factor=-bottom.factor)}
 
-    def numerics(self, part: Part[PushKeys], scene: WiredScene) -> Iterator[Numerics]:
+    def numerics(self, part: Part[PushKeys], scene: WiredScene) -> Iterator[NumericalRequirements]:
         """Yield the solver tolerances that resolve the closing of the contact rings."""
         last = "1e-09", "the law is piecewise linear, so the last iteration is exact"
         if _find_contact(part, scene).keys.shape == "pressure":
@@ -117,25 +127,27 @@ class Push(TouchablePart[PushKeys]):
         )
         near = "1e-12", "resolution of displacements: 1e-12 um"
         options = {"reltol": last, "vntol": near, "pivrel": ("0.9", pivots)}
-        yield Numerics("imprint", options=options)
+        yield NumericalRequirements("imprint", options=options)
 
-    def metrics(self, part: Part[PushKeys], build: Build, waves: Waveforms) -> Mapping[str, object]:
+    def metrics(
+        self, part: Part[PushKeys], build: BuiltScene, waves: Waveforms
+    ) -> Mapping[str, object]:
         """Return the contact force on a symmetry sector at each depth, and the largest force."""
         pair = _find_contact(part, build.scene)
-        force = waves[f"{pair.part.name}.force"] / pair.a.sectors
+        force = waves[f"{pair.part.name}.force"] / pair.lower_surface.sectors
         return {
             "max_force_n": Metric(float(force.max()), "N"),
             "imprint_m": Metric(waves[f"{part.name}.depth"].tolist(), "m"),
             "force_n": Metric(force.tolist(), "N"),
         }
 
-    def checks(self, part: Part[PushKeys], build: Build, waves: Waveforms) -> Iterator[Gate]:
+    def checks(self, part: Part[PushKeys], build: BuiltScene, waves: Waveforms) -> Iterator[Gate]:
         """Yield the checks of the part after a run."""
         pair, gates = _find_contact(part, build.scene), build.scene.gates
         # At the first depths, only one basis function carries the contact force.
         # A single basis function is too coarse, so all errors are relative to the largest force.
         # The error limit against the full model is the error of the pressure basis.
-        law = pair.basis_error()
+        law = pair.estimate_basis_error()
         limits = {
             "rom_vs_fom": max(gates.imprint_rom, law),
             "ngspice_vs_rom": gates.imprint_ngspice,
@@ -144,10 +156,10 @@ class Push(TouchablePart[PushKeys]):
         measure: Measure = "largest" if law else "relative"
         yield Gate("static force", f"{pair.part.name}.force", limits, measure, is_main=True)
 
-    def law(self, part: Part[PushKeys], build: Build) -> laws.Equations:
+    def law(self, part: Part[PushKeys], build: BuiltScene) -> laws.Equations:
         """Return the model equations of the part."""
         n = part.name
-        source = laws.IdealSource(n, "displacement", constant_waveform(0.0))
+        source = laws.IdealSource(n, "displacement", make_constant_waveform(0.0))
         results = {f"{n}.depth": laws.scale_wave(f"{n}.out", -1.0)}
         return laws.Equations((source,), (("bottom", f"{n}.out"),), results, {"depth": (n, -1.0)})
 
@@ -159,7 +171,7 @@ class Push(TouchablePart[PushKeys]):
 
 def _find_contact(part: Part[PushKeys], scene: GovernedScene) -> ContactPair:
     """Return the contact pair of the sphere and the surface below it."""
-    return make_pair(scene.partner(part, "contact"), scene)
+    return make_pair(scene.find_partner(part, "contact"), scene)
 
 
-register(Push())
+register_part_type(Push())

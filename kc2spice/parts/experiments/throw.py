@@ -13,38 +13,41 @@ from pydantic import Field
 
 from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
-from kc2spice.core.prefix import format_quantity
 from kc2spice.core.quantities import Length, Section, Velocity
+from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Item
-from kc2spice.parts.mechanics import _touching
+from kc2spice.parts.mechanics import _contact_surfaces
 from kc2spice.parts.mechanics.sphere import find_sphere
 from kc2spice.scene.checks import SOLUTION_PAIRS, Gate, Metric
 from kc2spice.scene.model import (
-    Build,
+    BuiltScene,
     DeclaredScene,
     GovernedScene,
     Part,
     Scene,
     WiredScene,
 )
-from kc2spice.scene.part_records import Numerics, State
-from kc2spice.scene.parttype import register
+from kc2spice.scene.part_records import InitialState, NumericalRequirements
+from kc2spice.scene.parttype import register_part_type
 
 
 class ThrowKeys(Section):
     """Keys of the impact of a free sphere on a body."""
 
     velocity: Velocity = Field(
-        -1.0, description="Initial velocity of the sphere, negative for a downward motion"
+        -1.0, description="Initial velocity of the thrown sphere, negative for a downward motion"
     )
-    gap: Length = Field(1e-6, ge=0, description="Initial gap between sphere and body")
+    gap: Length = Field(
+        1e-6, ge=0, description="Initial gap between the thrown sphere and the body"
+    )
     of: str | None = Field(
-        None, description="Sphere that is thrown; by default the only sphere of the scene"
+        None,
+        description="Name of the sphere that is thrown; by default the only sphere of the scene",
     )
 
 
-class Throw(_touching.TouchablePart[ThrowKeys]):
+class Throw(_contact_surfaces.TouchablePart[ThrowKeys]):
     """Part type ``throw``: velocity and height of a sphere at t = 0."""
 
     name = "throw"
@@ -52,7 +55,7 @@ class Throw(_touching.TouchablePart[ThrowKeys]):
     schema = ThrowKeys
     source = "initial state"
 
-    def cards(self, part: Part[ThrowKeys], build: Build) -> tuple[Item, ...]:
+    def cards(self, part: Part[ThrowKeys], build: BuiltScene) -> tuple[Item, ...]:
         """Return the cards of the part in the deck."""
         return ()
 
@@ -69,38 +72,40 @@ class Throw(_touching.TouchablePart[ThrowKeys]):
                 f'write  "-{abs(part.keys.velocity or 1):g} m/s"',
             )
 
-    def governed_parts(self, part: Part[ThrowKeys], scene: DeclaredScene) -> Mapping[str, State]:
+    def governed_parts(
+        self, part: Part[ThrowKeys], scene: DeclaredScene
+    ) -> Mapping[str, InitialState]:
         """Return the sphere, and the initial velocity and gap that this part sets."""
-        return {find_sphere(part, scene).name: State(part.keys.velocity, part.keys.gap)}
+        return {find_sphere(part, scene).name: InitialState(part.keys.velocity, part.keys.gap)}
 
-    def numerics(self, part: Part[ThrowKeys], scene: WiredScene) -> Iterator[Numerics]:
+    def numerics(self, part: Part[ThrowKeys], scene: WiredScene) -> Iterator[NumericalRequirements]:
         """Yield a tighter ``chgtol`` for slow impacts, proportional to the impact speed."""
         speed = max(1e-3, _compute_impact_speed(part, scene))
-        yield Numerics(f"impact at {speed:.3g} m/s", chgtol=min(1.0, speed))
+        yield NumericalRequirements(f"impact at {speed:.3g} m/s", chgtol=min(1.0, speed))
 
     def largest_indentations(
         self, part: Part[ThrowKeys], scene: GovernedScene
-    ) -> Iterator[_touching.LargestIndentation]:
+    ) -> Iterator[_contact_surfaces.LargestIndentation]:
         """Yield the largest indentation of the contact at the impact speed."""
         ball, speed = find_sphere(part, scene), _compute_impact_speed(part, scene)
         why, mass = f"impact at {speed:.3g} m/s", ball.keys.mass
-        yield from _touching.impact_penetration(ball, mass, scene, speed, why)
+        yield from _contact_surfaces.estimate_impact_indentation(ball, mass, scene, speed, why)
 
     def metrics(
-        self, part: Part[ThrowKeys], build: Build, waves: Waveforms
+        self, part: Part[ThrowKeys], build: BuiltScene, waves: Waveforms
     ) -> Mapping[str, object]:
         """Return the metrics of the impact.
 
         Positions are relative to the first contact, and the force is the force on one symmetry
         sector.
         """
-        pair = _touching.single_pair(build.scene)
+        pair = _contact_surfaces.find_single_contact(build.scene)
         if pair is None or "time" not in waves:
             return {}
         ball = find_sphere(part, build.scene)
         t, y = waves["time"], waves[f"{ball.name}.y"] - ball.keys.radius
         force = waves[f"{pair.part.name}.force"]
-        leave = _touching.find_separation(
+        leave = _contact_surfaces.find_separation(
             t, force, waves[f"{ball.name}.v"], power=pair.contact_force.power
         )
         time, lowest = find_minimum(t, y)
@@ -109,14 +114,14 @@ class Throw(_touching.TouchablePart[ThrowKeys]):
             "time_of_min_s": Metric(time, "s"),
             "separation_time_s": Metric(leave[0] if leave else None, "s"),
             "rebound_velocity_m_s": Metric(leave[1] if leave else None, "m/s"),
-            "max_force_n": Metric(float(force.max() / pair.a.sectors), "N"),
+            "max_force_n": Metric(float(force.max() / pair.lower_surface.sectors), "N"),
         }
 
-    def checks(self, part: Part[ThrowKeys], build: Build, waves: Waveforms) -> Iterator[Gate]:
+    def checks(self, part: Part[ThrowKeys], build: BuiltScene, waves: Waveforms) -> Iterator[Gate]:
         """Yield the checks of the part after a run."""
         gates, ball = build.scene.gates, find_sphere(part, build.scene).name
-        pair = _touching.single_pair(build.scene)
-        law = pair.basis_error() if pair else 0.0
+        pair = _contact_surfaces.find_single_contact(build.scene)
+        law = pair.estimate_basis_error() if pair else 0.0
         place = dict.fromkeys(SOLUTION_PAIRS, max(gates.position, law)) | {
             "ngspice_vs_rom": gates.position
         }
@@ -126,7 +131,7 @@ class Throw(_touching.TouchablePart[ThrowKeys]):
         time = dict.fromkeys(SOLUTION_PAIRS, gates.separation_time)
         yield Gate("separation time", "separation_time_s", time, "absolute", "s")
 
-    def law(self, part: Part[ThrowKeys], build: Build) -> laws.Equations:
+    def law(self, part: Part[ThrowKeys], build: BuiltScene) -> laws.Equations:
         """Return no equations, because the part only sets the initial state of the sphere."""
         return laws.Equations()
 
@@ -159,4 +164,4 @@ def find_minimum(t: np.ndarray, y: np.ndarray) -> tuple[float, float]:
     return float(t[k] + shift), float(y[k] + slope * shift / 2)
 
 
-register(Throw())
+register_part_type(Throw())

@@ -17,7 +17,7 @@ from kc2spice.physics.declaration import (
     write_resistance_ratio,
 )
 from kc2spice.physics.symbolic import evaluate_tree, parse_simplified
-from kc2spice.scene.checks import Balance, Check, Metric
+from kc2spice.scene.checks import Check, Metric, RunEnergyBalance
 
 # largest error of the heat due to the time steps of a run, relative to the heat
 _UNEXPLAINED = 1e-3
@@ -29,7 +29,7 @@ def get_wire_coefficients(keys: ConductorKeys) -> tuple[float, float]:
     return find_resistance_coefficient("copper") if coefficient is None else coefficient, reference
 
 
-def resistance_ratio(keys: ConductorKeys, temperature: np.ndarray) -> np.ndarray:
+def compute_resistance_ratio(keys: ConductorKeys, temperature: np.ndarray) -> np.ndarray:
     """Return the resistance of the wire, relative to its stated resistance.
 
     ``temperature`` [K] is the difference from the ambient temperature.
@@ -39,13 +39,13 @@ def resistance_ratio(keys: ConductorKeys, temperature: np.ndarray) -> np.ndarray
     return np.asarray(evaluate_tree(parse_simplified(write_resistance_ratio()), values))
 
 
-def balance_heat(
+def check_heat_balance(
     keys: ConductorKeys,
     prefix: str,
     resistance: Mapping[str, float],
     currents: Mapping[str, np.ndarray],
     waves: Waveforms,
-) -> Iterator[Balance]:
+) -> Iterator[RunEnergyBalance]:
     """Yield the check that the heat of the wire equals the heat out of the pin ``heat``.
 
     Parameters
@@ -66,7 +66,7 @@ def balance_heat(
     power = np.zeros_like(waves["time"])
     for coil, current in currents.items():
         power += resistance[coil] * current**2
-    power *= resistance_ratio(keys, waves[f"{prefix}.{TEMPERATURE}"])
+    power *= compute_resistance_ratio(keys, waves[f"{prefix}.{TEMPERATURE}"])
     step, flow = np.diff(waves["time"]), -waves[f"{prefix}.{HEAT}"]
     dissipated, left = ((wave[1:] + wave[:-1]) / 2 * step for wave in (power, flow))
     missing = float(np.abs(np.cumsum(dissipated - left)).max(initial=0.0))
@@ -74,7 +74,7 @@ def balance_heat(
         "lost in the wire": float(dissipated.sum()),
         f"given off by the pin {HEAT}": float(left.sum()),
     }
-    yield Balance(entries, missing, float(dissipated.sum()), _UNEXPLAINED)
+    yield RunEnergyBalance(entries, missing, float(dissipated.sum()), _UNEXPLAINED)
 
 
 def check_temperature(
@@ -83,13 +83,13 @@ def check_temperature(
     """Yield the check of the wire's largest temperature rise against ``rated_rise`` [K]."""
     if f"{prefix}.{TEMPERATURE}" in waves:
         largest = float(waves[f"{prefix}.{TEMPERATURE}"].max())
-        advice = "the coils overheat: less current, or a better path for their heat"
+        advice = "the coils overheat: use less current, or cool the coils better"
         yield Check(
             f"temperature rise of {name}", max(largest, 0.0), rated_rise, "K", advice, "warn"
         )
 
 
-def heat_metrics(keys: ConductorKeys, prefix: str, waves: Waveforms) -> dict[str, Metric]:
+def compute_heat_metrics(keys: ConductorKeys, prefix: str, waves: Waveforms) -> dict[str, Metric]:
     """Return the metrics of heated coils: temperature rise, heat and largest resistance.
 
     Without a recorded temperature, there are no metrics.
@@ -101,5 +101,5 @@ def heat_metrics(keys: ConductorKeys, prefix: str, waves: Waveforms) -> dict[str
     return {
         "coil_temperature_rise_k": Metric(float(rise.max()), "K"),
         "coil_heat_j": Metric(heat, "J"),
-        "coil_resistance_ratio": Metric(float(resistance_ratio(keys, rise).max())),
+        "coil_resistance_ratio": Metric(float(compute_resistance_ratio(keys, rise).max())),
     }

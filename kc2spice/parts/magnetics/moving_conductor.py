@@ -22,8 +22,7 @@ from kc2spice.core.cache import load_or_build
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, Shape
 from kc2spice.core.mesh_error import describe_mesh_errors
-from kc2spice.core.prefix import format_quantity
-from kc2spice.core.progress import Clock
+from kc2spice.core.progress import StageTimer
 from kc2spice.core.quantities import (
     MU_0,
     Count,
@@ -36,10 +35,11 @@ from kc2spice.core.quantities import (
     Section,
     si,
 )
+from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.core.spectrum import find_energy_frequency
 from kc2spice.core.untrusted_files import make_identifier
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.fem.magnet_keys import Ring
+from kc2spice.fem.magnet_keys import RingKeys
 from kc2spice.fem.magnet_rings import (
     LoopModel,
     RingCells,
@@ -52,18 +52,18 @@ from kc2spice.fem.thermal_materials import find_resistance_coefficient
 from kc2spice.physics import Declaration, DeclaredPart, current, displacement, loop
 from kc2spice.physics.conductors import ConductorKeys
 from kc2spice.physics.declaration import Branch
-from kc2spice.physics.part import list_sweep_numerics
-from kc2spice.scene.checks import Balance, Check, Gate, Metric
+from kc2spice.physics.part import list_newton_numerics
+from kc2spice.scene.checks import Check, Gate, Metric, RunEnergyBalance
 from kc2spice.scene.highest_frequency import highest_frequency
 from kc2spice.scene.model import (
-    Build,
+    BuiltScene,
     GovernedScene,
     Part,
     Scene,
     WiredScene,
 )
-from kc2spice.scene.part_records import Neglected, Numerics
-from kc2spice.scene.parttype import register
+from kc2spice.scene.part_records import NeglectedEffect, NumericalRequirements
+from kc2spice.scene.parttype import register_part_type
 
 Conductivity = Annotated[float, si("1/(Ohm m)")]
 LOOP_SOURCES = ("kc2spice.fem.magnet_rings", __name__)
@@ -94,28 +94,34 @@ MIN_CHANGE_RATIO = 0.1
 class CoilKeys(Section):
     """Keys of a coaxial coil with a rectangular cross-section of its winding."""
 
-    radius: Length = Field(gt=0, description="Mean radius of the coil")
-    width: Length = Field(gt=0, description="Radial width of the coil cross-section")
-    height: Length = Field(gt=0, description="Axial height of the coil cross-section")
-    y: Length = Field(description="Height of the centre of the coil cross-section")
+    radius: Length = Field(gt=0, description="Mean radius of the coil's winding")
+    width: Length = Field(
+        gt=0, description="Radial width of the cross-section of the coil's winding"
+    )
+    height: Length = Field(
+        gt=0, description="Axial height of the cross-section of the coil's winding"
+    )
+    y: Length = Field(description="Height of the centre of the coil's winding")
     turns: Ratio = Field(examples=["100"], gt=0, description="Number of turns of the coil")
-    resistance: Resistance = Field(gt=0, description="Resistance of the wire of the coil")
+    resistance: Resistance = Field(gt=0, description="Electrical resistance of the coil's wire")
 
 
-class MagnetKeys(Ring):
+class MagnetKeys(RingKeys):
     """Keys of a fixed ring or cylinder magnet.
 
     It is magnetised along the axis, and has the permeability of air.
     """
 
-    remanence: FluxDensity = Field(description="Remanence, positive for an upward magnetisation")
+    remanence: FluxDensity = Field(
+        description="Remanence of the fixed magnet, positive for an upward magnetisation"
+    )
 
 
 class ConductionKeys(Section):
     """Keys of a conducting body that are parameters of its netlist."""
 
     conductivity: Conductivity = Field(
-        gt=0, description="Electrical conductivity of the body, such as 3.4e7 1/(Ohm m)"
+        gt=0, description="Electrical conductivity of the moving body, such as 3.4e7 1/(Ohm m)"
     )
 
 
@@ -126,24 +132,43 @@ class MovingBodyKeys(ConductorKeys):
     the body.
     """
 
-    radius: Length = Field(gt=0, description="Outer radius of the body")
-    inner: Length = Field(0.0, ge=0, description="Radius of the hole of a disc")
-    thickness: Length | None = Field(None, gt=0, description="Thickness of a disc along the axis")
+    radius: Length = Field(gt=0, description="Outer radius of the moving body")
+    inner: Length = Field(
+        0.0,
+        ge=0,
+        description="Radius of the central hole of the moving body; 0 for a body without a hole",
+    )
+    thickness: Length | None = Field(
+        None, gt=0, description="Thickness of the moving disc along the axis"
+    )
     coils: dict[str, CoilKeys] = Field(
         {},
-        description=("Coils, each a table [PART.coils.NAME] with the pins NAME_p and NAME_n"),
+        description=(
+            "Coils that act on the moving body, each a table [PART.coils.NAME] with the pins "
+            "NAME_p and NAME_n"
+        ),
     )
     magnets: dict[str, MagnetKeys] = Field(
-        {}, description="Fixed magnets, each a table [PART.magnets.NAME]"
+        {},
+        description="Fixed magnets that act on the moving body, each a table [PART.magnets.NAME]",
     )
-    y_min: Length = Field(description="Lowest height of the centre of mass")
-    y_max: Length = Field(description="Greatest height of the centre of mass")
+    y_min: Length = Field(
+        description=(
+            "Lowest height of the moving body's centre of mass for which the model is valid"
+        )
+    )
+    y_max: Length = Field(
+        description=(
+            "Greatest height of the moving body's centre of mass for which the model is valid"
+        )
+    )
     tolerance: Annotated[Ratio, RefinementRule(0.1, model=True)] = Field(
         1e-3,
         gt=1e-8,
         lt=0.1,
         description=(
-            "Largest relative error of flux and force, which determines the number of current loops"
+            "Largest permitted relative error of flux and force, from which the number of "
+            "current loops is computed"
         ),
     )
 
@@ -152,14 +177,15 @@ class MovingConductorKeys(ConductionKeys, MovingBodyKeys):
     """Keys of a moving conducting disc, ring or sphere."""
 
     shape: Literal["disc", "sphere"] = Field(
-        "disc", description="Shape of the body; a disc with a hole is a ring"
+        "disc",
+        description="Shape of the moving body: disc or sphere; a disc with a hole is a ring",
     )
     frequency: Frequency | None = Field(
         None,
         gt=0,
         description=(
-            "Highest frequency of resolved eddy currents [Hz]; by default the highest frequency "
-            "of the analysis and the sources, at least 1 kHz"
+            "Highest frequency at which the model resolves eddy currents; by default the "
+            "highest frequency of the analysis and the sources, at least 1 kHz"
         ),
     )
     rings: Annotated[Count, RefinementRule(2.0, model=True, mesh=True)] = Field(
@@ -167,25 +193,26 @@ class MovingConductorKeys(ConductionKeys, MovingBodyKeys):
         ge=20,
         le=3000,
         description=(
-            "Number of current rings in the body; kc2spice adds thinner rings below the surface "
-            "if the skin depth is small"
+            "Number of current rings that represent eddy currents in the body; thinner rings "
+            "are added below the surface if the skin depth is small"
         ),
     )
 
 
-def _current_name(coil: str) -> str:
+def _name_coil_current(coil: str) -> str:
+    """Return the name of the current of a coil."""
     return f"i_{coil}"
 
 
-def _eddy_names(count: int) -> list[str]:
+def _list_loop_currents(count: int) -> list[str]:
     """Return the names of the currents in ``count`` loops of the body."""
     return list(map("eddy{}".format, range(1, count + 1)))
 
 
 def _list_branches(keys: MovingBodyKeys, loops: int) -> tuple[Branch, ...]:
     """Return the branches of the coils, of the motion, and of the current loops."""
-    coils = (current(_current_name(n), f"{n}_p", f"{n}_n") for n in keys.coils)
-    return (*coils, displacement("y", "a", "b"), *map(loop, _eddy_names(loops)))
+    coils = (current(_name_coil_current(n), f"{n}_p", f"{n}_n") for n in keys.coils)
+    return (*coils, displacement("y", "a", "b"), *map(loop, _list_loop_currents(loops)))
 
 
 @cache
@@ -208,7 +235,7 @@ def _declare_body(
         rating=kind.rating,
         sign="um from b to a are the height of its centre of mass; 1 A lifts it with 1 N",
         validity=f"heights y_min to y_max{reach}; rigid, not magnetic, at constant temperature",
-        conductors=tuple(b.name for b in branches if b.flows and b.plus),
+        conductors=tuple(b.name for b in branches if b.is_flow and b.plus),
         temperature_coefficient=find_resistance_coefficient("copper"),
         losses_of_model=True,
         **physics,
@@ -222,8 +249,8 @@ def declare_moving_body(part: Part[MovingBodyKeys], model: LoopModel) -> Declara
     power series of the height. A magnet has no loops, and the couplings of a magnet are per tesla
     of remanence.
     """
-    keys, coils = part.keys, list(map(_current_name, part.keys.coils))
-    eddies = _eddy_names(model.rates.size)
+    keys, coils = part.keys, list(map(_name_coil_current, part.keys.coils))
+    eddies = _list_loop_currents(model.rates.size)
     loops = eddies or ["remanence"]
     place = f"(y - {(model.low + model.high) / 2:.11g})/{(model.high - model.low) / 2:.11g}"
     energy = list(map("0.5*{}^2".format, eddies))
@@ -260,15 +287,15 @@ class MovingBody(DeclaredPart[MovingT]):
     parameters: ClassVar[type[Section]]
     rating: ClassVar[str]
 
-    def numerics(self, part: Part[MovingT], scene: WiredScene) -> Iterator[Numerics]:
+    def numerics(self, part: Part[MovingT], scene: WiredScene) -> Iterator[NumericalRequirements]:
         """Return the numerical requirements of a dc sweep of the height."""
-        return list_sweep_numerics(part, scene)
+        return list_newton_numerics(part, scene)
 
     def make_declaration(self, part: Part[MovingT], scene: GovernedScene) -> Declaration:
         """Return the declaration for the keys of the part."""
         return _declare_body(self, _list_branches(part.keys, 0))
 
-    def built_declaration(self, part: Part[MovingT], build: Build) -> Declaration:
+    def declare_after_build(self, part: Part[MovingT], build: BuiltScene) -> Declaration:
         """Return the declaration with the current loops of the built model."""
         return declare_moving_body(part, build.model(part, LoopModel))
 
@@ -286,7 +313,7 @@ class MovingBody(DeclaredPart[MovingT]):
                 "coils",
                 "the part has neither coils nor magnets",
                 "{}",
-                "tables by name",
+                "at least one coil or magnet",
                 f"add the table [{part.name}.coils.NAME] with radius, width, height and turns",
             )
         yield from self.shape_problems(part)
@@ -310,19 +337,19 @@ class MovingBody(DeclaredPart[MovingT]):
                     f"coils.{name}.width", "the winding crosses the axis", got, expected
                 )
         obstacles = []
-        for name, winding in zip(keys.coils, windings(keys), strict=True):
+        for name, winding in zip(keys.coils, make_windings(keys), strict=True):
             obstacles.append((f"coils.{name}", "winding", winding))
         for name, magnet in keys.magnets.items():
             obstacles.append((f"magnets.{name}", "magnet", _make_cross_section(magnet)))
-        for where, what, w in obstacles:
+        for where, obstacle, w in obstacles:
             apart = w.radius - w.width / 2 >= keys.radius or w.radius + w.width / 2 <= keys.inner
             over = w.y + w.height / 2 + _body_height(keys) / 2
             under = w.y - w.height / 2 - _body_height(keys) / 2
             if not (apart or keys.y_min >= over or keys.y_max <= under):
-                got = f"y_min {keys.y_min:g} m, y_max {keys.y_max:g} m, of its centre of mass"
+                got = f"a centre of mass from y_min = {keys.y_min:g} m to y_max = {keys.y_max:g} m"
                 expected = f"y_min of at least {over:g} m, or y_max of at most {under:g} m"
                 hint = f"raise {part.name}.y_min to {over:g} m"
-                yield part.wrong(where, f"the body touches the {what}", got, expected, hint)
+                yield part.wrong(where, f"the body touches the {obstacle}", got, expected, hint)
 
     def outline(self, part: Part[MovingT], scene: Scene) -> Iterator[Shape]:
         """Yield the side view of coils, magnets and the moving body."""
@@ -340,14 +367,14 @@ class MovingBody(DeclaredPart[MovingT]):
     # --- model ------------------------------------------------------------------------------------
 
     def build(
-        self, part: Part[MovingT], scene: Scene, clock: Clock, full: bool = False
+        self, part: Part[MovingT], scene: Scene, clock: StageTimer, full: bool = False
     ) -> LoopModel:
         """Return the current loops of the body and their couplings to the coils.
 
         The ``full`` model has more loops and rings, which resolve twice the highest frequency. The
         couplings of the full model are also more accurate.
         """
-        keys, frequency = part.keys, self.resolved_frequency(part, scene)
+        keys, frequency = part.keys, self.find_resolved_frequency(part, scene)
         tolerance = (TOLERANCE_RATIO if full else 1.0) * keys.tolerance
         rings = (REFINEMENT_RATIO if full else 1) * getattr(keys, "rings", 1)
         if full and frequency:
@@ -359,9 +386,9 @@ class MovingBody(DeclaredPart[MovingT]):
             """Compute the current loops and their couplings."""
             fixed = []
             for magnet in keys.magnets.values():
-                fixed += surface_currents(magnet, magnet.remanence)
+                fixed += compute_surface_currents(magnet, magnet.remanence)
             with clock.time_stage("magnetics", f"field of {part.name}"):
-                ladder = self.field(keys, fixed, tolerance, rings, frequency)
+                ladder = self.make_current_loops(keys, fixed, tolerance, rings, frequency)
                 if full or not frequency:
                     return ladder
                 return self.add_ring_error(ladder, keys, fixed, rings)
@@ -375,11 +402,13 @@ class MovingBody(DeclaredPart[MovingT]):
             details = str(error.message), error.got, error.expected, error.hint
             raise part.wrong("y_max", *details) from None
 
-    def metrics(self, part: Part[MovingT], build: Build, waves: Waveforms) -> Mapping[str, object]:
+    def metrics(
+        self, part: Part[MovingT], build: BuiltScene, waves: Waveforms
+    ) -> Mapping[str, object]:
         """Return the heights and times of the first turning points of the body."""
         if "time" not in waves or f"{part.name}.y" not in waves:
             return {}
-        result = turning_points(waves["time"], waves[f"{part.name}.y"])
+        result = find_turning_points(waves["time"], waves[f"{part.name}.y"])
         metrics = {}
         for k, (time, height) in enumerate(result[:MAX_TURNS], 1):
             metrics[f"{part.name}_turn{k}_s"] = Metric(time, "s")
@@ -387,12 +416,12 @@ class MovingBody(DeclaredPart[MovingT]):
         return metrics
 
     def checks(
-        self, part: Part[MovingT], build: Build, waves: Waveforms
-    ) -> Iterator[Check | Balance | Gate]:
+        self, part: Part[MovingT], build: BuiltScene, waves: Waveforms
+    ) -> Iterator[Check | RunEnergyBalance | Gate]:
         """Yield the checks of the part after a run."""
         result = build.model(part, LoopModel)
         loops, limit = result.rates.size, part.keys.tolerance
-        what, advice = f"{loops} loops of {part.name}", "more rings, or a lower frequency"
+        what, advice = f"{loops} loops of {part.name}", "use more rings, or a lower frequency"
         if loops:
             yield Check(what, result.error, limit, "of flux and force", advice, "warn")
             finer = f"{result.rings} rings of {part.name} against finer ones"
@@ -403,11 +432,11 @@ class MovingBody(DeclaredPart[MovingT]):
             )
             highest = _find_highest_run_frequency(part, build, waves)
             what = f"highest frequency of the currents of {part.name}"
-            advice = f"raise {part.name}.frequency to it"
+            advice = f"raise {part.name}.frequency to the highest frequency"
             limit = MAX_FREQUENCY_RATIO * result.frequency
             yield Check(what, highest, limit, "Hz", advice, "warn", discretisation=True)
             limits = {"rom_vs_fom": MAX_RING_ERROR, "ngspice_vs_fom": MAX_RING_ERROR}
-            of = f"{part.name}.{_current_name('*')}_v"
+            of = f"{part.name}.{_name_coil_current('*')}_v"
             yield Gate(f"coils' voltages of {part.name}", of, limits, "largest")
         elif "time" in waves:
             of, limits = f"{part.name}.y", {"rom_vs_fom": MAX_PATH_CHANGE}
@@ -415,7 +444,7 @@ class MovingBody(DeclaredPart[MovingT]):
             yield Gate(words, of, limits, "travel", discretisation=True)
         yield from super().checks(part, build, waves)
 
-    def figures(self, part: Part[MovingT], build: Build, waves: Waveforms) -> Iterator[Figure]:
+    def figures(self, part: Part[MovingT], build: BuiltScene, waves: Waveforms) -> Iterator[Figure]:
         """Yield the figures of the part for the report."""
         y = waves.data.get(f"{part.name}.y")
         if y is not None and "time" in waves:
@@ -425,12 +454,12 @@ class MovingBody(DeclaredPart[MovingT]):
             title = f"Path of {part.name}"
             yield Figure(f"{part.name}_height", title, caption, (panel,), main=True)
 
-    def discretisation(self, part: Part[MovingT], build: Build) -> str:
+    def describe_discretisation(self, part: Part[MovingT], build: BuiltScene) -> str:
         """Return the error estimate of the division into rings in words."""
         return _describe_ring_error(build.model(part, LoopModel)) or f"no mesh: {CIRCLE_METHOD}"
 
     @abstractmethod
-    def field(
+    def make_current_loops(
         self, keys: MovingT, fixed: list[Winding], tolerance: float, rings: int, frequency: float
     ) -> LoopModel:
         """Return the current loops of the body, coupled to the coils and ``fixed`` currents."""
@@ -439,7 +468,7 @@ class MovingBody(DeclaredPart[MovingT]):
         """Yield an error for each key that does not fit the shape; none by default."""
         return iter(())
 
-    def resolved_frequency(self, part: Part[MovingT], scene: Scene) -> float:
+    def find_resolved_frequency(self, part: Part[MovingT], scene: Scene) -> float:
         """Return the largest frequency [Hz] of resolved eddy currents; 0 without eddy currents."""
         return 0.0
 
@@ -482,7 +511,7 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
                 'write  shape = "disc"  or delete inner and thickness',
             )
 
-    def resolved_frequency(self, part: Part[MovingConductorKeys], scene: Scene) -> float:
+    def find_resolved_frequency(self, part: Part[MovingConductorKeys], scene: Scene) -> float:
         """Return the largest frequency [Hz] of resolved eddy currents."""
         return float(
             part.keys.frequency
@@ -491,7 +520,7 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
             )
         )
 
-    def field(
+    def make_current_loops(
         self,
         keys: MovingConductorKeys,
         fixed: list[Winding],
@@ -500,7 +529,7 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
         frequency: float,
     ) -> LoopModel:
         """Return the current loops of the body, coupled to the coils and ``fixed`` currents."""
-        body, coils = _divide_body(keys, rings, frequency), windings(keys)
+        body, coils = _divide_body(keys, rings, frequency), make_windings(keys)
         settings = keys.y_min, keys.y_max, keys.conductivity, frequency, tolerance
         return reduce_to_loops(body, coils, fixed, *settings)
 
@@ -513,14 +542,16 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
         the number of rings. The estimate is derived from the change due to finer rings.
         """
         finer = _divide_body(keys, REFINEMENT_RATIO * rings, ladder.frequency)
-        changed = compare_rings(finer, ladder, windings(keys), fixed, keys.conductivity)
+        changed = compare_rings(finer, ladder, make_windings(keys), fixed, keys.conductivity)
         return replace(
             ladder, ring_error=changed / max(1 - ladder.rings / finer.r.size, MIN_CHANGE_RATIO)
         )
 
-    def notes(self, part: Part[MovingConductorKeys], scene: Scene) -> Iterator[str | Neglected]:
+    def notes(
+        self, part: Part[MovingConductorKeys], scene: Scene
+    ) -> Iterator[str | NeglectedEffect]:
         """Yield the assumptions of the model and the effects that it neglects."""
-        keys, frequency = part.keys, self.resolved_frequency(part, scene)
+        keys, frequency = part.keys, self.find_resolved_frequency(part, scene)
         highest = format_quantity(frequency, "Hz")
         yield (
             f"{len(keys.coils)} coils, eddy currents as loops to {keys.tolerance:g} of flux and "
@@ -528,13 +559,15 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
         )
         yield from self.list_neglected_effects(part, scene)
         depth = 1e3 * _compute_skin_depth(keys, frequency)
-        yield Neglected(
+        yield NeglectedEffect(
             f"eddy currents above {frequency:.4g} Hz",
             f"loops up to there, where the skin depth is {depth:.2g} mm",
             "a run compares its currents and finer rings with it",
         )
-        yield Neglected("eddy currents in the coils' wires", "thin wires", "not estimated")
-        yield Neglected("tilting and sideways motion", "one degree of freedom", "not estimated")
+        yield NeglectedEffect("eddy currents in the coils' wires", "thin wires", "not estimated")
+        yield NeglectedEffect(
+            "tilting and sideways motion", "one degree of freedom", "not estimated"
+        )
 
 
 def _describe_ring_error(model: LoopModel) -> str:
@@ -543,7 +576,7 @@ def _describe_ring_error(model: LoopModel) -> str:
     return f"error estimate of its {model.rings} rings: {errors}" if errors else ""
 
 
-def turning_points(time: np.ndarray, y: np.ndarray) -> list[tuple[float, float]]:
+def find_turning_points(time: np.ndarray, y: np.ndarray) -> list[tuple[float, float]]:
     """Return the times [s] and heights [m] of alternating maxima and minima of ``y``.
 
     Between two turning points, ``y`` changes by more than the fraction ``MIN_TURN_SHARE`` of its
@@ -572,37 +605,39 @@ def _divide_body(keys: MovingConductorKeys, rings: int, frequency: float) -> Rin
     """Return the cells of the body's rings, which resolve the skin depth at ``frequency`` [Hz]."""
     box = keys.inner, keys.radius, -_body_height(keys) / 2, _body_height(keys) / 2, rings
 
-    def inside(r: np.ndarray, z: np.ndarray) -> np.ndarray:
+    def is_inside_sphere(r: np.ndarray, z: np.ndarray) -> np.ndarray:
         """Return whether each point lies in the sphere."""
         return np.asarray(r**2 + z**2 < keys.radius**2)
 
     ball = keys.shape == "sphere"
-    return divide_section(*box, inside if ball else None, _compute_skin_depth(keys, frequency))
+    return divide_section(
+        *box, is_inside_sphere if ball else None, _compute_skin_depth(keys, frequency)
+    )
 
 
 def _find_shortest_time_constant(part: Part[MovingBodyKeys], scene: WiredScene) -> float:
     """Return the shortest time constant [s] of the coils, including their series resistors."""
     result = []
     for name, coil, winding in zip(
-        part.keys.coils, part.keys.coils.values(), windings(part.keys), strict=True
+        part.keys.coils, part.keys.coils.values(), make_windings(part.keys), strict=True
     ):
         ohms = coil.resistance + _sum_series_resistance(part, scene, {f"{name}_p", f"{name}_n"})
-        result.append(SCREENED_RATIO * winding.couple_winding(winding) / ohms)
+        result.append(SCREENED_RATIO * winding.compute_coupling_inductance(winding) / ohms)
     return min(result, default=0.0)
 
 
 def _sum_series_resistance(part: Part[MovingBodyKeys], scene: WiredScene, pins: set[str]) -> float:
     """Return the sum [Ohm] of the resistors that are connected in series at a coil's ``pins``."""
-    coil_nets = {scene.net(part.name, pin) for pin in pins} - {"0"}
+    coil_nets = {scene.get_net(part.name, pin) for pin in pins} - {"0"}
     result = 0.0
     for resistor in scene.list_parts("resistor"):
-        if len({scene.net(resistor.name, pin) for pin in "ab"} & coil_nets) == 1:
+        if len({scene.get_net(resistor.name, pin) for pin in "ab"} & coil_nets) == 1:
             result += resistor.keys.model_dump()["resistance"]
     return result
 
 
 def _find_highest_run_frequency(
-    part: Part[MovingBodyKeys], build: Build, waves: Waveforms
+    part: Part[MovingBodyKeys], build: BuiltScene, waves: Waveforms
 ) -> float:
     """Return the highest frequency [Hz] of a run.
 
@@ -613,19 +648,19 @@ def _find_highest_run_frequency(
         return float(waves["frequency"].real[-1])
     result = 0.0
     for name in part.keys.coils:
-        current = waves.data.get(f"{part.name}.{_current_name(name)}")
+        current = waves.data.get(f"{part.name}.{_name_coil_current(name)}")
         if "time" in waves and current is not None:
             share = CURRENT_ENERGY_SHARE
             result = max(result, find_energy_frequency(waves["time"], current, share=share))
     return result
 
 
-def windings(keys: MovingBodyKeys) -> list[Winding]:
+def make_windings(keys: MovingBodyKeys) -> list[Winding]:
     """Return the windings of the coils, in the order of the keys."""
     return [Winding(c.radius, c.width, c.height, c.y, c.turns) for c in keys.coils.values()]
 
 
-def surface_currents(ring: Ring, remanence: float) -> list[Winding]:
+def compute_surface_currents(ring: RingKeys, remanence: float) -> list[Winding]:
     """Return the surface currents [A] that are equivalent to a magnet of ``remanence`` [T]."""
     current = remanence * ring.height / MU_0
     result = [Winding(ring.outer, 0.0, ring.height, ring.y, current)]
@@ -634,7 +669,7 @@ def surface_currents(ring: Ring, remanence: float) -> list[Winding]:
     return result
 
 
-def _make_cross_section(ring: Ring) -> Winding:
+def _make_cross_section(ring: RingKeys) -> Winding:
     """Return the cross-section of a magnet, represented by a winding with 0 turns."""
     middle, width = (ring.inner + ring.outer) / 2, ring.outer - ring.inner
     return Winding(middle, width, ring.height, ring.y, 0.0)
@@ -648,7 +683,7 @@ def _outline_body(part: Part[MovingT], scene: Scene) -> Iterator[Shape]:
     """
     keys = part.keys
     y = keys.y_min
-    for name, _ in scene.joined_pins(part.name, "a"):
+    for name, _ in scene.list_joined_pins(part.name, "a"):
         y = getattr(scene.parts[name].keys, "position", y)
     y = min(max(y, keys.y_min), keys.y_max)
     sphere = getattr(keys, "shape", "disc") == "sphere"
@@ -669,4 +704,4 @@ def _body_height(keys: MovingBodyKeys) -> float:
     return 2 * keys.radius if keys.thickness is None else keys.thickness
 
 
-register(MovingConductor())
+register_part_type(MovingConductor())

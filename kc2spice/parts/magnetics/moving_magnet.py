@@ -13,26 +13,28 @@ from typing import Annotated
 from pydantic import Field
 
 from kc2spice.core.quantities import MU_0, FluxDensity, Length, Ratio, RefinementRule, Section
-from kc2spice.fem.magnet_keys import Ring
+from kc2spice.fem.magnet_keys import RingKeys
 from kc2spice.fem.magnet_rings import LoopModel, Winding, make_current_loop
 from kc2spice.parts.magnetics.moving_conductor import (
     MovingBody,
     MovingBodyKeys,
-    surface_currents,
-    windings,
+    compute_surface_currents,
+    make_windings,
 )
 from kc2spice.scene.model import (
     Part,
     Scene,
 )
-from kc2spice.scene.part_records import Neglected
-from kc2spice.scene.parttype import register
+from kc2spice.scene.part_records import NeglectedEffect
+from kc2spice.scene.parttype import register_part_type
 
 
 class MagnetisationKeys(Section):
     """Keys of a moving magnet that are parameters of its netlist."""
 
-    remanence: FluxDensity = Field(description="Remanence, positive for an upward magnetisation")
+    remanence: FluxDensity = Field(
+        description="Remanence of the moving magnet, positive for an upward magnetisation"
+    )
 
 
 class MovingMagnetKeys(MagnetisationKeys, MovingBodyKeys):
@@ -43,24 +45,27 @@ class MovingMagnetKeys(MagnetisationKeys, MovingBodyKeys):
     times the magnetisation. Flux and force are integrals of Maxwell's formula for coaxial circles.
     """
 
-    thickness: Length = Field(gt=0, description="Thickness of the magnet along the axis")
+    thickness: Length = Field(gt=0, description="Thickness of the moving magnet along the axis")
     mu_r: Ratio = Field(
         1.0,
         ge=1,
-        description=("Recoil permeability, the remanence divided by mu_0 times the coercivity"),
+        description=(
+            "Relative recoil permeability of the moving magnet: remanence divided by mu_0 "
+            "times the coercivity"
+        ),
     )
     tolerance: Annotated[Ratio, RefinementRule(0.1, model=True)] = Field(
         1e-5,
         gt=1e-8,
         lt=0.1,
         description=(
-            "Largest relative error of flux and force, which determines the degree of their power "
-            "series"
+            "Largest permitted relative error of flux and force, from which the degree of "
+            "the power series is computed"
         ),
     )
 
 
-def demagnetising_factor(inner: float, outer: float, height: float) -> float:
+def compute_demagnetising_factor(inner: float, outer: float, height: float) -> float:
     """Return the magnetometric demagnetising factor N of a ring or cylinder along its axis.
 
     The mean field of the magnet's surface currents is ``(1 - N)`` times the field of a very long
@@ -69,7 +74,7 @@ def demagnetising_factor(inner: float, outer: float, height: float) -> float:
     shells = [Winding(outer, 0.0, height, 0.0, 1.0)]
     if inner:
         shells.append(Winding(inner, 0.0, height, 0.0, -1.0))
-    linked = sum(a.couple_winding(b) for a, b in product(shells, repeat=2))
+    linked = sum(a.compute_coupling_inductance(b) for a, b in product(shells, repeat=2))
     return 1 - linked * height / (MU_0 * math.pi * (outer**2 - inner**2))
 
 
@@ -111,7 +116,7 @@ part = "source"
 sine = { amplitude = "1 V", frequency = "50 Hz" }
 """
 
-    def field(
+    def make_current_loops(
         self,
         keys: MovingMagnetKeys,
         fixed: list[Winding],
@@ -121,27 +126,36 @@ sine = { amplitude = "1 V", frequency = "50 Hz" }
     ) -> LoopModel:
         """Return the couplings of the magnet with the coils and the ``fixed`` currents."""
         shape = keys.inner, keys.radius, keys.thickness
-        share = 1 / (1 + demagnetising_factor(*shape) * (keys.mu_r - 1))
-        ring = Ring(height=shape[2], outer=shape[1], inner=shape[0], y=0.0)
+        share = 1 / (1 + compute_demagnetising_factor(*shape) * (keys.mu_r - 1))
+        ring = RingKeys(height=shape[2], outer=shape[1], inner=shape[0], y=0.0)
         return make_current_loop(
-            surface_currents(ring, share), windings(keys), fixed, keys.y_min, keys.y_max, tolerance
+            compute_surface_currents(ring, share),
+            make_windings(keys),
+            fixed,
+            keys.y_min,
+            keys.y_max,
+            tolerance,
         )
 
-    def notes(self, part: Part[MovingMagnetKeys], scene: Scene) -> Iterator[str | Neglected]:
+    def notes(self, part: Part[MovingMagnetKeys], scene: Scene) -> Iterator[str | NeglectedEffect]:
         """Yield the assumptions of the model and the effects that it neglects."""
         yield f"{len(part.keys.coils)} coils, exact in currents, power series of the height"
         yield from self.list_neglected_effects(part, scene)
         keys = part.keys
         extra = keys.mu_r - 1
-        factor = demagnetising_factor(keys.inner, keys.radius, keys.thickness)
-        yield Neglected(
+        factor = compute_demagnetising_factor(keys.inner, keys.radius, keys.thickness)
+        yield NeglectedEffect(
             "an uneven magnetisation",
             f"the recoil permeability {keys.mu_r:g} feels the mean field of its own alone",
             f"that is {100 * extra * factor / (1 + extra * factor):.2g} % of its remanence; "
             f"other fields add {100 * extra:.2g} % of themselves",
         )
-        yield Neglected("eddy currents in the magnet", "no current flows in it", "not estimated")
-        yield Neglected("tilting and sideways motion", "one degree of freedom", "not estimated")
+        yield NeglectedEffect(
+            "eddy currents in the magnet", "no current flows in it", "not estimated"
+        )
+        yield NeglectedEffect(
+            "tilting and sideways motion", "one degree of freedom", "not estimated"
+        )
 
 
-register(MovingMagnet())
+register_part_type(MovingMagnet())

@@ -12,7 +12,7 @@ from kc2spice.fem.thermal_materials import find_resistance_coefficient
 from kc2spice.parts.mechanics import _stop
 from kc2spice.physics import Declaration, DeclaredPart, current, displacement
 from kc2spice.physics.conductors import ConductorKeys
-from kc2spice.scene.parttype import register
+from kc2spice.scene.parttype import register_part_type
 
 
 class ReluctanceKeys(ConductorKeys, _stop.StopKeys):
@@ -24,25 +24,36 @@ class ReluctanceKeys(ConductorKeys, _stop.StopKeys):
     (MU_0 mu_r)``, and contributes ``l / (MU_0 mu_r A)`` to ``core``.
     """
 
-    area: Annotated[float, si("m2")] = Field(gt=0, description="Area of each air gap")
-    gap: Length = Field(gt=0, description="Length of each air gap at x = 0")
-    gaps: Ratio = Field(1.0, gt=0, description="Number of air gaps in series")
+    area: Annotated[float, si("m2")] = Field(
+        gt=0, description="Cross-sectional area of each air gap in the magnetic circuit"
+    )
+    gap: Length = Field(
+        gt=0, description="Length of each air gap at the displacement x = 0 of the armature"
+    )
+    gaps: Ratio = Field(
+        1.0, gt=0, description="Number of air gaps in series in the magnetic circuit"
+    )
     core: Annotated[float, si("1/H")] = Field(
         0.0, ge=0, description="Reluctance of the magnetic circuit without the air gaps"
     )
     magnet: Current = Field(
-        0.0, description="Magnetomotive force of permanent magnets, in ampere turns"
+        0.0,
+        description=(
+            "Magnetomotive force of the permanent magnets in the magnetic circuit, in ampere turns"
+        ),
     )
     turns: Ratio = Field(1.0, gt=0, description="Number of turns of the coil")
-    resistance: Resistance = Field(gt=0, description="Resistance of the coil")
+    resistance: Resistance = Field(gt=0, description="Electrical resistance of the coil")
     travel: Length = Field(
         gt=0,
-        description="Displacement x of the armature at its stop; must be less than the gap",
+        description=(
+            "Displacement x at which the armature hits its stop; must be less than the key `gap`"
+        ),
     )
-    stop: Stiffness = Field(1e7, gt=0, description="Stiffness of the stop")
+    stop: Stiffness = Field(1e7, gt=0, description="Stiffness of the stop of the armature")
 
 
-register(
+register_part_type(
     DeclaredPart(
         Declaration(
             "reluctance",

@@ -25,23 +25,27 @@ from kc2spice.core.figure import Curve, Figure, FileWriter, Panel, Shape
 from kc2spice.core.magnets import (
     CURRENT_EXPONENTS,
     FORCE_COEFFICIENTS,
-    EMTable,
+    MagnetostaticTable,
     interpolate_by_splines,
 )
 from kc2spice.core.mesh_error import PLANE_UNKNOWN_RATIO, describe_mesh_errors, list_mesh_errors
-from kc2spice.core.progress import Clock
+from kc2spice.core.progress import StageTimer
 from kc2spice.core.quantities import MU_0, si
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.fem.magnet_keys import Catch, Ring
-from kc2spice.netlist.circuit import Pin, positive_parameter
+from kc2spice.fem.magnet_keys import CatchKeys, RingKeys
+from kc2spice.netlist.circuit import Pin, make_positive_parameter
 from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.spelling import format_voltage
-from kc2spice.parts.bodies._pictures import plot_impedances
-from kc2spice.parts.control._pid_keys import Control
-from kc2spice.parts.electronics.netlist import driver
+from kc2spice.parts.bodies._body_figures import plot_impedances
+from kc2spice.parts.control._pid_keys import PidKeys
+from kc2spice.parts.electronics.netlist import make_driver_table
 from kc2spice.parts.magnetics import _coil_heat
-from kc2spice.parts.mechanics._touching import LargestIndentation, TouchablePart, impact_penetration
-from kc2spice.parts.mechanics.sphere import find_sphere, height_offset
+from kc2spice.parts.mechanics._contact_surfaces import (
+    LargestIndentation,
+    TouchablePart,
+    estimate_impact_indentation,
+)
+from kc2spice.parts.mechanics.sphere import find_height_offset, find_sphere
 from kc2spice.physics import coils
 from kc2spice.physics.conductors import (
     HEAT_TERMINALS,
@@ -50,11 +54,11 @@ from kc2spice.physics.conductors import (
     list_useless_key_errors,
 )
 from kc2spice.physics.declaration import HEAT_BRANCH, ONE_TEMPERATURE, TEMPERATURE
-from kc2spice.physics.part import across_vector, declared_subcircuit, flow_vector
-from kc2spice.scene.checks import Balance, Check, Gate, Metric
+from kc2spice.physics.part import get_across_vector, get_flow_vector, make_declared_subcircuit
+from kc2spice.scene.checks import Check, Gate, Metric, RunEnergyBalance
 from kc2spice.scene.model import (
     GROUND,
-    Build,
+    BuiltScene,
     DeclaredScene,
     GovernedScene,
     JoinedScene,
@@ -63,9 +67,9 @@ from kc2spice.scene.model import (
     Terminal,
     WiredScene,
 )
-from kc2spice.scene.part_records import EquilibriumConditions, Neglected, Vector
-from kc2spice.scene.parttype import register
-from kc2spice.scene.plausible import check_range
+from kc2spice.scene.part_records import EquilibriumConditions, NeglectedEffect, PartResult
+from kc2spice.scene.parttype import register_part_type
+from kc2spice.scene.plausibility import check_range
 from kc2spice.synthesis.header import SIGN_TEXT
 
 MAGNET_CONDUCTIVITY = 150e3  # conductivity [S/m] of the sphere, from table A1 of the paper
@@ -89,22 +93,28 @@ COIL_NAMES = ("lower", "upper")
 TABLE_SOURCES = ("kc2spice.linalg", "kc2spice.fem", "kc2spice.core.gmsh_session", __name__)
 
 
-class Coils(ConductorKeys, Catch):
+class RingMagnetCoilsKeys(ConductorKeys, CatchKeys):
     """Keys of an electromagnetic catch actuator, with an optional driver for its coils."""
 
     driver: dict[str, dict[str, Any]] | None = Field(
         None,
-        description=("Driver circuit between controller and coils, as a table { TYPE = { keys } }"),
+        description=(
+            "Driver circuit between the controller and the coils: a table { TYPE = { keys } "
+            "}, where TYPE is the part type of a driver"
+        ),
     )
     of: str | None = Field(
-        None, description="Sphere that the coils pull; by default the only sphere of the scene"
+        None,
+        description=(
+            "Name of the sphere that the coils pull; by default the only sphere of the scene"
+        ),
     )
     rated_rise: Annotated[float, si("K")] = Field(
         100.0,
         gt=0,
         description=(
-            "Largest temperature rise of the wire; the default of 100 K is from 30 to 130 "
-            "degrees Celsius, for wire of thermal class 130"
+            "Largest permitted temperature rise of the coil wire; the default is the rise "
+            "from 30 to 130 degrees Celsius for wire of thermal class 130"
         ),
     )
 
@@ -119,15 +129,15 @@ SERIES_COEFFICIENTS = {
 
 POSITION_PINS = (
     Terminal.signal("y", DISPLACEMENT),
-    Terminal.speed("v", TRANSLATION),
-    Terminal.of(BASE, TRANSLATION, GROUND),
+    Terminal.make_rate_pin("v", TRANSLATION),
+    Terminal.from_domain(BASE, TRANSLATION, GROUND),
 )
 COIL_PINS = ("lp", "ln", "up", "un")  # pins of the lower and the upper coil
 ALL_PINS = (*(Terminal(end, "V", "A") for end in COIL_PINS), *POSITION_PINS)
 SERIES_PINS = (Terminal("drive", "V", "A"), Terminal("ret", "V", "A"), *POSITION_PINS)
 
 
-def rated_heating(keys: Coils) -> float:
+def compute_rated_heating(keys: RingMagnetCoilsKeys) -> float:
     """Return the integral of the squared current [A^2 s] that heats a coil by the rated rise.
 
     Without cooling, the integral is ``rise c A^2 / resistivity`` for any number of turns. c is the
@@ -147,9 +157,9 @@ def _compute_force_contributions(values: np.ndarray, current: float) -> np.ndarr
     return current ** np.arange(3)[:, None] * (weights @ values.T)
 
 
-def coils_subcircuit(
+def make_coils_subcircuit(
     header: Header,
-    table: EMTable,
+    table: MagnetostaticTable,
     name: str = "coil",
     *,
     apart: bool = True,
@@ -170,12 +180,12 @@ def coils_subcircuit(
     without ``wire``, there are no heat pins.
     """
     declared = coils.declare_coils("y") if apart else coils.declare_resistive_coils("y")
-    low, high = DISPLACEMENT.per_unit * table.y[[0, -1]]
+    low, high = DISPLACEMENT.pin_value_per_si_unit * table.y[[0, -1]]
     errors = describe_mesh_errors(table.mesh_errors)
     stated = replace(
         declared,
         given=tuple(
-            positive_parameter(
+            make_positive_parameter(
                 f"resistance_{coil}", float(ohm), "Ohm", f"resistance of the {coil} coil"
             )
             for coil, ohm in zip(COIL_NAMES, table.resistance, strict=True)
@@ -190,31 +200,31 @@ def coils_subcircuit(
     if wire is not None:
         stated, ends = coils.add_heat_pin(stated, *wire), (*ends, *HEAT_TERMINALS)
     pins = tuple(Pin(end.name, end.unit, end.flow) for end in ends)
-    tables = coils.list_tables(table, points)
-    return declared_subcircuit(header, name, stated, {}, tables=tables, pins=pins)
+    tables = coils.tabulate_coenergy(table, points)
+    return make_declared_subcircuit(header, name, stated, {}, tables=tables, pins=pins)
 
 
-class RingMagnetCoils(TouchablePart[Coils]):
+class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
     """Part type ``ring_magnet_coils``: ring magnet and two coils around a magnetic sphere."""
 
     name = "ring_magnet_coils"
     title = "ring magnet and two coils that pull a magnetic sphere (axisymmetric FE, force table)"
-    schema = Coils
+    schema = RingMagnetCoilsKeys
     source = "FE (magnetostatic, axisymmetric)"
     discretisations = ("positions", "refine")
 
-    def expand(
-        self, part: Part[Coils], data: Mapping[str, object]
+    def generate_tables(
+        self, part: Part[RingMagnetCoilsKeys], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
         """Return the table of the driver that the key ``driver`` describes."""
         if part.keys.driver is None:
             return {}
         known = {"linear": "linear_drive", "pwm": "pwm_drive", "user": "netlist"}
         pins = {"drive": f"{part.name}.up", "ret": f"{part.name}.lp"}
-        table = driver(part, part.keys.driver or {}, known, data)
+        table = make_driver_table(part, part.keys.driver or {}, known, data)
         return {f"{part.name}_driver": {**table, "pins": pins}}
 
-    def pins(self, part: Part[Coils], scene: JoinedScene) -> tuple[Terminal, ...]:
+    def pins(self, part: Part[RingMagnetCoilsKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
         """Return the pins in the order of the subcircuit."""
         thermal = HEAT_TERMINALS if is_heated(part, scene) else ()
         if not has_real_coils(part, scene):
@@ -229,12 +239,16 @@ class RingMagnetCoils(TouchablePart[Coils]):
         )
         return (*ends, *thermal)
 
-    def equilibrium_conditions(self, part: Part[Coils], scene: WiredScene) -> EquilibriumConditions:
+    def equilibrium_conditions(
+        self, part: Part[RingMagnetCoilsKeys], scene: WiredScene
+    ) -> EquilibriumConditions:
         """Return the paths in equilibrium: every pin except ``heat`` has a path to ground."""
         clamps = super().equilibrium_conditions(part, scene).paths
         return EquilibriumConditions(tuple(path for path in clamps if HEAT not in path))
 
-    def default_joins(self, part: Part[Coils], scene: GovernedScene) -> Mapping[str, str]:
+    def default_joins(
+        self, part: Part[RingMagnetCoilsKeys], scene: GovernedScene
+    ) -> Mapping[str, str]:
         """Return the default connections of ``y`` and ``v`` to the sphere.
 
         If another part prescribes the motion of the sphere, ``y`` and ``v`` are connected to that
@@ -244,7 +258,9 @@ class RingMagnetCoils(TouchablePart[Coils]):
         ball = scene.movers.get(ball) or ball
         return {"y": f"{ball}.y", "v": f"{ball}.v"}
 
-    def problems(self, part: Part[Coils], scene: GovernedScene) -> Iterator[UsageError]:
+    def problems(
+        self, part: Part[RingMagnetCoilsKeys], scene: GovernedScene
+    ) -> Iterator[UsageError]:
         """Yield an error for each invalid key of the part."""
         yield from list_useless_key_errors(part, scene)
         keys, name, ball = part.keys, part.name, find_sphere(part, scene)
@@ -258,23 +274,26 @@ class RingMagnetCoils(TouchablePart[Coils]):
                 "y_min < y_max",
                 "exchange y_min and y_max",
             )
-        bodies: dict[str, Ring] = {item: getattr(keys, item) for item in ("ring", *COIL_NAMES)}
+        bodies: dict[str, RingKeys] = {item: getattr(keys, item) for item in ("ring", *COIL_NAMES)}
         for body_name, body in bodies.items():
-            # Each rule: problem, key, whether the value of the key is valid, limit in words, limit.
+            # Each rule: problem, key, whether the value is valid, limit in words, limit.
             rules = (
                 ("inner is not smaller than outer", "inner", body.inner < body.outer,
                  "less than outer", body.outer),
-                ("the sphere does not fit through", "inner", body.inner > radius,
+                ("the sphere does not fit through the body", "inner", body.inner > radius,
                  f"more than {ball.name}.radius", radius),
-                ("reaches beyond the modelled air", "height", body.height < keys.air_height,
+                ("the body reaches beyond the modelled air", "height",
+                 body.height < keys.air_height,
                  f"less than {part.name}.air_height", keys.air_height),
-                ("reaches beyond the modelled air", "outer", body.outer < keys.air_radius,
+                ("the body reaches beyond the modelled air", "outer", body.outer < keys.air_radius,
                  f"less than {part.name}.air_radius", keys.air_radius),
             )  # fmt: skip
-            for problem, key, right, limit, value in rules:
+            for problem, key, right, limit_text, limit in rules:
                 if not right:
                     got = f"{getattr(body, key):g} m"
-                    yield part.wrong(f"{body_name}.{key}", problem, got, f"{limit}, {value:g} m")
+                    yield part.wrong(
+                        f"{body_name}.{key}", problem, got, f"{limit_text}, {limit:g} m"
+                    )
         for (body_name, body), (other_name, other) in combinations(bodies.items(), 2):
             radial = body.inner < other.outer and other.inner < body.outer
             if radial and 2 * abs(body.y - other.y) < body.height + other.height:
@@ -303,20 +322,20 @@ class RingMagnetCoils(TouchablePart[Coils]):
         yield from check_range(f"{name}.air_radius", keys.air_radius, "m", 1e-4, 1.0, long)
 
     def largest_indentations(
-        self, part: Part[Coils], scene: GovernedScene
+        self, part: Part[RingMagnetCoilsKeys], scene: GovernedScene
     ) -> Iterator[LargestIndentation]:
         """Yield the indentation that the sphere causes after a fall from the table's upper end."""
         sphere = find_sphere(part, scene)
         drop = 2 * scene.gravity * (part.keys.y_max - sphere.keys.radius)
         speed = math.sqrt(max(0.0, drop))
         why, mass = f"fall from {part.name}.y_max", sphere.keys.mass
-        yield from impact_penetration(sphere, mass, scene, speed, why)
+        yield from estimate_impact_indentation(sphere, mass, scene, speed, why)
 
-    def outline(self, part: Part[Coils], scene: Scene) -> Iterator[Shape]:
+    def outline(self, part: Part[RingMagnetCoilsKeys], scene: Scene) -> Iterator[Shape]:
         """Yield the side view of the magnet and the coils."""
         keys = part.keys
         coils, magnet = f"coil, {keys.turns} turns", f"ring magnet, {keys.remanence:g} T"
-        rows: tuple[tuple[Literal["magnet", "coil"], Ring, str], ...] = (
+        rows: tuple[tuple[Literal["magnet", "coil"], RingKeys, str], ...] = (
             ("magnet", keys.ring, magnet),
             ("coil", keys.lower, coils),
             ("coil", keys.upper, coils),
@@ -327,17 +346,21 @@ class RingMagnetCoils(TouchablePart[Coils]):
                 x, wide = side * (ring.inner + ring.outer) / 2, ring.outer - ring.inner
                 yield Shape(x, ring.y + keys.shift, wide, ring.height, kind, label)
 
-    def _make_unit_catch(self, part: Part[Coils], count: int) -> Catch:
+    def _make_unit_remanence_keys(self, part: Part[RingMagnetCoilsKeys], count: int) -> CatchKeys:
         """Return keys for a force table of unit remanence with ``count`` heights."""
         alone = {"remanence": 1.0, "shift": 0.0, "points": LOOKUP_POINTS, "positions": count}
-        return Catch(**{name: getattr(part.keys, name) for name in Catch.model_fields} | alone)
+        return CatchKeys(
+            **{name: getattr(part.keys, name) for name in CatchKeys.model_fields} | alone
+        )
 
-    def model_key(self, part: Part[Coils], scene: Scene) -> Mapping[str, Any]:
+    def model_key(self, part: Part[RingMagnetCoilsKeys], scene: Scene) -> Mapping[str, Any]:
         """Return the cache key of the force table: actuator keys and radius of the sphere."""
-        catch = self._make_unit_catch(part, part.keys.positions).model_dump(mode="json")
+        catch = self._make_unit_remanence_keys(part, part.keys.positions).model_dump(mode="json")
         return {"catch": catch, "radius": find_sphere(part, scene).keys.radius}
 
-    def build(self, part: Part[Coils], scene: Scene, clock: Clock, full: bool = False) -> EMTable:
+    def build(
+        self, part: Part[RingMagnetCoilsKeys], scene: Scene, clock: StageTimer, full: bool = False
+    ) -> MagnetostaticTable:
         """Return the force table of the actuator.
 
         The table is computed for unit remanence, and then scaled and shifted without an error. A
@@ -345,27 +368,29 @@ class RingMagnetCoils(TouchablePart[Coils]):
         ``DENSITY_RATIO**4`` times smaller. The air box of the mesh moves with the ring magnet.
         """
         keys, count = part.keys, (DENSITY_RATIO if full else 1) * (part.keys.positions - 1) + 1
-        unit = self._make_unit_catch(part, count)
+        unit = self._make_unit_remanence_keys(part, count)
         key = {**self.model_key(part, scene), "positions": count}
 
-        def build() -> EMTable:
+        def build() -> MagnetostaticTable:
             """Compute the force table for unit remanence."""
             from kc2spice.fem.magnet_field import compute_catch_table
 
             with clock.time_stage("magnetics", "field of the catch actuator") as share:
                 return compute_catch_table(unit, key["radius"], share)
 
-        table = load_or_build("catch", key, build, classes=(EMTable,), sources=TABLE_SOURCES)
+        table = load_or_build(
+            "catch", key, build, classes=(MagnetostaticTable,), sources=TABLE_SOURCES
+        )
         return table.scale_magnets(keys.remanence, keys.shift)
 
-    def subcircuit_name(self, part: Part[Coils], scene: Scene) -> str:
+    def subcircuit_name(self, part: Part[RingMagnetCoilsKeys], scene: Scene) -> str:
         """Return the name of the subcircuit, which is ``coil`` or the name of the part."""
         coil = _has_coil_terminals(part, scene) and part.name == "catch"
         name = "coil" if coil else part.name
         return f"heated_{name}" if is_heated(part, scene) else name
 
     def subcircuits(
-        self, part: Part[Coils], build: Build, header: Header
+        self, part: Part[RingMagnetCoilsKeys], build: BuiltScene, header: Header
     ) -> tuple[Subcircuit, ...]:
         """Return the subcircuit of the part."""
         keys, name, apart = (
@@ -373,47 +398,55 @@ class RingMagnetCoils(TouchablePart[Coils]):
             build.libraries[part.name],
             _has_coil_terminals(part, build.scene),
         )
-        rating = f"{rated_heating(keys):.3g} A^2 s in each coil, the integral of i^2 that "
+        rating = f"{compute_rated_heating(keys):.3g} A^2 s in each coil, the integral of i^2 that "
         rating += f"warms its copper by {keys.rated_rise:g} K without cooling; steady current: not "
         rating += "known, it depends on that"
         words: dict[str, Any] = {"apart": apart, "points": keys.points, "rating": rating}
         if is_heated(part, build.scene):
             words["wire"] = _coil_heat.get_wire_coefficients(keys)
-        return (coils_subcircuit(header, build.model(part, EMTable), name, **words),)
+        return (
+            make_coils_subcircuit(header, build.model(part, MagnetostaticTable), name, **words),
+        )
 
-    def vectors(self, part: Part[Coils], build: Build) -> Mapping[str, Vector]:
+    def vectors(
+        self, part: Part[RingMagnetCoilsKeys], build: BuiltScene
+    ) -> Mapping[str, PartResult]:
         """Return the ngspice vectors of the part's results, keyed by result name."""
         if not _is_driven(part, build.scene):
             return {}
         prefix, inst = get_result_prefix(part), f"x{part.name.lower()}"
         result = {
-            f"{prefix}.lower.current": Vector(f"v({inst}.i)", -1.0, "A"),
-            f"{prefix}.upper.current": Vector(f"v({inst}.i)", 1.0, "A"),
+            f"{prefix}.lower.current": PartResult(f"v({inst}.i)", -1.0, "A"),
+            f"{prefix}.upper.current": PartResult(f"v({inst}.i)", 1.0, "A"),
         }
         if has_real_coils(part, build.scene):
             for k, name in enumerate(result, 1):
-                result[name] = Vector(f"v({inst}.i{k})", 1.0, "A")
-            up, lp = build.net(part, "up"), build.net(part, "lp")
+                result[name] = PartResult(f"v({inst}.i{k})", 1.0, "A")
+            up, lp = build.get_net(part, "up"), build.get_net(part, "lp")
             across = format_voltage(up, lp) or "v(0)"
-            result[f"{prefix}.voltage"] = Vector(across, 1.0, "V")
+            result[f"{prefix}.voltage"] = PartResult(across, 1.0, "V")
         if is_heated(part, build.scene):
-            result[f"{prefix}.{TEMPERATURE}"] = across_vector(build, part, HEAT_BRANCH)
-            result[f"{prefix}.{HEAT}"] = flow_vector(build, part, HEAT_BRANCH)
+            result[f"{prefix}.{TEMPERATURE}"] = get_across_vector(build, part, HEAT_BRANCH)
+            result[f"{prefix}.{HEAT}"] = get_flow_vector(build, part, HEAT_BRANCH)
         return result
 
-    def forces(self, part: Part[Coils], build: Build, waves: Waveforms) -> Mapping[str, np.ndarray]:
+    def forces(
+        self, part: Part[RingMagnetCoilsKeys], build: BuiltScene, waves: Waveforms
+    ) -> Mapping[str, np.ndarray]:
         """Return the magnetic force on the sphere, computed from its height and the currents."""
         y = waves.data.get(f"{find_sphere(part, build.scene).name}.y")
-        if y is None or distance_outside(build.model(part, EMTable), y) > 0:
+        if y is None or compute_distance_outside(build.model(part, MagnetostaticTable), y) > 0:
             return {}
         zero = np.zeros_like(y)
         lower = waves.data.get(f"{get_result_prefix(part)}.lower.current", zero)
         upper = waves.data.get(f"{get_result_prefix(part)}.upper.current", zero)
-        return {"v": np.asarray(build.model(part, EMTable).coenergy.force(y, lower, upper))}
+        return {
+            "v": np.asarray(build.model(part, MagnetostaticTable).coenergy.force(y, lower, upper))
+        }
 
-    def law(self, part: Part[Coils], build: Build) -> laws.Equations:
+    def law(self, part: Part[RingMagnetCoilsKeys], build: BuiltScene) -> laws.Equations:
         """Return the model equations of the part."""
-        n, scene, table = part.name, build.scene, build.model(part, EMTable)
+        n, scene, table = part.name, build.scene, build.model(part, MagnetostaticTable)
         prefix, apart = get_result_prefix(part), has_real_coils(part, scene)
         stated, ends = (
             coils.declare_resistive_coils(),
@@ -424,7 +457,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         heated = is_heated(part, scene)
         if heated:
             stated = coils.add_heat_pin(stated, *_coil_heat.get_wire_coefficients(part.keys))
-        law = coils.make_law(n, stated, table, height_offset(part, "y", scene))
+        law = coils.make_law(n, stated, table, find_height_offset(part, "y", scene))
         results = {}
         for coil, (wave, sign) in zip(COIL_NAMES, ends, strict=True):
             results[f"{prefix}.{coil}.current"] = laws.scale_wave(f"{n}.{wave}", sign)
@@ -436,9 +469,11 @@ class RingMagnetCoils(TouchablePart[Coils]):
             results[f"{prefix}.{HEAT}"] = laws.scale_wave(f"{n}.{HEAT}.through")
         return laws.Equations((law,), law.pin_pairs, results)
 
-    def metrics(self, part: Part[Coils], build: Build, waves: Waveforms) -> Mapping[str, object]:
+    def metrics(
+        self, part: Part[RingMagnetCoilsKeys], build: BuiltScene, waves: Waveforms
+    ) -> Mapping[str, object]:
         """Return the metrics of the part, keyed by name."""
-        result = _coil_heat.heat_metrics(part.keys, get_result_prefix(part), waves)
+        result = _coil_heat.compute_heat_metrics(part.keys, get_result_prefix(part), waves)
         if f"{get_result_prefix(part)}.voltage" not in waves:
             return result
         current = waves[f"{get_result_prefix(part)}.upper.current"]
@@ -448,34 +483,39 @@ class RingMagnetCoils(TouchablePart[Coils]):
             "coil_current_peak_a": Metric(float(np.abs(current).max()), "A"),
         }
 
-    def finer_mesh(
-        self, part: Part[Coils], build: Build, clock: Clock, most: float
+    def compare_with_finer_mesh(
+        self, part: Part[RingMagnetCoilsKeys], build: BuiltScene, clock: StageTimer, most: float
     ) -> Iterator[Check | str]:
         """Yield the relative changes of force and inductance on a mesh of half the cell size."""
-        from kc2spice.fem.magnet_field import compute_catch_table, count_compared_positions
+        from kc2spice.fem.magnet_field import choose_compared_count, compute_catch_table
 
-        table, keys = build.model(part, EMTable), part.keys
+        table, keys = build.model(part, MagnetostaticTable), part.keys
         unknowns = REFINEMENT_RATIO**2 * table.facts["unknowns"]
         if unknowns > PLANE_UNKNOWN_RATIO * most:
             cause = f"{unknowns:.0f} unknowns, more than {PLANE_UNKNOWN_RATIO * most:.0f}"
-            yield f"{part.name}: no mesh half as wide ({cause}); {self.discretisation(part, build)}"
+            mesh = self.describe_discretisation(part, build)
+            yield f"{part.name}: no mesh half as wide ({cause}); {mesh}"
             return
         settings = {
-            "positions": count_compared_positions(keys.positions),
+            "positions": choose_compared_count(keys.positions),
             "refine": REFINEMENT_RATIO * keys.refine,
         }
-        unit = self._make_unit_catch(part, settings["positions"]).model_copy(update=settings)
+        unit = self._make_unit_remanence_keys(part, settings["positions"]).model_copy(
+            update=settings
+        )
         key = {**self.model_key(part, build.scene), "finer": settings}
 
-        def finer() -> EMTable:
+        def compute_finer_table() -> MagnetostaticTable:
             """Compute the force table on the mesh of half the cell size."""
             with clock.time_stage("full model", f"{part.name}: mesh half as wide") as share:
                 return compute_catch_table(unit, key["radius"], share)
 
-        fine = load_or_build("catch", key, finer, classes=(EMTable,), sources=TABLE_SOURCES)
+        fine = load_or_build(
+            "catch", key, compute_finer_table, classes=(MagnetostaticTable,), sources=TABLE_SOURCES
+        )
         fine = fine.scale_magnets(keys.remanence, keys.shift)
         step = (table.y.size - 1) // (fine.y.size - 1)
-        current = largest_current(part, build.scene) or DEFAULT_CURRENT
+        current = find_largest_current(part, build.scene) or DEFAULT_CURRENT
         pull = _compute_force_contributions(fine.coefficients, current)
         change = _compute_force_contributions(table.coefficients[::step], current) - pull
         changed = np.abs(change).sum(axis=0).max() / np.abs(pull).sum(axis=0).max()
@@ -487,26 +527,28 @@ class RingMagnetCoils(TouchablePart[Coils]):
         )
 
     def checks(
-        self, part: Part[Coils], build: Build, waves: Waveforms
-    ) -> Iterator[Check | Balance | Gate]:
+        self, part: Part[RingMagnetCoilsKeys], build: BuiltScene, waves: Waveforms
+    ) -> Iterator[Check | RunEnergyBalance | Gate]:
         """Yield the checks of the part after a run."""
         y = waves.data.get(f"{find_sphere(part, build.scene).name}.y")
         if y is None or "time" not in waves:
             return
         currents = _list_coil_currents(part, waves)
         if is_heated(part, build.scene):
-            table, prefix = build.model(part, EMTable), get_result_prefix(part)
+            table, prefix = build.model(part, MagnetostaticTable), get_result_prefix(part)
             resistance = dict(zip(COIL_NAMES, table.resistance.tolist(), strict=True))
-            yield from _coil_heat.balance_heat(part.keys, prefix, resistance, currents, waves)
+            yield from _coil_heat.check_heat_balance(part.keys, prefix, resistance, currents, waves)
             rise = part.keys.rated_rise
             yield from _coil_heat.check_temperature(part.name, prefix, rise, waves)
         elif currents:
             squares = np.square(list(currents.values()))
             heating = float(np.trapezoid(squares, waves["time"]).max())
-            advice = "the coils overheat: less current, or thicker wire, or shorter"
-            limit = rated_heating(part.keys)
+            advice = "the coils overheat: use less current, or a thicker or shorter wire"
+            limit = compute_rated_heating(part.keys)
             yield Check(f"rating of {part.name}", heating, limit, "A2 s", advice, "warn")
-        coarse = interpolation_error(build.model(part, EMTable), largest_current(part, build.scene))
+        coarse = estimate_interpolation_error(
+            build.model(part, MagnetostaticTable), find_largest_current(part, build.scene)
+        )
         name, action = f"field of {part.name} between its positions", build.scene.checks.range
         advice = f"too few heights: raise {part.name}.positions"
         unit = "of the largest force"
@@ -518,7 +560,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
             if error > MAX_SPLINE_ERROR:
                 name, advice = f"mesh of {part.name}, {words}", f"raise {part.name}.refine"
                 yield Check(name, error, MAX_SPLINE_ERROR, "relative, estimated", advice, "warn")
-        table, travel = build.model(part, EMTable), float(np.ptp(y))
+        table, travel = build.model(part, MagnetostaticTable), float(np.ptp(y))
         remedy = f"lower {part.name}.y_min to {_format_end(y.min())}"
         if y.max() - table.y[-1] >= table.y[0] - y.min():
             remedy = f"raise {part.name}.y_max to {_format_end(y.max())}"
@@ -529,7 +571,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
             remedy = _advise_less_energy(build.scene, y, table)
         advice = f"the sphere left the field table: {remedy}"
         distance = float(min(abs(y.min() - table.y[0]), abs(table.y[-1] - y.max())))
-        check = Check("table_left", distance_outside(table, y), 0.0, "m", advice, action)
+        check = Check("table_left", compute_distance_outside(table, y), 0.0, "m", advice, action)
         yield replace(
             check,
             distance=distance,
@@ -540,7 +582,7 @@ class RingMagnetCoils(TouchablePart[Coils]):
         )
 
     def figures(
-        self, part: Part[Coils], build: Build, waves: Waveforms
+        self, part: Part[RingMagnetCoilsKeys], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Figure | FileWriter]:
         """Yield the figures of the part for the report."""
         prefix = get_result_prefix(part)
@@ -560,24 +602,29 @@ class RingMagnetCoils(TouchablePart[Coils]):
         if has_real_coils(part, build.scene):
             yield plot_impedance(part, build)
         yield plot_force(part, build)
-        table, alone = build.model(part, EMTable), len(build.scene.list_parts(self.name)) == 1
+        table, alone = (
+            build.model(part, MagnetostaticTable),
+            len(build.scene.list_parts(self.name)) == 1,
+        )
         arrays = {"y": table.y} | dict(zip(FORCE_COEFFICIENTS, table.coefficients.T, strict=True))
         file = "em_table.npz" if alone else f"{part.name}_table.npz"
         yield FileWriter(file, lambda path: np.savez_compressed(path, **arrays))
 
-    def notes(self, part: Part[Coils], scene: Scene) -> Iterator[str | Neglected]:
+    def notes(
+        self, part: Part[RingMagnetCoilsKeys], scene: Scene
+    ) -> Iterator[str | NeglectedEffect]:
         """Yield the assumptions of the model and the effects that it neglects."""
         yield f"{part.keys.positions} heights, force quadratic in both coil currents (exact)"
         if has_real_coils(part, scene):
             yield "coils with R, L(y), M(y) and back-EMF"
         keys, radius = part.keys, find_sphere(part, scene).keys.radius
         diffusion = MU_0 * keys.mu_r * MAGNET_CONDUCTIVITY * (radius / np.pi) ** 2
-        yield Neglected(
+        yield NeglectedEffect(
             "eddy currents in the sphere",
             f"a poor conductor, {MAGNET_CONDUCTIVITY:g} S/m",
             f"force lags by about {diffusion:.2g} s",
         )
-        yield Neglected(
+        yield NeglectedEffect(
             "the field beyond the air box",
             f"A = 0 at radius {keys.air_radius:g} m",
             f"compare with {part.name}.air_radius and {part.name}.air_height doubled",
@@ -585,25 +632,25 @@ class RingMagnetCoils(TouchablePart[Coils]):
         heated = is_heated(part, scene)
         if heated:
             _, why, size = ONE_TEMPERATURE
-            yield Neglected("different temperatures of the two coils", why, size)
+            yield NeglectedEffect("different temperatures of the two coils", why, size)
         if _is_driven(part, scene) and not has_real_coils(part, scene):
-            yield Neglected(
+            yield NeglectedEffect(
                 "coil voltage and inductance"
                 if heated
                 else "coil voltage, inductance and self-heating",
                 "an ideal current source feeds the coils",
-                f"real coils must slew {largest_current(part, scene):g} A against L di/dt; L and R "
-                f"are in the result under model.{part.name}",
+                f"real coils must slew {find_largest_current(part, scene):g} A against L di/dt; "
+                f"L and R are in the result under model.{part.name}",
             )
 
 
-def plot_force(part: Part[Coils], build: Build) -> Figure:
+def plot_force(part: Part[RingMagnetCoilsKeys], build: BuiltScene) -> Figure:
     """Plot the force on the sphere versus its height.
 
     The curves are for zero current, equal currents and opposite currents in the coils.
     """
-    table = build.model(part, EMTable)
-    limit = largest_current(part, build.scene) or DEFAULT_CURRENT
+    table = build.model(part, MagnetostaticTable)
+    limit = find_largest_current(part, build.scene) or DEFAULT_CURRENT
     fine = np.linspace(table.y[0], table.y[-1], 401)
     curves = []
     for lower, upper in ((0.0, 0.0), (limit, limit), (limit, -limit), (-limit, limit)):
@@ -615,13 +662,13 @@ def plot_force(part: Part[Coils], build: Build) -> Figure:
     return Figure(f"{part.name}_force", "Force map", caption, (panel,))
 
 
-def plot_impedance(part: Part[Coils], build: Build) -> Figure:
+def plot_impedance(part: Part[RingMagnetCoilsKeys], build: BuiltScene) -> Figure:
     """Plot the impedance ``R + j w L`` of each coil, and of both coils in series.
 
     In series, the coils have opposite currents.
     """
-    table = build.model(part, EMTable)
-    matrix = table.coenergy.inductances(0.5 * (table.y[0] + table.y[-1]))
+    table = build.model(part, MagnetostaticTable)
+    matrix = table.coenergy.compute_inductances(0.5 * (table.y[0] + table.y[-1]))
     currents = {"lower": (1.0, 0.0), "upper": (0.0, 1.0), "both": (1.0, -1.0)}
     f, z = np.geomspace(10.0, 1e5, 201), dict[str, np.ndarray]()
     for name, pair in currents.items():
@@ -631,7 +678,7 @@ def plot_impedance(part: Part[Coils], build: Build) -> Figure:
     return plot_impedances(part.name, f, z, how + "of the windings left out.")
 
 
-def get_result_prefix(part: Part[Coils]) -> str:
+def get_result_prefix(part: Part[RingMagnetCoilsKeys]) -> str:
     """Return the prefix of the part's result names.
 
     The prefix is ``coil`` for the part ``catch`` of the paper, otherwise the name of the part.
@@ -639,13 +686,13 @@ def get_result_prefix(part: Part[Coils]) -> str:
     return "coil" if part.name == "catch" else part.name
 
 
-def has_real_coils(part: Part[Coils], scene: DeclaredScene) -> bool:
+def has_real_coils(part: Part[RingMagnetCoilsKeys], scene: DeclaredScene) -> bool:
     """Return whether a circuit drives the coils, which then have inductance and back-EMF."""
     joined = any(scene.is_target(part.name, pin) or pin in part.pins for pin in COIL_PINS)
     return bool(part.keys.driver) or joined
 
 
-def _has_coil_terminals(part: Part[Coils], scene: DeclaredScene) -> bool:
+def _has_coil_terminals(part: Part[RingMagnetCoilsKeys], scene: DeclaredScene) -> bool:
     """Return whether the netlist of the part has separate terminals for both coils."""
     return has_real_coils(part, scene) or bool(scene.list_parts("current_cases"))
 
@@ -655,7 +702,7 @@ def _format_end(height: float) -> str:
     return f"{math.ceil(abs(1.05e3 * height)) * (1 if height > 0 else -1)} mm"
 
 
-def _compute_overlap(a: Ring, b: Ring) -> float:
+def _compute_overlap(a: RingKeys, b: RingKeys) -> float:
     """Return the axial length [m] along which two rings overlap."""
     return (a.height + b.height) / 2 - abs(a.y - b.y)
 
@@ -665,7 +712,7 @@ def _format_height(height: float) -> str:
     return f"{1e3 * height:.4g} mm"
 
 
-def _advise_less_energy(scene: Scene, y: np.ndarray, table: EMTable) -> str:
+def _advise_less_energy(scene: Scene, y: np.ndarray, table: MagnetostaticTable) -> str:
     """Return the advice to reduce the kick that moves the sphere out of the force table.
 
     ``y`` contains the heights [m] of the sphere.
@@ -689,7 +736,7 @@ def _advise_less_energy(scene: Scene, y: np.ndarray, table: EMTable) -> str:
     return f"lower the source that accelerates the sphere: {names}"
 
 
-def _list_coil_currents(part: Part[Coils], waves: Waveforms) -> dict[str, np.ndarray]:
+def _list_coil_currents(part: Part[RingMagnetCoilsKeys], waves: Waveforms) -> dict[str, np.ndarray]:
     """Return the recorded currents [A] of the coils by name, upper coil first."""
     result = {}
     for coil in reversed(COIL_NAMES):
@@ -699,7 +746,7 @@ def _list_coil_currents(part: Part[Coils], waves: Waveforms) -> dict[str, np.nda
     return result
 
 
-def _is_driven(part: Part[Coils], scene: JoinedScene) -> bool:
+def _is_driven(part: Part[RingMagnetCoilsKeys], scene: JoinedScene) -> bool:
     """Return whether a pin of the coils is connected to another part."""
     targets = {f"{part.name}.{pin}" for pin in ("drive", "ret", *COIL_PINS)}
     for other in scene.parts.values():
@@ -709,16 +756,16 @@ def _is_driven(part: Part[Coils], scene: JoinedScene) -> bool:
     return bool(part.pins)
 
 
-def largest_current(part: Part[Coils], scene: JoinedScene) -> float:
+def find_largest_current(part: Part[RingMagnetCoilsKeys], scene: JoinedScene) -> float:
     """Return the largest coil current [A] that a controller of the scene can set.
 
     If another kind of part drives the coils, return 1 A. Without a drive, return 0.
     """
-    limits = [pid.keys.current_limit for pid in scene.list_parts_with_schema("pid", Control)]
+    limits = [pid.keys.current_limit for pid in scene.list_parts_with_schema("pid", PidKeys)]
     return float(max(limits, default=1.0 if _is_driven(part, scene) else 0.0))
 
 
-def interpolation_error(table: EMTable, current: float) -> float:
+def estimate_interpolation_error(table: MagnetostaticTable, current: float) -> float:
     """Return the error estimate of the force spline, relative to the largest force.
 
     The largest force is for currents up to ``current`` [A] in both coils. Doubling the distance
@@ -730,19 +777,20 @@ def interpolation_error(table: EMTable, current: float) -> float:
     values = table.coefficients
     largest = float(np.abs(_compute_force_contributions(values, current)).sum(axis=0).max())
 
-    def interpolation_miss(step: int) -> float:
+    def estimate_interpolation_error(step: int) -> float:
+        """Return the relative error of interpolation from every ``step``-th height."""
         result = interpolate_by_splines(table.y[::step], values[::step])(table.y)
         off = _compute_force_contributions(result - values, current)
         return float(np.abs(off).sum(axis=0).max()) / largest
 
-    half = interpolation_miss(2)
+    half = estimate_interpolation_error(2)
     known = half > 0.0 and table.y[::4].size >= 4
-    return half / (min(8.0, max(1.0, interpolation_miss(4) / half)) if known else 1.0)
+    return half / (min(8.0, max(1.0, estimate_interpolation_error(4) / half)) if known else 1.0)
 
 
-def distance_outside(table: EMTable, y: np.ndarray) -> float:
+def compute_distance_outside(table: MagnetostaticTable, y: np.ndarray) -> float:
     """Return the largest distance [m] of the heights ``y`` [m] from the range of the table."""
     return max(0.0, float(table.y[0] - y.min()), float(y.max() - table.y[-1]))
 
 
-register(RingMagnetCoils())
+register_part_type(RingMagnetCoils())

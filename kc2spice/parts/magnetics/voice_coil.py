@@ -9,7 +9,7 @@ from kc2spice.fem.thermal_materials import find_resistance_coefficient
 from kc2spice.physics import Declaration, DeclaredPart, current, displacement
 from kc2spice.physics.conductors import ConductorKeys
 from kc2spice.physics.declaration import HEATING
-from kc2spice.scene.parttype import register
+from kc2spice.scene.parttype import register_part_type
 
 
 class VoiceCoilKeys(ConductorKeys):
@@ -20,30 +20,45 @@ class VoiceCoilKeys(ConductorKeys):
     the suspension is ``x / Cms(x)``, and the voltage of the coil is ``resistance i + inductance i'
     + Bl(x) x'`` (W. Klippel, J. Audio Eng. Soc. 54 (2006) 907)."""
 
-    resistance: Resistance = Field(gt=0, description="Resistance of the coil")
-    inductance: Inductance = Field(gt=0, description="Inductance of the coil")
-    bl: Annotated[float, si("N/A")] = Field(description="Force factor at rest")
+    resistance: Resistance = Field(gt=0, description="Electrical resistance of the voice coil")
+    inductance: Inductance = Field(gt=0, description="Inductance of the voice coil")
+    bl: Annotated[float, si("N/A")] = Field(
+        description="Force factor Bl of the voice coil at the displacement x = 0"
+    )
     bl1: Annotated[float, si("N/(A m)")] = Field(
-        0.0, description="Derivative of the force factor with respect to the displacement"
+        0.0,
+        description=(
+            "Derivative of the voice coil's force factor with respect to the displacement x, "
+            "at x = 0"
+        ),
     )
     bl2: Annotated[float, si("N/(A m2)")] = Field(
-        0.0, description="Coefficient of the square of the displacement in the force factor"
+        0.0,
+        description=(
+            "Coefficient of x^2 in the voice coil's force factor, where x is the displacement"
+        ),
     )
     cms: Annotated[float, si("m/N")] = Field(
-        gt=0, description="Compliance of the suspension at rest"
+        gt=0, description="Compliance of the suspension at the displacement x = 0"
     )
     cms1: Annotated[float, si("1/N")] = Field(
-        0.0, description="Derivative of the compliance with respect to the displacement"
+        0.0,
+        description=(
+            "Derivative of the suspension's compliance with respect to the displacement x, at x = 0"
+        ),
     )
     cms2: Annotated[float, si("1/(N m)")] = Field(
-        0.0, description="Coefficient of the square of the displacement in the compliance"
+        0.0,
+        description=(
+            "Coefficient of x^2 in the suspension's compliance, where x is the displacement"
+        ),
     )
     damping: MechanicalDamping = Field(
-        0.0, ge=0, description="Mechanical damping of the suspension"
+        0.0, ge=0, description="Viscous damping coefficient of the suspension"
     )
 
 
-register(
+register_part_type(
     DeclaredPart(
         Declaration(
             "voice_coil",

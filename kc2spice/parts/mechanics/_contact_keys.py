@@ -24,91 +24,113 @@ MAX_STIFFNESS = 1e15
 
 
 class ContactKeys(Section):
-    """Keys of a penalty contact with a spring at each port of its side ``a`` (paper, eq. 10)."""
+    """Keys of a penalty contact, with one spring for each port of its side ``a``."""
 
     penalty: Stiffness = Field(
         1e8,
         gt=0,
         le=MAX_STIFFNESS,
-        description="Penalty stiffness of one ring in one symmetry sector",
+        description=(
+            "Penalty stiffness (contact stiffness) of one contact ring in one symmetry "
+            "sector of the body"
+        ),
     )
     rings: Rings = Field(
         "needed",
         description=(
-            "Contact rings in the model: needed (rings that can touch), all, or the number "
-            "of rings from the centre"
+            "Contact rings in the model: all rings that can touch (needed), all rings (all), "
+            "or a number of rings from the centre"
         ),
     )
     a: str | tuple[str, ...] | None = Field(
         None,
         description=(
-            "Lower side of the contact, whose upward motion closes the gap: a body, its ports, "
-            "or gnd; by default the only body"
+            "Lower side of the contact: a body, its ports, or gnd; by default the only body. "
+            "Upward motion of this side closes the gap"
         ),
     )
     b: str | None = Field(
         None,
         description=(
-            "Upper side of the contact, whose upward motion opens the gap: a sphere, a port of "
-            "a body, or gnd; by default the only sphere"
+            "Upper side of the contact: a sphere, a port of a body, or gnd; by default the "
+            "only sphere. Upward motion of this side opens the gap"
         ),
     )
-    gap: Length = Field(0.0, description="Gap at rest, in addition to the gap of the geometry")
+    gap: Length = Field(
+        0.0,
+        description=(
+            "Contact gap at rest, in addition to the gap between the surfaces of the geometry"
+        ),
+    )
     inertia: Literal["massless", "lumped"] = Field(
         "massless",
         description=(
-            "Inertia at the contact ports: none (massless), or one mass for each port (lumped)"
+            "Inertia at the contact ports: none (massless), or a separate mass at each port "
+            "(lumped)"
         ),
     )
     shape: Literal["rings", "pressure"] = Field(
         "rings",
         description=(
-            "Contact ports of the chip: rings of mesh nodes, or pressure basis functions under "
-            "a sphere"
+            "Contact ports of the body: rings of mesh nodes, or basis functions of the "
+            "pressure under a sphere"
         ),
     )
     spacing: Annotated[Length, RefinementRule(0.5, model=True, when=(("shape", "pressure"),))] = (
-        Field(10e-6, gt=0, description="Radial spacing of the pressure basis functions (P1)")
+        Field(
+            10e-6,
+            gt=0,
+            description=(
+                "Radial spacing of the piecewise linear (P1) basis functions of the contact "
+                "pressure"
+            ),
+        )
     )
     law: Literal["linear", "hertz"] = Field(
         "linear",
         description=(
-            "Contact law: penalty * indentation, or for a sphere at one port the law of Hertz, "
-            "4/3 E* sqrt(R) x^(3/2)"
+            "Contact law: force = penalty * indentation (linear), or for a sphere at one "
+            "port 4/3 E* sqrt(R) indentation^(3/2) (hertz)"
         ),
     )
     modulus: Pressure | None = Field(
         None,
         gt=0,
         description=(
-            "Effective modulus E* of both sides for law = hertz; by default computed from their "
-            "materials"
+            "Effective elastic modulus E* of both contact sides for law = hertz; by default "
+            "computed from the materials of both sides"
         ),
     )
     groove: Ratio | None = Field(
         None,
         gt=0,
         le=180,
-        description="Opening angle in degrees of a groove in side a, in which side b lies",
+        description=(
+            "Opening angle in degrees of the groove in side `a`, which guides side `b` of "
+            "the contact"
+        ),
     )
     damping: Annotated[float, si("s/m")] = Field(
         0.0,
         ge=0,
         description=(
-            "Damping coefficient of Hunt and Crossley: the force is multiplied by 1 + damping * "
-            "(closing speed)"
+            "Damping coefficient of Hunt and Crossley: the contact force is multiplied by 1 "
+            "+ damping * (closing speed)"
         ),
     )
     friction: Ratio = Field(
         0.0,
         ge=0,
         description=(
-            "Coulomb friction coefficient between the pins `slide` and `rail`, equal on "
-            "both flanks of a groove"
+            "Coulomb friction coefficient of the sliding between the pins `slide` and "
+            "`rail`; equal on both flanks of a groove"
         ),
     )
     creep: Velocity = Field(
         1e-4,
         gt=0,
-        description=("Sliding speed below which friction is viscous, which approximates sticking"),
+        description=(
+            "Sliding speed below which the friction force is viscous, as an approximation of "
+            "sticking"
+        ),
     )

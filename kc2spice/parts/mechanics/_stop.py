@@ -31,7 +31,10 @@ class StopKeys(Section):
         0.5,
         ge=0,
         le=1,
-        description="Speed after an impact on the stop, divided by the speed before the impact",
+        description=(
+            "Coefficient of restitution of the stop: speed after an impact divided by the "
+            "speed before the impact"
+        ),
     )
     damping: Annotated[float, si("s/m")] = Field(
         0.0,

@@ -13,27 +13,34 @@ from kc2spice.core import laws
 from kc2spice.core.domains import AMBIENT, HEAT
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, scale_time_axis
-from kc2spice.core.prefix import format_quantity
-from kc2spice.core.progress import Clock
+from kc2spice.core.progress import StageTimer
+from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.core.waveforms import Waveforms, integrate_cumulatively
 from kc2spice.parts.mechanics._contact_keys import ContactKeys
-from kc2spice.parts.mechanics._touching import (
+from kc2spice.parts.mechanics._contact_surfaces import (
     SPHERE_PATCH,
     ContactPair,
+    find_last_source_change,
     find_separation,
-    last_source_change,
     make_pair,
 )
 from kc2spice.physics import Declaration, DeclaredPart
-from kc2spice.physics.cards import force_node, meter_name
+from kc2spice.physics.cards import get_meter_name, name_force_node
 from kc2spice.physics.contact import SPACING_NOTE, ContactForce, declare_contact
-from kc2spice.physics.loss_heat import heat_vectors
+from kc2spice.physics.loss_heat import list_heat_vectors
 from kc2spice.physics.part import make_pins
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.scene.checks import SOLUTION_PAIRS, Balance, Check, Gate, Metric, motion_error_limit
+from kc2spice.scene.checks import (
+    SOLUTION_PAIRS,
+    Check,
+    Gate,
+    Metric,
+    RunEnergyBalance,
+    compute_motion_error_limit,
+)
 from kc2spice.scene.model import (
     GROUND,
-    Build,
+    BuiltScene,
     GovernedScene,
     JoinedScene,
     Part,
@@ -41,8 +48,13 @@ from kc2spice.scene.model import (
     Terminal,
     WiredScene,
 )
-from kc2spice.scene.part_records import EquilibriumConditions, Neglected, Numerics, Vector
-from kc2spice.scene.parttype import register
+from kc2spice.scene.part_records import (
+    EquilibriumConditions,
+    NeglectedEffect,
+    NumericalRequirements,
+    PartResult,
+)
+from kc2spice.scene.parttype import register_part_type
 
 # Limits of the relative difference between the launch velocities of the reduced and the full model.
 # The constants are a factor on the error estimate, the limit without an estimate, and a maximum.
@@ -88,7 +100,7 @@ class Contact(DeclaredPart[ContactKeys]):
     def make_declaration(self, part: Part[ContactKeys], scene: GovernedScene) -> Declaration:
         """Return the declaration for the keys of the part."""
         pair = make_pair(part, scene)
-        radius, distance = pair.b.radius, pair.a.distance
+        radius, distance = pair.upper_surface.radius, pair.lower_surface.distance
         under = None if radius is None else (radius, tuple(map(float, distance)))
         return _declare_pair(pair, pair.contact_force, under, part.keys.groove)
 
@@ -105,10 +117,16 @@ class Contact(DeclaredPart[ContactKeys]):
     def default_joins(self, part: Part[ContactKeys], scene: GovernedScene) -> Mapping[str, str]:
         """Return the default connections of the pins to the surfaces of both parts."""
         pair = make_pair(part, scene)
-        joins = pair.a.joins(("va", "a") if pair.a.rigid else pair.ports, scene)
-        joins |= pair.b.joins(("v", "bottom") if pair.b.rigid else ("b",), scene)
+        joins = pair.lower_surface.map_pins_to_surface(
+            ("va", "a") if pair.lower_surface.is_rigid else pair.ports, scene
+        )
+        joins |= pair.upper_surface.map_pins_to_surface(
+            ("v", "bottom") if pair.upper_surface.is_rigid else ("b",), scene
+        )
         return joins | (
-            {INDENTATION_PIN: f"{pair.b.elastic}.{SPHERE_PATCH}"} if pair.b.elastic else {}
+            {INDENTATION_PIN: f"{pair.upper_surface.elastic}.{SPHERE_PATCH}"}
+            if pair.upper_surface.elastic
+            else {}
         )
 
     def equilibrium_conditions(
@@ -116,13 +134,19 @@ class Contact(DeclaredPart[ContactKeys]):
     ) -> EquilibriumConditions:
         """Return the paths in equilibrium, which include surfaces that touch at rest."""
         pair = make_pair(part, scene)
-        pins = ("base", *["va"] * pair.a.rigid, *["v"] * pair.b.rigid)
+        pins = ("base", *["va"] * pair.lower_surface.is_rigid, *["v"] * pair.upper_surface.is_rigid)
         clamps = [*product(pins, (GROUND,))]
-        if part.keys.gap <= 0.0 and not pair.a.rigid and not pair.b.rigid:
+        if (
+            part.keys.gap <= 0.0
+            and not pair.lower_surface.is_rigid
+            and not pair.upper_surface.is_rigid
+        ):
             clamps += product(pair.ports, ("b",))
         return EquilibriumConditions(tuple(clamps))
 
-    def numerics(self, part: Part[ContactKeys], scene: WiredScene) -> Iterator[Numerics]:
+    def numerics(
+        self, part: Part[ContactKeys], scene: WiredScene
+    ) -> Iterator[NumericalRequirements]:
         """Yield tighter solver tolerances for damped and nonlinear contact laws.
 
         The errors of the trapezoidal rule at closing and opening cancel only for a linear spring.
@@ -134,12 +158,12 @@ class Contact(DeclaredPart[ContactKeys]):
             DAMPED_RELTOL_FACTOR if part.keys.damping else CURVED_RELTOL_FACTOR if curved else 1.0
         )
         what = "contact, as far as a body has motions"
-        yield Numerics(what, highest_frequency=CONTACT_FREQUENCY, reltol=reltol)
+        yield NumericalRequirements(what, highest_frequency=CONTACT_FREQUENCY, reltol=reltol)
 
     def problems(self, part: Part[ContactKeys], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield an error for each invalid key of the part."""
         pair = make_pair(part, scene)
-        a, b = pair.a, pair.b
+        a, b = pair.lower_surface, pair.upper_surface
         if a.part == b.part != GROUND and set(a.force_pins) & set(b.force_pins):
             got, expected = f"{a.part} on both sides", "two parts, or two ports of a body"
             others = [name for name in scene.parts if name not in (a.part, part.name)]
@@ -161,7 +185,7 @@ class Contact(DeclaredPart[ContactKeys]):
         else:
             assert pair.contact_force  # raises an error if the contact law does not fit both sides
 
-    def vectors(self, part: Part[ContactKeys], build: Build) -> Mapping[str, Vector]:
+    def vectors(self, part: Part[ContactKeys], build: BuiltScene) -> Mapping[str, PartResult]:
         """Return the ngspice vectors of the part's results, keyed by result name."""
         n, pair, d = (
             part.name,
@@ -169,31 +193,31 @@ class Contact(DeclaredPart[ContactKeys]):
             self.make_declaration(part, build.scene),
         )
         card, heated = f"@b.x{n}.b{{}}[i]", self.declare_part(part, build.scene).heat_branch
-        item = {b.through: card.format(force_node(b)).lower() for b in d.branches}
+        item = {b.through: card.format(name_force_node(b)).lower() for b in d.branches}
         result = {}
         for port in pair.ports:
             force = item[f"force.{port}"]
-            result[f"{n}.force.{port}"] = Vector(force, 1.0, "N", enters=(port,))
+            result[f"{n}.force.{port}"] = PartResult(force, 1.0, "N", enters=(port,))
         if part.keys.friction:
-            row = Vector(item["friction"], 1.0, "N", ("rail",), ("slide",))
+            row = PartResult(item["friction"], 1.0, "N", ("rail",), ("slide",))
             result[f"{n}.friction"] = row
         total = "+".join(item[f"force.{port}"] for port in pair.ports)
         ends = {"force": (("v", "b", INDENTATION_PIN), ("va",))}
         for word, by in _list_result_factors(pair).items():
-            result[f"{n}.{word}"] = Vector(total, by, "N", *ends.get(word, ()))
+            result[f"{n}.{word}"] = PartResult(total, by, "N", *ends.get(word, ()))
         if heated is not None:
-            result |= heat_vectors(part, build, meter_name(heated))
+            result |= list_heat_vectors(part, build, get_meter_name(heated))
         return result
 
     def metrics(
-        self, part: Part[ContactKeys], build: Build, waves: Waveforms
+        self, part: Part[ContactKeys], build: BuiltScene, waves: Waveforms
     ) -> Mapping[str, object]:
         """Return the metrics of the part, keyed by name."""
         pair = make_pair(part, build.scene)
-        v = waves.data.get(f"{pair.b.part}.v")
+        v = waves.data.get(f"{pair.upper_surface.part}.v")
         if "time" not in waves or v is None or pair.may_move_at_start:
             return {}
-        force, busy = waves[f"{part.name}.force"], last_source_change(build.scene)
+        force, busy = waves[f"{part.name}.force"], find_last_source_change(build.scene)
         launch = find_separation(waves["time"], force, v, busy, pair.contact_force.power)
         return {
             "launch_velocity_m_s": Metric(launch[1] if launch else None, "m/s"),
@@ -201,20 +225,20 @@ class Contact(DeclaredPart[ContactKeys]):
         }
 
     def checks(
-        self, part: Part[ContactKeys], build: Build, waves: Waveforms
-    ) -> Iterator[Check | Balance | Gate]:
+        self, part: Part[ContactKeys], build: BuiltScene, waves: Waveforms
+    ) -> Iterator[Check | RunEnergyBalance | Gate]:
         """Yield the checks of the part after a run."""
         pair, gates = make_pair(part, build.scene), build.scene.gates
         if "time" in waves and not pair.may_move_at_start:
-            steps = motion_error_limit(build.scene.solver)
-            certificate = getattr(build.models.get(pair.a.part), "certificate", None)
+            steps = compute_motion_error_limit(build.scene.solver)
+            certificate = getattr(build.models.get(pair.lower_surface.part), "certificate", None)
             reduced = DEFAULT_LAUNCH_LIMIT
             if certificate:
                 reduced = min(ESTIMATE_FACTOR * certificate.error_estimate, MAX_LAUNCH_LIMIT)
             limits = dict.fromkeys(SOLUTION_PAIRS, gates.launch_full_model or steps + reduced)
             limits["ngspice_vs_rom"] = gates.launch_velocity or steps
             yield Gate("launch velocity", "launch_velocity_m_s", limits, is_main=True)
-        place = pair.lowest_point(waves)
+        place = pair.compute_lowest_point(waves)
         if "time" in waves:
             yield from _check_events(pair, waves)
         if place is not None:
@@ -224,7 +248,9 @@ class Contact(DeclaredPart[ContactKeys]):
             yield from _check_open_ports(pair, build, waves, place)
             yield from _check_depth(pair, waves, place)
 
-    def figures(self, part: Part[ContactKeys], build: Build, waves: Waveforms) -> Iterator[Figure]:
+    def figures(
+        self, part: Part[ContactKeys], build: BuiltScene, waves: Waveforms
+    ) -> Iterator[Figure]:
         """Yield the figures of the part for the report."""
         force = waves.data.get(f"{part.name}.force")
         if force is None:
@@ -233,7 +259,7 @@ class Contact(DeclaredPart[ContactKeys]):
         inside = _find_loaded_interval(force) if "time" in waves else slice(None)
         scale = next(iter(waves.data.values()))
         x, factor = scale_time_axis(scale[inside])
-        if (depth := pair.pushed_depth(waves)) is not None:
+        if (depth := pair.find_prescribed_indentation(waves)) is not None:
             scale, (x, factor) = depth, ("depth in µm", 1e6)
         curves = []
         for port, wave in zip(pair.ports, pair.forces(waves), strict=True):
@@ -241,12 +267,12 @@ class Contact(DeclaredPart[ContactKeys]):
                 curves.append(Curve(port, factor * scale[inside], wave[inside]))
         if len(pair.ports) > 1:
             curves.append(Curve("sum", factor * scale[inside], force[inside], "--"))
-        sides = f"{pair.a.part} and {pair.b.part}"
+        sides = f"{pair.lower_surface.part} and {pair.upper_surface.part}"
         panel = Panel(x, "contact force in N", tuple(curves))
         caption = f"Force between {sides}, whole device, at each port that closes."
         yield Figure(f"{part.name}_force", f"Contact of {sides}", caption, (panel,))
 
-    def law(self, part: Part[ContactKeys], build: Build) -> laws.Equations:
+    def law(self, part: Part[ContactKeys], build: BuiltScene) -> laws.Equations:
         """Return the model equations of the part."""
         n, pair, result = part.name, make_pair(part, build.scene), super().law(part, build)
         forces = [result.results[f"{n}.force.{port}"].terms[0][1] for port in pair.ports]
@@ -255,19 +281,19 @@ class Contact(DeclaredPart[ContactKeys]):
             sums[f"{n}.{word}"] = laws.WaveCombination(tuple(product([share], forces)))
         return replace(result, results=result.results | sums)
 
-    def finer_mesh(
-        self, part: Part[ContactKeys], build: Build, clock: Clock, most: float
+    def compare_with_finer_mesh(
+        self, part: Part[ContactKeys], build: BuiltScene, clock: StageTimer, most: float
     ) -> Iterator[Check | str]:
         """Yield the error estimate from pressure basis functions of half the width."""
         if part.keys.shape == "pressure":
             name = f"force of {part.name}, pressure basis functions half as wide"
-            yield Check(name, make_pair(part, build.scene).basis_error(), MAX_BASIS_ERROR)
+            yield Check(name, make_pair(part, build.scene).estimate_basis_error(), MAX_BASIS_ERROR)
 
-    def discretisation(self, part: Part[ContactKeys], build: Build) -> str:
+    def describe_discretisation(self, part: Part[ContactKeys], build: BuiltScene) -> str:
         """Return a note on the error estimate of the pressure basis; empty for contact rings."""
         return f"mesh: {SPACING_NOTE}" if part.keys.shape == "pressure" else ""
 
-    def notes(self, part: Part[ContactKeys], scene: Scene) -> Iterator[str | Neglected]:
+    def notes(self, part: Part[ContactKeys], scene: Scene) -> Iterator[str | NeglectedEffect]:
         """Yield the assumptions of the model and the effects that it neglects."""
         keys, pair = part.keys, make_pair(part, scene)
         normal = pair.contact_force
@@ -288,21 +314,21 @@ class Contact(DeclaredPart[ContactKeys]):
         if normal.friction:
             detail += f", friction {keys.friction:g}, viscous below {normal.creep:g} m/s"
         yield detail
-        a, count = pair.a, len(pair.ports)
+        a, count = pair.lower_surface, len(pair.ports)
         if len(a.ports) > 1:
             why = f"one force per port of {a.part} stands for it"
             error = "run again with a finer mesh to see it"
-            yield Neglected("pressure between the ports", why, error)
+            yield NeglectedEffect("pressure between the ports", why, error)
         if part.keys.inertia == "massless":
-            yield Neglected(
+            yield NeglectedEffect(
                 f"inertia of the residual modes behind the ports of {part.name}",
                 "stiff modes above the band that keep the ports' compliance exact; their mass is "
                 "an artefact of the mesh and would oscillate behind the springs",
                 "included in the error estimate of the reduced model",
             )
         dry = "" if part.keys.friction else "friction, "
-        what = f"{dry}adhesion and plastic flow between {a.part} and {pair.b.part}"
-        yield Neglected(what, "the law is elastic and normal to the surface", "not estimated")
+        what = f"{dry}adhesion and plastic flow between {a.part} and {pair.upper_surface.part}"
+        yield NeglectedEffect(what, "the law is elastic and normal to the surface", "not estimated")
         if count < len(a.ports):
             why = f"{part.name}.rings = {part.keys.rings}"
             if part.keys.rings == "needed":
@@ -310,7 +336,7 @@ class Contact(DeclaredPart[ContactKeys]):
                 why += f"{pair.deepest_penetration.depth:.3g} m"
             last = f" to {a.ports[-1]}" if count + 1 < len(a.ports) else ""
             error = "none while they stay open, checked after the run"
-            yield Neglected(f"contact at {a.ports[count]}{last}", why, error)
+            yield NeglectedEffect(f"contact at {a.ports[count]}{last}", why, error)
 
 
 def _declare_pair(
@@ -320,8 +346,11 @@ def _declare_pair(
     groove: float | None = None,
 ) -> Declaration:
     """Return the declaration of a contact pair with its contact law."""
-    ports, rigid = pair.ports, (pair.a.rigid, pair.b.rigid)
-    carried, gaps = INDENTATION_PIN if pair.b.elastic else "", (pair.keys.gap,) * len(ports)
+    ports, rigid = pair.ports, (pair.lower_surface.is_rigid, pair.upper_surface.is_rigid)
+    carried, gaps = (
+        INDENTATION_PIN if pair.upper_surface.elastic else "",
+        (pair.keys.gap,) * len(ports),
+    )
     words = {"rigid": rigid, "under": under, "carried": carried, "groove": groove}
     return declare_contact(ports, gaps, law, **words)
 
@@ -338,7 +367,7 @@ def _list_result_factors(pair: ContactPair) -> dict[str, float]:
 
 def _check_pressure(pair: ContactPair) -> Iterator[UsageError]:
     """Yield an error for each key that a contact with a pressure basis cannot have."""
-    part, a, b = pair.part, pair.a, pair.b
+    part, a, b = pair.part, pair.lower_surface, pair.upper_surface
     hint = 'delete this key, or write  shape = "rings"'
     if a.compliance is None:
         expected = "a piezo_stack, whose contact names no port"
@@ -371,7 +400,9 @@ def _find_loaded_interval(force: np.ndarray) -> slice:
     return slice(max(int(loaded[0]) - 2, 0), int(last) + 3)
 
 
-def _balance_energy(pair: ContactPair, waves: Waveforms, place: np.ndarray) -> Iterator[Balance]:
+def _balance_energy(
+    pair: ContactPair, waves: Waveforms, place: np.ndarray
+) -> Iterator[RunEnergyBalance]:
     """Yield the energy balance of the contact springs: work, stored energy and damping losses.
 
     The springs must release all of their stored energy. An energy gain would cause too high a
@@ -379,7 +410,7 @@ def _balance_energy(pair: ContactPair, waves: Waveforms, place: np.ndarray) -> I
     moves.
     """
     normal, ports = pair.contact_force, pair.ports
-    heights = [pair.a.height(port, waves) for port in ports]
+    heights = [pair.lower_surface.compute_surface_position(port, waves) for port in ports]
     if any(height is None for height in heights):
         return
     closing = np.array(heights) - place  # both arrays have the shape (ports, n)
@@ -396,40 +427,43 @@ def _balance_energy(pair: ContactPair, waves: Waveforms, place: np.ndarray) -> I
     if normal.damping or normal.pace:
         damped = integrate_cumulatively(force - elastic, closing)[:, -1]
         entries["damped in the contact"] = float(damped.sum())
-    v, other = waves.data.get(f"{pair.b.part}.v"), pair.scene.parts.get(pair.b.part)
+    v, other = (
+        waves.data.get(f"{pair.upper_surface.part}.v"),
+        pair.scene.parts.get(pair.upper_surface.part),
+    )
     mass = getattr(other.keys, "mass", 0.0) if other else 0.0
     kinetic = 0.0 if v is None else mass * float((v**2).max()) / 2
     scale = max(float(np.abs(np.diff(gained)).sum()), resting, kinetic)
     advice = "the steps are too coarse for the contact: lower solver.reltol or max_step"
-    yield Balance(entries, float(np.abs(missing).max()), scale, MAX_ENERGY_ERROR, advice)
+    yield RunEnergyBalance(entries, float(np.abs(missing).max()), scale, MAX_ENERGY_ERROR, advice)
 
 
 def _check_start(pair: ContactPair, waves: Waveforms, place: np.ndarray) -> Iterator[Check]:
     """Yield the check that the sphere rests on the body at the operating point."""
-    force, other = waves.data.get(f"{pair.part.name}.force"), pair.b.part
+    force, other = waves.data.get(f"{pair.part.name}.force"), pair.upper_surface.part
     if (
-        pair.b.radius is None
+        pair.upper_surface.radius is None
         or force is None
         or pair.scene.movers.get(other)
         or pair.may_move_at_start
     ):
         return
     above = 0.0 if force[0] > 0 else float(place[0]) + pair.keys.gap
-    advice = f"forces on {other} balance there before anything moves: change them (magnets: "
-    advice += f"polarity, remanence or position), or give {other}.height and velocity at t = 0"
-    name, action = f"{other} starts at rest on {pair.a.part}", pair.scene.checks.start
+    advice = f"the forces on {other} balance above the body: change polarity, remanence or "
+    advice += f"position of the magnets, or state {other}.height and velocity at t = 0"
+    name, action = f"{other} starts at rest on {pair.lower_surface.part}", pair.scene.checks.start
     yield Check(name, above, MAX_START_HEIGHT, "m", advice, action)
 
 
 def _check_events(pair: ContactPair, waves: Waveforms) -> Iterator[Check]:
     """Yield checks of the largest indentation, and of the number of contact events in a kick."""
     n, scene, forces = pair.part.name, pair.scene, pair.forces(waves)
-    if pair.b.radius is not None and pair.gaps.size > 1:
+    if pair.upper_surface.radius is not None and pair.gaps.size > 1:
         depth = float(forces.max()) / pair.contact_force.stiffness
-        advice = f"the penalty springs give more than the surfaces curve: raise {n}.penalty"
+        advice = f"the penalty springs are too soft for these surfaces: raise {n}.penalty"
         limit, action = float(pair.gaps[1]), scene.checks.penetration
         yield Check("penetration", depth, limit, "m", advice, action)
-    body = scene.parts.get(pair.a.part)
+    body = scene.parts.get(pair.lower_surface.part)
     drive = getattr(body.keys, "drive", None) if body else None
     if drive is None:
         return
@@ -438,14 +472,14 @@ def _check_events(pair: ContactPair, waves: Waveforms) -> Iterator[Check]:
     closed = forces[:, during] > 0.0
     most = int(np.count_nonzero(closed[:, 1:] & ~closed[:, :-1], axis=1).max())
     reltol = waves.stats.get("reltol", scene.solver.reltol)
-    advice = "so many decide the launch that the errors of their steps add up: lower "
-    advice += "solver.reltol; a launch after hundreds of contact events may be ill-conditioned"
+    advice = "the time-step errors of many contact events add up: lower solver.reltol; a launch "
+    advice += "after hundreds of contact events may be ill-conditioned"
     limit, action = max(MIN_EVENTS, MAX_EVENT_RELTOL / reltol), scene.checks.touches
     yield Check("touches", most, limit, "contact events", advice, action, coarse=True)
 
 
 def _check_open_ports(
-    pair: ContactPair, build: Build, waves: Waveforms, place: np.ndarray
+    pair: ContactPair, build: BuiltScene, waves: Waveforms, place: np.ndarray
 ) -> Iterator[Check]:
     """Yield the check that the contact stays inside the modelled contact rings.
 
@@ -461,8 +495,8 @@ def _check_open_ports(
     it by at most 5 % of the gap. If all rings have springs, *outer_ring* checks that the last ring
     stays open.
     """
-    n, a, ports, action = pair.part.name, pair.a, pair.ports, pair.scene.checks.range
-    if pair.b.radius is None or len(a.ports) < 2:
+    n, a, ports, action = pair.part.name, pair.lower_surface, pair.ports, pair.scene.checks.range
+    if pair.upper_surface.radius is None or len(a.ports) < 2:
         return
     force, body = pair.forces(waves), pair.scene.parts[a.part]
     model = build.model(body, LinearModel)
@@ -482,8 +516,8 @@ def _check_open_ports(
             action,
             suggested=suggested,
         )
-    elif pair.pushed_depth(waves) is None:
-        advice = "the contact outgrows the modelled rings: more rings or a wider ring_spacing"
+    elif pair.find_prescribed_indentation(waves) is None:
+        advice = "the contact outgrows the modelled rings: raise rings or ring_spacing"
         yield Check("outer_ring", float(force[-1].max()), 0.0, "N", advice, action)
 
 
@@ -493,23 +527,25 @@ def _check_depth(pair: ContactPair, waves: Waveforms, place: np.ndarray) -> Iter
     The contact law is accurate until the contact radius is half of the patch radius. The contact
     law is inaccurate if only a few basis functions carry the force (:data:`FUNCTIONS_PER_RADIUS`).
     """
-    height = pair.a.height(pair.a.ports[0], waves)
+    height = pair.lower_surface.compute_surface_position(pair.lower_surface.ports[0], waves)
     if pair.keys.shape != "pressure" or height is None:
         return
     deepest, checks = float((height - place - pair.keys.gap).max()), pair.scene.checks
-    advice = f"no law of the pressure is known so deep: more {pair.a.part}.mesh.rings, or wider"
-    advice += " ones"
+    advice = (
+        f"the contact law does not cover this depth: raise {pair.lower_surface.part}.mesh.rings or "
+    )
+    advice += f"{pair.lower_surface.part}.mesh.ring_spacing"
     yield Check(
         "depth of the contact", deepest, pair.contact_force.depth, "m", advice, checks.range
     )
-    if deepest > 0.0 and pair.b.radius is not None:
+    if deepest > 0.0 and pair.upper_surface.radius is not None:
         widest, spacing = (
-            math.sqrt(deepest * pair.b.radius) / FUNCTIONS_PER_RADIUS,
+            math.sqrt(deepest * pair.upper_surface.radius) / FUNCTIONS_PER_RADIUS,
             pair.keys.spacing,
         )
-        advice = "so few of them carry that the force is more than 5e-3 off: lower "
+        advice = "too few basis functions carry the force, so its error exceeds 5e-3: lower "
         advice += f"{pair.part.name}.spacing"
         yield Check("basis of the pressure", spacing, widest, "m", advice, checks.penetration)
 
 
-register(Contact())
+register_part_type(Contact())

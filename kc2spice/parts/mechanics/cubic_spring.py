@@ -6,7 +6,7 @@ from pydantic import Field
 
 from kc2spice.core.quantities import Section, Stiffness, si
 from kc2spice.physics import Declaration, DeclaredPart, displacement
-from kc2spice.scene.parttype import register
+from kc2spice.scene.parttype import register_part_type
 
 
 class CubicSpringKeys(Section):
@@ -15,13 +15,23 @@ class CubicSpringKeys(Section):
     A negative ``cubic`` softens the spring.
     """
 
-    stiffness: Stiffness = Field(gt=0, description="Stiffness at small elongation")
+    stiffness: Stiffness = Field(
+        gt=0,
+        description=(
+            "Stiffness of the spring at small elongation, the linear coefficient of the "
+            "spring force"
+        ),
+    )
     cubic: Annotated[float, si("N/m3")] = Field(
-        0.0, description="Force divided by the cube of the elongation"
+        0.0,
+        description=(
+            "Cubic coefficient of the spring force, which is multiplied by the cube of the "
+            "elongation"
+        ),
     )
 
 
-register(
+register_part_type(
     DeclaredPart(
         Declaration(
             "cubic_spring",

@@ -14,13 +14,13 @@ from pydantic import Field
 from kc2spice.core.cache import load_or_build
 from kc2spice.core.domains import TRANSLATION
 from kc2spice.core.errors import UsageError
-from kc2spice.core.progress import Clock
-from kc2spice.fem.body_keys import Damping, Mesh
+from kc2spice.core.progress import StageTimer
+from kc2spice.fem.body_keys import BodyMeshKeys, DampingKeys
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.parts.bodies._linear_keys import LinearKeys
 from kc2spice.parts.mechanics._contact_keys import ContactKeys
-from kc2spice.parts.mechanics._touching import SPHERE_PATCH, ContactSurface, make_pair
-from kc2spice.parts.mechanics.sphere import SphereKeys, sphere_material
+from kc2spice.parts.mechanics._contact_surfaces import SPHERE_PATCH, ContactSurface, make_pair
+from kc2spice.parts.mechanics.sphere import SphereKeys, make_sphere_material
 from kc2spice.rom.linear_model import LinearModel, Port
 from kc2spice.scene.model import (
     DeclaredScene,
@@ -28,9 +28,9 @@ from kc2spice.scene.model import (
     Part,
     Scene,
 )
-from kc2spice.scene.part_records import Neglected
-from kc2spice.scene.parttype import register
-from kc2spice.scene.settings import Rom
+from kc2spice.scene.part_records import NeglectedEffect
+from kc2spice.scene.parttype import register_part_type
+from kc2spice.scene.settings import RomKeys
 from kc2spice.synthesis.mode_cards import COARSE_WEIGHTS, StepWeights
 
 if TYPE_CHECKING:
@@ -44,9 +44,11 @@ BAND_RATIO = 2.0
 class ElasticSphereKeys(LinearKeys):
     """Keys of the elasticity of a sphere, which the key ``elastic`` of the sphere contains."""
 
-    of: str = Field(examples=['"SPHERE"'], description="Name of the sphere that is elastic")
-    damping: Damping = Damping(ratio=1e-3)
-    mesh: Mesh = Mesh()
+    of: str = Field(
+        examples=['"SPHERE"'], description="Name of the sphere whose elasticity this part models"
+    )
+    damping: DampingKeys = DampingKeys(ratio=1e-3)
+    mesh: BodyMeshKeys = BodyMeshKeys()
 
 
 class ElasticSphere(LinearBody[ElasticSphereKeys]):
@@ -83,8 +85,8 @@ elastic = true
         yield from super().problems(part, scene)
         _find_contact(part, scene)  # raises an error if the contact of the sphere is not valid
         owner = scene.parts[part.keys.of].with_schema(SphereKeys)
-        stuff = sphere_material(owner)
-        if stuff.piezoelectric:
+        stuff = make_sphere_material(owner)
+        if stuff.is_piezoelectric:
             expected = "a material that is not piezoelectric"
             yield owner.wrong(
                 "material",
@@ -112,7 +114,7 @@ elastic = true
                 "delete model from damping",
             )
 
-    def surface(
+    def contact_surface(
         self, part: Part[ElasticSphereKeys], scene: GovernedScene, ports: tuple[str, ...] = ()
     ) -> ContactSurface | None:
         """Return the patch of the elastic sphere if ``ports`` names it; otherwise None.
@@ -124,47 +126,57 @@ elastic = true
 
         compliance, pace = (
             partial(self._find_compliance, part, scene),
-            _body(part, scene).rayleigh[1],
+            _make_elastic_sphere(part, scene).rayleigh_factors[1],
         )
         return ContactSurface(part.name, ports, (0.0,), compliance=compliance, pace=pace)
 
-    def full_key(self, part: Part[ElasticSphereKeys], scene: GovernedScene) -> Mapping[str, Any]:
+    def make_full_model_key(
+        self, part: Part[ElasticSphereKeys], scene: GovernedScene
+    ) -> Mapping[str, Any]:
         """Return the cache key of the full model, with sphere, mesh and pressure nodes."""
-        body, mesh = _body(part, scene), part.keys.model_dump(mode="json", include={"mesh"})
+        body, mesh = (
+            _make_elastic_sphere(part, scene),
+            part.keys.model_dump(mode="json", include={"mesh"}),
+        )
         return {
             "radius": body.radius,
             "density": body.material.density,
             "stiffness": body.material.C.tolist(),
-            "rayleigh": body.rayleigh,
+            "rayleigh": body.rayleigh_factors,
             "own": mesh,
             "pressure_basis": make_pair(
                 _find_contact(part, scene), scene
             ).pressure_basis.nodes.tolist(),
         }
 
-    def full(
-        self, part: Part[ElasticSphereKeys], scene: GovernedScene, clock: Clock
+    def make_full_model(
+        self, part: Part[ElasticSphereKeys], scene: GovernedScene, clock: StageTimer
     ) -> LinearModel:
         """Build the matrices of the full model of the elastic sphere."""
-        from kc2spice.bodies.pressure import model_sphere
+        from kc2spice.bodies.pressure import make_sphere_model
 
         shape = make_pair(_find_contact(part, scene), scene).pressure_basis
         with clock.time_stage("assemble", f"mesh and matrices of {part.name}"):
-            shares = self._find_compliance(part, scene, shape).shares
-            return model_sphere(_body(part, scene), shares, shape, part.keys.mesh.refine)
+            shares = self._find_compliance(part, scene, shape).rigid_force_shares
+            return make_sphere_model(
+                _make_elastic_sphere(part, scene), shares, shape, part.keys.mesh.refine
+            )
 
-    def reduction(self, part: Part[ElasticSphereKeys], scene: Scene) -> Rom:
+    def choose_reduction(self, part: Part[ElasticSphereKeys], scene: Scene) -> RomKeys:
         """Return the reduction settings of the elastic sphere.
 
         The settings of the scene do not apply to the elastic sphere, because the modes of a sphere
         are above the band of any actuator.
         """
-        specified: Rom | None = part.keys.rom
+        specified: RomKeys | None = part.keys.rom
         if specified is not None:
             return specified
-        return Rom(
+        return RomKeys(
             tolerance=1e-3,
-            band=(0.0, float(f"{BAND_RATIO * _body(part, scene).oblate_frequency:.3g}")),
+            band=(
+                0.0,
+                float(f"{BAND_RATIO * _make_elastic_sphere(part, scene).oblate_frequency:.3g}"),
+            ),
         )
 
     def weights(self, part: Part[ElasticSphereKeys], scene: DeclaredScene) -> StepWeights:
@@ -177,19 +189,19 @@ elastic = true
 
     def list_neglected_effects(
         self, part: Part[ElasticSphereKeys], scene: Scene
-    ) -> Iterator[Neglected]:
+    ) -> Iterator[NeglectedEffect]:
         """Yield the neglected effect of the model, the ringing of the sphere in free flight."""
         why = "steps do not resolve it in flight, and it does not change the path of the centre"
-        yield Neglected(f"free ringing of {part.keys.of}", why, "none on the path")
+        yield NeglectedEffect(f"free ringing of {part.keys.of}", why, "none on the path")
 
-    def notes(self, part: Part[ElasticSphereKeys], scene: Scene) -> Iterator[str | Neglected]:
+    def notes(self, part: Part[ElasticSphereKeys], scene: Scene) -> Iterator[str | NeglectedEffect]:
         """Yield the assumptions of the model and the effects that it neglects."""
         yield from super().notes(part, scene)
         deep = (
             make_pair(_find_contact(part, scene), scene).contact_force.depth
-            / _body(part, scene).radius
+            / _make_elastic_sphere(part, scene).radius
         )
-        yield Neglected(
+        yield NeglectedEffect(
             f"slope of {part.keys.of} under the contact",
             "pressure acts along the axis",
             f"at most {deep:.1g} of the dent, by its depth over the radius",
@@ -201,8 +213,11 @@ elastic = true
         """Return the local compliance of the sphere for the pressure basis ``shape``."""
         from kc2spice.bodies.pressure import LocalCompliance, compute_sphere_compliance
 
-        key = {**self.full_key(part, scene), "pressure_basis": shape.nodes.tolist()}
-        arguments, kinds = (_body(part, scene), shape, part.keys.mesh.refine), (LocalCompliance,)
+        key = {**self.make_full_model_key(part, scene), "pressure_basis": shape.nodes.tolist()}
+        arguments, kinds = (
+            (_make_elastic_sphere(part, scene), shape, part.keys.mesh.refine),
+            (LocalCompliance,),
+        )
         return load_or_build(
             "indented",
             key,
@@ -212,12 +227,16 @@ elastic = true
         )
 
 
-def _body(part: Part[ElasticSphereKeys], scene: DeclaredScene) -> TransverselyIsotropicSphere:
-    """Return radius, material and damping of the elastic sphere for its FE model."""
+def _make_elastic_sphere(
+    part: Part[ElasticSphereKeys], scene: DeclaredScene
+) -> TransverselyIsotropicSphere:
+    """Return the elastic sphere of the finite-element model, with its losses."""
     from kc2spice.bodies.pressure import TransverselyIsotropicSphere
 
     owner = scene.parts[part.keys.of].with_schema(SphereKeys)
-    return TransverselyIsotropicSphere(owner.keys.radius, sphere_material(owner), part.keys.damping)
+    return TransverselyIsotropicSphere(
+        owner.keys.radius, make_sphere_material(owner), part.keys.damping
+    )
 
 
 def _find_contact(part: Part[ElasticSphereKeys], scene: GovernedScene) -> Part[ContactKeys]:
@@ -227,7 +246,11 @@ def _find_contact(part: Part[ElasticSphereKeys], scene: GovernedScene) -> Part[C
         (contact, make_pair(contact, scene))
         for contact in scene.list_parts_with_schema("contact", ContactKeys)
     )
-    result = [contact for contact, p in pairs if part.name in (p.a.elastic, p.b.elastic)]
+    result = [
+        contact
+        for contact, p in pairs
+        if part.name in (p.lower_surface.elastic, p.upper_surface.elastic)
+    ]
     if len(result) != 1:
         got = ", ".join(c.name for c in result) or "none"
         expected = 'one, with shape = "pressure" and a body in a'
@@ -258,4 +281,4 @@ def _find_contact(part: Part[ElasticSphereKeys], scene: GovernedScene) -> Part[C
     return contact
 
 
-register(ElasticSphere())
+register_part_type(ElasticSphere())

@@ -13,22 +13,22 @@ from kc2spice.core.domains import DISPLACEMENT
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Length, Mass, Section, Velocity
 from kc2spice.core.waveforms import Waveforms
-from kc2spice.netlist.circuit import Param, positive_parameter
-from kc2spice.parts.mechanics._touching import ContactSurface, TouchablePart
+from kc2spice.netlist.circuit import Param, make_positive_parameter
+from kc2spice.parts.mechanics._contact_surfaces import ContactSurface, TouchablePart
 from kc2spice.physics import Declaration, DeclaredPart, displacement
-from kc2spice.physics.declaration import frame_acceleration
+from kc2spice.physics.declaration import make_frame_branch
 from kc2spice.scene.checks import Metric
 from kc2spice.scene.model import (
     GROUND,
-    Build,
+    BuiltScene,
     GovernedScene,
     Part,
     Scene,
     WiredScene,
 )
 from kc2spice.scene.part_records import EquilibriumConditions, FrameAcceleration
-from kc2spice.scene.parttype import register
-from kc2spice.scene.settings import Probe
+from kc2spice.scene.parttype import register_part_type
+from kc2spice.scene.settings import ProbeKeys
 from kc2spice.scene.start_conditions import find_floating_nets, find_rigid_groups
 
 _FRAME_PIN = "frame"  # pin for the acceleration of a frame; the next pins are frame2, frame3, …
@@ -49,15 +49,15 @@ class MassKeys(Section):
     position: Length = Field(
         0.0,
         description=(
-            "Position at t = 0, by default 0. Without position and velocity, a mass with a support "
-            "begins in equilibrium"
+            "Position of the mass at t = 0, by default 0. Without position and velocity, a "
+            "mass with a support begins in equilibrium"
         ),
     )
     velocity: Velocity = Field(
         0.0,
         description=(
-            "Velocity at t = 0, by default 0. Without position and velocity, a mass with a support "
-            "begins in equilibrium"
+            "Velocity of the mass at t = 0, by default 0. Without position and velocity, a "
+            "mass with a support begins in equilibrium"
         ),
     )
 
@@ -84,7 +84,7 @@ def declare_point_mass(
     shares, inertia = [], []
     for end, value in zip(_list_frame_pins(len(shaken)), shaken, strict=True):
         share = f"along_{end}"
-        branches.append(frame_acceleration(f"a_{end}", end, "base"))
+        branches.append(make_frame_branch(f"a_{end}", end, "base"))
         shares.append(Param(share, value, "-", f"share of {end} along the displacement of a"))
         inertia.append(f"mass*{share}*a_{end}")
     return Declaration(
@@ -97,7 +97,7 @@ def declare_point_mass(
         forces={"x": "+".join(inertia)} if inertia else {},
         starts={"x": ("position", "velocity")},
         given=(
-            positive_parameter("mass", mass, "kg", "mass"),
+            make_positive_parameter("mass", mass, "kg", "mass"),
             Param("gravity", gravity, "m/s2", "gravity, downwards"),
             Param("position", position, "m", "position at t = 0, used with uic"),
             Param("velocity", velocity, "m/s", "velocity at t = 0, used with uic"),
@@ -146,21 +146,24 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
             got, expected = f"analysis {scene.analysis.type}", 'type = "transient"'
             yield part.wrong("", problem, got, expected, "delete position and velocity")
 
-    def settable(self, part: Part[MassKeys], build: Build) -> Mapping[str, float]:
+    def settable_quantities(self, part: Part[MassKeys], build: BuiltScene) -> Mapping[str, float]:
         """Return the initial displacement and velocity of the mass as node voltages."""
         state = self.initial_motion(part, build)
         if state is None:
             return {}
         inner = f"x{part.name.lower()}"
-        return {f"{inner}.place_x": DISPLACEMENT.per_unit * state[0], f"{inner}.speed_x": state[1]}
+        return {
+            f"{inner}.place_x": DISPLACEMENT.pin_value_per_si_unit * state[0],
+            f"{inner}.speed_x": state[1],
+        }
 
-    def surface(
+    def contact_surface(
         self, part: Part[MassKeys], scene: GovernedScene, ports: tuple[str, ...] = ()
     ) -> ContactSurface:
         """Return the contact surface of the mass, a plane at its pin ``a``."""
         return ContactSurface(part.name, ("a",), (0.0,))
 
-    def initial_motion(self, part: Part[MassKeys], build: Build) -> tuple[float, float] | None:
+    def initial_motion(self, part: Part[MassKeys], build: BuiltScene) -> tuple[float, float] | None:
         """Return position [m] and velocity [m/s] at t = 0; None for a start in equilibrium.
 
         If several masses are fixed to each other, the first mass determines the initial state.
@@ -173,9 +176,9 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
         scene, keys = build.scene, part.keys
         state = keys.position, keys.velocity
         if _has_initial_state(part):
-            for name, pin in scene.joined_pins(part.name, "a"):
+            for name, pin in scene.list_joined_pins(part.name, "a"):
                 other = scene.parts[name]
-                moved = other.type.name == part.type.name or other.reduced
+                moved = other.type.name == part.type.name or other.is_body
                 if moved or scene.records[name].rest.ideal:
                     problem = (
                         "position and velocity of this mass are those of the part that it "
@@ -198,17 +201,19 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
         )
         return state if next(masses) == part.name else None
 
-    def checks(self, part: Part[MassKeys], build: Build, waves: Waveforms) -> Iterator[Any]:
+    def checks(self, part: Part[MassKeys], build: BuiltScene, waves: Waveforms) -> Iterator[Any]:
         """Return no checks, because the energy of a mass near rest is below time step errors."""
         return iter(())
 
-    def main_metrics(self, part: Part[MassKeys], build: Build) -> Mapping[str, Probe]:
+    def main_metrics(self, part: Part[MassKeys], build: BuiltScene) -> Mapping[str, ProbeKeys]:
         """Return the metric that a simulator can compute: the largest displacement."""
         if build.scene.analysis.type != "transient":
             return {}
-        return {f"{part.name}_peak_m": Probe(of=f"{part.name}.x", take="max")}
+        return {f"{part.name}_peak_m": ProbeKeys(of=f"{part.name}.x", take="max")}
 
-    def metrics(self, part: Part[MassKeys], build: Build, waves: Waveforms) -> Mapping[str, object]:
+    def metrics(
+        self, part: Part[MassKeys], build: BuiltScene, waves: Waveforms
+    ) -> Mapping[str, object]:
         """Return the metrics of the part, keyed by name."""
         if "time" not in waves:
             return {}
@@ -235,4 +240,4 @@ def _has_initial_state(part: Part[MassKeys]) -> bool:
     return bool({"position", "velocity"} & part.keys.model_fields_set)
 
 
-register(PointMass())
+register_part_type(PointMass())

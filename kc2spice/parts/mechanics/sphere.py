@@ -13,28 +13,28 @@ from pydantic import Field, field_validator
 from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.figure import Curve, Figure, Panel, Shape
-from kc2spice.core.prefix import format_quantity
 from kc2spice.core.quantities import (
     AIR_DENSITY,
     Density,
     Length,
     Section,
     Velocity,
-    invalid_value_error,
+    make_invalid_value_error,
 )
+from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.core.waveforms import Waveforms, integrate_cumulatively
-from kc2spice.fem.materials import Material, material
-from kc2spice.netlist.circuit import positive_parameter
-from kc2spice.parts.control._pid_keys import Control
+from kc2spice.fem.materials import Material, find_material
+from kc2spice.netlist.circuit import make_positive_parameter
+from kc2spice.parts.control._pid_keys import PidKeys
 from kc2spice.parts.mechanics._contact_keys import ContactKeys
-from kc2spice.parts.mechanics._touching import ContactSurface, TouchablePart, make_pair
+from kc2spice.parts.mechanics._contact_surfaces import ContactSurface, TouchablePart, make_pair
 from kc2spice.parts.mechanics.mass import declare_point_mass
 from kc2spice.physics import Declaration, DeclaredPart, displacement
 from kc2spice.physics.part import make_pins
-from kc2spice.scene.checks import Balance, Gate, Metric, motion_error_limit
+from kc2spice.scene.checks import Gate, Metric, RunEnergyBalance, compute_motion_error_limit
 from kc2spice.scene.model import (
     GROUND,
-    Build,
+    BuiltScene,
     DeclaredScene,
     GovernedScene,
     JoinedScene,
@@ -43,23 +43,28 @@ from kc2spice.scene.model import (
     Terminal,
     WiredScene,
 )
-from kc2spice.scene.part_records import EquilibriumConditions, Neglected, State, Vector
-from kc2spice.scene.parttype import compute_pin_forces, register
-from kc2spice.scene.plausible import check_range
-from kc2spice.scene.settings import Probe
+from kc2spice.scene.part_records import (
+    EquilibriumConditions,
+    InitialState,
+    NeglectedEffect,
+    PartResult,
+)
+from kc2spice.scene.parttype import compute_pin_forces, register_part_type
+from kc2spice.scene.plausibility import check_range
+from kc2spice.scene.settings import ProbeKeys
 from kc2spice.synthesis.header import SIGN_TEXT
 
 AIR_VISCOSITY = 1.825e-5  # viscosity of air [Pa s]
 STEEL_DENSITY = 7850.0  # density of steel [kg/m^3]
-REST_STATE = State(0.0, 0.0)
+REST_STATE = InitialState(0.0, 0.0)
 SETTLING_BAND = 0.05  # half-width of the settling band, relative to the step to the set point
 # Largest permitted relative error of the work on a sphere.
 # With this error of the work, a launch velocity has a relative error of about 1e-3.
 MAX_WORK_ERROR = 1e-4
 
 
-def _default_density(keys: dict[str, Any]) -> float:
-    """Return the density [kg/m^3] of the sphere's material; by default the density of steel."""
+def _find_default_density(keys: dict[str, Any]) -> float:
+    """Return the density [kg/m^3] of the material in ``keys``, by default of steel."""
     material = keys.get("material")
     return STEEL_DENSITY if material is None else _load_material(material).density
 
@@ -67,9 +72,9 @@ def _default_density(keys: dict[str, Any]) -> float:
 def _load_material(name_or_table: str | dict[str, Any]) -> Material:
     """Return the material of a sphere from the material's name or table."""
     try:
-        return material(name_or_table, "sphere.material")
+        return find_material(name_or_table, "sphere.material")
     except UsageError as error:
-        raise invalid_value_error(error.message, error.expected, hint=error.hint) from None
+        raise make_invalid_value_error(error.message, error.expected, hint=error.hint) from None
 
 
 class SphereKeys(Section):
@@ -79,29 +84,37 @@ class SphereKeys(Section):
     material: str | dict[str, Any] | None = Field(
         None,
         description=(
-            "Material of the sphere, from which contacts compute the effective modulus; by "
+            "Material of the sphere, which determines the effective modulus of contacts; by "
             "default steel for an elastic sphere"
         ),
     )
     density: Density = Field(
-        default_factory=_default_density,
+        default_factory=_find_default_density,
         gt=0,
-        description="Density of the sphere; by default the density of its material, or of steel",
+        description=(
+            "Density of the sphere; by default the density of the material, or of steel if "
+            "no material is stated"
+        ),
     )
     elastic: bool | dict[str, Any] | None = Field(
         None,
         description=(
-            "Whether the sphere deforms, or a table of damping, mesh and rom; requires "
+            "Whether the sphere is elastic, or a table of damping, mesh and rom; requires "
             "contact.shape = pressure; by default the sphere is rigid"
         ),
     )
     velocity: Velocity = Field(
         0.0,
-        description="Velocity at t = 0; with a velocity that is not zero, the transient "
-        "starts without an operating point",
+        description=(
+            "Velocity of the sphere at t = 0; with any other value than 0, the transient "
+            "starts without an operating point"
+        ),
     )
     height: Length = Field(
-        0.0, description="Height of the lowest point of the sphere at t = 0; requires a velocity"
+        0.0,
+        description=(
+            "Height of the lowest point of the sphere at t = 0; requires the key `velocity`"
+        ),
     )
 
     @field_validator("material")
@@ -139,7 +152,7 @@ def declare_sphere(
     """
     declaration = declare_point_mass(mass, gravity, height, velocity)
     weight, pull, place, fast = declaration.given
-    size = positive_parameter("radius", radius, "m", "radius of the sphere")
+    size = make_positive_parameter("radius", radius, "m", "radius of the sphere")
     place = replace(place, name="height", doc="height of the lowest point at t = 0, used with uic")
     return replace(
         declaration,
@@ -167,7 +180,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         keys, begin = part.keys, scene.initial_states.get(part.name, REST_STATE)
         return declare_sphere(keys.mass, keys.radius, scene.gravity, begin.velocity, begin.height)
 
-    def expand(
+    def generate_tables(
         self, part: Part[SphereKeys], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
         """Return the table of the part that models the elasticity, if the sphere is elastic."""
@@ -206,13 +219,13 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         solid = "no solid is lighter than an aerogel or heavier than osmium"
         yield from check_range(f"{name}.density", keys.density, "kg/m3", 1.0, 22_600.0, solid)
 
-    def surface(
+    def contact_surface(
         self, part: Part[SphereKeys], scene: GovernedScene, ports: tuple[str, ...] = ()
     ) -> ContactSurface:
         """Return the contact surface of the sphere, which is its lower pole."""
         keys, carried = part.keys, _name_elastic_part(part)
         known = keys.material is not None or carried
-        modulus = sphere_material(part).indentation_modulus if known else None
+        modulus = make_sphere_material(part).indentation_modulus if known else None
         place = part.name, ("bottom",), (0.0,), "v"
         return ContactSurface(*place, radius=keys.radius, elastic=carried, modulus=modulus)
 
@@ -221,11 +234,13 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         r, label = part.keys.radius, f"{part.name}: radius {1e3 * part.keys.radius:g} mm"
         yield Shape(0.0, r, 2 * r, 2 * r, "metal", label, round=True)
 
-    def governed_parts(self, part: Part[SphereKeys], scene: DeclaredScene) -> Mapping[str, State]:
+    def governed_parts(
+        self, part: Part[SphereKeys], scene: DeclaredScene
+    ) -> Mapping[str, InitialState]:
         """Return the initial velocity and height that the keys of the sphere state."""
         keys = part.keys
         moving = keys.velocity or keys.height
-        return {part.name: State(keys.velocity, keys.height)} if moving else {}
+        return {part.name: InitialState(keys.velocity, keys.height)} if moving else {}
 
     def equilibrium_conditions(
         self, part: Part[SphereKeys], scene: WiredScene
@@ -237,34 +252,34 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
             (("base", GROUND),), loaded_pins=("v",) if scene.gravity else (), inertial_pins=("v",)
         )
 
-    def settable(self, part: Part[SphereKeys], build: Build) -> Mapping[str, float]:
+    def settable_quantities(self, part: Part[SphereKeys], build: BuiltScene) -> Mapping[str, float]:
         """Return zero displacement and velocity at t = 0 for a sphere without support."""
-        joined = build.scene.joined_pins(part.name, "v")
+        joined = build.scene.list_joined_pins(part.name, "v")
         if (
             joined
-            or build.scene.joined_pins(part.name, "bottom")
+            or build.scene.list_joined_pins(part.name, "bottom")
             or part.name in build.scene.initial_states
         ):
             return {}
         # A sphere without support starts at rest, at the height at which it touches the body below.
-        return {build.net(part, "v"): 0.0, build.net(part, "bottom"): 0.0}
+        return {build.get_net(part, "v"): 0.0, build.get_net(part, "bottom"): 0.0}
 
-    def vectors(self, part: Part[SphereKeys], build: Build) -> Mapping[str, Vector]:
+    def vectors(self, part: Part[SphereKeys], build: BuiltScene) -> Mapping[str, PartResult]:
         """Return the ngspice vectors of the part's results, keyed by result name."""
-        return {f"{part.name}.{pin}": build.across(part, pin) for pin in ("y", "v")}
+        return {f"{part.name}.{pin}": build.get_pin_vector(part, pin) for pin in ("y", "v")}
 
-    def main_metrics(self, part: Part[SphereKeys], build: Build) -> Mapping[str, Probe]:
+    def main_metrics(self, part: Part[SphereKeys], build: BuiltScene) -> Mapping[str, ProbeKeys]:
         """Return the metrics that a simulator can compute: largest and final height."""
         if build.scene.analysis.type != "transient" or part.name in build.scene.initial_states:
             return {}
         of = f"{part.name}.y"
         return {
-            "peak_height_m": Probe(of=of, take="max"),
-            "final_position_m": Probe(of=of, take="final"),
+            "peak_height_m": ProbeKeys(of=of, take="max"),
+            "final_position_m": ProbeKeys(of=of, take="final"),
         }
 
     def metrics(
-        self, part: Part[SphereKeys], build: Build, waves: Waveforms
+        self, part: Part[SphereKeys], build: BuiltScene, waves: Waveforms
     ) -> Mapping[str, object]:
         """Return the metrics of the part, keyed by name."""
         y = waves.data.get(f"{part.name}.y")
@@ -279,8 +294,8 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         return result | {"still_rising": Metric(True)} if rising else result
 
     def checks(
-        self, part: Part[SphereKeys], build: Build, waves: Waveforms
-    ) -> Iterator[Balance | Gate]:
+        self, part: Part[SphereKeys], build: BuiltScene, waves: Waveforms
+    ) -> Iterator[RunEnergyBalance | Gate]:
         """Yield the check that the work of all forces equals the gain in kinetic energy.
 
         The scale of the error is the sum of the magnitudes of the work of all forces.
@@ -291,7 +306,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         if part.name not in scene.initial_states:
             limit, default = (
                 scene.gates.trajectory,
-                {"ngspice_vs_rom": motion_error_limit(scene.solver)},
+                {"ngspice_vs_rom": compute_motion_error_limit(scene.solver)},
             )
             if limit is None:
                 yield Gate(f"{words} over its way", of, default, "travel")
@@ -300,7 +315,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         t, v, mass = waves["time"], waves[f"{part.name}.v"], part.keys.mass
         forces = {"weight": np.full_like(t, -mass * build.scene.gravity)}
         acting = compute_pin_forces(build, waves)
-        for name, pin in scene.joined_pins(part.name, "v"):
+        for name, pin in scene.list_joined_pins(part.name, "v"):
             if (name, pin) not in acting:
                 return
             forces[name] = acting[name, pin]
@@ -315,17 +330,19 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         if v[0] != 0.0:
             entries["kinetic at the start"] = mass * float(v[0] ** 2) / 2
         advice = "the steps are too coarse for the contact: lower solver.reltol or max_step"
-        yield Balance(entries, abs(float(gap[-1])), turnover, MAX_WORK_ERROR, advice)
+        yield RunEnergyBalance(entries, abs(float(gap[-1])), turnover, MAX_WORK_ERROR, advice)
 
-    def figures(self, part: Part[SphereKeys], build: Build, waves: Waveforms) -> Iterator[Figure]:
+    def figures(
+        self, part: Part[SphereKeys], build: BuiltScene, waves: Waveforms
+    ) -> Iterator[Figure]:
         """Yield the figures of the part for the report."""
         y = waves.data.get(f"{part.name}.y")
         if y is None or "time" not in waves:
             return
         levels, bands = [], []
-        for pid in build.scene.list_parts_with_schema("pid", Control):
-            if controlled_sphere(pid, build.scene) is part:
-                goal, band = 1e3 * pid.keys.setpoint, 1e3 * settling_band(pid, part)
+        for pid in build.scene.list_parts_with_schema("pid", PidKeys):
+            if find_controlled_sphere(pid, build.scene) is part:
+                goal, band = 1e3 * pid.keys.setpoint, 1e3 * compute_settling_band(pid, part)
                 levels.append((goal, "set point, ±5 % of the step"))
                 bands.append((goal - band, goal + band, ""))
         path = Curve(part.name, 1e3 * waves["time"], 1e3 * y)
@@ -336,15 +353,17 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         title = f"Path of {part.name}"
         yield Figure(f"{part.name}_trajectory", title, caption, (panel,), main=True)
 
-    def initial_motion(self, part: Part[SphereKeys], build: Build) -> tuple[float, float] | None:
+    def initial_motion(
+        self, part: Part[SphereKeys], build: BuiltScene
+    ) -> tuple[float, float] | None:
         """Return position [m] and velocity [m/s] at t = 0; None for a start in equilibrium."""
         n, scene, states = part.name, build.scene, build.scene.initial_states
-        if not states and (scene.joined_pins(n, "v") or scene.joined_pins(n, "bottom")):
+        if not states and (scene.list_joined_pins(n, "v") or scene.list_joined_pins(n, "bottom")):
             return None
         begin = states.get(n, REST_STATE)
         return begin.height, begin.velocity
 
-    def law(self, part: Part[SphereKeys], build: Build) -> laws.Equations:
+    def law(self, part: Part[SphereKeys], build: BuiltScene) -> laws.Equations:
         """Return the model equations of the part."""
         n, result = part.name, super().law(part, build)
         height = laws.scale_wave(f"{n}.bottom", constant=part.keys.radius)
@@ -353,7 +372,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         results = {f"{n}.y": height, f"{n}.v": result.results[f"{n}.v"]}
         return replace(result, pins=pins, results=results)
 
-    def notes(self, part: Part[SphereKeys], scene: Scene) -> Iterator[str | Neglected]:
+    def notes(self, part: Part[SphereKeys], scene: Scene) -> Iterator[str | NeglectedEffect]:
         """Yield the assumptions of the model and the effects that it neglects."""
         keys = part.keys
         mass = format_quantity(keys.mass, "kg")
@@ -363,22 +382,24 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         )
         if linear and part.keys.elastic is None:
             why = f"the part is rigid unless {part.name}.elastic"
-            yield Neglected(
+            yield NeglectedEffect(
                 "elasticity of the sphere", why, _describe_elasticity_effect(part, scene)
             )
         if scene.analysis.type == "transient":
             yield _estimate_air_drag(part.keys)
             why = "the part moves along one axis"
-            yield Neglected("rotation and sideways motion of the sphere", why, "not estimated")
+            yield NeglectedEffect(
+                "rotation and sideways motion of the sphere", why, "not estimated"
+            )
 
 
 def find_sphere(part: Part, scene: DeclaredScene) -> Part[SphereKeys]:
     """Return the sphere that another part throws, pushes or pulls."""
-    return scene.partner(part, "sphere", "of").with_schema(SphereKeys)
+    return scene.find_partner(part, "sphere", "of").with_schema(SphereKeys)
 
 
-def sphere_material(part: Part[SphereKeys]) -> Material:
-    """Return the material of the sphere with the sphere's density; by default steel."""
+def make_sphere_material(part: Part[SphereKeys]) -> Material:
+    """Return the material of the sphere, by default steel, with the key ``density``."""
     return replace(_load_material(part.keys.material or "steel"), density=part.keys.density)
 
 
@@ -390,13 +411,13 @@ def _name_elastic_part(part: Part[SphereKeys]) -> str:
     return "" if part.keys.elastic is None else f"{part.name}_elastic"
 
 
-def controlled_sphere(pid: Part[Control], scene: DeclaredScene) -> Part[SphereKeys] | None:
+def find_controlled_sphere(pid: Part[PidKeys], scene: DeclaredScene) -> Part[SphereKeys] | None:
     """Return the sphere whose height a controller controls."""
     ball = scene.parts.get(pid.keys.of) if pid.keys.of else scene.find_only_part("sphere")
     return None if ball is None else ball.with_schema(SphereKeys)
 
 
-def settling_band(pid: Part[Control], ball: Part[SphereKeys]) -> float:
+def compute_settling_band(pid: Part[PidKeys], ball: Part[SphereKeys]) -> float:
     """Return the half-width [m] of the band around the set point for a settled sphere."""
     return SETTLING_BAND * abs(float(pid.keys.setpoint - ball.keys.radius))
 
@@ -406,7 +427,7 @@ def _has_prescribed_motion(part: Part[SphereKeys], scene: GovernedScene) -> bool
     return scene.movers.get(part.name) is not None
 
 
-def height_offset(part: Part, pin: str, scene: WiredScene) -> float:
+def find_height_offset(part: Part, pin: str, scene: WiredScene) -> float:
     """Return the height [m] of a sphere's centre above its coordinate in the equations.
 
     The sphere is connected to ``pin``; without a sphere, the height is 0.
@@ -415,7 +436,7 @@ def height_offset(part: Part, pin: str, scene: WiredScene) -> float:
     return 0.0 if ball is None else float(ball.keys.radius)
 
 
-def initial_height(part: Part, pin: str, scene: WiredScene) -> float | None:
+def find_initial_height(part: Part, pin: str, scene: WiredScene) -> float | None:
     """Return the height [m] of the centre of the sphere at ``pin`` at t = 0.
 
     Return None without a sphere at the pin, or if an operating point determines the height.
@@ -428,7 +449,7 @@ def initial_height(part: Part, pin: str, scene: WiredScene) -> float | None:
 
 def _find_sphere_at(part: Part, pin: str, scene: WiredScene) -> Part[SphereKeys] | None:
     """Return the sphere with a height that ``pin`` measures; None without such a sphere."""
-    for name, other in scene.joined_pins(part.name, pin):
+    for name, other in scene.list_joined_pins(part.name, pin):
         if other == "y" and scene.parts[name].type.name == Sphere.name:
             return scene.parts[name].with_schema(SphereKeys)
     return None
@@ -436,15 +457,17 @@ def _find_sphere_at(part: Part, pin: str, scene: WiredScene) -> Part[SphereKeys]
 
 def _describe_elasticity_effect(part: Part[SphereKeys], scene: GovernedScene) -> str:
     """Return the effect that the sphere's elasticity would have on the contact, in words."""
-    sphere_modulus = sphere_material(part).indentation_modulus
-    moduli = [make_pair(contact, scene).a.modulus for contact in scene.list_parts("contact")]
+    sphere_modulus = make_sphere_material(part).indentation_modulus
+    moduli = [
+        make_pair(contact, scene).lower_surface.modulus for contact in scene.list_parts("contact")
+    ]
     stiffest = max(filter(None, moduli), default=0.0)
     if not stiffest:
         return "not estimated"
     return f"the indentation would be {100 * stiffest / sphere_modulus:.0f} % softer"
 
 
-def _estimate_air_drag(keys: SphereKeys) -> Neglected:
+def _estimate_air_drag(keys: SphereKeys) -> NeglectedEffect:
     """Return the neglected air drag at 1 m/s, relative to the weight of the sphere.
 
     The drag coefficient follows the formula of Schiller and Naumann.
@@ -455,7 +478,7 @@ def _estimate_air_drag(keys: SphereKeys) -> Neglected:
     area = math.pi * keys.radius**2
     drag = 0.5 * AIR_DENSITY * speed**2 * area * coefficient
     share = drag / (keys.mass * 9.81)
-    return Neglected("drag of the air", "small", f"{share:.2g} of the weight at 1 m/s")
+    return NeglectedEffect("drag of the air", "small", f"{share:.2g} of the weight at 1 m/s")
 
 
-register(Sphere())
+register_part_type(Sphere())

@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 
 from kc2spice.rom.pencil import Pencil, make_explicit_pencil
-from kc2spice.rom.reduced_basis import ReducedBasis, Task
+from kc2spice.rom.reduced_basis import ReducedBasis, ReductionTask
 from kc2spice.rom.reductors.base import Reductor
 
 # limits by computing time, which grows with the cube of the number of states; found by trials
@@ -63,36 +63,38 @@ class BalancedTruncation(Reductor):
         self.scaled = scaled
         self.name = "balanced truncation" + ("" if scaled else " of outputs as they are")
 
-    def obstacle(self, task: Task) -> str:
+    def obstacle(self, task: ReductionTask) -> str:
         """Return the reason why the model has no Gramians, or why scale factors have no effect."""
         reason = explain_no_gramians(task)
         if reason or self.scaled:
             return reason
-        if task.estimator.reference[1].peak.size == 1:
+        if task.estimator.exact_response_and_scales[1].peak.size == 1:
             return "one transfer function alone has no scale: use 'balanced truncation'"
-        return explain_too_large(task.first_order.pencil.size, MAX_UNSCALED_STATES)
+        return explain_too_large(task.first_order_response.pencil.size, MAX_UNSCALED_STATES)
 
-    def basis(self, task: Task) -> ReducedBasis | None:
+    def basis(self, task: ReductionTask) -> ReducedBasis | None:
         """Return the balanced model; None if the model is not strictly stable."""
-        return task.share(self.name, lambda: self._balance(task))
+        return task.get_shared_value(self.name, lambda: self._balance(task))
 
-    def _balance(self, task: Task) -> ReducedBasis | None:
+    def _balance(self, task: ReductionTask) -> ReducedBasis | None:
         """Return the balanced basis of a task, None if the Gramians do not exist."""
-        rows, columns = compute_balancing_factors(task.estimator.reference[1].peak)
+        rows, columns = compute_balancing_factors(task.estimator.exact_response_and_scales[1].peak)
         if not self.scaled:
             rows, columns = np.ones(len(rows)), np.ones(len(columns))
-        roots = _compute_gramian_roots(task.first_order.pencil, rows, columns)
-        return None if roots is None else balance_model(task, task.first_order.pencil, *roots)
+        roots = _compute_gramian_roots(task.first_order_response.pencil, rows, columns)
+        return (
+            None if roots is None else balance_model(task, task.first_order_response.pencil, *roots)
+        )
 
 
-def compute_hankel_singular_values(task: Task) -> np.ndarray | None:
+def compute_hankel_singular_values(task: ReductionTask) -> np.ndarray | None:
     """Return the Hankel singular values of the intermediate model in descending order.
 
     Return None if the model is not strictly stable or too large.
     """
     if not has_gramians(task):
         return None
-    model = task.first_order.pencil
+    model = task.first_order_response.pencil
     roots = _compute_gramian_roots(model, np.ones(len(model.C)), np.ones(model.B.shape[1]))
     return None if roots is None else np.linalg.svd(roots[1].T @ roots[0], compute_uv=False)
 
@@ -108,11 +110,11 @@ def _compute_gramian_roots(
     A = -model.coefficients[0]
     if np.linalg.eigvals(A).real.max() > -MIN_DECAY:
         return None
-    controllable = _gramian_root(A, model.B / columns)
-    return controllable, _gramian_root(A, (model.C / rows[:, None]).T, transposed=True)
+    controllable = _compute_gramian_root(A, model.B / columns)
+    return controllable, _compute_gramian_root(A, (model.C / rows[:, None]).T, transposed=True)
 
 
-def has_gramians(task: Task) -> bool:
+def has_gramians(task: ReductionTask) -> bool:
     """Return whether dense Gramians exist and are small enough.
 
     The Gramians exist if the model has a static response, and if no damping couples rigid-body
@@ -121,9 +123,9 @@ def has_gramians(task: Task) -> bool:
     return not explain_no_gramians(task)
 
 
-def explain_no_gramians(task: Task) -> str:
+def explain_no_gramians(task: ReductionTask) -> str:
     """Return the reason why dense Gramians are not computed, "" if they are computed."""
-    if task.core.free:
+    if task.pencil_without_rigid_modes.free:
         return "damping couples rigid-body modes to other motions, so Gramians do not exist"
     if not task.intermediate.static:
         return "the model has no static response, so Gramians do not exist"
@@ -138,7 +140,7 @@ def explain_too_large(states: int, largest: int) -> str:
 
 
 def balance_model(
-    task: Task, model: Pencil, controllable: np.ndarray, observable: np.ndarray
+    task: ReductionTask, model: Pencil, controllable: np.ndarray, observable: np.ndarray
 ) -> ReducedBasis | None:
     """Balance a model ``x' = A x + B u`` with square roots of both Gramians.
 
@@ -154,7 +156,7 @@ def balance_model(
     V = controllable @ Zt[:count].T / np.sqrt(hankel[:count])
     W = observable @ U[:, :count] / np.sqrt(hankel[:count])
     A = -model.coefficients[0]
-    balanced = task.from_first_order(
+    balanced = task.convert_from_first_order(
         make_explicit_pencil(W.T @ A @ V, W.T @ model.B, model.C @ V, model.D)
     )
     vectors = scipy.linalg.block_diag(np.eye(balanced.free), V)
@@ -174,11 +176,11 @@ def compute_balancing_factors(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return np.exp(log.mean(axis=-1) - half), np.exp(log.mean(axis=-2) - half)
 
 
-def _gramian_root(T: np.ndarray, Q: np.ndarray, transposed: bool = False) -> np.ndarray:
+def _compute_gramian_root(T: np.ndarray, Q: np.ndarray, transposed: bool = False) -> np.ndarray:
     """Compute a square root R of the solution ``X = R R'`` of ``T X + X T' = -Q Q'``.
 
-    T is in real Schur form. If ``transposed`` is true, T' replaces T. If rounding errors make X
-    slightly indefinite, its negative eigenvalues are set to zero.
+    T is in real Schur form. If ``transposed`` is true, T' replaces T. If rounding errors
+    make X slightly indefinite, its negative eigenvalues are set to zero.
     """
     C = -Q @ Q.T
     if transposed:  # in reverse order, T' is again in Schur form

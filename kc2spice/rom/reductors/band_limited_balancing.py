@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import scipy
 
-from kc2spice.rom.reduced_basis import ReducedBasis, Task
+from kc2spice.rom.reduced_basis import ReducedBasis, ReductionTask
 from kc2spice.rom.reductors.balanced_truncation import (
     balance_model,
     compute_balancing_factors,
@@ -48,28 +48,30 @@ class BandLimitedBalancing(Reductor):
     )
     congruence = False
 
-    def obstacle(self, task: Task) -> str:
+    def obstacle(self, task: ReductionTask) -> str:
         """Return the reason why the model is too large, or why its samples take too long."""
         reason = explain_no_gramians(task) or explain_too_large(
-            task.first_order.pencil.size, MAX_STATES
+            task.first_order_response.pencil.size, MAX_STATES
         )
-        if reason or task.first_order.diagonal:
+        if reason or task.first_order_response.is_decoupled:
             return reason
         return "the eigenvectors of the model are too close to each other for fast samples"
 
-    def basis(self, task: Task) -> ReducedBasis | None:
+    def basis(self, task: ReductionTask) -> ReducedBasis | None:
         """Return the model balanced over the band."""
-        return task.share(self.name, lambda: self._balance(task))
+        return task.get_shared_value(self.name, lambda: self._balance(task))
 
-    def _balance(self, task: Task) -> ReducedBasis | None:
+    def _balance(self, task: ReductionTask) -> ReducedBasis | None:
         """Return the balanced basis from samples of the response."""
-        estimator, response = task.estimator, task.first_order
+        estimator, response = task.estimator, task.first_order_response
         step = 1 if task.norm == "pointwise" else PEAK_NORM_STEP
-        frequency, (H, entries) = estimator.frequency[::step], estimator.reference
-        inputs, outputs = _compute_weights(frequency, entries.base(H[::step], estimator.share))
+        frequency, (H, entries) = estimator.frequency[::step], estimator.exact_response_and_scales
+        inputs, outputs = _compute_weights(
+            frequency, entries.compute_error_divisors(H[::step], estimator.min_divisor_share)
+        )
         s = 1j * frequency / task.band[1]
         controllable = _compute_sum_root(response.states(s) * inputs[:, None, :])
-        observable = _compute_sum_root(response.dual.states(s) * outputs[:, None, :])
+        observable = _compute_sum_root(response.dual_response.states(s) * outputs[:, None, :])
         return balance_model(task, response.pencil, controllable, observable)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core.errors import UsageError
-from kc2spice.rom.reduced_basis import ReducedBasis, Task
+from kc2spice.rom.reduced_basis import ReducedBasis, ReductionTask
 
 
 class Reductor(ABC):
@@ -45,11 +45,11 @@ class Reductor(ABC):
     congruence: bool = True
     no_basis: str = "its basis() returns None"
 
-    def obstacle(self, task: Task) -> str:
+    def obstacle(self, task: ReductionTask) -> str:
         """Return the reason why the method does not apply to this model, "" if it applies."""
         return ""
 
-    def applies_to(self, task: Task) -> bool:
+    def applies_to(self, task: ReductionTask) -> bool:
         """Return whether the method applies to this model.
 
         By default a method applies if there is no obstacle.
@@ -57,7 +57,7 @@ class Reductor(ABC):
         return not self.obstacle(task)
 
     @abstractmethod
-    def basis(self, task: Task) -> ReducedBasis | None:
+    def basis(self, task: ReductionTask) -> ReducedBasis | None:
         """Return the basis, usually ``task.project(V)``; None if no basis exists.
 
         Parameters

@@ -10,10 +10,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from kc2spice.rom.definite import is_definite
-from kc2spice.rom.intermediate import IntermediateModel
+from kc2spice.rom.definiteness import is_definite
+from kc2spice.rom.intermediate_model import IntermediateModel
 from kc2spice.rom.pencil import Pencil
-from kc2spice.rom.reduced_basis import ReducedBasis, Task
+from kc2spice.rom.reduced_basis import ReducedBasis, ReductionTask
 from kc2spice.rom.reductors.base import Reductor
 from kc2spice.rom.response import Response
 
@@ -51,7 +51,7 @@ class BlockKrylov(Reductor):
     name = "block Krylov"
     reference = "Schütz, Maeter and Bechtold, Actuators 10 (2021) 279, section 2.3"
 
-    def obstacle(self, task: Task) -> str:
+    def obstacle(self, task: ReductionTask) -> str:
         """Return the reason why the method does not apply to this model, "" if it applies.
 
         The method needs a positive definite K, and proportional or no damping.
@@ -60,13 +60,13 @@ class BlockKrylov(Reductor):
             return ""
         if pencil.degree == 1:
             return "the model is of first order"
-        if not task.collocated:
+        if not task.is_collocated:
             return "its matrices are not symmetric, or C is not the transpose of B"
-        if pencil.rayleigh is None and not pencil.undamped:
+        if pencil.rayleigh is None and not pencil.is_undamped:
             return "its damping is not proportional to mass and stiffness"
         return "its stiffness matrix is not positive definite"
 
-    def basis(self, task: Task) -> ReducedBasis:
+    def basis(self, task: ReductionTask) -> ReducedBasis:
         """Return nested Krylov vectors and the full-order model projected on them."""
         if not task.intermediate.proof:  # the order is prescribed, and the Krylov basis exists
             V = task.intermediate.basis
@@ -173,7 +173,7 @@ class OrthonormalBasis:
         lengths = np.sqrt(np.einsum("ki,ki->i", candidates, self._stiffness(candidates)))
         # One product for the whole block takes a fraction of the time of a product for each column.
         candidates = candidates - self.vectors @ (self.stiffness_products.T @ candidates)
-        self._reserve(candidates.shape[1])
+        self._reserve_columns(candidates.shape[1])
         old = self._count
         for vector, length in zip(candidates.T, lengths, strict=True):
             for first in (old, 0):  # two passes suffice (Kahan, Parlett)
@@ -189,12 +189,12 @@ class OrthonormalBasis:
 
     def append(self, vectors: np.ndarray) -> None:
         """Append ``vectors`` (n, m), which are already orthonormal, to the basis."""
-        self._reserve(vectors.shape[1])
+        self._reserve_columns(vectors.shape[1])
         both = slice(self._count, self._count + vectors.shape[1])
         self._vectors[:, both], self._images[:, both] = vectors, self._stiffness(vectors)
         self._count = both.stop
 
-    def _reserve(self, count: int) -> None:
+    def _reserve_columns(self, count: int) -> None:
         """Allocate memory for ``count`` more columns, and for at least twice as many as before."""
         if self._count + count <= self._vectors.shape[1]:
             return

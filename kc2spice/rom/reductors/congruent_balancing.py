@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 import scipy
 
-from kc2spice.rom.reduced_basis import ReducedBasis, Task
+from kc2spice.rom.reduced_basis import ReducedBasis, ReductionTask
 from kc2spice.rom.reductors.balanced_truncation import (
     HANKEL_ROUNDING,
     MIN_DECAY,
@@ -48,22 +48,22 @@ class CongruentBalancing(Reductor):
     reference = "Liu, Sreeram and Teo, Syst. Control Lett. 34 (1998) 209"
     no_basis = NOT_STABLE_TEXT
 
-    def obstacle(self, task: Task) -> str:
+    def obstacle(self, task: ReductionTask) -> str:
         """Return the reason why the Gramians are not equal, or do not exist."""
-        core = task.core
+        core = task.pencil_without_rigid_modes
         if core.degree == 2:
             return "the model is of second order"
-        if not (core.symmetric and core.collocated):
+        if not (core.is_symmetric and core.is_collocated):
             return "its matrices are not symmetric, or C is not the transpose of B"
         return explain_no_gramians(task)
 
-    def basis(self, task: Task) -> ReducedBasis | None:
+    def basis(self, task: ReductionTask) -> ReducedBasis | None:
         """Return the balanced model; None if the model is not strictly stable."""
-        return task.share(self.name, lambda: self._balance(task))
+        return task.get_shared_value(self.name, lambda: self._balance(task))
 
-    def _balance(self, task: Task) -> ReducedBasis | None:
+    def _balance(self, task: ReductionTask) -> ReducedBasis | None:
         """Return the basis of static responses and of eigenvectors of the Gramian of a task."""
-        core = task.core
+        core = task.pencil_without_rigid_modes
         try:
             rates, X = scipy.linalg.eigh(*core.coefficients)
         except scipy.linalg.LinAlgError:  # E is singular: some unknowns have no capacity
@@ -72,9 +72,9 @@ class CongruentBalancing(Reductor):
             return None
         loads = X.T @ core.B
         static = np.empty((len(rates), 0))
-        if any(port.loaded for port in task.fom.ports):
+        if any(port.is_flow_driven for port in task.fom.ports):
             static = scipy.linalg.orth(loads / rates[:, None])
-        _, columns = compute_balancing_factors(task.estimator.reference[1].peak)
+        _, columns = compute_balancing_factors(task.estimator.exact_response_and_scales[1].peak)
         scaled = loads / columns
         gramian = scaled @ scaled.T / (rates[:, None] + rates)
         others = np.eye(len(rates)) - static @ static.T

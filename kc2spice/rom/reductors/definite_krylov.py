@@ -16,9 +16,9 @@ import numpy as np
 
 from kc2spice.core.progress import ConvergenceTimer
 from kc2spice.linalg.factor import require_memory_for_factors
-from kc2spice.rom.error_estimate import relative_size
+from kc2spice.rom.error_estimate import compute_relative_errors
 from kc2spice.rom.free_body import FreeBody
-from kc2spice.rom.intermediate import IntermediateModel, make_no_convergence_error
+from kc2spice.rom.intermediate_model import IntermediateModel, make_no_convergence_error
 from kc2spice.rom.pencil import GrowingProjection, Pencil
 from kc2spice.rom.reductors.block_krylov import Operator, OrthonormalBasis
 from kc2spice.rom.reductors.rational_krylov import CONFIRMATIONS, MAX_VECTORS
@@ -68,7 +68,7 @@ def reduce_definite_model(
         candidates = pencil.static_response
     else:
         solve = body.solve
-        space = OrthonormalBasis(body.stiffness, pencil.size)
+        space = OrthonormalBasis(body.apply_shifted_stiffness, pencil.size)
         space.append(body.vectors)
         projection.extend(space.vectors, K @ space.vectors, M @ space.vectors)
         candidates = solve(pencil.B)
@@ -92,8 +92,8 @@ def reduce_definite_model(
         H = response.transfer(s)
         size = np.ones((len(s), 1, 1))
         if previous is not None:
-            entries = response.entries(frequency, H)
-            size = relative_size(previous.transfer(s) - H, H, entries)
+            entries = response.compute_error_scales(frequency, H)
+            size = compute_relative_errors(previous.transfer(s) - H, H, entries)
         before, change = change, float(size.max())
         met = met + 1 if change <= target else 0
         timer.end_step(change if previous is not None else np.inf)
@@ -120,7 +120,7 @@ def reduce_definite_model(
         worst = float(frequency[np.argmax(np.where(distant, size.max(axis=(1, 2)), -1.0))])
         used.append(worst)
         blocks = BLOCKS_AT_SHIFT - 1
-        require_memory_for_factors(pencil.bordered(1.0, 1.0, 1.0))
+        require_memory_for_factors(pencil.assemble_bordered_matrix(1.0, 1.0, 1.0))
         solve = pencil.factorise_shifted_stiffness((2 * np.pi * worst) ** 2).solve
         candidates = solve(pencil.B)
     raise make_no_convergence_error(response, band, change, limit)

@@ -17,11 +17,17 @@ from dataclasses import replace
 import numpy as np
 
 from kc2spice.linalg.extended_precision import RefinedSolver
-from kc2spice.rom.entries import Entries
-from kc2spice.rom.error_estimate import make_inaccuracy_error, relative_size
-from kc2spice.rom.intermediate import IntermediateModel
+from kc2spice.rom.entry_scales import EntryScales
+from kc2spice.rom.error_estimate import compute_relative_errors, make_inaccuracy_error
+from kc2spice.rom.intermediate_model import IntermediateModel
 from kc2spice.rom.pencil import Pencil
-from kc2spice.rom.response import FLANK_DISTANCE, MIN_DAMPING_RATIO, Response, grid, sample_band
+from kc2spice.rom.response import (
+    FLANK_DISTANCE,
+    MIN_DAMPING_RATIO,
+    Response,
+    make_frequency_grid,
+    sample_band,
+)
 from kc2spice.rom.rounding import describe_uncertainty, estimate_rounding_uncertainty
 
 # numbers of frequencies, found by trials
@@ -59,7 +65,7 @@ class ExactSamples:
         SimulationError : the frequency is a pole.
         """
         P, s = self.pencil, 2j * np.pi * frequency
-        x, y = self._solver.at(s, P.B, P.C)
+        x, y = self._solver.solve_two_sided(s, P.B, P.C)
         self.frequency = np.r_[self.frequency, frequency]
         self.H = np.concatenate([self.H, (P.C @ x + P.D)[None]])
         image = s * (self._E @ x) - P.B
@@ -86,17 +92,17 @@ class ExactSamples:
             small = Pencil((-(left.T @ inner @ right), np.eye(order)), left.T @ B, C @ right, P.D)
             small = _remove_growing_poles(small)
             response = Response(small).transfer(2j * np.pi * self.frequency)
-            error = self.relative_errors(response - self.H, self.H).max(initial=0.0)
+            error = self.compute_relative_errors(response - self.H, self.H).max(initial=0.0)
             models.append((error, order, small))
         error, _, best = min(models, key=lambda found: found[:2])
         return best, float(error)
 
-    def relative_errors(self, difference: np.ndarray, H: np.ndarray) -> np.ndarray:
+    def compute_relative_errors(self, difference: np.ndarray, H: np.ndarray) -> np.ndarray:
         """Return the magnitude of ``difference`` relative to ``H``.
 
         The divisor is the magnitude of ``H``, but at least a share of the peak of all samples.
         """
-        return relative_size(difference, H, Entries.of(self.H))
+        return compute_relative_errors(difference, H, EntryScales.from_response(self.H))
 
 
 def reduce_by_samples(
@@ -109,7 +115,7 @@ def reduce_by_samples(
     SimulationError : the error exceeds ``limit``, or the model has rigid-body modes.
     """
     known = ExactSamples(full)
-    every = grid(band, CANDIDATE_FREQUENCIES, True)
+    every = make_frequency_grid(band, CANDIDATE_FREQUENCIES, True)
     for k in np.unique(np.linspace(0, len(every) - 2, FIRST_SAMPLES).astype(int)):
         known.add(float(every[k]))
     last = Response(known.model()[0])
@@ -123,10 +129,12 @@ def reduce_by_samples(
         if not points.size:
             break
         H = before.transfer(2j * np.pi * points)
-        change = known.relative_errors(last.transfer(2j * np.pi * points) - H, H).max(axis=(1, 2))
+        change = known.compute_relative_errors(last.transfer(2j * np.pi * points) - H, H).max(
+            axis=(1, 2)
+        )
         worst = int(np.argmax(change))
         known.add(float(points[worst]))
-        error = float(known.relative_errors(H[worst] - known.H[-1], known.H[-1]).max())
+        error = float(known.compute_relative_errors(H[worst] - known.H[-1], known.H[-1]).max())
         last = before
         model, fit = known.model()
         recent = [*recent[-1:], max(error, fit)]
@@ -143,7 +151,7 @@ def reduce_by_samples(
         )
     proof = f"compared with refined solutions of the full model at {len(known.frequency)} "
     response = Response(model)
-    at, ratio = response.within(band)
+    at, ratio = response.select_in_band(band)
     at = at * (1 + FLANK_DISTANCE * (ratio < MIN_DAMPING_RATIO)) if at.size else np.array(band)
     proof += "frequencies" + describe_uncertainty(
         at, estimate_rounding_uncertainty(full, at), 2 * limit
@@ -156,7 +164,7 @@ def _remove_growing_poles(small: Pencil) -> Pencil:
 
     The matrices of the result consist of real blocks, one for each pole or pair of poles.
     """
-    from kc2spice.rom.blocks import decouple_states
+    from kc2spice.rom.decoupled_blocks import decouple_states
 
     blocks, X, inverse = decouple_states(-small.coefficients[0])
     A = np.zeros_like(X)

@@ -16,8 +16,8 @@ import numpy as np
 import scipy
 
 from kc2spice.core.errors import SimulationError
-from kc2spice.rom.error_estimate import relative_size
-from kc2spice.rom.pencil import Pencil, Schur, absolute_entries
+from kc2spice.rom.error_estimate import compute_relative_errors
+from kc2spice.rom.pencil import Pencil, SchurComplement, compute_absolute_entries
 from kc2spice.rom.reductors.block_krylov import DEFLATION_LIMIT
 from kc2spice.rom.reductors.exact_samples import split_real_parts
 from kc2spice.rom.response import Response, sample_band
@@ -41,14 +41,14 @@ class GreedyBasis:
 
     def __init__(self, pencil: Pencil, band: tuple[float, float], static: bool = True) -> None:
         self.pencil, self.band = pencil, band
-        self.two_sided = not (pencil.symmetric and pencil.collocated)
+        self.two_sided = not (pencil.is_symmetric and pencil.is_collocated)
         self.basis = np.empty((pencil.size, 0))
         self.points = 0
         self.change = np.inf
         sketch = np.random.default_rng(0).standard_normal((SKETCH_SIZE, pencil.size))
         self._sides = [_Sketch(sketch, pencil.coefficients, pencil.B)]
         if self.two_sided:
-            dual = pencil.transposed()
+            dual = pencil.make_dual()
             self._sides.append(_Sketch(sketch, dual.coefficients, dual.B))
         self._used: list[complex] = []
         self.turn = np.empty((0, 0))
@@ -57,7 +57,7 @@ class GreedyBasis:
         self.static = False
         self.static = static and self._add_static()
 
-    def check(self, s: complex) -> tuple[float, bool]:
+    def add_checked_point(self, s: complex) -> tuple[float, bool]:
         """Return the relative error of the projected model at ``s``, and extend the basis.
 
         The solution of the full model at ``s`` is added to the basis. The second result states
@@ -65,27 +65,29 @@ class GreedyBasis:
         """
         x, *others = self.solve(s)
         true = self.pencil.C @ x + self.pencil.D
-        points = self._candidates()
+        points = self._list_candidate_frequencies()
         grid_s = 2j * np.pi * points
-        entries = self.response.entries(points)
-        error = relative_size(self.response.transfer(np.array([s]))[0] - true, true, entries)
-        error[self.response.cancelled_entries(np.r_[grid_s, s]) & ~entries.zero] = 0.0
+        entries = self.response.compute_error_scales(points)
+        error = compute_relative_errors(
+            self.response.transfer(np.array([s]))[0] - true, true, entries
+        )
+        error[self.response.mask_cancelled_entries(np.r_[grid_s, s]) & ~entries.zero] = 0.0
         before = self.basis.shape[1]
         self.extend(s, x, *others)
         return float(error.max()), self.basis.shape[1] > before
 
-    def next_point(self) -> complex:
+    def choose_next_point(self) -> complex:
         """Choose the next expansion point.
 
         The point is alternately the candidate with the largest residual, and the candidate with the
         largest change of the response by the last point.
         """
-        points = self._candidates()
+        points = self._list_candidate_frequencies()
         s = 2j * np.pi * points
         result = self.response.transfer(s)
-        entries = self.response.entries(points, result)
-        size = relative_size(self._previous.transfer(s) - result, result, entries)
-        size[:, self.response.cancelled_entries(s) & ~entries.zero] = 0.0
+        entries = self.response.compute_error_scales(points, result)
+        size = compute_relative_errors(self._previous.transfer(s) - result, result, entries)
+        size[:, self.response.mask_cancelled_entries(s) & ~entries.zero] = 0.0
         self.change = float(size.max()) if self.points > 2 else np.inf
         fresh = np.array([not np.isclose(item, self._used, rtol=1e-7).any() for item in s])
         if not fresh.any():
@@ -93,15 +95,18 @@ class GreedyBasis:
                 "all frequencies of the band are sampled, and the error still "
                 "exceeds the tolerance",
                 where="reduction",
+                hint="raise the tolerance",
             )
         measure = size.max(axis=(1, 2))
         if self.points % 2:
             measure = self._sides[0].residual(s, self.turn @ self.response.states(s))
             if self.two_sided:
-                measure = measure * self._sides[1].residual(s, self.response.dual.states(s))
+                measure = measure * self._sides[1].residual(
+                    s, self.response.dual_response.states(s)
+                )
         return complex(s[np.argmax(np.where(fresh, measure, -1.0))])
 
-    def _candidates(self) -> np.ndarray:
+    def _list_candidate_frequencies(self) -> np.ndarray:
         """Return frequencies [Hz] from which the next expansion point is chosen."""
         return sample_band(self.response, self.band, CANDIDATE_FREQUENCIES, self.static)
 
@@ -124,14 +129,14 @@ class GreedyBasis:
         If the model is not symmetric or C differs from B', also return ``y = P(s)^-T C'`` and
         ``-y'(s)``.
         """
-        forward, backward = self.pencil.solver(s)
+        forward, backward = self.pencil.factorise_polynomial(s)
         self.points += 1
         x = forward.solve(self.pencil.B)
-        answers = [x, forward.solve(self.pencil.slope(s, x))]
+        answers = [x, forward.solve(self.pencil.apply_derivative(s, x))]
         if self.two_sided:
-            dual = self.pencil.transposed()
+            dual = self.pencil.make_dual()
             y = backward.solve(dual.B)
-            answers += [y, backward.solve(dual.slope(s, y))]
+            answers += [y, backward.solve(dual.apply_derivative(s, y))]
         return tuple(answers)
 
     def extend(self, s: complex, *answers: np.ndarray) -> None:
@@ -162,12 +167,12 @@ class GreedyBasis:
         motion is omitted.
         """
         V, coefficients = self.modal_basis, self.pencil.coefficients
-        sizes, eps = list(map(absolute_entries, coefficients)), np.finfo(float).eps
+        sizes, eps = list(map(compute_absolute_entries, coefficients)), np.finfo(float).eps
         bound = ZERO_ENTRY_FACTOR * eps * (np.abs(V).T @ (sizes[0] @ np.abs(V)))
         energies = np.abs(np.diag(small.coefficients[0]))
         if (energies > np.diag(bound)).all():
             return small, np.eye(small.size)
-        if not isinstance(coefficients[0], Schur):
+        if not isinstance(coefficients[0], SchurComplement):
             bound = np.minimum(bound, ENERGY_FACTOR * estimate_energy_rounding(coefficients[0], V))
         others = [ZERO_ENTRY_FACTOR * eps * (np.abs(V).T @ (P @ np.abs(V))) for P in sizes[1:]]
         result = split_rigid_body(small, 2 * np.pi * self.band[1], (bound, *others))
@@ -217,7 +222,7 @@ def _compute_modes(pencil: Pencil) -> np.ndarray:
 
     For other pencils, return the unit matrix.
     """
-    if pencil.degree == 2 and pencil.symmetric:
+    if pencil.degree == 2 and pencil.is_symmetric:
         K, _, M = pencil.coefficients
         try:
             return np.asarray(scipy.linalg.eigh(K, M)[1])

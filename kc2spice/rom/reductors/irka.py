@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from kc2spice.rom.pencil import Pencil, make_explicit_pencil
-from kc2spice.rom.reduced_basis import ReducedBasis, Task
+from kc2spice.rom.reduced_basis import ReducedBasis, ReductionTask
 from kc2spice.rom.reductors.balanced_truncation import (
     NOT_STABLE_TEXT,
     BalancedTruncation,
@@ -60,14 +60,14 @@ class Irka(Reductor):
     congruence = False
     no_basis = NOT_STABLE_TEXT
 
-    def obstacle(self, task: Task) -> str:
+    def obstacle(self, task: ReductionTask) -> str:
         """Return the reason why the model has no Gramians.
 
         The iteration starts from balanced truncation, which needs Gramians.
         """
         return explain_no_gramians(task)
 
-    def basis(self, task: Task) -> ReducedBasis | None:
+    def basis(self, task: ReductionTask) -> ReducedBasis | None:
         """Return the models of all orders; each model is computed when it is first used.
 
         Return None if the full model is not strictly stable.
@@ -86,7 +86,7 @@ class OptimalModels(ReducedBasis):
     is truncated to this order.
     """
 
-    def leading_model(self, order: int) -> Response:
+    def get_response_of_order(self, order: int) -> Response:
         """Return the response of the optimal model of this order."""
         if order not in self.responses:
             self.responses[order] = Response(self._compute_optimal_model(order))
@@ -98,7 +98,7 @@ class OptimalModels(ReducedBasis):
         If the error of the balanced model of this order is large, the iteration is skipped.
         """
         limit = MAX_START_ERROR * tolerance
-        if not self.balanced_models.error(order, limit) <= limit:
+        if not self.balanced_models.estimate_model_error(order, limit) <= limit:
             return False
         return super().is_acceptable(order, tolerance)
 
@@ -107,7 +107,7 @@ class OptimalModels(ReducedBasis):
         """Models of all orders by balanced truncation."""
         return ReducedBasis(self.task, self.pencil, self.fixed, congruence=False)
 
-    def unknowns(self, order: int) -> np.ndarray | None:
+    def expand_basis(self, order: int) -> np.ndarray | None:
         """Return None, because the basis is not stored."""
         return None
 
@@ -115,14 +115,14 @@ class OptimalModels(ReducedBasis):
         """Return the optimal model of this order; the iteration starts from the balanced model."""
         count = order - self.pencil.free
         if count <= 0:
-            return self.pencil.leading_model(order)
-        full, omega = self.task.first_order, 2 * np.pi * self.task.band[1]
-        balanced = self.pencil.without_rigid_body_modes.leading_model(count)
+            return self.pencil.truncate_to_order(order)
+        full, omega = self.task.first_order_response, 2 * np.pi * self.task.band[1]
+        balanced = self.pencil.without_rigid_body_modes.truncate_to_order(count)
         rest, inertia = balanced.coefficients
         reduced = Pencil((rest / omega, inertia), balanced.B / omega, balanced.C, balanced.D)
         former, change = np.full(count, np.inf, dtype=complex), np.inf
         for _ in range(MAX_ITERATIONS):
-            poles, left, right = residues(reduced)
+            poles, left, right = compute_residues(reduced)
             change = float(np.abs(np.sort_complex(poles) / np.sort_complex(former) - 1).max())
             if change <= POLE_TOLERANCE:
                 break
@@ -135,10 +135,10 @@ class OptimalModels(ReducedBasis):
                 f"estimate is valid",
                 stacklevel=2,
             )
-        return self.task.from_first_order(reduced)
+        return self.task.convert_from_first_order(reduced)
 
 
-def residues(pencil: Pencil) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def compute_residues(pencil: Pencil) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the poles (q,) of a model, and the factors of their residues ``c_i b_i'``.
 
     The factors c have the shape (q, outputs), and the factors b have the shape (q, inputs).
@@ -157,7 +157,7 @@ def interpolate_response(
 ) -> Pencil:
     """Return the model that interpolates ``full`` at shifts along left and right directions."""
     V = _compute_real_basis(shifts, full.states(shifts) @ right[:, :, None])
-    W = _compute_real_basis(shifts, full.dual.states(shifts) @ left[:, :, None])
+    W = _compute_real_basis(shifts, full.dual_response.states(shifts) @ left[:, :, None])
     pencil, inner = full.pencil, W.T @ V
     A = np.linalg.solve(inner, W.T @ -pencil.coefficients[0] @ V)
     return make_explicit_pencil(A, np.linalg.solve(inner, W.T @ pencil.B), pencil.C @ V, pencil.D)

@@ -10,9 +10,9 @@ import numpy as np
 
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.core.progress import ConvergenceTimer
-from kc2spice.rom.intermediate import IntermediateModel, make_no_convergence_error
+from kc2spice.rom.intermediate_model import IntermediateModel, make_no_convergence_error
 from kc2spice.rom.pencil import Pencil
-from kc2spice.rom.reduced_basis import ReducedBasis, Task
+from kc2spice.rom.reduced_basis import ReducedBasis, ReductionTask
 from kc2spice.rom.reductors.base import Reductor
 from kc2spice.rom.reductors.greedy_basis import GreedyBasis
 from kc2spice.rom.rigid_body import estimate_hidden_frequency
@@ -70,25 +70,25 @@ class RationalKrylov(Reductor):
     def __init__(self, points: Sequence[float] | None = None) -> None:
         self.points = None if points is None else _require_frequencies(points)
 
-    def basis(self, task: Task) -> ReducedBasis:
+    def basis(self, task: ReductionTask) -> ReducedBasis:
         """Return the projection on the Krylov vectors, in the sequence of their points."""
         if self.points is not None:
-            search = GreedyBasis(task.core, task.band, static=False)
+            search = GreedyBasis(task.pencil_without_rigid_modes, task.band, static=False)
             for s in 2j * np.pi * self.points:
                 search.extend(s, *search.solve(s if s else 0.0))
             return task.project(search.basis)
         target = BASIS_SHARE * (task.tolerance or 0.0)
-        search = GreedyBasis(task.core, task.band)
+        search = GreedyBasis(task.pencil_without_rigid_modes, task.band)
         end = 2j * np.pi * task.band[1]
         search.extend(end, *search.solve(end))
-        confirmations, limit = 0, task.core.size
+        confirmations, limit = 0, task.pencil_without_rigid_modes.size
         while (
             confirmations < CONFIRMATIONS
             and search.basis.shape[1] < limit
             and search.points < MAX_POINTS
         ):
             try:
-                error, grown = search.check(search.next_point())
+                error, grown = search.add_checked_point(search.choose_next_point())
             except SimulationError:  # no candidate is left
                 break
             confirmations = (
@@ -132,16 +132,16 @@ def reduce_by_rational_krylov(
     end = 2j * np.pi * band[1]
     search.extend(end, *search.solve(end))
     while search.points < most and search.basis.shape[1] < MAX_VECTORS:
-        error, grown = search.check(search.next_point())
+        error, grown = search.add_checked_point(search.choose_next_point())
         confirmations = confirmations + 1 if max(error, search.change) <= target else 0
         timer.end_step(max(error, search.change))
         if search.points == MANY_POINTS + 1 and pencil.size >= LARGE_UNKNOWNS:
-            modes = search.response.within(band)[0].size
-            text = "a narrower band, a looser tolerance or proportional damping costs less"
+            modes = search.response.select_in_band(band)[0].size
+            advice = "use a narrower band, a larger tolerance or proportional damping"
             warnings.warn(
-                f"the reduction takes more than {MANY_POINTS} factorisations: the error at the "
-                f"last frequency was {error:.0e}, the target is {target:.0e}, and the band "
-                f"contains at least {modes} resonances; {text}",
+                f"the reduction takes more than {MANY_POINTS} factorisations for at least {modes} "
+                f"resonances in the band; the present error is {error:.0e}, the target "
+                f"{target:.0e}; {advice}",
                 stacklevel=2,
             )
         # If the basis was extended, only the last error still applies.

@@ -11,7 +11,7 @@ import numpy as np
 
 from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.plugins import list_entry_points, load_plugin
-from kc2spice.rom.reduced_basis import Task
+from kc2spice.rom.reduced_basis import ReductionTask
 from kc2spice.rom.reductors.balanced_truncation import BalancedTruncation
 from kc2spice.rom.reductors.band_limited_balancing import BandLimitedBalancing
 from kc2spice.rom.reductors.base import Reductor
@@ -136,13 +136,13 @@ def find_reductor(method: str | Reductor) -> Reductor:
     return _reductors[method]
 
 
-def list_suited_reductors(task: Task) -> list[Reductor]:
+def list_suited_reductors(task: ReductionTask) -> list[Reductor]:
     """Return the default methods for a task: response POD and balanced truncation.
 
     Congruences come first. Balancing over the band also represents notches, which are important
     only in the norm *pointwise*.
     """
-    congruences: list[Reductor] = [POD, CONGRUENT if task.collocated else TWO_SIDED_POD]
+    congruences: list[Reductor] = [POD, CONGRUENT if task.is_collocated else TWO_SIDED_POD]
     if task.norm == "pointwise":
         return [*congruences, OVER_BAND, BALANCED, UNSCALED]
     return [*congruences, BALANCED, UNSCALED, OVER_BAND]

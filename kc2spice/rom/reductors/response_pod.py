@@ -8,9 +8,9 @@ import numpy as np
 import scipy
 
 from kc2spice.rom.pencil import Pencil
-from kc2spice.rom.reduced_basis import ReducedBasis, Task
+from kc2spice.rom.reduced_basis import ReducedBasis, ReductionTask
 from kc2spice.rom.reductors.base import Reductor
-from kc2spice.rom.reductors.snapshots import choose_tail_weight, snapshots, weight_states
+from kc2spice.rom.reductors.snapshots import choose_snapshots, choose_tail_weight, weight_states
 from kc2spice.rom.response import Response
 
 # condition number of the stiffness above which the smallest energy of a mode is a rounding error
@@ -57,21 +57,23 @@ class ResponsePod(Reductor):
         self.two_sided = two_sided
         self.name = "response POD" + (" of both sides" if two_sided else "")
 
-    def basis(self, task: Task) -> ReducedBasis:
+    def basis(self, task: ReductionTask) -> ReducedBasis:
         """Return the basis of static responses and of principal directions of all snapshots."""
-        core, free = task.core, task.core.free
+        core, free = task.pencil_without_rigid_modes, task.pencil_without_rigid_modes.free
         energy = _compute_energy_basis(
             core.without_rigid_body_modes, 2 * np.pi * task.band[1], task.intermediate.static
         )
         response = Response(core.project(scipy.linalg.block_diag(np.eye(free), energy)))
         static = _compute_static_responses(task, response)
-        points = snapshots(task.estimator, response, choose_tail_weight(task.fom, task.tolerance))
+        points = choose_snapshots(
+            task.estimator, response, choose_tail_weight(task.fom, task.tolerance)
+        )
         states = _compute_weighted_states(
             task, response, points.s, points.weights(), self.two_sided
         )
         vectors = _orthonormalise(np.hstack(states)[free:], static)
         pencil = response.pencil.project(scipy.linalg.block_diag(np.eye(free), vectors))
-        pencil = task.with_rigid_body(replace(pencil, free=free))
+        pencil = task.prepend_rigid_modes(replace(pencil, free=free))
         fixed = pencil.free + (static.shape[1] if _has_loaded_port(task) else 0)
         columns = task.add_rigid_body_vectors(
             scipy.linalg.block_diag(np.eye(free), energy @ vectors)
@@ -94,16 +96,23 @@ class ResponsePod(Reductor):
         if (
             order <= least
             or order > MAX_SHORTENED_ORDER
-            or basis.error(size) > EXTRA_ERROR_SHARE * tolerance
+            or basis.estimate_model_error(size) > EXTRA_ERROR_SHARE * tolerance
         ):
             return basis, order
-        pencil, task = basis.pencil.leading_model(size), basis.task
+        pencil, task = basis.pencil.truncate_to_order(size), basis.task
         response = Response(pencil)
-        points = snapshots(task.estimator, response, choose_tail_weight(task.fom, tolerance))
+        points = choose_snapshots(task.estimator, response, choose_tail_weight(task.fom, tolerance))
         s, inside = points.s, slice(points.inside.size)
         H = task.response.transfer(s[inside])
-        base = task.estimator.reference[1].base(H, task.estimator.share) + np.finfo(float).tiny
-        states = _compute_weighted_states(task, response, s, np.ones(len(s)), not task.collocated)
+        base = (
+            task.estimator.exact_response_and_scales[1].compute_error_divisors(
+                H, task.estimator.min_divisor_share
+            )
+            + np.finfo(float).tiny
+        )
+        states = _compute_weighted_states(
+            task, response, s, np.ones(len(s)), not task.is_collocated
+        )
         weight, tail, best = np.ones(points.inside.size), 1.0, basis
         for _ in range(MAX_TRIALS):
             factors = points.weights(weight, tail)
@@ -115,7 +124,9 @@ class ResponsePod(Reductor):
             projected = replace(pencil.project(V), free=pencil.free)
             trial = replace(basis, pencil=projected, vectors=rotated_vectors)
             while order > least:
-                trial_response = Response(trial.pencil.leading_model(order - 1)).transfer(s[inside])
+                trial_response = Response(trial.pencil.truncate_to_order(order - 1)).transfer(
+                    s[inside]
+                )
                 error = np.abs(trial_response - H) / base
                 if error.max() > tolerance or not trial.is_acceptable(order - 1, tolerance):
                     break
@@ -126,22 +137,22 @@ class ResponsePod(Reductor):
         return best, order
 
 
-def _has_loaded_port(task: Task) -> bool:
+def _has_loaded_port(task: ReductionTask) -> bool:
     """Return whether the model has a port whose input is a load, such as a force or heat flow.
 
     The static response of such a port remains exact.
     """
-    return any(port.loaded for port in task.fom.ports)
+    return any(port.is_flow_driven for port in task.fom.ports)
 
 
-def _compute_static_responses(task: Task, response: Response) -> np.ndarray:
+def _compute_static_responses(task: ReductionTask, response: Response) -> np.ndarray:
     """Compute orthonormal vectors (n, k) that span the static responses of a model.
 
     The unknowns of rigid-body modes are omitted. If damping couples rigid-body modes to other
     motions, the damping forces of these modes are also loads. If all ports are signals, static
     responses are needed only for a band that begins at zero.
     """
-    pencil, free = response.pencil, task.core.free
+    pencil, free = response.pencil, task.pencil_without_rigid_modes.free
     if free:
         K, E, _ = pencil.coefficients
         loads = [pencil.B[free:], E[free:, :free], E[:free, free:].T]
@@ -153,13 +164,13 @@ def _compute_static_responses(task: Task, response: Response) -> np.ndarray:
 
 
 def _compute_weighted_states(
-    task: Task, response: Response, s: np.ndarray, weight: np.ndarray, two_sided: bool
+    task: ReductionTask, response: Response, s: np.ndarray, weight: np.ndarray, two_sided: bool
 ) -> list[np.ndarray]:
     """Return the weighted states of the model and, if ``two_sided`` is true, of its dual."""
     H = task.response.transfer(s)
     result = [weight_states(response, s, weight, H, task.norm)]
     if two_sided:
-        dual = weight_states(response.dual, s, weight, H.swapaxes(1, 2), task.norm)
+        dual = weight_states(response.dual_response, s, weight, H.swapaxes(1, 2), task.norm)
         result.append(dual)
     return result
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from kc2spice.rom.error_estimate import ErrorEstimator
 from kc2spice.rom.linear_model import LinearModel, Norm
-from kc2spice.rom.response import Response, grid, sample_resonances
+from kc2spice.rom.response import Response, make_frequency_grid, sample_resonances
 
 # Number of points in the linear grid and in the logarithmic grid over the band.
 # The grids represent the response between resonances; every resonance has additional snapshots.
@@ -34,7 +34,7 @@ TAIL_PER_ROOT = 120.0
 MIN_REFERENCE_SHARE = {"pointwise": 1e-6, "peak": 1.0}
 
 
-class Snapshots(NamedTuple):
+class SnapshotFrequencies(NamedTuple):
     """Frequencies [Hz] of snapshots in the band and above the band.
 
     ``above_weight`` contains the weights of the snapshots above the band.
@@ -65,28 +65,28 @@ def choose_tail_weight(model: LinearModel, tolerance: float | None) -> float | N
     The result is None for a model without mechanical ports, which needs no snapshots above the
     band.
     """
-    if not any(port.moving for port in model.ports):
+    if not any(port.has_position for port in model.ports):
         return None
     return float(np.clip(TAIL_PER_ROOT * np.sqrt(tolerance or 0.0), *TAIL_WEIGHTS))
 
 
-def snapshots(
+def choose_snapshots(
     estimator: ErrorEstimator, response: Response, tail: float | None = None
-) -> Snapshots:
+) -> SnapshotFrequencies:
     """Choose snapshots over the band, at its resonances, and above the band.
 
     ``tail`` is the weight of the snapshots just above the end of the band. If ``tail`` is None,
     there are no snapshots above the band.
     """
     low, high = estimator.band
-    at, ratio = response.within(estimator.band)
-    frequency = grid((low, high), GRID_POINTS, estimator.static)
+    at, ratio = response.select_in_band(estimator.band)
+    frequency = make_frequency_grid((low, high), GRID_POINTS, estimator.static)
     frequency = np.union1d(frequency, sample_resonances(at, ratio, np.array([0.0, 1.0])))
     if tail is None:
-        return Snapshots(frequency, np.empty(0), np.empty(0))
+        return SnapshotFrequencies(frequency, np.empty(0), np.empty(0))
     above = np.linspace(high, TAIL_REACH * high, TAIL_POINTS)
     weight = tail * (high / above) ** TAIL_DECAY * np.sqrt(GRID_POINTS / TAIL_POINTS)
-    return Snapshots(frequency, above, weight)
+    return SnapshotFrequencies(frequency, above, weight)
 
 
 def weight_states(
@@ -104,18 +104,20 @@ def weight_states(
     x = response.states(s)
     pencil = response.pencil
     H = pencil.C @ x + pencil.D
-    if pencil.symmetric and pencil.collocated:
+    if pencil.is_symmetric and pencil.is_collocated:
         least = MIN_REFERENCE_SHARE[norm] * np.abs(np.einsum("fii->fi", H)).max(axis=0)
         size = np.sqrt(np.maximum(np.abs(np.einsum("fii->fi", complete)), least))
     else:
-        size = _compute_lengths(x, H, complete, norm)
+        size = _compute_state_norms(x, H, complete, norm)
     x = x * (weight[:, None] / (size + np.finfo(float).tiny))[:, None, :]
     columns = np.moveaxis(x, 0, 1).reshape(x.shape[1], -1)
     return np.hstack([columns.real, columns.imag])
 
 
-def _compute_lengths(x: np.ndarray, H: np.ndarray, complete: np.ndarray, norm: Norm) -> np.ndarray:
-    """Return the lengths (frequencies, inputs) of the state vectors x, as divisors of x.
+def _compute_state_norms(
+    x: np.ndarray, H: np.ndarray, complete: np.ndarray, norm: Norm
+) -> np.ndarray:
+    """Return the norms (frequencies, inputs) by which the state vectors x are divided.
 
     H is the response without rigid-body modes, and ``complete`` the response with them. Where
     rigid-body modes increase the response, the lengths are increased in proportion.

@@ -33,10 +33,10 @@ from kc2spice.core.toml_text import format_toml
 from kc2spice.core.untrusted_files import MAX_TEXT_BYTES, decode_text, parse_toml, read_bounded
 from kc2spice.netlist.transforms import with_parameters
 from kc2spice.scene.keys import list_scene_keys
-from kc2spice.scene.model import Scene, scene_hash
+from kc2spice.scene.model import Scene, compute_scene_hash
 from kc2spice.workflow.sweep.grid import (
     PARAMETER_KEY,
-    Plan,
+    SweepPoints,
     find_swept_key,
     make_plan,
     parse_range,
@@ -44,14 +44,14 @@ from kc2spice.workflow.sweep.grid import (
     split_range,
 )
 from kc2spice.workflow.sweep.point import (
-    Job,
     PointResult,
     SceneInput,
-    build_point,
+    SweepSettings,
+    build_sweep_point,
+    list_subcircuit_parameters,
     read_scene_files,
     read_scene_text,
     run_point,
-    subcircuit_parameters,
 )
 from kc2spice.workflow.sweep.row_store import (
     RowStore,
@@ -82,8 +82,8 @@ class Sweep:
     """
 
     scene: Scene
-    job: Job
-    plan: Plan
+    job: SweepSettings
+    plan: SweepPoints
     units: Mapping[str, str]
     metrics: tuple[str, ...] = ()
 
@@ -95,7 +95,7 @@ class Sweep:
         }
         context = [
             __version__,
-            scene_hash(self.scene),
+            compute_scene_hash(self.scene),
             files,
             self.job.parameters,
             self.plan.keys,
@@ -106,14 +106,14 @@ class Sweep:
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
     @property
-    def runs(self) -> dict[str, int]:
-        """Return the numbers of decks and of ngspice runs."""
+    def run_counts(self) -> dict[str, int]:
+        """Number of different decks, and number of ngspice runs."""
         keys = [key for key in self.plan.keys if not PARAMETER_KEY.fullmatch(key)]
         return {"netlists": self.plan.count_distinct(keys), "ngspice": self.plan.size}
 
     def describe(self) -> str:
         """Return the numbers of decks and runs as text of one line."""
-        netlists, runs = self.runs.values()
+        netlists, runs = self.run_counts.values()
         return f"{self.plan.size} points: {netlists} netlists, {runs} ngspice runs"
 
 
@@ -164,12 +164,12 @@ def make_sweep(
         seed=seed,
     )
     units = {key: find_swept_key(key, keys).unit or "" for key in plan.keys}
-    job = Job(scene, tuple(fixed), tuple(constants), timeout)
+    job = SweepSettings(scene, tuple(fixed), tuple(constants), timeout)
     return make_sweep_of_plan(job, plan, units, tuple(dict.fromkeys(metrics)))
 
 
 def make_sweep_of_plan(
-    job: Job, plan: Plan, units: Mapping[str, str], metrics: tuple[str, ...] = ()
+    job: SweepSettings, plan: SweepPoints, units: Mapping[str, str], metrics: tuple[str, ...] = ()
 ) -> Sweep:
     """Return the sweep over the points of ``plan``.
 
@@ -177,11 +177,11 @@ def make_sweep_of_plan(
     ------
     UsageError : the scene is invalid at the first point, or at an end of one of the ranges.
     """
-    first, *_ = list(map(job.load, plan.ends()))
+    first, *_ = list(map(job.load, plan.list_end_points()))
     return Sweep(first, job, plan, units, metrics)
 
 
-class _StudyFile(BaseModel):
+class _SweepFile(BaseModel):
     """Sweep in a file: a scene, ranges of its keys, and options of :func:`make_sweep`."""
 
     model_config = ConfigDict(extra="forbid", strict=True)
@@ -228,7 +228,7 @@ def load_named_sweep(name: str, sets: Sequence[str] = (), **asked: Any) -> Sweep
     return make_sweep(read_scene_text(study.scene), tuple(ranges.values()), **selected)
 
 
-def _find_study(name: str) -> _StudyFile | None:
+def _find_study(name: str) -> _SweepFile | None:
     """Return the study ``name``: a built-in study, or a file with a key ``scene``.
 
     The result is None for a scene.
@@ -242,7 +242,7 @@ def _find_study(name: str) -> _StudyFile | None:
     if not isinstance(content.get("scene"), str):
         return None
     try:
-        return _StudyFile.model_validate(content)
+        return _SweepFile.model_validate(content)
     except ValidationError as error:
         first = error.errors()[0]
         where = f"{name}, key {'.'.join(map(str, first['loc']))}"
@@ -270,9 +270,9 @@ def run_points(
         first successful point has no value for a column.
     MissingToolError : there are no workers, or they have no ngspice.
     """
-    ends = chain.from_iterable(map(subcircuit_parameters, definition.plan.ends()))
+    ends = chain.from_iterable(map(list_subcircuit_parameters, definition.plan.list_end_points()))
     if changed := [*definition.job.parameters, *ends]:
-        _, deck = build_point(definition.job, definition.plan.values(0))
+        _, deck = build_sweep_point(definition.job, definition.plan.values(0))
         with_parameters(deck, changed)
     again: list[int] = []
     known = False
@@ -318,7 +318,9 @@ def _complete_points(
                 yield pending.pop(future), outcome
 
 
-def _submit_point(submit: Any, job: Job, values: Mapping[str, Any]) -> Future[PointResult]:
+def _submit_point(
+    submit: Any, job: SweepSettings, values: Mapping[str, Any]
+) -> Future[PointResult]:
     """Submit a point to the workers, and return the future of its outcome."""
     try:
         future: Future[PointResult] = submit(run_point, job, values)
@@ -361,8 +363,8 @@ def run_sweep(
         Directory for the files of the sweep.
     workers : callable
         Function without arguments that returns a context manager. The context manager yields an
-        executor and the number of points to run at a time. See :func:`local_workers` and
-        :func:`dask_workers`.
+        executor and the number of points to run at a time. See :func:`make_local_worker_pool` and
+        :func:`make_dask_connector`.
     progress : callable, optional
         Called as ``progress(stage, done, text)`` after each point.
     table_format : "csv" or "parquet", default "csv"
@@ -396,7 +398,7 @@ def run_sweep(
     start = begin = time.monotonic()
     with (
         closing(_open_row_store(definition, out, table_format)) as rows,
-        rows.removing_empty_file(),
+        rows.remove_empty_file_on_error(),
     ):
         done = set()
         for index, outcome in rows.outcomes.items():
@@ -407,7 +409,7 @@ def run_sweep(
             require_columns(outcome, definition.metrics, definition.scene.name)
         missing = sorted(set(range(definition.plan.size)) - done)
         for count, (index, outcome) in enumerate(run_points(definition, missing, workers), 1):
-            rows.record(index, outcome)
+            rows.write_row(index, outcome)
             begin = time.monotonic() if count == 1 else begin
             text = f"{count} of {len(missing)} points, {len(rows.failed)} failed"
             if count > 1:  # the first point may have built models that all other points use
@@ -420,8 +422,8 @@ def run_sweep(
     return {**summary, "resumed": len(done), "wall_s": time.monotonic() - start}
 
 
-def table_file_name(table_format: str) -> str:
-    """Return the file name of the table.
+def get_table_file_name(table_format: str) -> str:
+    """Return the file name of a sweep table in the format ``table_format``.
 
     Raises
     ------
@@ -436,20 +438,23 @@ def table_file_name(table_format: str) -> str:
 
 
 def _open_row_store(definition: Sweep, out: Path, table_format: str) -> RowStore:
-    name = table_file_name(table_format)
+    """Open the store of rows in ``out``; reject a directory with other results."""
+    name = get_table_file_name(table_format)
     if out.exists() and not out.is_dir():
         raise UsageError(
             "this path is a file, not a directory", where=str(out), hint="choose another --out"
         )
     if (out / name).exists() and not (out / ROWS_FILE).exists():
-        hint = "choose another --out, or remove it"
+        hint = "choose another --out"
         raise UsageError(
             "this directory already contains results", where=str(out / name), hint=hint
         )
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise UsageError(f"this file cannot be written: {error.strerror}", where=str(out)) from None
+        raise UsageError(
+            f"this directory cannot be created: {error.strerror}", where=str(out)
+        ) from None
     return RowStore(out / ROWS_FILE, definition.plan.size, definition.digest)
 
 
@@ -460,7 +465,7 @@ def _write_tables(
     from kc2spice.report.sweep_page import compute_yields, write_sweep
 
     table = columns(rows.outcomes, definition.plan, definition.metrics)
-    name = table_file_name(table_format)
+    name = get_table_file_name(table_format)
     shares = compute_yields(table, definition.plan.keys) if definition.plan.random else {}
     plan = definition.describe()
     with stage_directory(out) as work:
@@ -484,7 +489,7 @@ def _write_tables(
         "failed": len(rows.failed),
         "table": str((out / name).absolute()),
         "directory": str(out.absolute()),
-        "runs": definition.runs,
+        "runs": definition.run_counts,
         "yield": shares,
         "files": [name, PAGE_FILE],
     }

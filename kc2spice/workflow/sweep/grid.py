@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core.errors import UsageError, did_you_mean, list_candidates
-from kc2spice.core.quantities import quantity
-from kc2spice.scene.keys import Key
+from kc2spice.core.quantities import convert_quantity
+from kc2spice.scene.keys import KeyDescription
 from kc2spice.scene.overrides import parse_override_value
 
 MAX_POINTS = 10_000_000
@@ -40,7 +40,7 @@ class RandomSample:
     b: float
     n: int
 
-    def quantiles(self, share: np.ndarray) -> Values:
+    def compute_quantiles(self, share: np.ndarray) -> Values:
         """Return the quantile of the distribution at each of the probabilities ``share``."""
         if self.kind == "uniform":
             return tuple((self.a + (self.b - self.a) * share).tolist())
@@ -132,16 +132,16 @@ def _split_words(text: str, separator: str) -> list[str]:
     return list(map(str.strip, parts))
 
 
-def find_swept_key(name: str, keys: Mapping[str, Key]) -> Key:
+def find_swept_key(name: str, keys: Mapping[str, KeyDescription]) -> KeyDescription:
     """Return the description (unit and type) of a swept key or subcircuit parameter.
 
     ``name`` may also be the name of a list entry or of a table.
     """
-    plain = Key(name, "" if PARAMETER_KEY.fullmatch(name) else None, None, (), "")
+    plain = KeyDescription(name, "" if PARAMETER_KEY.fullmatch(name) else None, None, (), "")
     return keys.get(re.sub(r"\[-?\d+\]", "", name), plain)
 
 
-def parse_range(name: str, text: str, keys: Mapping[str, Key]) -> Values | RandomSample:
+def parse_range(name: str, text: str, keys: Mapping[str, KeyDescription]) -> Values | RandomSample:
     """Return the values of the range ``text`` for the key ``name``.
 
     Raises
@@ -205,7 +205,7 @@ def parse_range(name: str, text: str, keys: Mapping[str, Key]) -> Values | Rando
     return tuple(values)
 
 
-def _parse_word(where: str, key: Key, text: str) -> Any:
+def _parse_word(where: str, key: KeyDescription, text: str) -> Any:
     """Return the value of a string for a key: a number in SI units, a choice, or a TOML value."""
     if key.choices and text not in key.choices:
         choices = f"one of {list_candidates(text, key.choices)}"
@@ -234,16 +234,16 @@ def _parse_word(where: str, key: Key, text: str) -> Any:
 def parse_value(text: str, unit: str, where: str) -> float:
     """Return the value of ``text`` in the SI ``unit``, which is also the unit of plain numbers."""
     try:
-        return quantity(float(text), unit, where=where)
+        return convert_quantity(float(text), unit, where=where)
     except ValueError:
-        return quantity(text, unit, where=where)
+        return convert_quantity(text, unit, where=where)
 
 
 # --- all ranges -----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
-class Plan:
+class SweepPoints:
     """Points of a sweep, with the swept ``keys`` in the order of the user.
 
     The points are all combinations of the steps of the ``blocks``; the last block varies fastest.
@@ -272,7 +272,7 @@ class Plan:
                 result[key] = values[step]
         return result
 
-    def ends(self) -> list[dict[str, Any]]:
+    def list_end_points(self) -> list[dict[str, Any]]:
         """Return the first point, and points that differ from it in one block.
 
         In each of these points, one number of a block has its smallest or largest value, or one
@@ -303,7 +303,7 @@ def make_plan(
     zipped: bool = False,
     latin: bool = False,
     seed: int = 0,
-) -> Plan:
+) -> SweepPoints:
     """Return the points of a sweep over ``ranges``: by default, all combinations of their values.
 
     With ``zipped``, all keys vary together. A random sample contains a value of every random key,
@@ -325,7 +325,7 @@ def make_plan(
     random = {key: item for key, item in ranges.items() if isinstance(item, RandomSample)}
     blocks = [{key: item} for key, item in ranges.items() if not isinstance(item, RandomSample)]
     if random:
-        count = _common_length({key: item.n for key, item in random.items()}, "draws")
+        count = _require_common_length({key: item.n for key, item in random.items()}, "draws")
         generator = np.random.default_rng(seed)
         shares = generator.random((len(random), count))
         if latin:
@@ -333,15 +333,21 @@ def make_plan(
 
             shares = LatinHypercube(len(random), seed=generator).random(count).T
         blocks.append(
-            dict(zip(random, map(RandomSample.quantiles, random.values(), shares), strict=True))
+            dict(
+                zip(
+                    random,
+                    map(RandomSample.compute_quantiles, random.values(), shares),
+                    strict=True,
+                )
+            )
         )
     if zipped:
         together: dict[str, Values] = {}
         for block in blocks:
             together |= block
-        _common_length({key: len(values) for key, values in together.items()}, "--zip")
+        _require_common_length({key: len(values) for key, values in together.items()}, "--zip")
         blocks = [together]
-    plan = Plan(tuple(ranges), tuple(blocks), tuple(random))
+    plan = SweepPoints(tuple(ranges), tuple(blocks), tuple(random))
     if plan.size > MAX_POINTS:
         raise UsageError(
             "the sweep has too many points",
@@ -352,7 +358,7 @@ def make_plan(
     return plan
 
 
-def _common_length(lengths: Mapping[str, int], where: str) -> int:
+def _require_common_length(lengths: Mapping[str, int], where: str) -> int:
     """Return the number of values that all keys have.
 
     Raises

@@ -19,26 +19,26 @@ import numpy as np
 
 from kc2spice.core.errors import Kc2spiceError, MissingToolError, UsageError
 from kc2spice.core.files import DISK_FULL_ERRORS
-from kc2spice.core.progress import Clock
+from kc2spice.core.memory_store import Workspace
+from kc2spice.core.progress import StageTimer
 from kc2spice.core.toml_text import format_toml
 from kc2spice.core.untrusted_files import MAX_TEXT_BYTES, decode_text, read_bounded
-from kc2spice.core.workspace import Workspace
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.include_scan import read_included_netlist
 from kc2spice.netlist.transforms import (
     Parameters,
-    library_stem,
+    list_parameter_defaults,
     list_parameterised_subcircuits,
-    parameter_defaults,
+    make_library_stem,
     with_parameters,
 )
 from kc2spice.report.html import flatten_mapping
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.model import Build, Scene
+from kc2spice.scene.model import BuiltScene, Scene
 from kc2spice.scene.scene_file import list_gallery
 from kc2spice.workflow.decks import prepare_deck
 from kc2spice.workflow.edited_parts import replace_key_value
-from kc2spice.workflow.models import replace_parts, value_units
+from kc2spice.workflow.models import find_value_units, replace_parts
 from kc2spice.workflow.simulate import Run, simulate_deck
 from kc2spice.workflow.sweep.grid import PARAMETER_KEY
 
@@ -106,7 +106,7 @@ def read_scene_files(scene: Scene) -> dict[str, bytes]:
     ------
     UsageError : a file is missing, not allowed or too long.
     """
-    parts = [(part.netlist, part.type.files(part, scene)) for part in scene.parts.values()]
+    parts = [(part.is_user_netlist, part.type.files(part, scene)) for part in scene.parts.values()]
     netlists = {*scene.include, *chain.from_iterable(files for local, files in parts if local)}
     result = {}
     for name in sorted(netlists.union(*(files for _, files in parts))):
@@ -130,7 +130,7 @@ def read_scene_files(scene: Scene) -> dict[str, bytes]:
 
 
 @dataclass(frozen=True)
-class Job:
+class SweepSettings:
     """Settings that all points of a sweep have in common.
 
     ``fixed`` are overrides of scene keys, and ``parameters`` are overrides of subcircuit
@@ -149,7 +149,7 @@ class Job:
 
         Raises the errors of :func:`load_scene`.
         """
-        overrides = (*self.fixed, *_override_texts(values))
+        overrides = (*self.fixed, *_format_overrides(values))
         if isinstance(self.scene, SceneInput):
             scene = self.scene.load(overrides)
         else:
@@ -173,20 +173,20 @@ class PointResult:
     interrupted: bool = False
 
 
-def _override_texts(values: Mapping[str, Any]) -> tuple[str, ...]:
+def _format_overrides(values: Mapping[str, Any]) -> tuple[str, ...]:
     """Return the overrides ``key=value`` of scene keys, without parameters of subcircuits."""
     return tuple(
         f"{k}={format_toml(v)}" for k, v in values.items() if not PARAMETER_KEY.fullmatch(k)
     )
 
 
-def subcircuit_parameters(values: Mapping[str, Any]) -> Parameters:
+def list_subcircuit_parameters(values: Mapping[str, Any]) -> Parameters:
     """Return pairs ``("PART.NAME", value)`` of the subcircuit parameters of a point."""
     result = ((PARAMETER_KEY.fullmatch(key), value) for key, value in values.items())
     return tuple((name[1], float(value)) for name, value in result if name)
 
 
-def run_point(job: Job, values: Mapping[str, Any]) -> PointResult:
+def run_point(job: SweepSettings, values: Mapping[str, Any]) -> PointResult:
     """Run one point; a failure is returned as the outcome of the point and does not end the sweep.
 
     Raises
@@ -194,8 +194,8 @@ def run_point(job: Job, values: Mapping[str, Any]) -> PointResult:
     MissingToolError : ngspice is missing, so no point could succeed on this machine.
     """
     try:
-        build, deck = build_point(job, values)
-        changed = (*job.parameters, *subcircuit_parameters(values))
+        build, deck = build_sweep_point(job, values)
+        changed = (*job.parameters, *list_subcircuit_parameters(values))
         build, deck = with_changed_parameters(build, deck, changed), with_parameters(deck, changed)
         with tempfile.TemporaryDirectory(prefix="kc2spice-") as directory:
             return _make_point_result(
@@ -208,28 +208,34 @@ def run_point(job: Job, values: Mapping[str, Any]) -> PointResult:
         got = None if error.got is None else f"got {error.got}"
         text = ", ".join(filter(None, (where, error.message, got))).replace("\n", " ")
         return PointResult(
-            failure=text, interrupted=bool(_SIGNAL_EXIT.search(text)) or _disk_is_full()
+            failure=text, interrupted=bool(_SIGNAL_EXIT.search(text)) or _is_disk_full()
         )
     except OSError as error:
         return PointResult(
-            failure=f"{error}", interrupted=error.errno in DISK_FULL_ERRORS or _disk_is_full()
+            failure=f"{error}", interrupted=error.errno in DISK_FULL_ERRORS or _is_disk_full()
         )
     except Exception as error:
         return PointResult(failure=f"{type(error).__name__}: {error}")
 
 
-def with_changed_parameters(build: Build, deck: Deck, values: Iterable[tuple[str, float]]) -> Build:
+def with_changed_parameters(
+    build: BuiltScene, deck: Deck, values: Iterable[tuple[str, float]]
+) -> BuiltScene:
     """Return ``build`` for metrics and checks of a ``deck`` with other parameter values.
 
     If a key of a part has the name and the value of the parameter, the key receives the new value.
     Otherwise, the keys of the part no longer describe the deck, and the part has neither checks nor
     an energy balance.
     """
-    known, parts, unchecked_parts = parameter_defaults(deck), dict(build.scene.parts), set[str]()
+    known, parts, unchecked_parts = (
+        list_parameter_defaults(deck),
+        dict(build.scene.parts),
+        set[str](),
+    )
     for key, value in values:
         library, _, name = key.partition(".")
         users = {
-            library_stem(p)
+            make_library_stem(p)
             for p in deck.parts
             if library in dict(list_parameterised_subcircuits(p))
         }
@@ -242,7 +248,7 @@ def with_changed_parameters(build: Build, deck: Deck, values: Iterable[tuple[str
     return replace_parts(build, parts, unchecked_parts)
 
 
-def _disk_is_full() -> bool:
+def _is_disk_full() -> bool:
     """Return whether the temporary directory lacks space for a run."""
     try:
         return shutil.disk_usage(tempfile.gettempdir()).free < _MIN_FREE_BYTES
@@ -254,26 +260,26 @@ def _disk_is_full() -> bool:
 _build_lock = threading.Lock()
 
 
-def build_point(job: Job, values: Mapping[str, Any]) -> tuple[Build, Deck]:
+def build_sweep_point(job: SweepSettings, values: Mapping[str, Any]) -> tuple[BuiltScene, Deck]:
     """Return the models and the deck of a point.
 
     Points that differ only in subcircuit parameters share models and deck.
     """
     with _build_lock:
-        return _build_testbench(replace(job, fixed=(*job.fixed, *_override_texts(values))))
+        return _build_testbench(replace(job, fixed=(*job.fixed, *_format_overrides(values))))
 
 
 @lru_cache(maxsize=_CACHED_DECKS)
-def _build_testbench(job: Job) -> tuple[Build, Deck]:
+def _build_testbench(job: SweepSettings) -> tuple[BuiltScene, Deck]:
     """Return the models and the deck of a job whose overrides contain the values of a point."""
-    return prepare_deck(job.load({}), Clock())
+    return prepare_deck(job.load({}), StageTimer())
 
 
 def _make_point_result(run: Run) -> PointResult:
-    """Return the result of a point: all single numbers among the metrics and facts of a run."""
+    """Return all single numbers of a run, such as metrics, as the result of a point."""
     checks = {check.name: check.value for check in run.verdict.checks}
-    facts = run.facts
-    units = {f"model.{part}": value_units(row) for part, row in facts["model"].items()}
+    facts = run.result_record
+    units = {f"model.{part}": find_value_units(row) for part, row in facts["model"].items()}
     return PointResult(
         _flatten_numbers(run.metrics),
         _flatten_numbers({**facts, "checks": checks}),

@@ -18,7 +18,7 @@ from kc2spice.core.errors import UsageError, unknown
 from kc2spice.core.extras import import_optional
 from kc2spice.core.toml_text import format_toml
 from kc2spice.core.waveforms import quote_csv_cell
-from kc2spice.workflow.sweep.grid import Plan
+from kc2spice.workflow.sweep.grid import SweepPoints
 from kc2spice.workflow.sweep.point import PointResult
 
 OK_STATUS = "ok"
@@ -53,7 +53,9 @@ class RowStore:
         self._new_folder = not path.exists() and not any(path.parent.iterdir())
         if path.is_symlink() or (path.exists() and not path.is_file()):
             raise UsageError(
-                "this file is not a results file of a sweep", where=str(path), hint="remove it"
+                "this file is not a results file of a sweep",
+                where=str(path),
+                hint="choose another --out",
             )
         try:
             self._rows = sqlite3.connect(path, timeout=0.0, isolation_level=None)
@@ -87,7 +89,7 @@ class RowStore:
                 hint="choose another --out, or delete this directory",
             )
 
-    def record(self, point: int, outcome: PointResult) -> None:
+    def write_row(self, point: int, outcome: PointResult) -> None:
         """Write one row, and replace an earlier row of the same point.
 
         Raises
@@ -113,7 +115,7 @@ class RowStore:
         self._rows.close()
 
     @contextmanager
-    def removing_empty_file(self) -> Iterator[None]:
+    def remove_empty_file_on_error(self) -> Iterator[None]:
         """After an error, remove a file without rows, and a folder that contains only this file."""
         try:
             yield
@@ -146,7 +148,7 @@ def require_columns(outcome: PointResult, names: Sequence[str], scene: str) -> N
 
 
 def columns(
-    outcomes: Mapping[int, PointResult], plan: Plan, metrics: Sequence[str] = ()
+    outcomes: Mapping[int, PointResult], plan: SweepPoints, metrics: Sequence[str] = ()
 ) -> dict[str, list[Any]]:
     """Return the columns of the table of a sweep: swept keys, ``metrics`` and ``status``.
 
@@ -174,10 +176,10 @@ def write_csv(table: Mapping[str, Sequence[Any]], path: Path) -> None:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(map(quote_csv_cell, table))
         for row in zip(*table.values(), strict=True):
-            writer.writerow(map(_csv_cell, row))
+            writer.writerow(map(_format_csv_cell, row))
 
 
-def _csv_cell(value: Any) -> str | None:
+def _format_csv_cell(value: Any) -> str | None:
     """Return a value as the text of a CSV cell."""
     if isinstance(value, str):
         return quote_csv_cell(value)

@@ -36,7 +36,7 @@ _LOST_EXCEPTIONS = {
 _GROUP_SUFFIX = ".group"  # suffix of a file named after the process group of a worker
 
 
-def available_cores() -> int:
+def count_available_cores() -> int:
     """Return the number of processors that this process may use."""
     try:
         return len(os.sched_getaffinity(0))
@@ -52,12 +52,13 @@ def is_lost_worker(error: BaseException) -> bool:
     )
 
 
-def local_workers(count: int) -> Workers:
-    """Return a function that opens ``count`` worker processes on this machine."""
+def make_local_worker_pool(count: int) -> Workers:
+    """Return a function that opens a pool of ``count`` worker processes."""
     from multiprocessing import get_context
 
     @contextmanager
     def open_executor() -> Iterator[tuple[Executor, int]]:
+        """Start a pool of ``count`` local worker processes, and yield the pool."""
         with tempfile.TemporaryDirectory(
             prefix="kc2spice-sweep-", ignore_cleanup_errors=True
         ) as scratch:
@@ -105,7 +106,7 @@ def _initialise_worker(scratch: str) -> None:
     threading.Thread(target=watch_parent, daemon=True).start()
 
 
-def dask_workers(address: str, count: int, patience: float = 10.0) -> Workers:
+def make_dask_connector(address: str, count: int, patience: float = 10.0) -> Workers:
     """Return a function that connects to the workers of a Dask scheduler.
 
     For the address ``local``, the function starts ``count`` workers on this machine. The scheduler
@@ -115,6 +116,7 @@ def dask_workers(address: str, count: int, patience: float = 10.0) -> Workers:
 
     @contextmanager
     def open_executor() -> Iterator[tuple[Executor, int]]:
+        """Connect to the Dask scheduler, and yield an executor and its worker count."""
         distributed = import_optional("distributed", "--dask")
         # Dask would print tracebacks even if it can reconnect to the scheduler.
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
@@ -145,5 +147,6 @@ def dask_workers(address: str, count: int, patience: float = 10.0) -> Workers:
 
 
 def _disconnect(client: Any) -> None:
+    """Close the connection to the scheduler, which may have ended already."""
     with suppress(Exception):  # the scheduler may have ended already
         client.close(timeout=5)

@@ -11,27 +11,31 @@ import numpy as np
 from kc2spice.bodies.heat_model import HEAT_CAPACITY_NAME
 from kc2spice.core.cache import load_or_build
 from kc2spice.core.errors import UsageError
-from kc2spice.core.progress import Clock
+from kc2spice.core.progress import StageTimer
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Item
-from kc2spice.netlist.deck import Deck, ac_command
-from kc2spice.netlist.elements import add_title
+from kc2spice.netlist.deck import Deck, make_ac_command
 from kc2spice.netlist.library import Subcircuit
+from kc2spice.netlist.shared_cards import add_title
 from kc2spice.netlist.spelling import LEAK_RATE
-from kc2spice.parts.bodies._body_model import full_model
+from kc2spice.parts.bodies._body_model import find_full_model
 from kc2spice.parts.bodies._linear_body import LinearBody
-from kc2spice.report.verify_page import Findings, plot_port_responses
-from kc2spice.rom.error_estimate import choose_adaptive_frequencies, relative_error, relative_size
+from kc2spice.report.verify_page import VerificationResult, plot_port_responses
+from kc2spice.rom.error_estimate import (
+    choose_adaptive_frequencies,
+    compute_relative_error,
+    compute_relative_errors,
+)
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.modal import resonators
+from kc2spice.rom.modal_models import compute_resonators
 from kc2spice.rom.response import DirectResponse, Response
 from kc2spice.rom.stability import prove_stability
 from kc2spice.scene.checks import Check
-from kc2spice.scene.model import Build, Part
+from kc2spice.scene.model import BuiltScene, Part
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.synthesis.circuit_error import accelerates_frame, reaction_mass
-from kc2spice.synthesis.heat import is_heat_model
-from kc2spice.synthesis.realize import apply_unit_load
+from kc2spice.synthesis.circuit_error import accelerates_frame, compute_reaction_mass
+from kc2spice.synthesis.heat_netlist import is_heat_model
+from kc2spice.synthesis.realize import make_unit_load_cards
 
 # Numbers of frequencies at which a large full model is solved: by default, and with ``--full``.
 SAMPLE_FREQUENCIES = 3
@@ -51,12 +55,12 @@ MODEL_ROUNDING = 1e-11  # rounding error of the response of a reduced model
 
 def verify_body(
     part: Part,
-    build: Build,
+    build: BuiltScene,
     libraries: Sequence[Subcircuit],
-    clock: Clock,
+    clock: StageTimer,
     work: Path,
     thorough: bool,
-    findings: Findings,
+    findings: VerificationResult,
 ) -> None:
     """Add the comparisons of a body's full model, reduced model and netlist to ``findings``.
 
@@ -70,7 +74,7 @@ def verify_body(
     names = part.type.prescribed_ports(part, rom) if isinstance(part.type, LinearBody) else ()
     given = [*map(rom.inputs.index, names)]
     at = _list_error_frequencies(rom, band)
-    full = full_model(part, build.scene, clock)
+    full = find_full_model(part, build.scene, clock)
     if full is not None:
         count = at.size if thorough or full.order <= MAX_DIRECT_UNKNOWNS else SAMPLE_FREQUENCIES
         at = _select_frequencies(rom, at, min(count, FULL_FREQUENCIES))
@@ -106,7 +110,7 @@ def _check_against_full_model(
     at: np.ndarray,
     exact: np.ndarray,
     given: Sequence[int],
-    findings: Findings,
+    findings: VerificationResult,
 ) -> float:
     """Check the error of a reduced model at the frequencies ``at`` [Hz], and return the error.
 
@@ -116,7 +120,7 @@ def _check_against_full_model(
     estimate = rom.certificate.error_estimate if rom.certificate else 0.0
     limit = max(estimate, SOLVER_ROUNDING)
     reduced = solve_reduced(rom, at)
-    error = compare_responses(reduced, exact, given, _stored_heat(rom, at))
+    error = compare_responses(reduced, exact, given, _compute_storage_flow(rom, at))
     count = at.size
     if error > limit and not given:
         accurate = _find_accurate_solutions(full, at, exact, limit)
@@ -151,10 +155,10 @@ def list_netlist_checks(
     are the indices of the ports with prescribed temperatures.
     """
     exact = solve_reduced(rom, frequency)
-    electrical = [port.name for port in rom.ports if port.paired]
-    leaked = MAX_LEAK_RATIO * leakage_share(frequency) if electrical else 0.0
+    electrical = [port.name for port in rom.ports if port.is_paired]
+    leaked = MAX_LEAK_RATIO * compute_leakage_share(frequency) if electrical else 0.0
     every_column = list(range(len(rom.inputs)))
-    error = compare_responses(emitted, exact, given, _stored_heat(rom, frequency))
+    error = compare_responses(emitted, exact, given, _compute_storage_flow(rom, frequency))
     checks = [Check(f"{name}: netlist to ROM, all ports", error, max(gate, leaked))]
     rows = []
     for port in electrical:
@@ -166,7 +170,7 @@ def list_netlist_checks(
     for words, row, columns in rows:
         at = np.ix_(range(len(frequency)), row, columns)
         checks.append(
-            Check(name + words, relative_error(emitted[at], exact[at]), max(gate, leaked))
+            Check(name + words, compute_relative_error(emitted[at], exact[at]), max(gate, leaked))
         )
     if all(port.conservative for port in rom.ports):
         # A load separates charge, which flows off through a leak of the port.
@@ -186,7 +190,7 @@ def solve_reduced(rom: LinearModel, frequency: np.ndarray) -> np.ndarray:
     """
     if not is_heat_model(rom):
         return rom.transfer(frequency)
-    return DirectResponse(rom.pencil.dense()).transfer(2j * np.pi * frequency)
+    return DirectResponse(rom.pencil.make_dense()).transfer(2j * np.pi * frequency)
 
 
 def compare_responses(
@@ -208,15 +212,15 @@ def compare_responses(
     body. The certificate states the error of the inner temperatures relative to ``stored``.
     """
     if not given:
-        return relative_error(response, exact)
+        return compute_relative_error(response, exact)
     found, expected = (_convert_to_hybrid_parameters(H, given) for H in (response, exact))
-    inner = relative_error(found[0], expected[0]) if expected[0].size else 0.0
+    inner = compute_relative_error(found[0], expected[0]) if expected[0].size else 0.0
     shares = float(np.abs(found[1] - expected[1]).max(initial=0.0))
     base = np.abs(expected[2]) + np.reshape(stored, (-1, 1, 1))
     return max(inner, shares, float((np.abs(found[2] - expected[2]) / base).max()))
 
 
-def _stored_heat(rom: LinearModel, frequency: np.ndarray) -> np.ndarray:
+def _compute_storage_flow(rom: LinearModel, frequency: np.ndarray) -> np.ndarray:
     """Return the heat flow [W/K] that changes the temperature of a whole body.
 
     For the angular frequency w and the heat capacity C of the body, this is ``w C``.
@@ -239,7 +243,7 @@ def _convert_to_hybrid_parameters(
     return H[:, others][:, :, others] - shares @ H[:, given][:, :, others], shares, admittance
 
 
-def leakage_share(frequency: np.ndarray) -> float:
+def compute_leakage_share(frequency: np.ndarray) -> float:
     """Return the share of the current of an electrical port that flows through its leak.
 
     The share is ``G / (w C)`` at the lowest frequency, with ``G = LEAK_RATE C``.
@@ -253,7 +257,7 @@ def list_rom_checks(name: str, rom: LinearModel, band: tuple[float, float]) -> l
     For a general model, the growth rate ``Re p`` of a pole ``p`` is relative to ``max(|p|, w)``,
     where ``w`` is the end of the band.
     """
-    modal = resonators(rom)
+    modal = compute_resonators(rom)
     if modal is not None:
         rightmost = float((-modal.damp / (2 * modal.omega)).max())
         limit = 0.0
@@ -261,7 +265,7 @@ def list_rom_checks(name: str, rom: LinearModel, band: tuple[float, float]) -> l
         # Rounding errors shift the poles at zero of an unsupported body.
         # The matrices of the unsupported body show that no mode grows.
         rightmost, limit = 0.0, SOLVER_ROUNDING
-        if prove_stability(rom.pencil.dense(), band).proof != "definite matrices":
+        if prove_stability(rom.pencil.make_dense(), band).proof != "definite matrices":
             poles = rom.poles()
             size = np.maximum(np.abs(poles), 2 * np.pi * band[1])
             rightmost = float((poles.real / size).max(initial=-1.0))
@@ -294,16 +298,18 @@ def list_structure_checks(
     result = [Check(f"{name}, active power over all frequencies", max(0.0, -lowest.min()), limit)]
     if len(balance) > 1:
         transposed = H.transpose(0, 2, 1)
-        asymmetry = relative_error(transposed, H) if rates else float(np.abs(H - transposed).max())
+        asymmetry = (
+            compute_relative_error(transposed, H) if rates else float(np.abs(H - transposed).max())
+        )
         result.append(Check(f"{name}, reciprocity", asymmetry, limit))
     return result
 
 
 def simulate_netlist_response(
     part: Part,
-    build: Build,
+    build: BuiltScene,
     libraries: Sequence[Subcircuit],
-    clock: Clock,
+    clock: StageTimer,
     work: Path,
     band: tuple[float, float],
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -328,16 +334,16 @@ def simulate_netlist_response(
     s = 2j * np.pi * frequency[:, None]
     for port in rom.ports:
         row = rom.outputs.index(port.name) if port.kind != "input" else -1
-        if port.charged:
+        if port.has_charge_output:
             H[:, row] /= s
         elif accelerates_frame(port):  # the force m a - s^2 y flows into the pin
-            mass = reaction_mass(rom, port) * (np.array(rom.inputs) == port.name)
+            mass = compute_reaction_mass(rom, port) * (np.array(rom.inputs) == port.name)
             H[:, row] = (mass - H[:, row]) / s**2
     return frequency, H
 
 
 def _make_response_deck(
-    part: Part, build: Build, libraries: Sequence[Subcircuit], band: tuple[float, float]
+    part: Part, build: BuiltScene, libraries: Sequence[Subcircuit], band: tuple[float, float]
 ) -> Deck:
     """Return a deck with a copy of the subcircuit for each port."""
     library_name = build.libraries[part.name]
@@ -355,7 +361,7 @@ def _make_response_deck(
     items: list[Item] = []
     vectors: dict[str, tuple[str, float]] = {}
     for k, load in enumerate(port for port in rom.ports if port.kind != "output"):
-        cards, answers = apply_unit_load(rom, library, load, f"_{k}")
+        cards, answers = make_unit_load_cards(rom, library, load, f"_{k}")
         items += add_title(f"load on {load.name}", cards)
         vectors |= {f"{load.name}>{name}": result for name, result in answers.items()}
     return Deck(
@@ -364,11 +370,15 @@ def _make_response_deck(
         parts=(library,),
         items=tuple(items),
         vectors=vectors,
-        command=ac_command(band[1] / NETLIST_FREQUENCIES, band[1], NETLIST_FREQUENCIES, "linear"),
+        command=make_ac_command(
+            band[1] / NETLIST_FREQUENCIES, band[1], NETLIST_FREQUENCIES, "linear"
+        ),
     )
 
 
-def _solve_full_response(part: Part, build: Build, full: LinearModel, at: np.ndarray) -> np.ndarray:
+def _solve_full_response(
+    part: Part, build: BuiltScene, full: LinearModel, at: np.ndarray
+) -> np.ndarray:
     """Return the response of the full model at the frequencies ``at`` [Hz].
 
     Scenes with the same body share an entry of the cache.
@@ -398,12 +408,12 @@ def _find_accurate_solutions(
     """
     rng, s = np.random.default_rng(0), 2j * np.pi * at
     units = rng.uniform(1.0, 2.0, (ROUNDING_TRIALS, full.order))
-    repeated = [full.pencil.in_units(t).transfer(s) for t in units]
-    errors = [relative_size(again - exact, exact).max(axis=(1, 2)) for again in repeated]
+    repeated = [full.pencil.rescale_unknowns(t).transfer(s) for t in units]
+    errors = [compute_relative_errors(again - exact, exact).max(axis=(1, 2)) for again in repeated]
     return np.asarray(ROUNDING_MARGIN * np.max(errors, axis=0) <= limit)
 
 
-def choose_verified_band(rom: LinearModel, build: Build) -> tuple[float, float]:
+def choose_verified_band(rom: LinearModel, build: BuiltScene) -> tuple[float, float]:
     """Return the band [Hz] in which the reduced model must be accurate."""
     if rom.certificate is not None:
         return rom.certificate.band_hz
@@ -413,7 +423,7 @@ def choose_verified_band(rom: LinearModel, build: Build) -> tuple[float, float]:
 
 def _list_error_frequencies(rom: LinearModel, band: tuple[float, float]) -> np.ndarray:
     """Return ascending frequencies [Hz] at which errors are large, such as resonances."""
-    result = choose_adaptive_frequencies(Response(rom.pencil.dense()), band, static=False)
+    result = choose_adaptive_frequencies(Response(rom.pencil.make_dense()), band, static=False)
     # Frequencies have four digits, so that models that differ only in ports share the frequencies.
     return np.unique([float(f"{f:.4g}") for f in result if f > 0])
 

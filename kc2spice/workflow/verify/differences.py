@@ -15,7 +15,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.powers import add_powers
 from kc2spice.scene.checks import Check, Gate
 from kc2spice.scene.metrics import compute_metrics
-from kc2spice.scene.model import Build
+from kc2spice.scene.model import BuiltScene
 from kc2spice.scene.results import collect_powers
 from kc2spice.workflow.simulate import correct_waves
 
@@ -38,7 +38,7 @@ class Solution:
 
 
 @dataclass(frozen=True)
-class OutputError:
+class OutputDeviation:
     """Largest and rms error of one wave between two solutions, relative to the wave."""
 
     pair: str
@@ -47,11 +47,11 @@ class OutputError:
     rms: float
 
 
-def complete_solution(waves: Waveforms, build: Build) -> Solution:
+def complete_solution(waves: Waveforms, build: BuiltScene) -> Solution:
     """Return a solution with the powers and metrics that follow from its waves."""
     waves, known = correct_waves(waves, build), {}
     for name, terms in collect_powers(build, waves.data).items():
-        if all(term.names <= set(waves) for term in terms):
+        if all(term.result_names <= set(waves) for term in terms):
             known[name] = terms
     waves = add_powers(waves, known)
     return Solution(waves, *compute_metrics(waves, build, partial=True))
@@ -73,7 +73,7 @@ def list_gate_checks(
     for part, item in gates:
         wave = f"{part}.{item.result}"
         gate = replace(item, result=wave) if wave in exact.metrics else item
-        value = gate_difference(gate, ours, exact)
+        value = compute_gate_difference(gate, ours, exact)
         if value is None:
             continue
         if pair in gate.limits:
@@ -85,8 +85,8 @@ def list_gate_checks(
     return limits, max(leading, default=None)
 
 
-def gate_difference(gate: Gate, ours: Solution, exact: Solution) -> float | None:
-    """Return the difference that a gate limits.
+def compute_gate_difference(gate: Gate, ours: Solution, exact: Solution) -> float | None:
+    """Return the difference of both solutions in the value that a gate limits.
 
     A solution can lack the value, such as the launch velocity of a body that is not launched. If
     both solutions lack the value, the result is None. If one solution lacks the value, the result
@@ -100,10 +100,12 @@ def gate_difference(gate: Gate, ours: Solution, exact: Solution) -> float | None
     names = sorted(fnmatch.filter(set(ours.waves) & set(exact.waves), gate.result))
     if not names:
         return None
-    return _wave_difference(gate, ours.waves, exact.waves, names)
+    return _compute_wave_difference(gate, ours.waves, exact.waves, names)
 
 
-def _wave_difference(gate: Gate, waves: Waveforms, exact: Waveforms, names: Sequence[str]) -> float:
+def _compute_wave_difference(
+    gate: Gate, waves: Waveforms, exact: Waveforms, names: Sequence[str]
+) -> float:
     """Return the difference of the waves ``names`` between two solutions.
 
     The key ``measure`` of the gate defines how the difference is measured.
@@ -114,14 +116,14 @@ def _wave_difference(gate: Gate, waves: Waveforms, exact: Waveforms, names: Sequ
         _, a, b = align_wave(waves, exact, name)
         pairs.append((a[early], b[early]))
     if gate.measure == "relative":
-        return max(starmap(_relative_difference, pairs))
+        return max(starmap(_find_largest_relative_change, pairs))
     # arrays of shape (points, waves)
     ours, true = (np.stack(wave, axis=1) for wave in zip(*pairs, strict=True))
     if gate.measure == "spectral":
         # imported here, because scipy loads slowly and every run imports this module
-        from kc2spice.rom.error_estimate import relative_error
+        from kc2spice.rom.error_estimate import compute_relative_error
 
-        return relative_error(ours, true)
+        return compute_relative_error(ours, true)
     largest = float(np.abs(ours - true).max())
     if gate.measure == "absolute":
         return largest
@@ -132,7 +134,7 @@ def _wave_difference(gate: Gate, waves: Waveforms, exact: Waveforms, names: Sequ
     return largest / size if size else math.inf if largest else 0.0
 
 
-def _relative_difference(a: np.ndarray, b: np.ndarray) -> float:
+def _find_largest_relative_change(a: np.ndarray, b: np.ndarray) -> float:
     """Return the largest difference of values, each relative to the magnitude in ``b``."""
     size = np.abs(b)
     loaded = size > MIN_REFERENCE_SHARE * size.max()
@@ -170,7 +172,7 @@ def _interpolate_wave(times: np.ndarray, waves: Waveforms, name: str) -> np.ndar
     return np.interp(times, t, waves[name][unique])
 
 
-def output_errors(pair: str, waves: Waveforms, exact: Waveforms) -> list[OutputError]:
+def compute_output_errors(pair: str, waves: Waveforms, exact: Waveforms) -> list[OutputDeviation]:
     """Return the error of every wave that both solutions contain.
 
     Waves that are zero within rounding errors are left out. The rms error is an integral over time,
@@ -183,11 +185,13 @@ def output_errors(pair: str, waves: Waveforms, exact: Waveforms) -> list[OutputE
             continue
         points, a, b = align_wave(waves, exact, name)
         size = float(np.abs(b).max(initial=0.0))
-        if size <= max(_rounding_speed(name, exact), ZERO_CURRENT):
+        if size <= max(_estimate_rounding_speed(name, exact), ZERO_CURRENT):
             continue
         error = np.abs(a - b)
         ratio = np.divide(_integrate_square(error, points), _integrate_square(b, points))
-        result.append(OutputError(pair, name, float(error.max()) / size, math.sqrt(float(ratio))))
+        result.append(
+            OutputDeviation(pair, name, float(error.max()) / size, math.sqrt(float(ratio)))
+        )
     return result
 
 
@@ -201,7 +205,7 @@ def _integrate_square(values: np.ndarray, points: np.ndarray) -> float:
     return float(np.abs(values).max() ** 2)
 
 
-def _rounding_speed(name: str, waves: Waveforms) -> float:
+def _estimate_rounding_speed(name: str, waves: Waveforms) -> float:
     """Return the speed [m/s] that rounding errors cause in a body at rest; 0 for other waves."""
     stem, _, last = name.rpartition(".")
     position = next(filter(waves.data.__contains__, (f"{stem}.y", f"{stem}.x")), None)
@@ -210,7 +214,7 @@ def _rounding_speed(name: str, waves: Waveforms) -> float:
     return REST_MOTION * float(np.abs(waves[position]).max()) / float(np.ptp(waves["time"]))
 
 
-def metric_errors(
+def list_metric_errors(
     ours: Solution, exact: Solution, units: Mapping[str, str]
 ) -> Iterator[tuple[str, float | None]]:
     """Yield the relative error of each metric that both solutions contain.
@@ -233,12 +237,12 @@ def metric_errors(
             continue
         if x.shape != y.shape or x.size == 0:
             continue
-        largest = _largest_value_with_unit(exact.units.get(name, ""), exact.waves, units)
+        largest = _find_largest_with_unit(exact.units.get(name, ""), exact.waves, units)
         base = max(float(np.abs(y).max()), MIN_METRIC_SHARE * largest)
         yield name, float(np.abs(x - y).max()) / (base or 1.0)
 
 
-def _largest_value_with_unit(unit: str, waves: Waveforms, units: Mapping[str, str]) -> float:
+def _find_largest_with_unit(unit: str, waves: Waveforms, units: Mapping[str, str]) -> float:
     """Return the largest value of all waves with a ``unit``; for seconds, the simulated time.
 
     Without a unit, the result is 0, because no wave is comparable with a number such as a coupling

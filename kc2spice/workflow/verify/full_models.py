@@ -13,26 +13,26 @@ from typing import Any
 
 from kc2spice.core.errors import SimulationError
 from kc2spice.core.laws import Law, PortBody
-from kc2spice.core.progress import Clock
+from kc2spice.core.progress import StageTimer
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.equations.networks import Network
 from kc2spice.equations.replay import select_networks_to_solve
 from kc2spice.equations.scene_laws import get_scene_laws, store_laws
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.surrogate import make_surrogate
-from kc2spice.scene.model import Build
+from kc2spice.scene.model import BuiltScene
 from kc2spice.workflow.verify.full_transient import (
     FullSolution,
     add_differences,
-    port_bodies_of,
+    list_port_bodies,
     solve_full_differences,
 )
-from kc2spice.workflow.verify.law_solution import Reference, solve_steady
+from kc2spice.workflow.verify.law_solution import LawSolution, solve_without_transient
 
 MAX_DIRECT_UNKNOWNS = 3000  # number of unknowns up to which every frequency is solved directly
 
 
-def with_full_models(build: Build, clock: Clock) -> Build | None:
+def with_full_models(build: BuiltScene, clock: StageTimer) -> BuiltScene | None:
     """Return ``build`` with full instead of reduced models; None if no part has a full model.
 
     In a transient, only bodies have full models. The integrator solves the equations of such a
@@ -41,16 +41,18 @@ def with_full_models(build: Build, clock: Clock) -> Build | None:
     timed = build.scene.analysis.type == "transient"
     result = {}
     for part in build.scene.parts.values():
-        if part.reduced or not timed:
+        if part.is_body or not timed:
             full = part.type.build(part, build.scene, clock, full=True)
             if full is not None:
                 result[part.name] = (
-                    _sparse_full_model(full) if isinstance(full, LinearModel) else full
+                    _make_sparse_full_model(full) if isinstance(full, LinearModel) else full
                 )
     return _with_models(build, result) if result else None
 
 
-def with_finer_models(build: Build, parts: Iterable[str], clock: Clock) -> Build | None:
+def with_finer_models(
+    build: BuiltScene, parts: Iterable[str], clock: StageTimer
+) -> BuiltScene | None:
     """Return ``build`` with a finer discretisation of ``parts``; None if there is none.
 
     Examples are a squeezed gas film with more branches and a conductor with more current loops.
@@ -63,12 +65,12 @@ def with_finer_models(build: Build, parts: Iterable[str], clock: Clock) -> Build
     return _with_models(build, result) if result else None
 
 
-def _with_models(build: Build, models: Mapping[str, Any]) -> Build:
+def _with_models(build: BuiltScene, models: Mapping[str, Any]) -> BuiltScene:
     """Return a build in which ``models`` replace the models of parts."""
     return store_laws(replace(build, models={**build.models, **models}))
 
 
-def _sparse_full_model(model: LinearModel) -> LinearModel:
+def _make_sparse_full_model(model: LinearModel) -> LinearModel:
     """Return a full model with sparse matrices, so that its law has equations only at its ports."""
     if not model.pencil.is_dense:
         return model
@@ -79,12 +81,12 @@ def _sparse_full_model(model: LinearModel) -> LinearModel:
 
 
 def solve_full_models(
-    build: Build,
-    full: Build,
+    build: BuiltScene,
+    full: BuiltScene,
     ours: Waveforms,
-    exact: Reference,
+    exact: LawSolution,
     replayed: Mapping[str, str],
-    clock: Clock,
+    clock: StageTimer,
     thorough: bool,
 ) -> FullSolution | None:
     """Solve the scene with its full models; None if no network contains a full model.
@@ -105,13 +107,13 @@ def solve_full_models(
             stop = float(build.scene.analysis.stop or 0.0)
             networks = networks if thorough else _with_surrogates(networks, stop, clock)
             points = ours.scale.size
-            for body in chain.from_iterable(map(port_bodies_of, networks)):
+            for body in chain.from_iterable(map(list_port_bodies, networks)):
                 # this body kept its full model, because no surrogate is accurate enough
                 if body.model.order > MAX_DIRECT_UNKNOWNS:
                     words = f"{body.model.order} unknowns at {points} frequencies, solved at each"
         with clock.time_stage("full model", words):
-            return FullSolution(solve_steady(networks, full, ours))
-    networks = list(filter(port_bodies_of, networks))
+            return FullSolution(solve_without_transient(networks, full, ours))
+    networks = list(filter(list_port_bodies, networks))
     if not networks:
         return None
     rows = (solve_full_differences(network, build, exact, clock, thorough) for network in networks)
@@ -121,7 +123,7 @@ def solve_full_models(
     return FullSolution(waves, coarse_waves, end, notes)
 
 
-def _with_surrogates(networks: list[Network], stop: float, clock: Clock) -> list[Network]:
+def _with_surrogates(networks: list[Network], stop: float, clock: StageTimer) -> list[Network]:
     """Replace large full models by small surrogate models with a checked error.
 
     All copies of a body have the same surrogate.

@@ -17,16 +17,16 @@ from itertools import chain
 import numpy as np
 
 from kc2spice.core.laws import PortBody, evaluate_combinations
-from kc2spice.core.progress import Clock
+from kc2spice.core.progress import StageTimer
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.equations.networks import Network
 from kc2spice.reference.fixed_step import integrate_steps
 from kc2spice.reference.integrate import Trajectory
 from kc2spice.reference.system import System, assemble_system
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.scene.model import Build
+from kc2spice.scene.model import BuiltScene
 from kc2spice.workflow.verify.bodies import choose_verified_band
-from kc2spice.workflow.verify.law_solution import Reference
+from kc2spice.workflow.verify.law_solution import LawSolution
 
 # Number of time steps per period of the highest frequency in the band of a reduced model.
 STEPS_PER_PERIOD = 80
@@ -57,7 +57,9 @@ class FullSolution:
     notes: tuple[str, ...] = ()
 
 
-def add_differences(exact: Reference, differences: Sequence[Difference], end: float) -> Waveforms:
+def add_differences(
+    exact: LawSolution, differences: Sequence[FullModelDifference], end: float
+) -> Waveforms:
     """Add the ``differences`` of full models to the solution with reduced models.
 
     Points around events that the steps do not resolve are left out.
@@ -75,7 +77,7 @@ def add_differences(exact: Reference, differences: Sequence[Difference], end: fl
 
 
 @dataclass(frozen=True, eq=False)
-class Difference:
+class FullModelDifference:
     """Results of a network with full models minus the results with reduced models.
 
     Both results have equal time steps. ``apart`` contains a mask of times. At these times, a device
@@ -107,20 +109,20 @@ class Difference:
         return result
 
 
-def port_bodies_of(network: Network) -> list[PortBody]:
+def list_port_bodies(network: Network) -> list[PortBody]:
     """Return those bodies of a network that have equations only at their ports."""
     return [law for law in network.laws if isinstance(law, PortBody)]
 
 
 def solve_full_differences(
-    network: Network, build: Build, exact: Reference, clock: Clock, thorough: bool
-) -> tuple[Difference, Difference, str]:
+    network: Network, build: BuiltScene, exact: LawSolution, clock: StageTimer, thorough: bool
+) -> tuple[FullModelDifference, FullModelDifference, str]:
     """Solve a network with full and with reduced models, with steps ``h`` and ``2 h``.
 
     Returns the difference of the models with steps ``h``, the difference with steps ``2 h``, and a
     text that describes the steps.
     """
-    bodies = port_bodies_of(network)
+    bodies = list_port_bodies(network)
     parts = build.scene.parts
     models = {law.name: build.model(parts[law.name], LinearModel) for law in bodies}
     laws = (
@@ -128,8 +130,8 @@ def solve_full_differences(
         for law in network.laws
     )
     reduced, names = replace(network, laws=tuple(laws)), ", ".join(models)
-    stop = build.scene.stop
-    run = next(run for other, run in exact.runs if other.names == network.names)
+    stop = build.scene.stop_time
+    run = next(run for other, run in exact.runs if other.law_names == network.law_names)
     top = max(choose_verified_band(model, build)[1] for model in models.values())
     size = sum(law.model.order for law in bodies)
     most = max(2 * round(min(MAX_STEPS, MAX_WORK / size) / 2), 100) * (
@@ -149,7 +151,7 @@ def solve_full_differences(
 
     systems = [assemble_system(item.laws, item.joins) for item in (network, reduced)]
 
-    def compute_difference(times: int, label: str) -> Difference:
+    def compute_difference(times: int, label: str) -> FullModelDifference:
         """Return the difference of full and reduced models."""
         with clock.time_stage("full model", f"{names}: {label}") as share:
             first, second = (
@@ -162,7 +164,7 @@ def solve_full_differences(
         other = evaluate_combinations(reduced.results, second.waves, second.time)
         apart = [a != b for a, b in zip(first.modes, second.modes, strict=True)]
         results = {name: ours[name] - other[name] for name in ours}
-        return Difference(first.time, results, np.array(apart), run.events)
+        return FullModelDifference(first.time, results, np.array(apart), run.events)
 
     fine = compute_difference(1, f"{count} steps of {step:.3g} s")
     coarse = compute_difference(2, "half as many")
@@ -184,9 +186,9 @@ def find_last_rest(
     reaches half of its range within ``span`` [s].
     """
     waves, time = run.waves, run.time
-    names = list(chain.from_iterable(map(_port_wave_names, bodies)))
+    names = list(chain.from_iterable(map(_list_port_wave_names, bodies)))
 
-    def find_change(share: float) -> int:
+    def find_first_load_change(share: float) -> int:
         """Return the index of the first time at which a load has changed by a share of its range.
 
         The index is the number of times if no load changes.
@@ -198,9 +200,9 @@ def find_last_rest(
                 first = min(first, int(np.argmax(swing > share * swing.max())))
         return first
 
-    loaded = find_change(0.5)
+    loaded = find_first_load_change(0.5)
     for motion in REST_MOTIONS:
-        first = find_change(motion)
+        first = find_first_load_change(motion)
         if loaded >= time.size or time[loaded] <= time[max(first - 1, 0)] + span:
             break
     if first < 2 or first >= time.size:
@@ -214,7 +216,8 @@ def find_last_rest(
     return float(time[at]), reconstruct_state
 
 
-def _port_wave_names(body: PortBody) -> list[str]:
+def _list_port_wave_names(body: PortBody) -> list[str]:
+    """Return the names of the waves at the ports of a body."""
     return [f"{body.name}.{port.name}" for port in body.ports]
 
 

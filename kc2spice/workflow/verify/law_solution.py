@@ -20,7 +20,7 @@ from kc2spice.reference import equilibrium
 from kc2spice.reference.integrate import Trajectory, solve_transient
 from kc2spice.reference.small_signal import solve_ac, solve_noise
 from kc2spice.reference.system import assemble_system
-from kc2spice.scene.model import Build
+from kc2spice.scene.model import BuiltScene
 from kc2spice.scene.results import NOISE_WAVE
 
 # Relative tolerance of the integrator.
@@ -29,7 +29,7 @@ INTEGRATOR_RTOL = 1.5e-9
 
 
 @dataclass(frozen=True)
-class Reference:
+class LawSolution:
     """Solution of the equations of a scene with reduced models.
 
     ``results`` are the waves of those ngspice results that the equations also determine.
@@ -43,11 +43,11 @@ class Reference:
 
 
 def solve_laws(
-    build: Build,
+    build: BuiltScene,
     waves: Waveforms,
     replayed: Mapping[str, str] | None = None,
     progress: Callable[[float], None] = lambda share: None,
-) -> Reference:
+) -> LawSolution:
     """Solve the equations (laws) of a scene at the points of ``waves``.
 
     ``waves`` are the results of ngspice. On the nets ``replayed``
@@ -60,8 +60,8 @@ def solve_laws(
     """
     networks = select_networks_to_solve(get_scene_laws(build), waves, replayed or {})
     if build.scene.analysis.type != "transient":
-        return Reference(solve_steady(networks, build, waves))
-    stop = build.scene.stop
+        return LawSolution(solve_without_transient(networks, build, waves))
+    stop = build.scene.stop_time
     times = np.minimum(np.unique(waves["time"]), stop)
     systems = [assemble_system(network.laws, network.joins) for network in networks]
     results = [
@@ -75,10 +75,12 @@ def solve_laws(
     balances = [run.energy for run in results]
     turnover = sum(balance.turnover for balance in balances)
     imbalance = sum(abs(balance.residual) for balance in balances) / turnover if turnover else None
-    return Reference(Waveforms(data, {}), imbalance, runs)
+    return LawSolution(Waveforms(data, {}), imbalance, runs)
 
 
-def solve_steady(networks: Iterable[Network], build: Build, waves: Waveforms) -> Waveforms:
+def solve_without_transient(
+    networks: Iterable[Network], build: BuiltScene, waves: Waveforms
+) -> Waveforms:
     """Solve networks for an analysis other than a transient, at the points of ``waves``."""
     scale, points = next(iter(waves.data.items()))
     points = points.real
@@ -93,20 +95,20 @@ def solve_steady(networks: Iterable[Network], build: Build, waves: Waveforms) ->
     return Waveforms(data, {})
 
 
-def _solve_noise(network: Network, build: Build, points: np.ndarray) -> dict[str, np.ndarray]:
+def _solve_noise(network: Network, build: BuiltScene, points: np.ndarray) -> dict[str, np.ndarray]:
     """Return the noise density of the output; empty if the output is not in this network."""
     name = str(build.scene.analysis.output)
-    law_pins = {f"{link.part}.{link.pin}": link.law_pin for link in get_scene_laws(build).links}
+    law_pins = {f"{link.part}.{link.pin}": link.law_pin for link in get_scene_laws(build).pin_links}
     output = network.results.get(name)
     if output is None and name in law_pins:
         output = scale_wave(law_pins[name])
-    if output is None or output.rate or get_law_name(output.terms[0][1]) not in network.names:
+    if output is None or output.rate or get_law_name(output.terms[0][1]) not in network.law_names:
         return {}
     return {NOISE_WAVE: solve_noise(network.laws, network.joins, output, points)}
 
 
 def _solve_steady_waves(
-    network: Network, build: Build, points: np.ndarray
+    network: Network, build: BuiltScene, points: np.ndarray
 ) -> Mapping[str, np.ndarray]:
     """Return the waves of a network in an ac analysis or dc sweep, or at the operating point."""
     system, kind = assemble_system(network.laws, network.joins), build.scene.analysis.type

@@ -20,32 +20,32 @@ from typing import Any
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.files import stage_directory
-from kc2spice.core.memory import available_bytes
-from kc2spice.core.progress import Clock, Progress, ignore_progress
+from kc2spice.core.memory import find_available_bytes
+from kc2spice.core.progress import Progress, StageTimer, ignore_progress
 from kc2spice.core.waveforms import Waveforms, write_record
 from kc2spice.equations.replay import find_replayed_nets, list_recorded_vectors
 from kc2spice.equations.scene_laws import get_scene_laws
 from kc2spice.netlist.deck import Deck
 from kc2spice.netlist.include_scan import FlatCircuit, read_checked_circuit
 from kc2spice.netlist.library import Subcircuit, parse_subcircuits
-from kc2spice.report.verify_page import Findings, plot_comparison, write_verify
+from kc2spice.report.verify_page import VerificationResult, plot_comparison, write_verify
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.scene.checks import SOLUTION_PAIRS, Check, Gate, Verdict
-from kc2spice.scene.model import Build, Scene
+from kc2spice.scene.model import BuiltScene, Scene
 from kc2spice.scene.resolve import resolve
 from kc2spice.sim.ngspice import find_ngspice
 from kc2spice.workflow.decks import prepare_deck
-from kc2spice.workflow.refine import MAX_MESH_UNKNOWNS, MEMORY_SHARE, factor_bytes
+from kc2spice.workflow.refine import MAX_MESH_UNKNOWNS, MEMORY_SHARE, estimate_factor_bytes
 from kc2spice.workflow.simulate import run_simulation
-from kc2spice.workflow.verdict import list_checks
+from kc2spice.workflow.verdict import form_verdict
 from kc2spice.workflow.verify.bodies import verify_body
 from kc2spice.workflow.verify.differences import (
-    OutputError,
+    OutputDeviation,
     Solution,
     complete_solution,
+    compute_output_errors,
     list_gate_checks,
-    metric_errors,
-    output_errors,
+    list_metric_errors,
 )
 from kc2spice.workflow.verify.full_models import (
     solve_full_models,
@@ -117,28 +117,28 @@ def verify_scenes(
         )
     libraries: tuple[Subcircuit, ...] = ()
     if deck is not None:
-        libraries = _included_subcircuits(read_checked_circuit(deck, trust=trust))
+        libraries = _list_included_subcircuits(read_checked_circuit(deck, trust=trust))
     find_ngspice()
-    findings: dict[str, Findings] = {}
+    findings: dict[str, VerificationResult] = {}
     with stage_directory(out) as work:
         for scene in scenes:
             progress("verify", None, scene.name)
-            clock = Clock(progress)
+            clock = StageTimer(progress)
             exported = scene if deck is None else _with_exported_ports(scene, libraries)
             build, prepared_deck = prepare_deck(exported, clock, trust=trust, edited=deck)
             emitted = prepared_deck.parts if deck is None else libraries
             with TemporaryDirectory() as scratch:
-                result = _Verification(build, clock, Path(scratch), full).findings(
+                result = _Verification(build, clock, Path(scratch), full).collect_findings(
                     prepared_deck, emitted
                 )
             findings[scene.name] = result
         write_verify(work / "verify.html", findings)
-        records = {name: item.record() for name, item in findings.items()}
+        records = {name: item.make_record() for name, item in findings.items()}
         passed = all(map(itemgetter("passed"), records.values()))
         return write_record({"passed": passed, "scenes": records}, work, "verify.json")
 
 
-def _included_subcircuits(flat: FlatCircuit) -> tuple[Subcircuit, ...]:
+def _list_included_subcircuits(flat: FlatCircuit) -> tuple[Subcircuit, ...]:
     """Return the subcircuits of the files that a deck includes."""
     files: dict[str, list[str]] = {}
     for line in flat.lines:
@@ -156,15 +156,15 @@ def _with_exported_ports(scene: Scene, libraries: Sequence[Subcircuit]) -> Scene
     The library of an export has all declared ports of a body, including unconnected ports.
     """
     exported = resolve(replace(scene, ports="declared"))
-    known = set(map(_pin_names, map(attrgetter("pins"), libraries)))
+    known = set(map(_list_pin_names, map(attrgetter("pins"), libraries)))
     for body in exported.bodies:
         pins = exported.pins(body.name)
-        if pins != scene.pins(body.name) and _pin_names(pins) in known:
+        if pins != scene.pins(body.name) and _list_pin_names(pins) in known:
             return exported
     return scene
 
 
-def _pin_names(pins: Iterable[Any]) -> tuple[str, ...]:
+def _list_pin_names(pins: Iterable[Any]) -> tuple[str, ...]:
     """Return the names of the pins of a part or of its subcircuit."""
     return tuple(map(attrgetter("name"), pins))
 
@@ -173,11 +173,11 @@ def _pin_names(pins: Iterable[Any]) -> tuple[str, ...]:
 class _Verification:
     """Verification of one scene, with its findings in ``outcome``."""
 
-    build: Build
-    clock: Clock
+    build: BuiltScene
+    clock: StageTimer
     work: Path
     thorough: bool
-    outcome: Findings = field(default_factory=Findings)
+    outcome: VerificationResult = field(default_factory=VerificationResult)
     units: Mapping[str, str] = field(default_factory=dict)
     replayed: Mapping[str, str] = field(default_factory=dict)
     verdict: Verdict = field(default_factory=Verdict)
@@ -185,11 +185,11 @@ class _Verification:
     finer: set[str] = field(default_factory=set)
 
     @property
-    def timed(self) -> bool:
+    def has_transient(self) -> bool:
         """Whether the scene has a transient analysis."""
         return self.build.scene.analysis.type == "transient"
 
-    def findings(self, deck: Deck, libraries: Sequence[Subcircuit]) -> Findings:
+    def collect_findings(self, deck: Deck, libraries: Sequence[Subcircuit]) -> VerificationResult:
         """Return the findings about the bodies, the scene and its full models.
 
         ``libraries`` are the subcircuits of the bodies.
@@ -197,18 +197,18 @@ class _Verification:
         result, build = self.outcome, self.build
         self.units = deck.units
         for part in build.scene.parts.values():
-            if part.reduced:
+            if part.is_body:
                 folder = self.work / part.name
                 verify_body(part, build, libraries, self.clock, folder, self.thorough, result)
-            most = _max_mesh_unknowns() if self.thorough else MAX_FINER_UNKNOWNS
-            for row in part.type.finer_mesh(part, build, self.clock, most):
+            most = _compute_max_mesh_unknowns() if self.thorough else MAX_FINER_UNKNOWNS
+            for row in part.type.compare_with_finer_mesh(part, build, self.clock, most):
                 if isinstance(row, Check):
                     result.checks.append(row)
                 else:
                     result.notes.append(row)
         laws = get_scene_laws(build)
         result.left_out = laws.parts_without_law
-        replayed = find_replayed_nets(laws) if result.left_out and self.timed else None
+        replayed = find_replayed_nets(laws) if result.left_out and self.has_transient else None
         if result.left_out:
             rows = map(self._explain_missing_law, result.left_out)
             note = f"parts without a law are left out: {', '.join(rows)}"
@@ -243,7 +243,7 @@ class _Verification:
         """Simulate a deck and return its waves."""
         with self.clock.time_stage("simulate", f"ngspice, {self.build.scene.name}") as share:
             waves = run_simulation(self.build, deck, self.work / "scene", share)
-        self.verdict = list_checks(waves, self.build)
+        self.verdict = form_verdict(waves, self.build)
         return waves
 
     def _compare_solutions(self, deck: Deck) -> None:
@@ -267,8 +267,8 @@ class _Verification:
         result.answers |= {key: item.metrics for key, item in solutions.items()}
         outputs = self._compare_pairs("scene", solutions)
         result.checks += self._list_general_checks(solutions, outputs)
-        result.notes += self._list_uncompared_probes(solutions)
-        if self.timed:
+        result.notes += self._note_uncompared_probes(solutions)
+        if self.has_transient:
             self._compare_with_finer_laws(waves, solutions, TIME_FACTOR * spent + EXTRA_SECONDS)
         self._add_run_checks()
         if reference.imbalance is not None:
@@ -291,7 +291,7 @@ class _Verification:
         self._compare_pairs("full", early | {"fom": exact})
         result.notes += followed.notes
         if followed.coarse is not None:
-            self._compare_steps(followed.waves, followed.coarse)
+            self._check_time_steps(followed.waves, followed.coarse)
 
     def _compare_with_finer_laws(
         self, waves: Waveforms, solutions: Mapping[str, Solution], seconds: float
@@ -303,7 +303,7 @@ class _Verification:
         """
         scene, gates = self.build.scene, self.verdict.gates
         stated = {part for part, gate in gates if "rom_vs_fom" in gate.limits}
-        parts = [name for name, part in scene.parts.items() if name in stated and not part.reduced]
+        parts = [name for name, part in scene.parts.items() if name in stated and not part.is_body]
         names = ", ".join(parts)
         try:
             finer = with_finer_models(self.build, parts, self.clock)
@@ -337,27 +337,27 @@ class _Verification:
             0
         ]
 
-    def _gates_of_models(self) -> list[tuple[str, Gate]]:
+    def _list_model_gates(self) -> list[tuple[str, Gate]]:
         """Return the error limits that apply to comparisons of ngspice, laws and full models.
 
         In a transient, error limits of discretisations are left out, because they apply only to the
         comparison with a finer discretisation.
         """
         gates = self.verdict.gates
-        return [item for item in gates if not (self.timed and item[1].discretisation)]
+        return [item for item in gates if not (self.has_transient and item[1].discretisation)]
 
-    def _compare_pairs(self, name: str, solutions: Mapping[str, Solution]) -> list[OutputError]:
+    def _compare_pairs(self, name: str, solutions: Mapping[str, Solution]) -> list[OutputDeviation]:
         """Compare each solution with the last solution, and return the errors of all waves.
 
         The checks of gates, the errors and the figures are added to the findings.
         """
         last = list(solutions)[-1]
-        outputs: list[OutputError] = []
+        outputs: list[OutputDeviation] = []
         for pair in fnmatch.filter(SOLUTION_PAIRS, f"*_vs_{last}"):
             ours, exact = solutions[pair.partition("_")[0]], solutions[last]
-            limits, leading = list_gate_checks(self._gates_of_models(), pair, ours, exact)
+            limits, leading = list_gate_checks(self._list_model_gates(), pair, ours, exact)
             self.outcome.checks += limits
-            errors = output_errors(pair, ours.waves, exact.waves)
+            errors = compute_output_errors(pair, ours.waves, exact.waves)
             if leading is None:
                 leading = max(map(attrgetter("rms"), errors), default=None)
             if leading is not None:
@@ -368,10 +368,10 @@ class _Verification:
         self.outcome.figures += plot_comparison(name, self.build.scene.name, curves, self.units)
         return outputs
 
-    def _general_error_limits(self) -> tuple[float, float]:
+    def _get_general_error_limits(self) -> tuple[float, float]:
         """Return the largest accepted relative errors of metrics and waves of ngspice."""
         gates, reltol = self.build.scene.gates, self.build.scene.solver.reltol
-        if self.timed:
+        if self.has_transient:
             metric, wave = (
                 METRIC_LIMIT_FACTOR * reltol,
                 min(WAVE_LIMIT_FACTOR * reltol, MAX_WAVE_ERROR),
@@ -384,13 +384,13 @@ class _Verification:
         return slack * (gates.metrics or metric), gates.waves or wave
 
     def _list_general_checks(
-        self, solutions: Mapping[str, Solution], outputs: Sequence[OutputError]
+        self, solutions: Mapping[str, Solution], outputs: Sequence[OutputDeviation]
     ) -> Iterator[Check]:
         """Yield checks of the metric and of the wave of ngspice with the largest errors."""
-        metric, wave = self._general_error_limits()
+        metric, wave = self._get_general_error_limits()
         known: dict[str, float] = {}
         missed: list[str] = []
-        for name, error in metric_errors(solutions["ngspice"], solutions["rom"], self.units):
+        for name, error in list_metric_errors(solutions["ngspice"], solutions["rom"], self.units):
             if error is None:
                 missed.append(name)
             else:
@@ -400,12 +400,12 @@ class _Verification:
         if known:
             worst = max(known, key=known.__getitem__)
             yield Check(f"every metric, worst {worst}, ngspice to laws", known[worst], metric)
-        followed = filterfalse(self._may_ring_coarsely, outputs)
+        followed = filterfalse(self._may_ring_at_large_steps, outputs)
         last = max(followed, key=attrgetter("rms"), default=None)
         if last is not None:
             yield Check(f"every wave (rms), worst {last.output}, ngspice to laws", last.rms, wave)
 
-    def _may_ring_coarsely(self, output: OutputError) -> bool:
+    def _may_ring_at_large_steps(self, output: OutputDeviation) -> bool:
         """Return whether large time steps may distort a wave after a launch.
 
         ``solver.ringing = "coarse"`` permits this for the waves of a body and of its drive.
@@ -415,7 +415,7 @@ class _Verification:
             return False
         return any(owner == p.name or owner.startswith(f"{p.name}_") for p in scene.bodies)
 
-    def _list_uncompared_probes(self, solutions: Mapping[str, Solution]) -> Iterator[str]:
+    def _note_uncompared_probes(self, solutions: Mapping[str, Solution]) -> Iterator[str]:
         """Yield a note on the probes whose results the laws do not contain."""
         simulated, exact = solutions["ngspice"].metrics, solutions["rom"].metrics
         missing = []
@@ -434,7 +434,7 @@ class _Verification:
         """
         unsolved = []
         for check in self.verdict.checks:
-            solved = not (self.timed and check.discretisation) or self.finer & set(
+            solved = not (self.has_transient and check.discretisation) or self.finer & set(
                 check.name.split()
             )
             if not solved:
@@ -447,13 +447,13 @@ class _Verification:
                 f"frequencies of the run: {'; '.join(unsolved)}"
             )
 
-    def _compare_steps(self, waves: Waveforms, coarse: Waveforms) -> None:
+    def _check_time_steps(self, waves: Waveforms, coarse: Waveforms) -> None:
         """Check that doubled time steps change the results by less than each gate permits."""
         ours, exact = complete_solution(coarse, self.build), complete_solution(waves, self.build)
-        for limit in list_gate_checks(self._gates_of_models(), "rom_vs_fom", ours, exact)[0]:
+        for limit in list_gate_checks(self._list_model_gates(), "rom_vs_fom", ours, exact)[0]:
             words = limit.name.replace("ROM to full model", "full model, steps halved")
             self.outcome.checks.append(replace(limit, name=words))
-        moved = output_errors("steps", coarse, waves)
+        moved = compute_output_errors("steps", coarse, waves)
         if moved:
             worst = max(moved, key=attrgetter("rms"))
             self.outcome.notes.append(
@@ -473,12 +473,12 @@ class _Verification:
                 result.metrics["unknowns"] = model.facts["unknowns"]
 
 
-def _max_mesh_unknowns() -> float:
+def _compute_max_mesh_unknowns() -> float:
     """Return the largest number of unknowns of a three-dimensional mesh.
 
     Free memory and :data:`MAX_MESH_UNKNOWNS` limit the number.
     """
-    share = MEMORY_SHARE * available_bytes() / factor_bytes(1.0, 3)
+    share = MEMORY_SHARE * find_available_bytes() / estimate_factor_bytes(1.0, 3)
     # memory is proportional to (number of unknowns)^(4/3)
     return min(MAX_MESH_UNKNOWNS, share**0.75)
 

@@ -28,7 +28,7 @@ import kc2spice as kc
 sys.path.extend(map(str, Path(__file__).parents[1:3]))  # tests/spice and tests
 from drawn_devices import voice
 from hard_cases.modal_kick import Kick
-from support import Clock, SimulationError, UsageError, complete_run, load_scene
+from support import SimulationError, StageTimer, UsageError, complete_run, load_scene
 from test_random_parts import Drawn, campaign, motion, patience, rectifier
 
 COUNT = 50
@@ -279,7 +279,7 @@ def _compared(family, tables, judge):
     try:
         with patience(PATIENCE), tempfile.TemporaryDirectory() as work, warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            done = complete_run(load_scene(tables), Path(work), Clock())
+            done = complete_run(load_scene(tables), Path(work), StageTimer())
             found, error = done.converged, judge(done)
     except (UsageError, SimulationError) as failed:
         why = f"refused: {failed.message} {failed.got or ''}"

@@ -8,7 +8,7 @@ from hard_cases.kit import HEADER, bench_deck, case, exact, kick, relative, scen
 from hard_cases.modal_kick import Kick
 from scipy.integrate import solve_ivp
 from support import ContactForce, SphereKeys, declare_contact, declare_sphere, subcircuit
-from support import declared_subcircuit as declared
+from support import make_declared_subcircuit as declared
 
 from bench.distance import compare
 

@@ -4,7 +4,7 @@ import mor_families as families
 import numpy as np
 from device import chip, deck_of
 from hard_cases.kit import HEADER, LATCH, bench_deck, case
-from support import LinearModel, load_scene, opamp_subcircuit, reduce_model, subcircuit
+from support import LinearModel, load_scene, make_opamp_subcircuit, reduce_model, subcircuit
 
 RESPONSE = "largest error of the response, relative to its peak"
 SIZE = 40
@@ -83,7 +83,7 @@ R1 n 0 1000
 R2 out n 10000
 .options reltol=1e-4 trtol=1
 .tran 1e-8 3e-5 0 1e-7"""
-    part = opamp_subcircuit(HEADER)
+    part = make_opamp_subcircuit(HEADER)
     waves = bench.run(bench_deck([part], cards, {"out": ("v(out)", 1.0)}, 3e-5))
     rail = np.interp(0.9e-5, waves["time"], waves["out"])
     # gbw / 11: the linear answer 11 V is reached to 1e-6 within 2.5 us

@@ -23,7 +23,7 @@ import kc2spice as kc
 
 sys.path.extend(map(str, Path(__file__).parents[1:3]))  # tests/spice and tests
 from hard_cases.modal_kick import Kick
-from support import Clock, SimulationError, UsageError, complete_run, load_scene
+from support import SimulationError, StageTimer, UsageError, complete_run, load_scene
 from test_random_parts import campaign, patience
 
 COUNT, SEED = 200, 43
@@ -68,7 +68,7 @@ def outcome(number, folder):
     chosen = settings(number)
     try:
         with patience(PATIENCE):
-            done = complete_run(load_scene("kick_and_catch", chosen), folder, Clock())
+            done = complete_run(load_scene("kick_and_catch", chosen), folder, StageTimer())
     except (UsageError, SimulationError) as failed:
         left = "table left" in failed.message
         return LEFT if left else f"refused: {failed.message} {failed.got or ''}", chosen, None
@@ -107,7 +107,7 @@ def modes():
 def force_law(scene):
     """Force [N] on the sphere at its centre's height [m] by the controller's current [A]."""
     catch = scene.parts["catch"]
-    table = catch.type.build(catch, scene, Clock())
+    table = catch.type.build(catch, scene, StageTimer())
     parts = CubicSpline(table.y, table.coefficients)
 
     def force(y, i):

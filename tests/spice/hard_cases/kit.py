@@ -11,7 +11,7 @@ from device import built, chip, magnets
 from support import (
     Header,
     find_separation,
-    list_checks,
+    form_verdict,
     load_scene,
     make_deck,
     require_passed,
@@ -34,7 +34,7 @@ Rbad y ref 1
 
 
 @dataclass
-class Bench:
+class BenchKeys:
     """Runs decks for a case."""
 
     directory: Path
@@ -49,7 +49,7 @@ class Bench:
         """Run a scene as ``kc2spice run``: the deck, ngspice, then the physics checks."""
         build = built(scene, model or chip(), table or magnets())
         waves = self.run(make_deck(build))
-        require_passed(list_checks(waves, build).checks, build.scene.name)
+        require_passed(form_verdict(waves, build).checks, build.scene.name)
         return waves
 
 

@@ -7,7 +7,7 @@ import json
 import sys
 from pathlib import Path
 
-from support import Clock, Kc2spiceError, build_models, load_scene, make_deck, run_deck
+from support import Kc2spiceError, StageTimer, build_models, load_scene, make_deck, run_deck
 
 
 def main(root):
@@ -15,7 +15,7 @@ def main(root):
     for path in sorted(Path(root).glob("v*/hostile.toml")):
         try:
             scene = load_scene(path)
-            deck = make_deck(build_models(scene, Clock()))
+            deck = make_deck(build_models(scene, StageTimer()))
             run_deck(deck, path.parent / "deck", timeout=60)
             said[path.parent.name] = "ran"
         except Kc2spiceError as error:

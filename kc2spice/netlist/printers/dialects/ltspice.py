@@ -30,16 +30,16 @@ class LTspice(Dialect):
     )
     omits_braces = True  # whether parameters are written without braces
 
-    def name(self, text: str) -> str:
+    def format_name(self, text: str) -> str:
         """Return a name; braces separate the sign of a parameter's value from an operator."""
-        word = super().name(text)
+        word = super().format_name(text)
         plain = self.omits_braces or word != text or text.lower() in ("time", "pi", "temp")
         return word if plain else f"({{{word}}})"
 
-    def law(self, part: Element) -> str:
+    def format_law(self, part: Element) -> str:
         """Return the expression of a behavioural source."""
         self.omits_braces = part.kind != "b"
-        text = self.write(part.law)
+        text = self.write_tree(part.law)
         quantity, self.omits_braces = part.quantity, True
         return f"{quantity}={text}" if part.kind == "b" else f"value={{{text}}}"
 
@@ -48,30 +48,30 @@ class LTspice(Dialect):
         parameters = {"vt": "0", "vh": "0", "ron": "1", "roff": "1e12"} | dict(values)
         return f".model {name} SW({' '.join(f'{k.upper()}={v}' for k, v in parameters.items())})"
 
-    def element(self, part: Element) -> str:
+    def format_element(self, part: Element) -> str:
         """Return the card of an element, with ``Rser=0`` for an inductor.
 
         Without this setting, LTspice adds a series resistance to each inductor.
         """
-        return super().element(part) + (" Rser=0" if part.kind == "l" else "")
+        return super().format_element(part) + (" Rser=0" if part.kind == "l" else "")
 
-    def scaled(self, kind: str, name: str, expression: str) -> str:
+    def format_derived_measure(self, kind: str, name: str, expression: str) -> str:
         """Return a measurement card whose value is an expression."""
         return f"{self.measure_keyword} {kind.upper()} {name} PARAM {expression}"
 
-    def magnitude(self, vector: str) -> str:
+    def format_magnitude(self, vector: str) -> str:
         """Return the magnitude of a complex vector."""
         return f"mag({vector})"
 
-    def real_part(self, vector: str) -> str:
+    def format_real_part(self, vector: str) -> str:
         """Return the real part of a complex vector."""
         return f"re({vector})"
 
-    def node(self, path: list[str]) -> str:
+    def format_node(self, path: list[str]) -> str:
         """Return the name of a node, in which instances are named without the letter X."""
         return ":".join([*_strip_instance_letters(path[:-1]), path[-1]])
 
-    def device(self, trace: Trace) -> str:
+    def format_device(self, trace: Trace) -> str:
         """Return a device name with the element letter first, such as ``b:contact:ring0``."""
         (name,) = trace.names
         inner = (name[0], *_strip_instance_letters(trace.path), name[1:])

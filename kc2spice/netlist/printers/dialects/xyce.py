@@ -45,13 +45,13 @@ class Xyce(Dialect):
     temperature = "TEMP"
     measure_keyword = ".measure"
 
-    def call(self, function: str, arguments: tuple[Tree, ...]) -> str:
+    def write_call(self, function: str, arguments: tuple[Tree, ...]) -> str:
         """Return a function call; ``max(0, x)`` replaces ``uramp(x)``."""
         if function == "uramp":
-            return super().call("max", (Number("0"), *arguments))
-        return super().call(function, arguments)
+            return super().write_call("max", (Number("0"), *arguments))
+        return super().write_call(function, arguments)
 
-    def element(self, part: Element) -> str:
+    def format_element(self, part: Element) -> str:
         """Return the card of an element, without ``IC=`` if the analysis has no ``uic``.
 
         In an analysis without ``uic``, ngspice ignores ``IC=``, but Xyce applies it.
@@ -59,7 +59,7 @@ class Xyce(Dialect):
         if not _starts_from_initial_states(self.analysis) and part.kind in "cl":
             parameters = {k: v for k, v in part.parameters.items() if k.lower() != "ic"}
             part = replace(part, parameters=parameters)
-        return super().element(part)
+        return super().format_element(part)
 
     def directive(self, card: Directive) -> str:
         """Return the card of an analysis for which Xyce has the same results as ngspice.
@@ -70,7 +70,7 @@ class Xyce(Dialect):
         """
         if card.keyword == ".tran":
             nodes = (
-                _initial_nodes(self.deck)
+                _list_nodes_with_initial_state(self.deck)
                 if self.deck and not _starts_from_initial_states(card)
                 else ()
             )
@@ -87,10 +87,10 @@ class Xyce(Dialect):
         beyond = start * per ** ((steps + 1e-6) / count)  # 1e-6 compensates rounding errors
         return " ".join([card.keyword, *card.words[:3], format_number(beyond)])
 
-    def options(self, words: Sequence[str]) -> str:
+    def format_options(self, words: Sequence[str]) -> str:
         """Return the card of the options, with the smaller ``reltol`` that Xyce needs."""
         timed = self.analysis.keyword == ".tran"
-        return super().options([*map(_tighten_reltol, words)] if timed else words)
+        return super().format_options([*map(_tighten_reltol, words)] if timed else words)
 
     def _limit_steps(self, card: Directive) -> str:
         """Return the card of a transient; its steps are limited if a controller closes a loop."""
@@ -107,20 +107,20 @@ class Xyce(Dialect):
             ceiling = format_number(LOOP_TIME_STEP)
         return " ".join([card.keyword, step, stop, start, ceiling, *words])
 
-    def law(self, part: Element) -> str:
+    def format_law(self, part: Element) -> str:
         """Return the expression of a behavioural source in braces."""
         quantity = part.quantity if part.kind == "b" else "value"
-        return f"{quantity}={{{self.write(part.law)}}}"
+        return f"{quantity}={{{self.write_tree(part.law)}}}"
 
-    def scaled(self, kind: str, name: str, expression: str) -> str:
+    def format_derived_measure(self, kind: str, name: str, expression: str) -> str:
         """Return a measurement card whose value is an expression."""
         return f"{self.measure_keyword} {kind.upper()} {name} EQN {{{expression}}}"
 
-    def magnitude(self, vector: str) -> str:
+    def format_magnitude(self, vector: str) -> str:
         """Return the magnitude of a complex vector."""
         return f"VM{vector.removeprefix('V')}"
 
-    def real_part(self, vector: str) -> str:
+    def format_real_part(self, vector: str) -> str:
         """Return the real part of a complex vector."""
         return f"{vector[0]}R{vector[1:]}"
 
@@ -145,9 +145,11 @@ class Xyce(Dialect):
         band = literal_value(values.get("vh", "0"), where=self.where)
         middle = literal_value(values.get("vt", "0"), where=self.where)
         if band != 0.0:
-            raise self.refusal(parameters, "a switch with hysteresis")
+            raise self.make_unsupported_error(parameters, "a switch with hysteresis")
         if middle is None:
-            raise self.refusal(parameters, "a switch whose threshold is an expression")
+            raise self.make_unsupported_error(
+                parameters, "a switch whose threshold is an expression"
+            )
         return (
             f".model {name} VSWITCH(VON={format_number(middle + SWITCH_BAND)} "
             f"VOFF={format_number(middle - SWITCH_BAND)} "
@@ -160,15 +162,15 @@ def _starts_from_initial_states(card: Directive) -> bool:
     return card.keyword == ".tran" and "uic" in map(str.lower, card.words)
 
 
-def _initial_nodes(deck: Deck) -> Iterator[str]:
+def _list_nodes_with_initial_state(deck: Deck) -> Iterator[str]:
     """Yield the deck nodes at which an element inside an instance has an initial state."""
-    for instance in deck.scope.elements_of("x").values():
-        called = deck.scope.find(instance.model)
+    for instance in deck.scope.select_elements("x").values():
+        called = deck.scope.find_subcircuit(instance.model)
         if called is None:
             continue
-        joined = dict(zip(called.pins, instance.ends, strict=False))
+        joined = dict(zip(called.pins, instance.lower_case_nodes, strict=False))
         for part in called.elements:
-            outer = map(joined.get, part.ends if "ic" in part.settings else ())
+            outer = map(joined.get, part.lower_case_nodes if "ic" in part.settings else ())
             yield from filterfalse(GROUND_NAMES.__contains__, filter(None, outer))
 
 

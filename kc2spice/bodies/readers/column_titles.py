@@ -1,0 +1,321 @@
+"""Meaning of column titles (quantity, sign and unit), and conversion of columns to SI units.
+
+A title that an instrument writes, such as ``Trace 2: Impedance: Phase (deg)`` or ``-Im(Z)/Ohm``, is
+divided into a sign, words and a unit. :mod:`kc2spice.bodies.readers.column_kinds` lists the known
+words and units. Columns whose title has no known meaning are not used.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from kc2spice.bodies.readers.column_kinds import (
+    ADDED_WORDS,
+    CASE_FREE_PREFIXES,
+    COLUMN_KINDS,
+    COMPLEX_NAMES,
+    DEFAULT_UNITS,
+    MAX_PHASE,
+    PASSIVE_PHASES,
+    PREFIXES,
+    PRIMES,
+    QUANTITY_LABELS,
+    RADIAN_LIMITS,
+    REPLACED_LETTERS,
+    UNITS,
+    UNITS_WITHOUT_PREFIX,
+    ColumnKind,
+    Quantity,
+)
+from kc2spice.core.equality import EqualByContent
+
+# unusual characters in titles, and the characters that replace them
+_CHARACTER_REPLACEMENTS = str.maketrans(
+    {"\u2126": "Ohm", "Ω": "Ohm", "º": "°", "−": "-", "–": "-", "′": "'", "″": "''"}
+)
+# sequences that arise if a program encodes a letter twice in UTF-8, and the original letters
+_DOUBLE_ENCODED = {"Î©": "Ω", "â„¦": "Ω", "Â°": "°", "Î¸": "θ"}
+COMMENT_MARKS = "#%!*; "  # characters that mark a comment line, and are omitted before a title
+MAX_TITLE_LENGTH = 200  # largest number of characters of a title
+# pattern of a title that ends with a unit without brackets: f/Hz, zth_k_per_w
+_TRAILING_UNIT = re.compile(
+    r"(.*?\S)\s*(?:/|[\s_,]+)\s*(rad/s|\S{1,2}/W|K_(?:per_)?W|[^\s_/,()\[\]]+)", re.IGNORECASE
+)
+
+
+@dataclass(frozen=True)
+class Unit:
+    """Unit of a column.
+
+    ``text`` is the spelling of the unit in the file, and ``measures`` is the measured quantity. The
+    factor ``value`` converts numbers with this unit to SI units.
+    """
+
+    text: str
+    measures: str
+    value: float
+
+
+@dataclass(frozen=True)
+class ColumnTitle:
+    """Title of a column and its meaning.
+
+    ``text`` is the title in the file. ``sign`` is -1 if a minus sign precedes the title, otherwise
+    1. ``unit`` is None if the title contains no unit.
+    """
+
+    text: str
+    meaning: ColumnKind
+    sign: float
+    unit: Unit | None
+
+
+@dataclass(frozen=True, eq=False)
+class Column(EqualByContent):
+    """Column of a table, converted to SI units.
+
+    ``values`` has the shape (n,); angles are in rad. ``note`` describes an assumption about the
+    unit, and ``unit`` is the name of the unit in the file.
+    """
+
+    title: ColumnTitle
+    values: np.ndarray
+    note: str
+    unit: str
+
+    def __str__(self) -> str:
+        sign = "-" if self.title.sign < 0 else ""
+        quantity = self.title.meaning.quantity
+        label = QUANTITY_LABELS.get(quantity, quantity)
+        return f"{sign}{label} [{self.unit}] from {self.title.text.strip()!r}"
+
+
+def parse_units(text: str) -> list[Unit]:
+    """Return all units that the string ``text`` may mean.
+
+    For example, ``s`` may be siemens or seconds.
+
+    Raises
+    ------
+    ValueError : the letter case makes the prefix ambiguous, such as in ``mhz`` or ``MF``.
+    """
+    plain = _clean_text(text).replace(" ", "")
+    result = []
+    for measures, spellings in UNITS.items():
+        for base, value in spellings.items():
+            prefix, spelled = plain[: len(plain) - len(base)], plain[len(plain) - len(base) :]
+            cased = base != base.lower()
+            if base != (spelled if cased else spelled.lower()) or (not base and plain):
+                continue
+            factor = _find_prefix_factor(prefix, spelled, measures, text)
+            if factor is None or (prefix and base in UNITS_WITHOUT_PREFIX):
+                continue
+            result.append(Unit(text.strip(), measures, factor * value))
+    return result
+
+
+def _find_prefix_factor(prefix: str, base: str, measures: str, text: str) -> float | None:
+    """Return the factor of an SI prefix before the unit ``base``.
+
+    Return None if ``prefix`` is not an SI prefix that this unit can have.
+
+    Raises
+    ------
+    ValueError : the prefix may mean milli or mega.
+    """
+    if len(prefix) > 1:
+        return None
+    small = measures in ("capacitance", "inductance", "admittance") or base == "OHM"
+    if (prefix == "m" and base == "hz") or (prefix == "M" and small):
+        big = "MHz or mHz" if base == "hz" else f"milli or mega {measures}"
+        raise ValueError(
+            f"the unit {text!r} may mean {big}; write the prefix in the correct letter case"
+        )
+    if prefix in PREFIXES:
+        return PREFIXES[prefix]
+    if prefix == "F":  # FF is not femtofarad
+        return None
+    other = prefix.swapcase()
+    known = other in PREFIXES and (other in CASE_FREE_PREFIXES) == (
+        measures == "frequency" or prefix == "K"
+    )
+    return PREFIXES[other] if known else None
+
+
+def _clean_text(text: str) -> str:
+    """Replace unusual letters in a title or unit, and remove enclosing quotation marks.
+
+    The returned string has at most :data:`MAX_TITLE_LENGTH` characters.
+    """
+    text = text[:MAX_TITLE_LENGTH]
+    for wrong, letter in _DOUBLE_ENCODED.items():
+        text = text.replace(wrong, letter)
+    text = text.strip()
+    # quotation marks around a title are removed, but not the primes in Z' and Z"
+    text = text[1:].removesuffix('"') if text.startswith('"') else text
+    return text.translate(_CHARACTER_REPLACEMENTS).strip()
+
+
+def read_title(text: str) -> ColumnTitle | None:
+    """Parse the title of a column; return None if its meaning is unknown.
+
+    Raises
+    ------
+    ValueError : the title's unit does not belong to its quantity, the prefix of the unit is
+        ambiguous, or a unit is missing that would identify the quantity.
+    """
+    plain = _clean_text(text).lstrip(COMMENT_MARKS).strip()
+    sign = -1.0 if re.match(r"-\s*[^\s\d-]", plain) else 1.0
+    plain = plain.lstrip("-+ ")
+    unfit = ""
+    for stem, unit_text in _split_unit(plain):
+        words = _normalise_words(stem)
+        meanings = [m for m in COLUMN_KINDS if re.fullmatch(m.names, words)]
+        if not meanings:
+            continue
+        if unit_text is None:
+            first = next((m for m in meanings if not m.needs_unit), None)
+            if first is None:
+                choices = list(map(_describe_quantity, meanings))
+                raise ValueError(f"column {text.strip()!r} has no unit: {' or '.join(choices)}")
+            return ColumnTitle(text, first, sign, None)
+        units = parse_units(unit_text)
+        for meaning in meanings:
+            for unit in units:
+                if unit.measures in meaning.measures:
+                    return ColumnTitle(text, meaning, sign, unit)
+        measures = meanings[0].measures[0]
+        unfit = unfit or f"column {text.strip()!r}: {unit_text!r} is no unit of {measures}"
+    if unfit:
+        raise ValueError(unfit)
+    return None
+
+
+def _describe_quantity(meaning: ColumnKind) -> str:
+    """Return the name of a quantity and its default unit, for error messages."""
+    label = QUANTITY_LABELS.get(meaning.quantity, meaning.quantity)
+    return f"{label} in {DEFAULT_UNITS[meaning.measures[0]]}"
+
+
+def is_frequency(text: str) -> bool:
+    """Return whether a column title, or the name of a variable, means the frequency.
+
+    The unit in the title may be ambiguous.
+    """
+    try:
+        title = read_title(text)
+    except ValueError:
+        return "freq" in text.lower()
+    return title is not None and title.meaning.quantity == "f"
+
+
+def is_abscissa(text: str) -> bool:
+    """Return whether a column title means the frequency or the time.
+
+    The other columns of a table depend on this column.
+    """
+    if is_frequency(text):
+        return True
+    try:
+        title = read_title(text)
+    except ValueError:
+        return False
+    return title is not None and title.meaning.quantity == "time"
+
+
+def find_complex_quantity(text: str) -> tuple[Quantity, float] | None:
+    """Return the quantity in a column of complex numbers, and the value of its unit in SI units.
+
+    For example, the title ``Z (kOhm)`` means an impedance whose unit is 1000 Ohm. Return None if
+    the title does not mean a complex quantity.
+    """
+    for stem, unit_text in _split_unit(_clean_text(text).lstrip(COMMENT_MARKS).strip()):
+        for quantity, names in COMPLEX_NAMES.items():
+            if not re.fullmatch(names, _normalise_words(stem)):
+                continue
+            if unit_text is None:
+                return quantity, 1.0
+            measures = {"Z": "impedance", "Y": "admittance", "S": "number"}[quantity]
+            for unit in parse_units(unit_text):
+                if unit.measures == measures:
+                    return quantity, unit.value
+    return None
+
+
+def _split_unit(title: str) -> Iterator[tuple[str, str | None]]:
+    """Yield all possible divisions of a title into words and a unit.
+
+    The unit is None if all parts of the title are words.
+    """
+    for match in re.finditer(r"[\[(]([^\[\]()]*)[\])]", title):
+        if parse_units(match[1]):
+            yield title[: match.start()] + " " + title[match.end() :], match[1]
+            return
+    tail = _TRAILING_UNIT.fullmatch(title)
+    if tail and _find_units_of_word(tail[2]):
+        yield tail[1], tail[2]
+    bracket = re.fullmatch(r"(.*?\S)\s*[\[(]([^\[\]()]+)[\])](.*)", title)
+    if bracket:  # Re(Z) is a quantity; frequency (rpm) has an unknown unit
+        yield title, None
+        yield bracket[1] + bracket[3], bracket[2]
+    else:
+        yield title, None
+
+
+def _find_units_of_word(text: str) -> list[Unit]:
+    """Return the units that the last word of a title may mean.
+
+    The words ``-`` and ``1`` belong to a name and are not units.
+    """
+    return parse_units(text) if text not in ("-", "1") else []
+
+
+def _normalise_words(stem: str) -> str:
+    """Return the words of a title, joined to one string in lower case.
+
+    Words that instruments add are omitted.
+    """
+    low = stem.lower()
+    for mark, part in PRIMES:
+        low = re.sub(rf"([zy])\s*{mark}", rf"\1{part}", low)
+    words = [w for w in re.findall(r"\|\w+\||[^\W_]+", low) if not ADDED_WORDS.fullmatch(w)]
+    return "".join(words).replace("impedance", "z").replace("admittance", "y")
+
+
+def convert_column(title: ColumnTitle, values: np.ndarray) -> Column:
+    """Convert the ``values`` (n,) of the column with a ``title`` to SI units.
+
+    Raises
+    ------
+    ValueError : the phase of an impedance exceeds a full turn.
+    """
+    unit, note, name = title.unit, "", title.text.strip()
+    if unit is None:
+        unit = _assume_unit(title, values)
+        if unit.text:
+            note = f"{name}: no unit, taken as {unit.text}"
+    elif unit.text[-1:] in REPLACED_LETTERS:
+        note = (
+            f"{name}: unit {unit.text}, taken as {unit.text[:-1]}{REPLACED_LETTERS[unit.text[-1:]]}"
+        )
+    scaled = 10 ** (values / 20) if unit.measures == "decibel" else unit.value * values
+    if title.meaning.quantity in PASSIVE_PHASES and np.abs(scaled).max(initial=0.0) > MAX_PHASE:
+        largest = np.abs(values).max()
+        raise ValueError(f"column {name!r}: {largest:.4g} {unit.text} exceeds a full turn")
+    return Column(title, title.sign * scaled, note, unit.text or "1")
+
+
+def _assume_unit(title: ColumnTitle, values: np.ndarray) -> Unit:
+    """Return the assumed unit of a column whose title contains no unit."""
+    measures = title.meaning.measures[0]
+    if measures == "frequency" and re.search("ω|omega", title.text.lower()):
+        return Unit("rad/s", measures, UNITS[measures]["rad/s"])
+    if measures == "angle":
+        largest, spread = RADIAN_LIMITS
+        in_rad = np.abs(values).max(initial=0.0) <= largest and np.ptp(values) > spread
+        return Unit("rad", measures, 1.0) if in_rad else Unit("degrees", measures, np.pi / 180)
+    return Unit(DEFAULT_UNITS[measures], measures, 1.0)

@@ -1,0 +1,222 @@
+"""Terminal output: progress on stderr, tables on stdout, errors in one block."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import sys
+import time
+import traceback
+import warnings
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import typer
+
+from kc2spice.core.errors import Kc2spiceError, SimulationError, UsageError
+from kc2spice.core.files import DISK_FULL_ERRORS
+from kc2spice.core.progress import ERROR_BUDGET, Progress, ignore_progress
+
+if TYPE_CHECKING:
+    from kc2spice.report.html import PageSection
+    from kc2spice.scene.keys import KeyDescription
+PIPED_COLUMNS = 80  # width of output that is not printed on a terminal
+# largest numbers of metrics and rows in the summary of a run
+MAX_METRICS = 9
+MAX_ROWS = 13
+INTERRUPTED_EXIT_CODE = 130  # exit code of shells after Ctrl-C
+
+
+@dataclass(frozen=True)
+class OutputRecipient:
+    """Recipient of a command's output: with ``as_json`` a program, otherwise a person.
+
+    With ``quiet``, the command prints neither progress nor tables.
+    """
+
+    as_json: bool
+    quiet: bool
+
+    def open_progress_display(self) -> AbstractContextManager[Progress]:
+        """Return a context manager that shows stages and elapsed times on a terminal."""
+        if not self.quiet and sys.stderr.isatty():
+            return _show_progress_bars()
+        return nullcontext(ignore_progress if self.quiet or self.as_json else _print_limits)
+
+    def print_json_if_requested(self, record: Any, out: Path | None = None) -> bool:
+        """Print ``record`` as JSON if requested; return whether tables must be printed."""
+        if self.as_json:
+            location = {} if out is None else {"directory": str(out.absolute())}
+            print(json.dumps({**record, **location} if location else record))
+        return not (self.as_json or self.quiet)
+
+
+def _print_limits(stage: str, done: float | None, text: str) -> None:
+    """Print the limits of an error budget; ignore the progress of all other stages."""
+    if stage == ERROR_BUDGET:
+        print(f"{stage}: {text}", file=sys.stderr)
+
+
+@contextmanager
+def _show_progress_bars() -> Iterator[Progress]:
+    """Show one progress bar for each stage; the bars of completed stages are full."""
+    from rich import progress as rich
+    from rich.console import Console
+    from rich.text import Text
+
+    class RemainingColumn(rich.ProgressColumn):
+        """Column of a progress bar with the remaining time, if the time is known."""
+
+        def render(self, task: rich.Task) -> Text:
+            return Text(_describe_remaining_time(task.fields["end"] - time.monotonic()))
+
+    stage, text = "{task.fields[stage]:<10}", rich.TextColumn("{task.fields[text]}", markup=False)
+    left = (rich.SpinnerColumn(), rich.TextColumn(stage), rich.BarColumn(24))
+    right = (rich.TimeElapsedColumn(), RemainingColumn(), text)
+    starts = dict[str, float]()  # start time of each stage
+    with rich.Progress(*left, *right, console=Console(stderr=True)) as bars:
+
+        def fill_bar() -> None:
+            """Fill the progress bar of the current stage."""
+            for task in bars.tasks:
+                bars.update(task.id, total=1, completed=1, end=math.inf)
+
+        def update_bar(stage: str, done: float | None, text: str) -> None:
+            """Set the completed fraction and the text of the progress bar of a stage."""
+            tasks = {task.fields["stage"]: task.id for task in bars.tasks}
+            if stage not in tasks:
+                fill_bar()
+                starts[stage] = time.monotonic()
+                tasks[stage] = bars.add_task("", total=None, stage=stage, text=text, end=math.inf)
+            total, end = None if done is None else 1.0, math.inf
+            if done:
+                elapsed = (now := time.monotonic()) - starts[stage]
+                end = now + elapsed * (1 - done) / done
+            bars.update(tasks[stage], total=total, completed=done or 0.0, text=text, end=end)
+
+        yield update_bar
+        fill_bar()
+
+
+def _describe_remaining_time(seconds: float) -> str:
+    """Describe a remaining time [s] in minutes and seconds; "" if the time is infinite.
+
+    >>> [_describe_remaining_time(time) for time in (75.2, -1.0, math.inf)]
+    ['1:15 left', '0:00 left', '']
+    """
+    if math.isinf(seconds):
+        return ""
+    minutes, seconds = divmod(max(round(seconds), 0), 60)
+    return f"{minutes}:{seconds:02.0f} left"
+
+
+@contextmanager
+def report_errors() -> Iterator[None]:
+    """Print one message for an exception of the block, and exit with the documented code."""
+    warnings.showwarning = lambda message, *_, **__: print(
+        f"kc2spice: warning: {message}", file=sys.stderr, flush=True
+    )
+    try:
+        yield
+        # This flush reports a full disk before the interpreter ends.
+        sys.stdout.flush()
+    except Kc2spiceError as error:
+        _print_error(str(error), error.exit_code)
+    except KeyboardInterrupt:
+        _print_error("interrupted; nothing was written", INTERRUPTED_EXIT_CODE)
+    # The program that reads the pipe has ended, as in `kc2spice scenes | head`.
+    except BrokenPipeError:
+        _discard_stdout()
+        raise typer.Exit(0) from None
+    except typer.Exit:
+        raise
+    except MemoryError:
+        text = (
+            "the memory is exhausted\n  next:     use a coarser mesh, fewer points or more memory"
+        )
+        _print_error(text, SimulationError.exit_code)
+    except Exception as error:
+        if isinstance(error, OSError) and error.errno in DISK_FULL_ERRORS:
+            _discard_stdout()
+            text = f"the file cannot be written: {error.strerror}\n  next:     free some space"
+            _print_error(text, UsageError.exit_code)
+        if os.environ.get("KC2SPICE_DEBUG"):
+            traceback.print_exc()
+        detail = f"{type(error).__name__}: {error}".splitlines()[0]
+        text = f"internal error: {detail}\n  next:     set KC2SPICE_DEBUG=1 for the details"
+        _print_error(text, SimulationError.exit_code)
+
+
+def _discard_stdout() -> None:
+    """Discard further output on stdout."""
+    with contextlib.suppress(OSError, ValueError):  # ``sys.stdout`` may lack a descriptor
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _print_error(text: str, code: int) -> NoReturn:
+    """Print an error message, and end the program with an exit code."""
+    print(f"kc2spice: error: {text}", file=sys.stderr, flush=True)
+    raise typer.Exit(code) from None
+
+
+def print_table(
+    title: str, rows: Sequence[Sequence[str]], header: Sequence[str] = (), names: int | None = None
+) -> None:
+    """Print a small table on stdout, as plain text if stdout is not a terminal.
+
+    Entries of the column ``names`` are never wrapped, so that readers can search and copy them.
+    """
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", title_style="bold", box=None, pad_edge=False)
+    table.show_header = bool(header)
+    for k, name in enumerate(header or [""] * max(map(len, rows), default=0)):
+        table.add_column(name, overflow="fold", no_wrap=k == names)
+    for row in rows:
+        table.add_row(*(cell.replace("[", r"\[") for cell in row))
+    width = None if sys.stdout.isatty() else PIPED_COLUMNS
+    Console(width=width).print(table)
+
+
+def print_keys(title: str, keys: Iterable[KeyDescription]) -> None:
+    """Print name, unit, default and description of each key."""
+    rows = []
+    for key in keys:
+        text = ": ".join(filter(None, (" | ".join(key.choices), key.doc)))
+        default = "" if key.default is None else str(key.default)
+        rows.append((key.name, key.unit or "", default, text))
+    print_table(title, rows, ("key", "unit", "default", ""), names=0)
+
+
+def print_tables(sections: Iterable[PageSection]) -> None:
+    """Print the tables of the sections of a report page."""
+    for section in sections:
+        if section.rows:
+            rows = [[cell.replace("\u2212", "-") for cell in row] for row in section.rows]
+            print_table(section.title, rows, section.head)
+
+
+def print_result(result: Mapping[str, Any], directory: Path, *, verbose: bool = False) -> None:
+    """Print the result of a run in at most 15 lines; ``verbose`` adds all tables of the report."""
+    from kc2spice.report.run_page import format_results, format_summary
+
+    summary = format_summary(result, MAX_METRICS)
+    count = len(result["files"])
+    rows = [*summary.rows[:MAX_ROWS], ("report", f"{directory / 'report.html'} ({count} files)")]
+    print_tables([replace(summary, title=str(result.get("scene", "")), rows=rows)])
+    if not verbose:
+        return
+    print_tables(format_results(result))
+    print_table(f"files in {directory}", [(", ".join(map(str, result["files"])),)])
+    for raw in (name for name in result["files"] if name.endswith(".raw")):
+        rows = [
+            ("ngspice", f"load {raw}, then plot VECTOR"),
+            ("Python", f"spicelib.RawRead({raw!r}, dialect='ngspice')"),
+        ]
+        print_table("viewers of the raw file", rows)

@@ -1,0 +1,130 @@
+"""Formatting of numbers with SI prefixes or in percent, with 0 in place of rounding errors."""
+
+from __future__ import annotations
+
+import math
+
+PREFIXES = {-18: "a", -15: "f", -12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
+# Units that contain a prefix: the unit without the prefix, and the factor of the prefix.
+_PREFIXED_UNITS = {"kg": ("g", 1e3), "mm": ("m", 1e-3), "um": ("m", 1e-6)}
+_SHOWN_UNITS = {"Ohm": "Ω", "kg s2": "kg·s²"}
+# Units of areas and volumes, with their size in m2 or m3.
+_AREAS = {"m²": 1.0, "cm²": 1e-4, "mm²": 1e-6, "µm²": 1e-12}
+_VOLUMES = {"m³": 1.0, "dm³": 1e-3, "cm³": 1e-6, "mm³": 1e-9, "µm³": 1e-18}
+_POWERS_OF_LENGTH = {"m2": _AREAS, "m3": _VOLUMES}
+# Smallest number that is printed in a unit of area or volume; otherwise a smaller unit is used.
+MIN_SHARE_OF_UNIT = 0.1
+LARGEST_MASS = 1e3  # kg; larger masses are printed without a further prefix
+_RATIO_WORDS = "of ", "relative"  # first words of the units of ratios, such as "of the peak"
+ROUNDING_NOISE = 1e-12  # largest rounding error, relative to the scale of a number
+
+
+def get_prefix_exponent(value: float) -> int:
+    """Return the exponent of ten of the SI prefix of a number; 0 for no prefix.
+
+    Examples
+    --------
+    >>> get_prefix_exponent(4.7e-6)
+    -6
+    """
+    power = 3 * math.floor(math.log10(abs(value)) / 3) if value else 0
+    return power if power in PREFIXES else 0
+
+
+def format_quantity(value: float | None, unit: str, digits: int = 4) -> str:
+    """Return the text of a number with an SI prefix, such as ``505.7 µs`` for 5.0573e-4 s.
+
+    Examples
+    --------
+    >>> format_quantity(3.14e-4, "m2"), format_quantity(2.5e-6, "m3/s")
+    ('3.14 cm²', '2.5 cm³/s')
+    """
+    if value is None:
+        return "—"
+    if value == 0.0 or not math.isfinite(value):
+        return f"{value:g} {unit}".strip()
+    if not _accepts_prefix(unit):
+        return f"{value:.{digits}g} {_SHOWN_UNITS.get(unit, unit)}".strip()
+    if unit in _PREFIXED_UNITS:
+        base_unit, factor = _PREFIXED_UNITS[unit]
+        if unit == "kg" and abs(value) >= LARGEST_MASS:
+            return f"{value:.{digits}g} kg"  # a prefix such as in Gg is not usual
+        return format_quantity(factor * value, base_unit, digits)
+    if _is_power_of_length(unit):
+        return _format_power_of_length(value, unit, digits)
+    return _format_with_prefix(value, unit, digits, get_prefix_exponent(value))
+
+
+def _is_power_of_length(unit: str) -> bool:
+    """Return whether a unit begins with m2 or m3, so that its prefix is squared or cubed."""
+    return unit.partition("/")[0] in _POWERS_OF_LENGTH
+
+
+def _format_power_of_length(value: float, unit: str, digits: int) -> str:
+    """Format an area or a volume in the largest unit in which its number is at least 0.1."""
+    base, slash, divisor = unit.partition("/")
+    units = _POWERS_OF_LENGTH[base]
+    large = [name for name, size in units.items() if abs(value) >= MIN_SHARE_OF_UNIT * size]
+    name = large[0] if large else list(units)[-1]
+    sign = "−" if value < 0.0 else ""
+    return f"{sign}{abs(value) / units[name]:.{digits}g} {name}{slash}{divisor}"
+
+
+def _accepts_prefix(unit: str) -> bool:
+    """Return whether a unit takes a prefix; a phrase such as ``of the peak`` does not."""
+    return bool(unit) and (" " not in unit or " per " in unit)
+
+
+def _format_with_prefix(value: float, unit: str, digits: int, power: int) -> str:
+    """Return the text of a number with the SI prefix for 10^``power``."""
+    sign = "−" if value < 0.0 else ""
+    digits_text = f"{abs(value) / 10.0**power:.{digits}g}"
+    return f"{sign}{digits_text} {PREFIXES[power]}{_SHOWN_UNITS.get(unit, unit)}"
+
+
+def format_ratio(value: float | None) -> str:
+    """Return the text of a ratio with two digits; ``0`` for a rounding error.
+
+    Examples
+    --------
+    >>> format_ratio(1.234e-5), format_ratio(1.2e-23), format_ratio(None)
+    ('1.2e-05', '0', '—')
+    """
+    small = value is not None and abs(value) < ROUNDING_NOISE
+    return format_quantity(0.0 if small else value, "", 2)
+
+
+def format_value_and_limit(value: float, limit: float, unit: str) -> tuple[str, str]:
+    """Return the texts of a value and its limit with one prefix, such as 406 and 500 kHz.
+
+    If value and limit differ by orders of magnitude, each has a separate prefix. Values that are
+    rounding errors relative to the limit, or relative to 1 for ratios, are printed as 0. Ratios,
+    whose unit is ``of …`` or ``relative …``, are printed in percent.
+
+    Examples
+    --------
+    >>> format_value_and_limit(4.06e5, 5e5, "Hz")
+    ('406 kHz', '500 kHz')
+    >>> format_value_and_limit(2.93e-4, 0.1, "of the energy exchanged")
+    ('0.0293 % of the energy exchanged', '10 %')
+    """
+    prefixed = _accepts_prefix(unit)
+    scalable = prefixed and unit not in _PREFIXED_UNITS and not _is_power_of_length(unit)
+    if abs(value) < ROUNDING_NOISE * max(abs(limit), 0.0 if prefixed else 1.0):
+        value = 0.0
+    if unit.startswith(_RATIO_WORDS):
+        words = unit.removeprefix("relative")
+        joint = "" if words.startswith(",") else " "
+        return f"{100 * value:.3g} %{joint}{words}".rstrip(), f"{100 * limit:.3g} %"
+    if value == 0.0 and scalable and math.isfinite(limit):
+        power = get_prefix_exponent(limit)
+        return f"0 {PREFIXES[power]}{_SHOWN_UNITS.get(unit, unit)}", format_quantity(limit, unit, 3)
+    comparable = value and limit and 1e-3 < abs(limit / value) < 1e4
+    if not scalable or not comparable or not math.isfinite(value + limit):
+        return format_quantity(value, unit, 3), format_quantity(limit, unit, 3)
+    power = get_prefix_exponent(value)
+    digits_text = f"{abs(limit) / 10.0**power:.10g}"
+    digits = max(3, len(digits_text.partition(".")[0]))
+    return _format_with_prefix(value, unit, 3, power), _format_with_prefix(
+        limit, unit, digits, power
+    )

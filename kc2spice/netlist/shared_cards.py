@@ -1,0 +1,59 @@
+"""Functions that attach comments to cards, and cards that several parts share."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from typing import TypeAlias
+
+from kc2spice.netlist.circuit import Element, Item
+from kc2spice.netlist.spelling import format_comment
+
+# A card, or a text of one or more comment and blank lines above a card.
+Line: TypeAlias = Item | str
+
+_PIVOT_COMMENT = (
+    "* A source of 0 V with corners at 1 and 2 ps makes the first time step small. In this step\n"
+    "* the simulator chooses the order in which it eliminates unknowns."
+)
+
+
+def attach_comments(lines: Iterable[Line]) -> tuple[Item, ...]:
+    """Return the cards in ``lines``, each with the comments above it as ``notes``."""
+    result: list[Item] = []
+    notes: list[str] = []
+    for line in lines:
+        if isinstance(line, str):
+            notes += line.split("\n")
+        else:
+            result.append(replace(line, notes=(*notes, *line.notes)))
+            notes = []
+    assert not notes, "comments without a card below them"
+    return tuple(result)
+
+
+def add_title(title: str, items: Iterable[Item], owner: str = "") -> tuple[Item, ...]:
+    """Return the cards of the part ``owner`` below a blank line and a title comment.
+
+    The comment also states the units of element values, except V, A, Ohm, F and H.
+    """
+    first, *others = (replace(item, owner=owner) for item in items)
+    units = dict.fromkeys(item.unit for item in (first, *others) if isinstance(item, Element))
+    unit_list = ", ".join(filter(None, units))
+    notes = (
+        "",
+        f"* {format_comment(title)}{f'; values in {unit_list}' if unit_list else ''}",
+        *first.notes,
+    )
+    return (replace(first, notes=notes), *others)
+
+
+def write_pivot_cards(base: str) -> Iterator[Line]:
+    """Yield cards that make ngspice choose its pivots in a short first step.
+
+    ngspice chooses the pivots of the matrix at its first step. With pivots for a long step,
+    rounding errors become so large in the picosecond steps of an impact that no step converges.
+    """
+    yield _PIVOT_COMMENT
+    yield Element.from_words("Vtick", "tick", base, "PWL(0 0 1e-12 0 2e-12 0)")
+    yield Element.from_words("Rtick", "tick", base, "1")

@@ -1,0 +1,428 @@
+"""Bodies with a mesh, for which a run computes stress and electric field if ``fields`` is set.
+
+The full model computes the fields from the port waveforms of the run
+(:mod:`kc2spice.bodies.fields`). For each material, the results are the largest principal stress and
+the largest electric field, each with its limit. For the instant of the largest stress, a run also
+writes a VTU file and draws the body. An ``ac`` analysis draws the shapes of the lowest modes.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from abc import abstractmethod
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+from itertools import filterfalse
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from kc2spice.core.domains import ACCELERATION, TRANSLATION
+from kc2spice.core.errors import UsageError, wrong
+from kc2spice.core.figure import Curve, Figure, FileWriter, Panel, Shape
+from kc2spice.core.mesh_error import list_limited_errors
+from kc2spice.core.progress import StageTimer
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.parts.bodies._body_figures import draw_deformed_body, draw_modes
+from kc2spice.parts.bodies._linear_keys import FieldKeys, FieldKeysT
+from kc2spice.parts.bodies._neglected_effects import (
+    Envelope,
+    estimate_neglected_effects,
+    make_beam_envelope,
+    make_disc_envelope,
+)
+from kc2spice.parts.bodies._sounding_body import SoundingBody
+from kc2spice.rom.linear_model import LinearModel, Port
+from kc2spice.scene.checks import Check, Metric, RunEnergyBalance
+from kc2spice.scene.model import BuiltScene, DeclaredScene, GovernedScene, Part, Scene
+from kc2spice.scene.part_records import NeglectedEffect
+from kc2spice.scene.plausibility import check_layers
+
+if TYPE_CHECKING:
+    from kc2spice.bodies.device import BondedBlocks
+    from kc2spice.bodies.fields import Extreme, NodalMotion
+    from kc2spice.bodies.undamped_models import FiniteElementModel
+
+_COARSE_MESH_ADVICE = (
+    "refine the mesh (its key refine), or set error_budget, which refines all settings"
+)
+MAX_DRAWN_MODES = 6  # number of drawn modes, lowest first
+_SINGULARITY_ADVICE = (
+    "look at the VTU file: edges of clamps and corners exceed any limit when refined"
+)
+# For each quantity: word and unit in the metric's name, axis label, and effect above the limit.
+_FIELD_DESCRIPTIONS = {
+    "principal_stress": (
+        "stress", "pa", "largest principal stress in MPa", f"it may crack; {_SINGULARITY_ADVICE}",
+    ),
+    "electric_field": (
+        "field", "v_m", "largest field in kV/mm", "it may break down; lower the drive",
+    ),
+    "opposing_field": (
+        "opposing_field", "v_m", "largest field against the poling in kV/mm",
+        "it may depolarise; drive it along its poling, or less far",
+    ),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class RecoveredFields:
+    """Motion of a body in a run, and the extremes of stress and electric field."""
+
+    motion: NodalMotion
+    extremes: tuple[Extreme, ...]
+
+    def select_extremes(self, quantity: str) -> list[Extreme]:
+        """Return the extreme of ``quantity`` in each material."""
+        return [item for item in self.extremes if item.quantity == quantity]
+
+    @property
+    def worst_stress(self) -> Extreme:
+        """Stress extreme that is closest to its limit; without limits, the largest stress."""
+        stresses = self.select_extremes("principal_stress")
+        limited = [item for item in stresses if item.limit]
+        if not limited:
+            return max(stresses, key=lambda item: item.value)
+        return max(limited, key=lambda item: item.value / (item.limit or 1.0))
+
+
+class MeshedBody(SoundingBody[FieldKeysT]):
+    """Body with a mesh and the key ``fields``; a subclass builds its finite-element model."""
+
+    @abstractmethod
+    def envelope(self, part: Part[FieldKeysT], scene: DeclaredScene) -> Envelope:
+        """Return the outer size of the body, from which neglected effects are estimated."""
+
+    @abstractmethod
+    def describe_support(self, part: Part[FieldKeysT]) -> str:
+        """Return a description of the support of the body."""
+
+    def list_neglected_effects(
+        self, part: Part[FieldKeysT], scene: Scene
+    ) -> Iterator[NeglectedEffect]:
+        """Yield the effects of air, glue, electrodes and support that the model neglects."""
+        yield from super().list_neglected_effects(part, scene)
+        yield from estimate_neglected_effects(
+            part.name,
+            self.envelope(part, scene),
+            self.describe_support(part),
+            heated=self.gives_off_heat(part, scene),
+        )
+
+    @abstractmethod
+    def make_fe_model(self, part: Part[FieldKeysT], scene: GovernedScene) -> FiniteElementModel:
+        """Build the full finite-element model of the body with its mesh."""
+
+    def get_fe_model(self, part: Part[FieldKeysT], scene: GovernedScene) -> FiniteElementModel:
+        """Return the full finite-element model, from the workspace if it contains the model.
+
+        The workspace stores the latest model of each part type, because the next scene often needs
+        another reduction of the same model.
+        """
+        key = json.dumps([part.name, self.make_full_model_key(part, scene)], sort_keys=True)
+        return scene.workspace.get_or_compute(
+            f"device {self.name}", key, lambda: self.make_fe_model(part, scene)
+        )
+
+    def make_full_model(
+        self, part: Part[FieldKeysT], scene: GovernedScene, clock: StageTimer
+    ) -> LinearModel:
+        """Return the matrices of the full model with its ports."""
+        with clock.time_stage("assemble", f"mesh and matrices of {part.name}"):
+            return self.get_fe_model(part, scene).model
+
+    def problems(self, part: Part[FieldKeysT], scene: GovernedScene) -> Iterator[UsageError]:
+        """Yield an error for each invalid key of the part."""
+        yield from super().problems(part, scene)
+        yield from find_field_problems(part, scene, shapes=True)
+
+    def metrics(
+        self, part: Part[FieldKeysT], build: BuiltScene, waves: Waveforms
+    ) -> Mapping[str, object]:
+        """Return the metrics of the part, keyed by name."""
+        result = dict(super().metrics(part, build, waves))
+        recovered = self.recover_inner_fields(part, build, waves)
+        if recovered is None:
+            return result
+        for item in recovered.extremes:
+            quantity, word, *_ = _FIELD_DESCRIPTIONS[item.quantity]
+            of = f"{make_metric_word(item.material)}_{word}"
+            result[f"{quantity}_{of}"] = Metric(item.value, item.unit)
+            if item.limit is not None:
+                result[f"{quantity}_limit_{of}"] = Metric(item.limit, item.unit)
+        return result | {"worst_stress_time_s": Metric(recovered.worst_stress.instant, "s")}
+
+    def checks(
+        self, part: Part[FieldKeysT], build: BuiltScene, waves: Waveforms
+    ) -> Iterator[Check | RunEnergyBalance]:
+        """Yield the checks of the body after a run, with mesh errors, stress and field limits."""
+        yield from super().checks(part, build, waves)
+        yield from check_mesh(part, build)
+        recovered = self.recover_inner_fields(part, build, waves)
+        for item in recovered.extremes if recovered else ():
+            if item.limit is not None:
+                what = item.quantity.replace("_", " ")
+                name = f"{what} in {item.material} of {part.name}"
+                advice = _FIELD_DESCRIPTIONS[item.quantity][-1]
+                yield Check(name, item.value, item.limit, item.unit, advice, "warn")
+
+    def figures(
+        self, part: Part[FieldKeysT], build: BuiltScene, waves: Waveforms
+    ) -> Iterator[Figure | FileWriter]:
+        """Yield the figures of the part for the report."""
+        yield from super().figures(part, build, waves)
+        if part.keys.fields:
+            from kc2spice.bodies.fields import compute_lowest_modes
+
+            device, model = (
+                self.get_fe_model(part, build.scene),
+                build.model(part, LinearModel),
+            )
+            end = np.inf if model.certificate is None else model.certificate.band_hz[1]
+            hertz, columns = compute_lowest_modes(device, MAX_DRAWN_MODES, end)
+            if hertz.size:
+                name, title = f"{part.name}_modes", f"Modes of {part.name}"
+                caption = "Modes that its ports excite, electrodes shorted, undamped; colours are "
+                caption += "displacements relative to the largest."
+                panels = tuple(draw_modes(device, hertz, columns))
+                yield Figure(name, title, caption, panels, columns=3)
+        recovered = self.recover_inner_fields(part, build, waves)
+        if recovered is not None:
+            from kc2spice.bodies.fields import write_vtu
+
+            yield _plot_extremes(part.name, recovered)
+            worst = recovered.worst_stress
+            summary = f"the instant of the worst stress: {1e-6 * worst.value:.3g} MPa in "
+            instants = {"": (worst.instant, summary + worst.material)}
+            for k, t in enumerate(list_field_instants(part), 1):
+                instants[f"_{k}"] = t, "as chosen"
+            for stem, (t, what) in instants.items():
+                device, state = recovered.motion.device, recovered.motion.find_nearest_sample(t)
+                panel, factor = draw_deformed_body(device, *state)
+                caption = f"At {1e3 * t:.4g} ms, {what}; displacements times {factor:g}."
+                name = f"{part.name}_deformed{stem}"
+                yield Figure(name, f"Deformed {part.name}", caption, (panel,))
+                fields = partial(write_vtu, device=device, z=state[0], voltages=state[1])
+                yield FileWriter(f"{part.name}_fields{stem}.vtu", fields)
+
+    def recover_inner_fields(
+        self, part: Part[FieldKeysT], build: BuiltScene, waves: Waveforms
+    ) -> RecoveredFields | None:
+        """Return the motion, stress and electric field inside the body during a transient.
+
+        Return None without the key ``fields``, or in other analyses.
+
+        Raises
+        ------
+        UsageError : the run does not record the load of a port.
+        """
+        if not part.keys.fields or "time" not in waves:
+            return None
+
+        def recover_fields() -> tuple[Waveforms, RecoveredFields]:
+            """Compute the waveforms of the fields, and their extremes in each material."""
+            from kc2spice.bodies.fields import find_extremes, recover_motion
+
+            loads = self.list_port_loads(part, build, waves)
+            port_names = self.used_port_names(part, build.scene)
+            if unknown := [*filterfalse(loads.__contains__, port_names)]:
+                got = f"a force on {unknown[0]} without a recorded value"
+                expected = "contacts, springs, dampers, masses and sources"
+                problem = "fields cannot be computed, because some loads of the body are unknown"
+                raise wrong(f"{part.name}.fields", problem, got, expected)
+            motion = recover_motion(self.get_fe_model(part, build.scene), waves["time"], loads)
+            return waves, RecoveredFields(motion, tuple(find_extremes(motion)))
+
+        # The stored result contains a reference to ``waves``.
+        # No other object can therefore get the ``id`` of ``waves``, which is the key of the result.
+        kind = f"fields of {part.name}"
+        return build.workspace.get_or_compute(kind, id(waves), recover_fields)[1]
+
+
+def find_field_problems(
+    part: Part[FieldKeys], scene: GovernedScene, *, shapes: bool
+) -> Iterator[UsageError]:
+    """Yield the error of an invalid key ``fields``.
+
+    The key ``fields`` is valid only in transients. With the argument ``shapes``, the value ``true``
+    is also valid in ac analyses, where a run draws the mode shapes.
+    """
+    kind, instants = scene.analysis.type, list_field_instants(part)
+    drawn = shapes and kind == "ac" and not instants
+    if kind != "transient" and part.keys.fields and not drawn:
+        expected = "a transient, or false"
+        if shapes:
+            expected = "a transient, fields = true in ac for the shapes of modes, or false"
+        problem = "this value of fields needs a transient analysis"
+        yield wrong(f"{part.name}.fields", problem, f"analysis {kind}", expected, "delete fields")
+        return
+    outside = [t for t in instants if not 0 <= t <= scene.stop_time]
+    if outside:
+        expected = f"0 to {scene.stop_time:g} s"
+        hint = f"write a time from 0 to {scene.stop_time:g} s in its place"
+        problem = "a time in fields is outside of the run"
+        yield wrong(f"{part.name}.fields", problem, f"{outside[0]:g} s", expected, hint)
+
+
+def check_mesh(part: Part, build: BuiltScene) -> Iterator[Check]:
+    """Yield checks of the error estimates of a part's mesh against their limits."""
+    for words, error, limit in list_limited_errors(build.facts(part)):
+        name = f"mesh of {part.name}, {words}"
+        yield Check(name, error, limit, "relative, estimated", _COARSE_MESH_ADVICE, "warn")
+
+
+def list_field_instants(part: Part[FieldKeys]) -> tuple[float, ...]:
+    """Return the times [s] that the key ``fields`` lists."""
+    return part.keys.fields if isinstance(part.keys.fields, tuple) else ()
+
+
+class BondedBody(MeshedBody[FieldKeysT]):
+    """Body of bonded blocks, which the function ``structure`` of a subclass derives from its keys.
+
+    A block is a box or ring of one material.
+    """
+
+    discretisations = ("mesh.refine",)
+    structure: Callable[[Any, str], BondedBlocks]
+
+    def is_clamped(self, part: Part[FieldKeysT]) -> bool:
+        """Return whether the rim is clamped, so that air cannot flow around it."""
+        return False
+
+    def make_bonded_blocks(self, part: Part[FieldKeysT]) -> BondedBlocks:
+        """Return the blocks, electrodes, supports and ports of the body."""
+        return _build_bonded_blocks(self, part.keys.model_dump_json(exclude={"rom"}), part.name)
+
+    def select_used_faces(self, part: Part[FieldKeysT], scene: DeclaredScene) -> BondedBlocks:
+        """Return the blocks with only those acoustic ports that the scene uses."""
+        bonded, named = self.make_bonded_blocks(part), {}
+        for name, face in bonded.faces.items():
+            if name in part.pins or scene.is_target(part.name, name):
+                named[name] = face
+        return replace(bonded, faces=named)
+
+    def make_full_model_key(
+        self, part: Part[FieldKeysT], scene: GovernedScene
+    ) -> Mapping[str, Any]:
+        """Return the cache key of the full model, which includes the used acoustic ports."""
+        key, faces = (
+            super().make_full_model_key(part, scene),
+            [*self.select_used_faces(part, scene).faces],
+        )
+        return {**key, "faces": faces} if faces else key
+
+    def ports(self, part: Part[FieldKeysT], scene: DeclaredScene) -> tuple[Port, ...]:
+        """Return the ports of the model of the part."""
+        return self.select_used_faces(part, scene).all_ports
+
+    def pin_directions(
+        self, part: Part[FieldKeysT], scene: DeclaredScene
+    ) -> Mapping[str, tuple[float, ...]]:
+        """Return the unit vector of each mechanical port by pin; all of them point upwards."""
+        result = {}
+        for port in self.ports(part, scene):
+            if port.domain in (TRANSLATION, ACCELERATION):
+                result[port.terminals[0]] = (0.0, 0.0, 1.0)
+        return result
+
+    def make_fe_model(self, part: Part[FieldKeysT], scene: GovernedScene) -> FiniteElementModel:
+        """Build the finite-element model of the bonded blocks."""
+        return self.select_used_faces(part, scene).build_fe_model()
+
+    def make_full_model_on_mesh(
+        self,
+        part: Part[FieldKeysT],
+        scene: GovernedScene,
+        clock: StageTimer,
+        like: Part[FieldKeysT],
+    ) -> LinearModel:
+        """Return the full model of ``part`` on the mesh of ``like``, whose nodes are moved."""
+        body = replace(self.select_used_faces(part, scene), like=self.make_bonded_blocks(like))
+        return body.build_fe_model().model
+
+    def material_rating(self, part: Part[FieldKeysT]) -> float | None:
+        """Return the voltage rating [V] that follows from the material."""
+        return self.make_bonded_blocks(part).depoling_voltage
+
+    def dimensions(self, part: Part[FieldKeysT]) -> int:
+        """Return the number of dimensions of the mesh."""
+        return len(self.make_bonded_blocks(part).blocks[0].box)
+
+    def envelope(self, part: Part[FieldKeysT], scene: DeclaredScene) -> Envelope:
+        """Return the outer size of the blocks, from which neglected effects are estimated."""
+        blocks = self.make_bonded_blocks(part).blocks
+        if len(blocks[0].box) == 3:
+            return make_beam_envelope(blocks)
+        baffled = self.is_clamped(part)
+        return make_disc_envelope(blocks, baffled, hasattr(part.keys, "layers"))
+
+    def indentation_modulus(self, part: Part[FieldKeysT]) -> float | None:
+        """Return the indentation modulus [Pa] of the top layer; None without layers."""
+        top = self.make_bonded_blocks(part).blocks[-1].material
+        return top.indentation_modulus if hasattr(part.keys, "layers") else None
+
+    def problems(self, part: Part[FieldKeysT], scene: GovernedScene) -> Iterator[UsageError]:
+        """Yield an error for each invalid key of a body, and for each implausible layer.
+
+        The width of a layer is the width of the whole body; in bodies without a width, it is the
+        diameter of the layer.
+        """
+        yield from super().problems(part, scene)
+        layers, width = getattr(part.keys, "layers", ()), getattr(part.keys, "width", None)
+        result = [
+            (width or layer.diameter, layer.thickness, block.material.is_piezoelectric)
+            for layer, block in zip(layers, self.make_bonded_blocks(part).blocks, strict=False)
+        ]
+        yield from check_layers(f"{part.name}.layers", result, plate=width is None)
+
+    def outline(self, part: Part[FieldKeysT], scene: Scene) -> Iterator[Shape]:
+        """Yield the side view of the blocks, with the highest face at height zero.
+
+        A block with a bore is drawn on both sides of the axis. The first block of each kind has an
+        entry in the legend.
+        """
+        blocks, known = self.make_bonded_blocks(part).blocks, set[str]()
+        top = max(block.box[-1][1] for block in blocks)
+        for block in blocks:
+            made_of, (inner, outer), (low, high) = block.material, block.box[0], block.box[-1]
+            if len(block.box) == 3:  # a beam is drawn with its middle at x = 0
+                outer /= 2
+            label = f"{part.name}: {made_of.name}, {2e3 * outer:g} mm by {1e3 * (high - low):g} mm"
+            kind: Literal["ceramic", "metal"] = "ceramic" if made_of.is_piezoelectric else "metal"
+            for x in ((outer + inner) / 2, -(outer + inner) / 2) if inner else (0.0,):
+                wide = outer - inner if inner else 2 * outer
+                legend = "" if label in known else label
+                yield Shape(x, (low + high) / 2 - top, wide, high - low, kind, legend)
+                known.add(label)
+
+
+@lru_cache(maxsize=32)
+def _build_bonded_blocks(kind: BondedBody, keys: str, name: str) -> BondedBlocks:
+    """Return the blocks of a body of type ``kind`` from a JSON string of its keys."""
+    return kind.structure(kind.schema.model_validate_json(keys), name)
+
+
+def make_metric_word(material: str) -> str:
+    """Return a material name as part of a metric's name: letters, digits and underscores."""
+    return re.sub(r"[^a-z0-9]+", "_", material.lower()).strip("_")
+
+
+def _plot_extremes(name: str, recovered: RecoveredFields) -> Figure:
+    """Plot the largest stress and electric field in each material versus time."""
+    panels = []
+    for quantity, (_, _, label, _) in _FIELD_DESCRIPTIONS.items():
+        rows = recovered.select_extremes(quantity)
+        if quantity == "opposing_field":  # omit curves that equal the curves of the electric field
+            rows = [e for e in rows if e.limit and e.value > 0]
+        if not rows:
+            continue
+        curves, levels = [], dict[float, str]()
+        for e in rows:
+            curves.append(Curve(e.material, 1e3 * e.time, 1e-6 * e.curve))
+            if e.limit and e.value > 0.2 * e.limit:
+                levels[1e-6 * e.limit] = "limit"
+        panels.append(Panel("time in ms", label, tuple(curves), levels=tuple(levels.items())))
+    caption = "Largest value in each material at any Gauss point; limits where they are near."
+    return Figure(f"{name}_stress", f"Stress and field in {name}", caption, tuple(panels))

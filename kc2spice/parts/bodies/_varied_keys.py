@@ -1,0 +1,228 @@
+"""Keys of a body that become parameters of its netlist because ``rom.parameters`` lists them.
+
+The module also contains functions that change the values of these keys.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from itertools import pairwise, product
+from typing import Any
+
+from pydantic import BaseModel
+
+from kc2spice.core.errors import UsageError, did_you_mean, wrong
+from kc2spice.core.key_errors import validate_table
+from kc2spice.core.schemas import find_unit, join_path, list_keys
+from kc2spice.netlist.circuit import Param
+from kc2spice.parts.bodies._linear_keys import LinearKeysT
+from kc2spice.rom.parametric_models import MAX_PARAMETERS, ParameterAxis
+from kc2spice.scene.model import GovernedScene, Part
+
+RANGES_KEY = "rom.parameters"
+MIN_RELATIVE_WIDTH = 1e-3  # smallest relative width of a range
+
+
+@dataclass(frozen=True)
+class VariedKey:
+    """A numeric key of the part, such as ``layers[1].thickness``, with SI unit, value and range.
+
+    The range may begin at zero.
+    """
+
+    key: str
+    unit: str
+    value: float
+    low: float
+    high: float
+
+    @property
+    def parameter_axis(self) -> ParameterAxis:
+        """Parameter of the reduction that represents the key, with its range."""
+        return ParameterAxis(self.key, self.low, self.high, from_zero=self.low == 0)
+
+    @property
+    def netlist_parameter(self) -> Param:
+        """Parameter of the netlist that represents the key."""
+        name = re.sub(r"\W+", "_", self.key).strip("_")
+        unit = self.unit.replace(" ", "*") or "-"  # a unit is one word of a header
+        return Param(name, self.value, unit, self.key, self.low, self.high)
+
+
+def list_varied_keys(part: Part[LinearKeysT]) -> tuple[VariedKey, ...]:
+    """Return the keys of the part that ``rom.parameters`` lists, with their ranges.
+
+    Raises
+    ------
+    UsageError : there are too many keys, the part has no such numeric key, a range is empty or does
+        not contain the value of the part, or a value is invalid.
+    """
+    ranges = part.parameter_ranges
+    where = f"{part.name}.{RANGES_KEY}"
+    if len(ranges) > MAX_PARAMETERS:
+        raise wrong(
+            where,
+            "rom.parameters contains too many parameters",
+            f"{len(ranges)}",
+            f"at most {MAX_PARAMETERS}",
+            f"delete {len(ranges) - MAX_PARAMETERS} of its entries",
+        )
+    result = []
+    for key, ends in ranges.items():
+        value, unit = read_number_key(part, key, where)
+        low, high = (read_number_key(with_values(part, {key: end}), key, where)[0] for end in ends)
+        zero = part.type.ranges_from_zero  # type: ignore[attr-defined]
+        result.append(make_varied_key(key, unit, value, (low, high), f"{where}.{key}", zero))
+    return tuple(result)
+
+
+def read_key_values(keys: Iterable[VariedKey]) -> dict[str, float]:
+    """Return the values of the keys in the part, by name of the key."""
+    return {item.key: item.value for item in keys}
+
+
+def get_middle_values(keys: Iterable[VariedKey]) -> dict[str, float]:
+    """Return the value in the middle of each key's range, by name of the key."""
+    return {item.key: item.parameter_axis.middle_value for item in keys}
+
+
+def make_varied_key(
+    key: str,
+    unit: str,
+    value: float,
+    ends: tuple[float, float],
+    where: str | None = None,
+    from_zero: bool = False,
+) -> VariedKey:
+    """Return a key with its range, whose two ``ends`` can be in any order.
+
+    With ``from_zero``, the range may begin at zero.
+
+    Raises
+    ------
+    UsageError : the range is empty, or does not contain ``value``.
+    """
+    low, high = min(ends), max(ends)
+    signed = low * high > 0 or (from_zero and low == 0)
+    if not signed or high - low < MIN_RELATIVE_WIDTH * abs(high) or not low <= value <= high:
+        expected = f"two different numbers of one sign, the part's value {value:g} between"
+        around = sorted((0.9 * value, 1.1 * value))
+        hint = f"write for example  [{around[0]:g}, {around[1]:g}]" if value else None
+        raise wrong(
+            where or key,
+            "this entry is not a valid range of a parameter",
+            f"{low:g} to {high:g}",
+            expected,
+            hint,
+        )
+    return VariedKey(key, unit, value, low, high)
+
+
+def check_parameter_ranges(part: Part[LinearKeysT], scene: GovernedScene) -> Iterator[UsageError]:
+    """Yield the errors of invalid parameter ranges, found without building a full model."""
+    try:
+        keys = list_varied_keys(part)
+        ranges = {item.key: (item.low, item.high) for item in keys}
+        for ends in product(*ranges.values()) if ranges else ():
+            corner = with_values(part, dict(zip(ranges, ends, strict=True)))
+            corner.type.ports(corner, scene)  # type: ignore[attr-defined]
+    except UsageError as error:
+        yield error
+
+
+def with_values(part: Part[LinearKeysT], values: Mapping[str, Any]) -> Part[LinearKeysT]:
+    """Return a copy of the part with other values of some of its keys.
+
+    Raises
+    ------
+    UsageError : the part cannot have these values.
+    """
+    table = part.keys.model_dump(exclude_unset=True)
+    table.pop("rom", None)
+    for key, value in values.items():
+        steps = _split_key(key)
+        holder: Any = table
+        try:
+            for step, after in pairwise(steps):
+                inner = holder.get(step, {}) if isinstance(holder, dict) else holder[step]
+                holder[step] = list(inner) if isinstance(after, int) else dict(inner)
+                holder = holder[step]
+            holder[steps[-1]] = value
+        except (KeyError, IndexError, TypeError, ValueError):
+            raise _make_non_numeric_key_error(part, key, f"{part.name}.{RANGES_KEY}") from None
+    try:
+        keys = validate_table(type(part.keys), table, part.name)
+        return replace(part, keys=keys.model_copy(update={"rom": part.keys.rom}))
+    except UsageError as error:
+        got = error.message if error.got is None else f"{error.message}: {error.got}"
+        problem = "the ranges of the parameters contain values that the part cannot have"
+        expected = "narrower ranges of possible parts in rom.parameters"
+        hint = error.hint or f"narrow the ranges in {part.name}.{RANGES_KEY}"
+        raise wrong(error.where, problem, got, expected, hint) from None
+
+
+def _split_key(key: str) -> list[str | int]:
+    """Split a dotted key, such as ``layers[1].thickness``, into names and indices."""
+    return [int(word) if word.isdigit() else word for word in re.findall(r"\w+", key)]
+
+
+def _make_non_numeric_key_error(part: Part, key: str, where: str) -> UsageError:
+    """Return the error for a ``key`` that is not a numeric key of the part."""
+    known = [join_path(path) for path, _ in list_keys(type(part.keys))]
+    plain = re.sub(r"\[-?\d+\]", "", key)
+    expected = "a number below the part, such as layers[1].thickness or damping.ratio"
+    if "material" in plain.split("."):
+        hint = 'write the material as a table, such as { like = "PZT-5A" }, and vary its constants'
+        return wrong(
+            where,
+            "the constants of a material that is stated by name cannot be varied",
+            key,
+            expected,
+            hint,
+        )
+    if plain in known:
+        hint = f"write a number for {key} into the scene first, or vary another key"
+        return wrong(where, f"this key of {part.name} is not a number", key, expected, hint)
+    above = key.rpartition(".")[0] + "." if "." in key else ""
+    below = plain.rpartition(".")[0] + "." if "." in plain else ""
+    leaves = [above + name.removeprefix(below) for name in known if name.startswith(below)]
+    near = did_you_mean(key, leaves) or did_you_mean(plain, known)
+    if near and not above:  # a key of an entry of a list needs the number of the entry
+        near = re.sub(r"'(layers|front|back)\.", r"'\1[0].", near)
+    return wrong(where, f"{part.name} has no numeric key of this name", key, expected, near)
+
+
+def _read_material(part: Part, table: Mapping[str, Any], key: str) -> BaseModel:
+    """Return a material table, validated by the schema of the part type."""
+    return validate_table(part.type.material_table, table, f"{part.name}.{key}")  # type: ignore[attr-defined]
+
+
+def read_number_key(part: Part, key: str, where: str) -> tuple[float, str]:
+    """Return the value of a numeric key of the part, and its SI unit.
+
+    Raises
+    ------
+    UsageError : the key does not exist, or is not a number that can vary.
+    """
+    result: Any = part.keys
+    unit = ""
+    for step in _split_key(key):
+        if isinstance(result, BaseModel) and step in type(result).model_fields:
+            unit = find_unit(type(result).model_fields[str(step)]) or ""
+            result = getattr(result, str(step))
+            if step == "material" and isinstance(result, Mapping):
+                result = _read_material(part, result, key)
+        elif isinstance(result, Mapping) and step in result:
+            group = result is getattr(part.keys, "materials", None)
+            result = result[str(step)]
+            if group and isinstance(result, Mapping):
+                result = _read_material(part, result, key)
+        elif isinstance(result, list | tuple) and isinstance(step, int) and step < len(result):
+            result = result[step]
+        else:
+            raise _make_non_numeric_key_error(part, key, where)
+    if isinstance(result, bool | int) or not isinstance(result, float):
+        raise _make_non_numeric_key_error(part, key, where)
+    return result, unit

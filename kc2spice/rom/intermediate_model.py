@@ -1,0 +1,82 @@
+"""Intermediate model of a two-step reduction: small and very accurate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kc2spice.core.errors import SimulationError
+from kc2spice.rom.error_estimate import ErrorEstimator, make_inaccuracy_error
+from kc2spice.rom.linear_model import Norm
+from kc2spice.rom.pencil import Pencil
+from kc2spice.rom.response import Response
+
+
+@dataclass(frozen=True, eq=False)
+class IntermediateModel:
+    """Dense model from which reductors start, and with which errors are estimated.
+
+    Parameters
+    ----------
+    response : Response
+        Frequency response of the model.
+    error : float
+        Largest relative error with respect to the full-order model.
+    static : bool
+        Whether all motions except rigid-body modes have a static response.
+    proof : str
+        Evidence for ``error`` that the certificate states.
+    floor : float
+        Relative change of the response that rounding errors of the entries of the full-order model
+        cause. No reduced model is more accurate than this change.
+    complete : bool
+        Whether this model is the full-order model in other coordinates.
+    hidden : float
+        Frequency [Hz] below which rounding errors hide the resonance of a support.
+    basis : (n, k) array, optional
+        Column k is the unknown k of this model, expressed in unknowns of the full-order model.
+    points : tuple of floats
+        Frequencies [Hz] at which the full-order model was factorised to compute the basis.
+    """
+
+    response: Response
+    error: float
+    static: bool
+    proof: str
+    floor: float = 0.0
+    complete: bool = False
+    hidden: float = 0.0
+    basis: np.ndarray | None = None
+    points: tuple[float, ...] = ()
+
+    @property
+    def pencil(self) -> Pencil:
+        """Matrices of the intermediate model."""
+        return self.response.pencil
+
+    @property
+    def poles(self) -> np.ndarray | None:
+        """Poles of the full-order model [1/s]; None if some poles are missing."""
+        known = (
+            self.complete and not self.pencil.free and not self.response.has_decoupling_congruence
+        )
+        return self.response.poles if known else None
+
+    def make_estimator(self, band: tuple[float, float], norm: Norm) -> ErrorEstimator:
+        """Return an estimator of the errors of reduced models with respect to this model."""
+        return ErrorEstimator(self.response, band, self.static and not self.pencil.free, norm)
+
+
+def make_no_convergence_error(
+    response: Response, band: tuple[float, float], error: float, limit: float
+) -> SimulationError:
+    """Make the error of a Krylov method whose error estimate remains above the limit."""
+    modes = response.select_in_band(band)[0].size
+    return make_inaccuracy_error(
+        "the reduced model does not settle",
+        f"relative error {error:.1e} with {response.pencil.size} states; the band contains at "
+        f"least {modes} resonances",
+        limit,
+        "narrow the band or increase the tolerance",
+    )

@@ -1,0 +1,596 @@
+"""Symmetric models as decoupled resonators, and tables of modes.
+
+A table of modes contains the frequency, the Q factor and the coupling to the ports of each mode.
+The response of the resonators to recorded loads is computed exactly.
+
+Residual modes without inertia
+    A reduced model contains some stiff modes far above the band, which make the compliance of the
+    ports exact. The body itself does not have these stiff modes. In series with the stiffness of a
+    contact, the inertia of the residual modes causes oscillations that the body does not have.
+    Component mode synthesis with a massless boundary omits the inertia, but not compliance and
+    damping (Monjaraz Tec, Gross and Krack 2021, arXiv 2111.07693)::
+
+        damp z' + omega^2 z = g u        instead of        z'' + damp z' + omega^2 z = g u
+
+A constant loss tangent of the dielectric
+    If a dielectric loses the same share of its energy at every frequency, then causality requires
+    the permittivity of a constant-phase element (A. K. Jonscher, Nature 267 (1977) 673)::
+
+        eps(s) = eps (s / w0)^-m,    m = (2 / pi) arctan(tan delta),    w0 / (2 pi) = 1 kHz
+
+    Data sheets give permittivities at the frequency w0 / (2 pi). A netlist contains Foster's sum
+    ``a_0 + sum_k a_k / (1 + s t_k)`` instead of ``eps(s)``. The sum is a capacitor in parallel with
+    branches of R and C in series. All ``a_k`` are at least zero, so the sum is passive. The ``a_k``
+    are fitted to the permittivity in the band by non-negative least squares. The sum multiplies the
+    clamped capacitances D.
+
+    Data sheets give the loss tangent of the mechanically free part at 1 kHz. The capacitance of the
+    free part is ``D + C_m``. The motional capacitance ``C_m = sum_j gain_j^2 / omega_j^2`` has no
+    loss far below the resonances. The loss angle theta of the clamped part follows from
+    ``tan delta`` of the free part:
+
+        D sin theta = tan delta (D cos theta + C_m),   theta = delta + arcsin(C_m / D sin delta).
+
+    The dielectric loss also changes the stiffness, because deformation causes electric fields. The
+    model neglects this change of the stiffness. The neglected relative loss of a mode is tan delta
+    times the share of electric energy in the energy of this mode at constant charge.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import scipy
+
+from kc2spice.core.domains import ACCELERATION, PORTS
+from kc2spice.core.equality import EqualByContent
+from kc2spice.core.errors import UsageError
+from kc2spice.rom.error_estimate import ErrorEstimator, estimate_errors_above_band
+from kc2spice.rom.linear_model import Certificate, LinearModel, Port
+from kc2spice.rom.response import Response
+
+# Largest relative coupling of modes that counts as a rounding error of proportional damping.
+# A larger coupling of modes indicates damping that is not proportional.
+MAX_MODAL_COUPLING = 1e-8
+LISTED_MODES = 20  # largest number of modes in a table
+# largest frequency of a rigid-body mode due to rounding errors, relative to the end of the band
+ZERO_FREQUENCY_RATIO = 1e-5
+COMPLIANCE_UNITS = {kind: domain.compliance for kind, domain in PORTS.items() if domain.reference}
+
+
+@dataclass(frozen=True, eq=False)
+class Resonators(EqualByContent):
+    """Decoupled modes ``m_j z_j'' + damp_j z_j' + omega_j^2 z_j = sum_k gain_jk u_k``.
+
+    The inputs of the ports are ``u_k``. The outputs are
+    ``y_k = sum_j gain_jk z_j + sum_l D_kl u_l``.
+
+    The arrays are ``omega`` (q,) in rad/s, ``damp`` (q,) in 1/s, ``gain`` (q, p), and ``D`` (p, p).
+    ``m_j`` is zero for the last ``massless`` modes, whose time constant is ``damp_j / omega_j^2``,
+    and one for all other modes. The model is reciprocal, stable if ``damp >= 0``, and passive if
+    ``D`` is positive semi-definite. For an electrical port, u is the voltage and y the charge.
+    """
+
+    omega: np.ndarray
+    damp: np.ndarray
+    gain: np.ndarray
+    D: np.ndarray
+    ports: tuple[Port, ...]
+    certificate: Certificate | None
+    massless: int = 0
+
+    @property
+    def order(self) -> int:
+        """Number of modes, including modes without inertia."""
+        return self.omega.size
+
+    @property
+    def inertia(self) -> np.ndarray:
+        """Factors ``m_j`` (q,) of the inertia: 1, or 0 for modes without inertia."""
+        return (np.arange(self.order) < self.order - self.massless).astype(float)
+
+    def linear(self) -> LinearModel:
+        """Convert the resonators to a :class:`LinearModel`.
+
+        :func:`resonators` is the exact inverse of this conversion.
+        """
+        return LinearModel(
+            M=np.diag(self.inertia),
+            E=np.diag(self.damp),
+            K=np.diag(self.omega**2),
+            B=self.gain,
+            D=self.D,
+            ports=self.ports,
+            certificate=self.certificate,
+        )
+
+
+def compute_resonators(rom: LinearModel) -> Resonators | None:
+    """Compute the mass-normalised modes of a model with symmetric K and M.
+
+    The result is None for a first-order model, if M or K is not positive definite, if C is not B',
+    or if damping couples modes. The function solves the eigenvalue problem ``M phi = mu K phi``
+    instead of ``K phi = lambda M phi``, because K is better conditioned than M.
+    """
+    if rom.first_order or not rom.symmetric:
+        return None
+    K, E, M = rom.pencil.make_dense().coefficients
+    one, massless = np.eye(rom.order), int(np.count_nonzero(np.diag(M) == 0.0))
+    form = one * (np.arange(rom.order) < rom.order - massless)
+    diagonal = np.array_equal(M, form) and all(np.array_equal(P, P * one) for P in (E, K))
+    if diagonal and (np.diag(K) > 0).all():
+        return Resonators(
+            np.sqrt(np.diag(K)),
+            np.diag(E).copy(),
+            rom.B,
+            rom.D,
+            rom.ports,
+            rom.certificate,
+            massless,
+        )
+    try:
+        mu, phi = scipy.linalg.eigh(M, K)
+    except np.linalg.LinAlgError:
+        return None
+    if mu[0] <= 0:
+        return None
+    mu, phi = mu[::-1], phi[:, ::-1] / np.sqrt(mu[::-1])
+    damping = phi.T @ E @ phi
+    damp = np.diag(damping).copy()
+    scale = np.sqrt(np.abs(np.outer(damp, damp))) + np.finfo(float).tiny
+    if (np.abs(damping - np.diag(damp)) > MAX_MODAL_COUPLING * scale).any():
+        return None
+    gain = phi.T @ rom.B
+    # mode shapes have arbitrary signs; this choice makes netlists identical on all computers
+    gain *= np.sign(gain[np.arange(len(gain)), np.abs(gain).argmax(axis=1)])[:, None]
+    return Resonators(1 / np.sqrt(mu), damp, gain, rom.D, rom.ports, rom.certificate)
+
+
+def tabulate_modes(model: LinearModel) -> dict[str, Any] | None:
+    """List the modes of a model with all electrodes shorted and no mechanical load.
+
+    The list ends at the end of the certificate's band. Each item of ``modes`` has the keys
+    ``frequency_hz``, ``quality`` and ``couplings``. ``quality`` is the Q factor, or None for an
+    undamped mode. ``couplings`` maps each port to the coupling of the mode to this port. ``units``
+    contains the units of the couplings.
+
+    The coupling of an electrical port is the effective coupling factor
+    ``k = sqrt(C_j / (C_j + C_above))``. The mode adds ``C_j = gain_j^2 / omega_j^2`` [F] to the
+    static capacitance, and ``C_above`` is the capacitance of all higher modes and of the clamped
+    body. For a mode far from all other modes, ``k^2 = 1 - (f_r / f_a)^2``. At any other port, the
+    coupling is ``gain_j^2 / omega_j^2``: the contribution of the mode to the static response of the
+    port.
+
+    If damping couples modes, each pair of complex poles counts as a mode, and ``omega_j`` is the
+    magnitude of the poles. Rigid-body modes are omitted. The result is None for a first-order
+    model, for a model whose ports are signals, and if there is no mode in the band.
+    """
+    result = _compute_modal_data(model)
+    if result is None:
+        return None
+    omega, damp, share, rest = result
+    end = np.inf if model.certificate is None else model.certificate.band_hz[1]
+    order = np.argsort(omega)
+    electrical = np.array([port.electrical for port in model.ports])
+    above = rest + share[order].sum(axis=0) - np.cumsum(share[order], axis=0)
+    modes = []
+    for j, higher in zip(order[:LISTED_MODES], above, strict=False):
+        if omega[j] > 2 * np.pi * end:
+            break
+        total = share[j] + np.maximum(higher, 0.0)
+        factor = np.sqrt(np.divide(share[j], total, out=np.zeros_like(total), where=total > 0))
+        size = np.where(electrical, factor, share[j])
+        modes.append(
+            {
+                "frequency_hz": float(omega[j] / (2 * np.pi)),
+                "quality": float(omega[j] / damp[j]) if damp[j] > 0 else None,
+                "couplings": {p.name: float(v) for p, v in zip(model.ports, size, strict=True)},
+            }
+        )
+    units = {port.name: COMPLIANCE_UNITS.get(port.kind, "") for port in model.ports}
+    return {"units": units, "modes": modes} if modes else None
+
+
+def _compute_modal_data(
+    model: LinearModel,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
+    """Return frequencies, damping and static contributions of the modes, and the direct term.
+
+    The four results are ``omega`` (modes,) [rad/s], ``damp`` (modes,) [1/s], the static
+    contributions ``gain^2 / omega^2`` (modes, ports), and the instantaneous response (ports,) of
+    each port.
+    """
+    result = compute_resonators(model)
+    if result is None:
+        return _compute_modal_data_from_poles(model)
+    count = result.order - result.massless
+    share = result.gain**2 / result.omega[:, None] ** 2
+    rest = np.diag(result.D) + share[count:].sum(axis=0)
+    return result.omega[:count], result.damp[:count], share[:count], rest
+
+
+def _compute_modal_data_from_poles(
+    model: LinearModel,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
+    """Compute modal data from the poles of ``M x'' + E x' + K x``; None for a first-order model.
+
+    The function returns the same four results as :func:`_compute_modal_data`.
+
+    The static contribution of a pair of poles to a port is ``-2 Re(residue / pole)``, with the
+    residue of the port's driving-point response. For decoupled modes, the static contribution
+    equals ``gain^2 / omega^2``.
+    """
+    if model.first_order or not all(port.conservative for port in model.ports):
+        return None
+    K, E, M = model.pencil.make_dense().coefficients
+    n, one = len(K), np.eye(len(K))
+    # typical angular frequency [rad/s]
+    scale = np.sqrt(np.abs(np.diag(K)).max() / np.abs(np.diag(M)).max())
+    left = np.block([[np.zeros((n, n)), one], [-K, -scale * E]])
+    right = np.block([[one, np.zeros((n, n))], [np.zeros((n, n)), scale**2 * M]])
+    values, dual, eigenvectors = scipy.linalg.eig(left, right, left=True, right=True)
+    end = np.abs(values[np.isfinite(values)]).max()
+    if model.certificate is not None:
+        end = min(end, 2 * np.pi * model.certificate.band_hz[1] / scale)
+    rows = np.isfinite(values) & (values.imag > ZERO_FREQUENCY_RATIO * end)
+    weight = np.einsum("ij,ij->j", dual.conj(), right @ eigenvectors)[rows]
+    into = dual[n:, rows].conj().T @ model.B
+    out = model.C @ eigenvectors[:n, rows]
+    share = -2 * np.real(into * out.T / weight[:, None] / values[rows, None])
+    size = np.abs(values[rows]) * scale
+    return size, -2 * values[rows].real * scale, share, np.diag(model.D)
+
+
+# largest change of a response by omitted inertia at the end of the band, relative to the compliance
+MASSLESS_ERROR = 1e-3
+# Value of MASSLESS_ERROR if the damping ratio of the lowest massless mode is < MAX_RINGING_RATIO.
+# Modes with little damping depend on the mesh, ring for hundreds of periods, and limit time steps.
+# If modes with little damping are massless, the launch of a chip needs a third of the time points.
+# The launch of a chip with 0.01 % damping then changes by 1.2e-3, towards that of a finer model.
+# The change of the launch is a quarter of the difference to the finer model.
+RINGING_ERROR = 1e-2
+MAX_RINGING_RATIO = 0.02
+# Smallest frequency of a mode that may become massless, relative to the end of the band.
+# Modes with lower frequencies do not respond instantaneously.
+MIN_FREQUENCY_RATIO = 2.0
+EQUAL_TIMES_TOLERANCE = 1e-9  # largest relative difference of relaxation times that count as equal
+# no port drives a combination of modes whose relative singular value is below this limit
+ZERO_SINGULAR_VALUE = 1e-12
+
+
+def make_highest_modes_massless(model: Resonators, tolerance: float | None = None) -> Resonators:
+    """Replace the highest modes of a model by states without inertia.
+
+    The certificate of the result includes the additional error. As many of the highest modes are
+    replaced as the following two conditions permit:
+
+    * At the end f of the band, the omitted inertia of the modes with frequencies f_j changes the
+      response of every mechanical port by less than ``MASSLESS_ERROR`` of the static compliance.
+      The change is ``sum_j (g_j / w_j)^2 (f / f_j)^2``. If the lowest massless mode has little
+      damping, the limit is ``RINGING_ERROR`` instead.
+    * The error estimate of the result is at most ``tolerance``.
+
+    The static response remains exact, and the model remains passive. Modes with equal relaxation
+    times are merged to as many states as there are independent ports. For example, all modes have
+    equal relaxation times if damping is proportional to stiffness. The states without inertia have
+    no effect on an acceleration port.
+    """
+    certificate = model.certificate
+    if certificate is None:
+        return model
+    band = certificate.band_hz
+    exact = Response(model.linear().pencil)
+    estimator = ErrorEstimator(exact, band, static=True)
+    for count in range(_count_quasi_static(model, band[1]), 0, -1):
+        result = _remove_inertia(model, count)
+        error = certificate.error_estimate
+        massless_response = Response(result.linear().pencil)
+        error += estimator.estimate_model_error(massless_response)
+        if tolerance is None or error <= tolerance:
+            cut = result.omega[result.order - result.massless] / (2 * np.pi)
+            method = f"{certificate.method}; no inertia from {cut:.3g} Hz on, measured"
+            added_errors = dict(
+                estimate_errors_above_band(model.ports, exact, massless_response, band)
+            )
+            above = tuple((f, before + added_errors.get(f, 0.0)) for f, before in certificate.above)
+            return replace(
+                result,
+                certificate=replace(certificate, error_estimate=error, method=method, above=above),
+            )
+    return model
+
+
+def _count_quasi_static(model: Resonators, top: float) -> int:
+    """Count the highest modes whose inertia has a negligible effect up to ``top`` [Hz]."""
+    moved = [port.has_position for port in model.ports]
+    descending = np.argsort(model.omega)[::-1]
+    omega, ratio = model.omega[descending], 2 * np.pi * top / model.omega[descending]
+    share = (model.gain[descending][:, moved] / omega[:, None]) ** 2
+    share /= share.sum(axis=0) + np.finfo(float).tiny
+    omitted_inertia = np.cumsum(share * ratio[:, None] ** 2, axis=0).max(axis=1)
+    limit = np.where(
+        model.damp[descending] < 2 * MAX_RINGING_RATIO * omega, RINGING_ERROR, MASSLESS_ERROR
+    )
+    acceptable = np.flatnonzero((omitted_inertia <= limit) & (MIN_FREQUENCY_RATIO * ratio <= 1))
+    return int(acceptable[-1]) + 1 if acceptable.size else 0
+
+
+def _remove_inertia(model: Resonators, count: int) -> Resonators:
+    """Return ``model`` with its ``count`` highest modes replaced by massless modes."""
+    for port, capacitance in zip(model.ports, np.diag(model.D), strict=True):
+        if port.has_charge_output and capacitance <= 0:
+            raise UsageError(
+                "the body has a massless contact and an electrode without capacitance",
+                where=port.name,
+                hint='set contact.inertia = "lumped"',
+            )
+    order = np.argsort(model.omega)
+    low, high = order[:-count], order[-count:]
+    omega, damp, gain = model.omega[high], model.damp[high], model.gain[high].copy()
+    gain[:, [port.domain is ACCELERATION for port in model.ports]] = 0.0
+    relaxation_times = damp / omega**2
+    if np.ptp(relaxation_times) <= EQUAL_TIMES_TOLERANCE * relaxation_times.max():
+        _, size, shapes = np.linalg.svd(gain / omega[:, None], full_matrices=False)
+        significant = size > ZERO_SINGULAR_VALUE * size[0]
+        omega = np.full(int(significant.sum()), omega[0])
+        damp, gain = (
+            relaxation_times[0] * omega**2,
+            omega[:, None] * size[significant, None] * shapes[significant],
+        )
+        gain *= np.sign(gain[np.arange(len(gain)), np.abs(gain).argmax(axis=1)])[:, None]
+    return Resonators(
+        np.r_[model.omega[low], omega],
+        np.r_[model.damp[low], damp],
+        np.vstack([model.gain[low], gain]),
+        model.D,
+        model.ports,
+        None,
+        omega.size,
+    )
+
+
+_BLOCK_STEPS = 4096  # number of time steps whose propagators are in memory at the same time
+
+
+def simulate_resonators(
+    model: Resonators, t: np.ndarray, load: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Compute the outputs and the stored energy of a chip for a given load history.
+
+    The ``load`` (n, ports) contains forces on the chip [N] and voltages [V], which are linear
+    between the times ``t`` (n,) [s]. The outputs (n, ports) are displacements [m] and charges [C].
+    The stored energy (n,) is in J.
+
+    The characteristic equation of a mode ``z'' + d z' + w^2 z = r`` has the roots a and b. For each
+    root, one state is integrated:
+
+        x' = a x + r,    x(t + h) = e^(ah) x + h p1(ah) r + h p2(ah) (r(t + h) - r)
+
+    with ``p1 = (e^s - 1)/s`` and ``p2 = (e^s - 1 - s)/s^2`` at ``s = ah``. The displacement is
+    ``z = (x_a - x_b)/(a - b)``. For piecewise linear loads, the formulas are exact at any time step
+    h. A mode without inertia has only one state. The chip starts in equilibrium with ``load[0]``.
+    """
+    drive, inertial = load @ model.gain.T, model.order - model.massless
+    z = np.empty_like(drive)
+    z[:, :inertial], rate = integrate_modes(
+        model.omega[:inertial], model.damp[:inertial], t, drive[:, :inertial]
+    )
+    z[:, inertial:] = drive[:, inertial:] / model.omega[inertial:] ** 2
+    # undamped massless states respond without delay
+    delayed = inertial + np.flatnonzero(model.damp[inertial:])
+    damp = model.damp[delayed]
+    z[:, delayed] = integrate_roots(
+        -(model.omega[delayed] ** 2) / damp, t, drive[:, delayed] / damp
+    ).real
+    stored = (rate**2).sum(axis=1) / 2 + ((model.omega * z) ** 2).sum(axis=1) / 2
+    stored += np.einsum("nk,kl,nl->n", load, model.D, load) / 2
+    return z @ model.gain + load @ model.D, stored
+
+
+def integrate_modes(
+    omega: np.ndarray, damp: np.ndarray, t: np.ndarray, drive: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Integrate modes ``z'' + damp z' + omega^2 z = drive`` from equilibrium.
+
+    ``drive`` (n, modes) is linear between the times ``t`` (n,). Return the displacements z and
+    their rates z', two arrays of shape (n, modes).
+    """
+    a, b = _compute_oscillator_roots(omega, damp)
+    if (b == a.conj()).all():  # for conjugate roots, x_b is the conjugate of x_a
+        x_a = integrate_roots(a, t, drive)
+        x_b = x_a.conj()
+    else:
+        both = integrate_roots(np.concatenate([a, b]), t, np.tile(drive, 2))
+        x_a, x_b = both[:, : a.size], both[:, a.size :]
+    return ((x_a - x_b) / (a - b)).real, ((a * x_a - b * x_b) / (a - b)).real
+
+
+def integrate_roots(roots: np.ndarray, t: np.ndarray, drive: np.ndarray) -> np.ndarray:
+    """Integrate ``x' = a x + r`` from equilibrium for each root a, with ``r`` from ``drive``.
+
+    Return the states x, an array of shape (n, roots). Groups of time steps are first integrated in
+    parallel, each from the state zero. Then the free response to the last state of the previous
+    group is added to each group.
+    """
+    states = np.empty((t.size, roots.size), dtype=np.result_type(roots, drive))
+    states[0] = state = drive[0] / -roots
+    for begin in range(0, t.size - 1, _BLOCK_STEPS):
+        part = slice(begin, min(begin + _BLOCK_STEPS, t.size - 1) + 1)
+        count = part.stop - part.start - 1
+        side = math.isqrt(count - 1) + 1
+        shape = (side, side, roots.size)
+        grow, push = (
+            np.resize(item, shape)
+            for item in _compute_step_propagators(roots, t[part], drive[part])
+        )
+        for k in range(1, side):
+            push[:, k] += grow[:, k] * push[:, k - 1]
+            grow[:, k] *= grow[:, k - 1]
+        for row in range(side):
+            push[row] += grow[row] * state
+            state = push[row, -1]
+        states[part][1:] = push.reshape(side**2, roots.size)[:count]
+        state = states[part.stop - 1]
+    return states
+
+
+def _compute_oscillator_roots(omega: np.ndarray, damp: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the slow and the fast roots of ``s^2 + damp s + omega^2`` for all modes.
+
+    Roots of a mode that are nearly equal are replaced by roots with a difference of 2e-4 times
+    omega.
+    """
+    half = np.sqrt(damp.astype(complex) ** 2 / 4 - omega**2)
+    half = np.where(np.abs(half) < 1e-4 * omega, 1e-4 * omega, half)
+    fast = -damp / 2 - half
+    # The slow root is computed from the product of both roots.
+    # From the sum of both roots, the slow root of a strongly damped mode would be inaccurate.
+    return np.where(fast.imag == 0, omega**2 / fast, fast.conj()), fast
+
+
+def _compute_step_propagators(
+    roots: np.ndarray, t: np.ndarray, drive: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the propagator ``e^(ah)`` and the contribution of the load for each time step.
+
+    Both results have the shape (steps, roots).
+    """
+    h = np.diff(t)[:, None]
+    s = h * roots
+    small = np.abs(s) < 1e-2
+    safe = np.where(small, 1.0, s)
+    grow = np.exp(s)
+    p1 = np.where(small, 1 + s / 2 * (1 + s / 3 * (1 + s / 4)), (grow - 1) / safe)
+    p2 = np.where(small, (1 + s / 3 * (1 + s / 4 * (1 + s / 5))) / 2, (p1 - 1) / safe)
+    return grow, h * (p1 * drive[:-1] + p2 * np.diff(drive, axis=0))
+
+
+TANGENT_FREQUENCY = 1e3  # frequency [Hz] at which data sheets give the loss tangent
+DEFAULT_DECADES = (
+    4.0  # largest number of decades over which a sum is fitted, up to the end of the band
+)
+POINTS_PER_DECADE = 30
+MAX_RELAXATIONS = 6  # largest number of relaxation terms per decade
+# allowed error of Foster's sum, relative to the loss tangent or to 0.01, whichever is smaller
+LOSS_ERROR_SHARE = 0.02
+
+
+def compute_permittivity_ratio(frequency: np.ndarray, tangent: float) -> np.ndarray:
+    """Return the relative permittivity change ``eps(s) / eps`` (n,) at ``frequency`` (n,) [Hz]."""
+    m = 2 / np.pi * np.arctan(tangent)
+    return np.asarray((1j * np.asarray(frequency) / TANGENT_FREQUENCY) ** -m)
+
+
+def compute_clamped_tangent(tangent: float, ratio: float) -> float:
+    """Compute the loss tangent of a clamped body from that of the mechanically free body.
+
+    Both loss tangents are at 1 kHz.
+
+    Parameters
+    ----------
+    tangent : float
+        Loss tangent, tan delta, of the free body, as in data sheets.
+    ratio : float
+        Ratio of motional to clamped capacitance at zero frequency, ``C_m / D``.
+
+    Raises
+    ------
+    UsageError : the clamped capacitance is too small for this loss tangent.
+
+    Examples
+    --------
+    >>> round(compute_clamped_tangent(0.02, 1.0), 4)
+    0.04
+    """
+    if not tangent * ratio < 1:  # otherwise the clamped loss angle would be at least 90 degrees
+        raise UsageError(
+            "the loss tangent is too large for the clamped capacitance",
+            where="damping.loss_tangent",
+            got=f"{tangent:g}",
+            expected=f"less than {1 / ratio:.3g}, the ratio of clamped to motional capacitance",
+        )
+    delta = math.atan(tangent)
+    return math.tan(delta + math.asin(ratio * math.sin(delta)))
+
+
+def fit_foster_network(
+    tangent: float, band: tuple[float, float], error: float
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Fit the shortest Foster sum to the permittivity of a constant loss tangent.
+
+    The sum is ``a_0 + sum_k a_k / (1 + s t_k)``. Return the amplitudes ``a`` (k + 1,), the rates
+    ``1/t`` (k,) [1/s], and the largest relative error of the sum. If no sum has an error of at most
+    ``error``, the most accurate sum is returned.
+    """
+    low, high = max(band[0], band[1] / 10**DEFAULT_DECADES), band[1]
+    decades = np.log10(high / low) + 1e-9
+    f = np.geomspace(low, high, int(POINTS_PER_DECADE * decades) + POINTS_PER_DECADE)
+    target, s = compute_permittivity_ratio(f, tangent), 2j * np.pi * f[:, None]
+    best = np.inf
+    result = np.ones(1), np.empty(0)
+    for item in range(1, MAX_RELAXATIONS + 1):
+        count = int(np.ceil(item * decades)) + 2
+        rates = 2 * np.pi * np.geomspace(low / 3, 3 * high, count)
+        A = np.column_stack([np.ones(len(f)), 1 / (1 + s / rates)]) / target[:, None]
+        one = np.r_[np.ones(len(f)), np.zeros(len(f))]
+        a = scipy.optimize.nnls(np.concatenate([A.real, A.imag]), one)[0]
+        trial_error = float(np.abs(A @ a - 1).max())
+        if trial_error < best:
+            best, result = trial_error, (a, rates)
+        if best <= error:
+            break
+    return *result, best
+
+
+def add_dielectric_loss(model: Resonators, tangent: float) -> Resonators:
+    """Add dielectric loss to a model, as massless modes that represent relaxations.
+
+    ``tangent`` is the loss tangent of the mechanically free body at 1 kHz. The loss tangent is
+    constant in the band of the certificate. The error in the certificate of the result includes the
+    error of the loss tangent. The motional and the clamped capacitance are sums over all
+    electrodes, with all other electrodes shorted.
+
+    Raises
+    ------
+    UsageError : the model has no certificate or no electrodes, or its clamped capacitance is too
+    small for the loss tangent.
+    """
+    known = model.certificate
+    electrical = [k for k, port in enumerate(model.ports) if port.electrical]
+    if known is None or not electrical:
+        raise UsageError(
+            "this body has no dielectric, so it cannot have a loss tangent",
+            where="damping.loss_tangent",
+            expected="a body with electrodes",
+            hint="delete loss_tangent",
+        )
+    D = model.D[np.ix_(electrical, electrical)]
+    motional = np.sum((model.gain[:, electrical] / model.omega[:, None]) ** 2)
+    clamped_loss = compute_clamped_tangent(tangent, float(motional / np.trace(D)))
+    amplitude, rates, fit_error = fit_foster_network(
+        clamped_loss, known.band_hz, LOSS_ERROR_SHARE * min(tangent, 0.01)
+    )
+    w, V = np.linalg.eigh(D)
+    root = (V * np.sqrt(np.maximum(w, 0.0)))[:, w > 0]
+    used = amplitude[1:] > 0
+    omega = np.repeat(rates[used], root.shape[1])
+    gain = np.zeros((len(omega), len(model.ports)))
+    gain[:, electrical] = omega[:, None] * np.vstack(
+        [np.sqrt(a) * root.T for a in amplitude[1:][used]]
+    )
+    clamped = model.D.copy()
+    clamped[np.ix_(electrical, electrical)] = amplitude[0] * D
+    method = f"{known.method}; a loss tangent of {tangent:g} at 1 kHz by {used.sum()} relaxations "
+    method += f"within {fit_error:.1e} of a constant one"
+    return replace(
+        model,
+        omega=np.r_[model.omega, omega],
+        damp=np.r_[model.damp, omega],
+        gain=np.vstack([model.gain, gain]),
+        D=clamped,
+        massless=model.massless + len(omega),
+        certificate=replace(known, error_estimate=known.error_estimate + fit_error, method=method),
+    )

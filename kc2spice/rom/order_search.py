@@ -1,0 +1,194 @@
+"""Search for the smallest order that meets a tolerance, for bases of any method."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from kc2spice.core.errors import UsageError
+from kc2spice.rom.error_estimate import choose_default_norm, make_inaccuracy_error
+from kc2spice.rom.reduced_basis import ReducedBasis, ReductionTask
+from kc2spice.rom.reductors.base import Reductor
+from kc2spice.rom.stability import DEFINITE_EVIDENCE, StabilityProof
+
+# Largest number of states for which other projections are tried only to complete the certificate.
+# The certificate states how many more states a model with definite matrices needs.
+# The largest number, found by trials, limits the computing time.
+MAX_COMPARED_STATES = 200
+# Largest order of a general projection that replaces a congruence, relative to the other order.
+# For example, a general projection with 10 states replaces a congruence with 11 states.
+# Only a congruence of definite matrices gives resonators, whose form proves stability.
+SAVING_RATIO = 0.91
+
+
+def find_least_order(basis: ReducedBasis, tolerance: float, states: float = np.inf) -> int | None:
+    """Return the smallest acceptable order of a basis with fewer than ``states`` states.
+
+    ``states`` counts first-order states. The result is None if no order is acceptable. All
+    orders are tried in ascending sequence, because the error may increase with the order, and
+    models of low order need little computing time.
+    """
+    most = int(min(basis.size, (states - 1) // basis.pencil.degree))
+    orders = range(max(basis.fixed, 1), most + 1)
+    return next((order for order in orders if basis.is_acceptable(order, tolerance)), None)
+
+
+def select_basis(bases: Sequence[ReducedBasis], order: int) -> ReducedBasis:
+    """Return the basis whose reduced model of the given order has the smallest error estimate.
+
+    Raises
+    ------
+    UsageError : every basis has fewer vectors than the order.
+    """
+    most = max(basis.size for basis in bases)
+    if order > most:
+        expected = f"1 to {most}"
+        raise UsageError(
+            "the full model has fewer states than this order",
+            where="order",
+            got=order,
+            expected=expected,
+            hint=f"use the order {most}",
+        )
+    candidates = (basis for basis in bases if order <= basis.size)
+    return min(candidates, key=lambda basis: basis.estimate_model_error(order))
+
+
+def select_fewest_states(
+    task: ReductionTask,
+    reductors: Sequence[Reductor],
+    tolerance: float,
+    *,
+    shorten: bool,
+    keep_form: bool,
+) -> tuple[ReducedBasis, int]:
+    """Return the basis that meets the tolerance with the fewest states, and its order.
+
+    Congruences are preferred: a model that is reduced by a congruence of definite matrices consists
+    of passive resonators. Other projections are used only if all ports are signals and the
+    projection needs about a tenth fewer states. If ``keep_form`` is true, other projections are
+    never used. If ``shorten`` is true, the reductor of a congruence tries to find a shorter basis.
+
+    Raises
+    ------
+    SimulationError : no model of any order is acceptable.
+    """
+    congruences = [item for item in reductors if item.congruence]
+    others = [] if keep_form else [item for item in reductors if not item.congruence]
+    signals = choose_default_norm(task.fom) == "peak" and not keep_form
+    form = _prove_stability(task)
+    share = SAVING_RATIO if form and form.proof == DEFINITE_EVIDENCE else 1.0
+    other = None
+    if signals and not (form and form.passive):
+        other = _select_fewest_states(task, others, tolerance, task.states + 1)
+    if other and not form:  # a congruence has no advantage if there is no form to preserve
+        return _replace_origin(other, f"{other[0].origin}; ")
+    most = int(other[1] / share) if other else np.inf
+    reductor, basis, order = _select_smallest_order(
+        task, congruences, tolerance, most + 1, bool(other)
+    )
+    if order is None:
+        assert other is not None
+        text = f"{other[0].origin}, where a congruence needs more than {most} states; "
+        return _replace_origin(other, text)
+    if shorten:
+        basis, order = reductor.shorten_basis(basis, order, tolerance)
+        order = find_least_order(basis, tolerance, basis.states(order)) or order
+    states = basis.states(order)
+    if other is None and (signals or basis.states(basis.size) <= MAX_COMPARED_STATES):
+        other = _select_fewest_states(task, others, tolerance, int(np.ceil(share * states)))
+    if other and other[1] < states:
+        text = f"{states} first-order states, {other[1]} without keeping the form; "
+        basis = replace(basis, origin=text)
+    return basis, order
+
+
+def _prove_stability(task: ReductionTask) -> StabilityProof | None:
+    """Prove the stability and passivity of the intermediate model.
+
+    The result is None for a first-order model that is not symmetric, because a congruence does not
+    preserve the stability of such a model.
+    """
+    pencil = task.response.pencil
+    if pencil.degree == 2 or (pencil.is_symmetric and pencil.is_collocated):
+        return task.proof
+    return None
+
+
+def _select_fewest_states(
+    task: ReductionTask, reductors: Sequence[Reductor], tolerance: float, states: float
+) -> tuple[ReducedBasis, int] | None:
+    """Return a basis and an order that meet the tolerance with fewer than ``states`` states.
+
+    The result is None if no basis meets the tolerance. In the norm *peak*, the basis with the
+    fewest states is used. In the norm *pointwise*, the first basis is used, because only balancing
+    over the band represents notches.
+    """
+    best = None
+    for reductor in reductors:
+        basis = reductor.basis(task) if reductor.applies_to(task) else None
+        order = find_least_order(basis, tolerance, states) if basis else None
+        if basis is None or order is None:
+            continue
+        best, states = (replace(basis, origin=reductor.name), order), basis.states(order)
+        if task.norm == "pointwise":
+            break
+    return best
+
+
+def _select_smallest_order(
+    task: ReductionTask,
+    reductors: Sequence[Reductor],
+    tolerance: float,
+    states: float,
+    optional: bool,
+) -> tuple[Reductor, ReducedBasis, int | None]:
+    """Return the reductor that needs the smallest order, its basis and this order.
+
+    If no order is acceptable, the order is None, or an error is raised if the result is not
+    ``optional``.
+    """
+    bases = [(item, item.basis(task)) for item in reductors if item.applies_to(task)]
+    rows = [(item, basis) for item, basis in bases if basis is not None]
+    orders = [find_least_order(basis, tolerance, states) for _, basis in rows]
+    acceptable = [(order, k) for k, order in enumerate(orders) if order is not None]
+    if not acceptable:
+        if not optional:
+            raise make_tolerance_error([basis for _, basis in rows], tolerance)
+        return *rows[0], None
+    order, k = min(acceptable)
+    return *rows[k], order
+
+
+def _replace_origin(result: tuple[ReducedBasis, int], text: str) -> tuple[ReducedBasis, int]:
+    """Replace the origin of a basis, with which its certificate begins, by ``text``."""
+    basis, order = result
+    return replace(basis, origin=text), order
+
+
+def require_order(bases: Sequence[ReducedBasis], tolerance: float) -> tuple[ReducedBasis, int]:
+    """Return the basis that meets the tolerance with the fewest states, and its order.
+
+    Raises
+    ------
+    SimulationError : no model of any order is acceptable.
+    """
+    orders = [(find_least_order(basis, tolerance), basis) for basis in bases]
+    acceptable = [(order, basis) for order, basis in orders if order is not None]
+    if not acceptable:
+        raise make_tolerance_error(bases, tolerance)
+    order, basis = min(acceptable, key=lambda pair: pair[1].states(pair[0]))
+    return basis, order
+
+
+def make_tolerance_error(bases: Sequence[ReducedBasis], tolerance: float) -> Exception:
+    """Return the error for bases that do not meet the tolerance at any order."""
+    error = min(basis.estimate_model_error(basis.size) for basis in bases)
+    return make_inaccuracy_error(
+        "the tolerance is out of reach",
+        f"estimate {error:.1e} with {bases[0].size} states",
+        tolerance,
+        "use a larger tolerance or a narrower band",
+    )

@@ -1,0 +1,143 @@
+"""Checks and scaling of the basis vectors that a reduction method returns."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from kc2spice.core.errors import UsageError
+
+# A unit vector counts as dependent if its distance to the span of earlier vectors is below 450 eps.
+# The rounding errors in a QR factorisation of a few hundred vectors are about 1e-14.
+DEPENDENT_BY_ROUNDING = 1e-13
+# Largest condition number of a basis V that is not orthonormalised.
+# Rounding errors change the smallest eigenvalue of V'KV by eps times (condition number)^2.
+# The relative change of the eigenvalue is therefore below 3e-10.
+MAX_CONDITION = 1e3
+
+
+def require_vectors(value: Any, where: str, shape: tuple[int, int | None]) -> np.ndarray:
+    """Check basis vectors, and return them as a real matrix with independent columns.
+
+    Parameters
+    ----------
+    value : array_like
+        Vectors, one in each column.
+    where : str
+        Name of the argument, for error messages.
+    shape : tuple
+        Required numbers of rows and columns. If the second item is None, any number of columns is
+        accepted.
+
+    Raises
+    ------
+    UsageError : the value is not a matrix of this shape, contains numbers that are not real or not
+        finite, or has dependent columns.
+    """
+    V, (rows, columns) = _require_real_matrix(value, where, shape[0]), shape
+    if len(V) != rows or columns not in (None, V.shape[1]):
+        expected = f"{rows} rows, one for each coordinate of task.model"
+        if columns is not None:
+            expected += f", and {columns} columns as V"
+        raise UsageError(
+            "the vectors have a wrong shape", where=where, got=_describe_size(V), expected=expected,
+            hint="build the vectors from the matrices of task.model, not of task.fom",
+        )  # fmt: skip
+    if rows and not V.shape[1]:
+        expected = "at least one column"
+        raise UsageError(
+            "the array contains no vectors", where=where, got=_describe_size(V), expected=expected
+        )
+    if not np.isfinite(V).all():
+        count = int((~np.isfinite(V)).sum())
+        got = f"{count} entries that are NaN or infinite"
+        raise UsageError(
+            "the vectors contain numbers that are not finite",
+            where=where,
+            got=got,
+            expected="finite numbers",
+        )
+    dependent = _find_dependent_column(V)
+    if dependent is not None:
+        raise UsageError(
+            "the vectors are linearly dependent",
+            where=where,
+            got=f"column {dependent} of {V.shape[1]} is zero or a combination of the columns "
+            f"before it",
+            expected=f"linearly independent columns, at most {rows}",
+            hint="remove this column (the first column is column 0)",
+        )
+    return V
+
+
+def scale_to_unit_norm(V: np.ndarray) -> np.ndarray:
+    """Scale vectors so that their norms are between 0.7 and 1.5.
+
+    The factors are powers of two, so there are no rounding errors, and orthonormal vectors do not
+    change. The scale of a basis vector has no effect on the response of the reduced model. However,
+    without scaling, a reduced mass of 1e-22 beside masses of 1 would count as zero.
+
+    >>> scale_to_unit_norm(np.array([[0.6, 3e-11], [0.8, 4e-11]])).round(2)
+    array([[0.6 , 0.52],
+           [0.8 , 0.69]])
+    """
+    norms = np.linalg.norm(V, axis=0)
+    exponents = np.round(np.log2(np.where(norms > 0, norms, 1.0))).astype(int)
+    return np.asarray(np.ldexp(V, -exponents))
+
+
+def improve_conditioning(V: np.ndarray) -> np.ndarray:
+    """Return well-conditioned basis vectors that span the same spaces as V.
+
+    The columns of V may be almost dependent: for example, a static response is nearly a sum of many
+    modes. If the condition number of V exceeds a thousand, the matrix Q of the factorisation
+    ``V = Q R`` is returned. For each q, the first q columns of Q and of V span the same space.
+    Otherwise, V is returned unchanged.
+
+    >>> abs(improve_conditioning(np.array([[1.0, 1.0], [0.0, 1e-6]]))).round(9)
+    array([[1., 0.],
+           [0., 1.]])
+    """
+    spectrum = np.linalg.eigvalsh(V.T @ V)  # squares of the singular values
+    if spectrum[0] * MAX_CONDITION**2 >= spectrum[-1]:
+        return V
+    return np.linalg.qr(V)[0]
+
+
+def _require_real_matrix(value: Any, where: str, rows: int) -> np.ndarray:
+    """Return the vectors as a two-dimensional array of real numbers."""
+    expected = f"a real array of {rows} rows, one for each coordinate of task.model"
+    try:
+        V = np.asarray(value)
+    except ValueError:  # the rows have different lengths
+        V = np.empty(0, dtype=object)
+    if V.dtype.kind == "c":
+        advice = "use real and imaginary parts: np.linalg.qr(np.hstack([V.real, V.imag]))[0]"
+        problem, got = "vectors are complex", f"an array of {V.dtype}"
+        raise UsageError(problem, where=where, got=got, expected=expected, hint=advice)
+    if V.dtype.kind not in "fiu":
+        got = f"{type(value).__name__} of {getattr(value, 'dtype', 'no numbers')}"
+        raise UsageError("the vectors are not an array of numbers", where=where, got=got,
+                         expected=expected)  # fmt: skip
+    if V.ndim != 2:
+        hint = "write one vector as V[:, None]" if V.ndim == 1 else None
+        got = f"an array of shape {V.shape}"
+        raise UsageError("the vectors are not a matrix", where=where, got=got, expected=expected,
+                         hint=hint)  # fmt: skip
+    return V.astype(float)
+
+
+def _find_dependent_column(V: np.ndarray) -> int | None:
+    """Return the index of the first column that depends on earlier columns, or None."""
+    norms = np.linalg.norm(V, axis=0)
+    distance = np.zeros(V.shape[1])
+    diagonal = np.abs(np.diag(np.linalg.qr(V / np.where(norms > 0, norms, 1.0), mode="r")))
+    distance[: diagonal.size] = diagonal
+    dependent = np.flatnonzero(distance <= DEPENDENT_BY_ROUNDING)
+    return int(dependent[0]) if dependent.size else None
+
+
+def _describe_size(V: np.ndarray) -> str:
+    """Return a description of the numbers of rows and columns, for error messages."""
+    return f"{V.shape[0]} rows and {V.shape[1]} columns"

@@ -1,0 +1,515 @@
+"""Formation of the nets of a scene from joined pins, and checks of the joins.
+
+The target of a pin is ``"gnd"`` or ``"part.pin"``. All pins that are joined directly or through
+other pins form one net. The node of a net is named after the net's first pin in the order of the
+scene. One allocator assigns all names at the top level of a deck, so that nodes and cards have
+different names.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Hashable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import combinations, product
+from operator import attrgetter
+from string import ascii_lowercase
+from typing import Any
+
+from kc2spice.core.domains import ELECTRICAL, QUANTITIES, Domain
+from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, unknown
+from kc2spice.scene.frames import find_frames
+from kc2spice.scene.model import (
+    GROUND,
+    BuildRecord,
+    BuiltScene,
+    NameAllocator,
+    Part,
+    Scene,
+    Terminal,
+)
+from kc2spice.scene.part_records import EquilibriumConditions
+from kc2spice.scene.parttype import find_current_into
+
+Pin = tuple[str, str]
+_GROUND_PIN: Pin = (GROUND, "")
+LISTED_PINS = 5  # largest number of pins that an error message lists
+METER_SUFFIX = "meter"  # suffix of the names of ammeters
+
+
+def join_parts(scene: Scene) -> Scene:
+    """Return the scene with its nets and the reference frame of each net.
+
+    Parts in an accelerated frame have additional pins for the acceleration of the frame. The
+    additional pins are joined after the frames have been determined.
+
+    Raises
+    ------
+    UsageError : an unknown part or pin; pins of one part whose names differ only in letter case;
+        pins of different kinds on one net; a required pin that is not joined. Also: a part whose
+        two pins are joined to each other; two outputs on one net; a loop of ideal sources;
+        displacements in different frames. ``where`` is a dotted key.
+    """
+    scene = _with_nets(replace(scene, frames={}, nets={}))
+    if frames := find_frames(scene):
+        scene = _with_nets(replace(scene, frames=frames))
+        # additional pins may change the names of nodes
+        scene = replace(scene, frames=find_frames(scene))
+    return scene
+
+
+def add_default_joins(scene: Scene) -> Scene:
+    """Return the scene with the targets to which the keys of parts join their pins."""
+    joins = {}
+    for name, record in scene.records.items():
+        joins[name] = record.part.type.default_joins(record.part, scene)
+    return replace(scene, joins=joins)
+
+
+def with_equilibrium_conditions(scene: Scene) -> Scene:
+    """Return the scene with the equilibrium conditions of all parts."""
+    records = {}
+    for name, record in scene.records.items():
+        records[name] = replace(
+            record, rest=record.part.type.equilibrium_conditions(record.part, scene)
+        )
+    return replace(scene, records=records)
+
+
+def _with_nets(scene: Scene) -> Scene:
+    """Return the scene with its nets and with all names in its netlist."""
+    scene = add_default_joins(scene)
+    terminals = {}
+    for part in scene.parts.values():
+        for terminal in part.type.pins(part, scene):
+            terminals[part.name, terminal.name] = terminal
+    _require_distinct_pin_names(terminals)
+    scene = replace(scene, terminals=terminals)
+    union = DisjointGroups([_GROUND_PIN, *terminals])
+    for part in scene.parts.values():
+        for pin, target, where in _list_joins(part, scene):
+            other = _find_target(target, scene, where)
+            _require_same_kind((part.name, pin), other, scene, where)
+            union.join((part.name, pin), other)
+    groups = union.list_groups()
+    for net in groups:
+        _require_one_kind(net, scene)
+    scene = with_equilibrium_conditions(replace(scene, nets=_name_nets(groups, scene)))
+    scene = _with_inner_names(scene)
+    _require_joined_pins(scene, {net[0] for net in groups if len(net) == 1})
+    _require_one_output_per_net(scene)
+    _require_pins_on_distinct_nets(scene)
+    _reject_source_loops(scene)
+    _require_ground(scene)
+    return scene
+
+
+# Names that other programs use for the first and for the second pin of a part with two pins.
+_FIRST_PIN_NAMES = ("p", "plus", "pos", "positive", "1", "+", "in", "anode", "top", "hot")
+_SECOND_PIN_NAMES = (
+    "n",
+    "m",
+    "minus",
+    "neg",
+    "negative",
+    "2",
+    "-",
+    "cathode",
+    "ground",
+    "gnd",
+    "com",
+)
+
+
+def _suggest_pin(typed: str, pins: Sequence[str]) -> str | None:
+    """Suggest a pin if ``typed`` is a name of pins in other programs, such as ``anode``."""
+    if len(pins) >= 2:
+        for names, pin in ((_FIRST_PIN_NAMES, pins[0]), (_SECOND_PIN_NAMES, pins[1])):
+            if typed.lower() in names:
+                return f"write {pin} in place of {typed}"
+    return None
+
+
+def _list_joins(part: Part, scene: Scene) -> Iterator[tuple[str, str, str]]:
+    """Yield the pin, the target and the dotted key of each join of a part.
+
+    Joins in the table ``pins`` come first, then joins that keys imply, then default joins. A pin
+    that another part names as a target has no default join.
+    """
+    names = set(map(attrgetter("name"), scene.pins(part.name)))
+    for pin, target in part.pins.items():
+        where = f"{part.name}.pins.{pin}"
+        if pin not in names:
+            advice = _suggest_pin(pin, [terminal.name for terminal in scene.pins(part.name)])
+            message = f"{part.type.name} has no such pin"
+            raise unknown(message, pin, sorted(names), where, advice=advice)
+        yield pin, target, where
+    joins = scene.joins[part.name]
+    for pin, target in joins.items():
+        if pin not in part.pins:
+            yield pin, target, part.name
+    for pin in sorted(names - joins.keys() - part.pins.keys()):
+        default = scene.terminals[part.name, pin].default
+        if default is not None and not scene.is_target(part.name, pin):
+            yield pin, default, part.name
+
+
+def _find_target(target: str, scene: Scene, where: str) -> Pin:
+    """Return the pin that a target such as ``part.pin`` names; reject an unknown target."""
+    if target in (GROUND, "0"):
+        return _GROUND_PIN
+    name, dot, pin = target.partition(".")
+    if where == f"{name}.pins.{pin}":
+        others = [".".join(item) for item in scene.terminals if item[0] != name]
+        raise UsageError(
+            "this pin is joined to itself",
+            where=where,
+            got=repr(target),
+            expected=f"gnd, or a pin of another part: {list_candidates(target, others)}",
+            hint=f'for example  {pin} = "{others[0] if others else GROUND}"',
+        )
+    if (name, pin) in scene.terminals:
+        return (name, pin)
+    pins = [f"{name}.{terminal.name}" for terminal in scene.pins(name)]
+    if pins and not dot:
+        expected = f"{name} with one of its pins: {list_candidates(target, pins)}"
+    elif pins:
+        expected = f"a pin of {name}: {list_candidates(target, pins)}"
+    else:
+        listed = list_candidates(name, scene.parts)
+        expected = f"gnd or PART.PIN with a part of the scene: {listed}"
+    existing = [f"{part}.{pin}" for part in scene.parts if (part, pin) in scene.terminals]
+    near = None
+    if pins:
+        near = did_you_mean(target, pins) if dot else None
+    elif (near := did_you_mean(name, scene.parts)) is not None:
+        similar = next((full for full in existing if repr(full.partition(".")[0]) in near), None)
+        near = f"did you mean {similar!r}?" if similar else near
+    advice = near or f"for example  {pins[0] if pins else existing[0] if existing else GROUND}"
+    raise UsageError(
+        "this pin does not exist", where=where, got=repr(target), expected=expected, hint=advice
+    )
+
+
+def _require_same_kind(a: Pin, b: Pin, scene: Scene, where: str) -> None:
+    """Reject a join of two pins of different kinds."""
+    if _GROUND_PIN in (a, b):
+        return
+    first, second = scene.terminals[a], scene.terminals[b]
+    if not _are_compatible(first, second):
+        fitting = (
+            pin
+            for pin, terminal in scene.terminals.items()
+            if pin[0] != a[0] and _are_compatible(first, terminal)
+        )
+        choices = list(map(".".join, fitting))
+        hint = _suggest_kind(a[0], first, second) or _suggest_target(a, choices, scene)
+        name = ".".join(b)
+        raise UsageError(
+            "this connection joins pins of different kinds",
+            where=where,
+            got=f"{'.'.join(a)} is a pin in {first.kind}, {name} a pin in {second.kind}",
+            expected=f"gnd, or a pin in {first.kind}: {list_candidates(name, choices)}"
+            if choices
+            else f"gnd, or a pin in {first.kind}, which no other part of the scene has",
+            hint=hint,
+        )
+
+
+def _suggest_kind(part: str, terminal: Terminal, other: Terminal) -> str | None:
+    """Suggest the value of a key with which a pin gets the same units as the pin ``other``."""
+    units = other.unit, other.flow
+    kinds = [name for name, (domain, _) in QUANTITIES.items() if domain.units == units]
+    if not terminal.kind_key or not kinds:
+        return None
+    return f'write  {terminal.kind_key} = "{kinds[-1]}"  in [{part}], with values in its unit'
+
+
+def _suggest_target(pin: Pin, choices: Sequence[str], scene: Scene) -> str:
+    """Suggest one of the ``choices`` as the target of a pin.
+
+    If the part has two pins and its other pin is joined, suggest ground. The first of the
+    ``choices`` may be on the net of the other pin.
+    """
+    ends = {end for part, end in scene.terminals if part == pin[0]}
+    joined = len(ends) == 2 and not ends.isdisjoint({*scene.parts[pin[0]].pins} - {pin[1]})
+    target = choices[0] if choices and not joined else GROUND
+    return f'write  {pin[1]} = "{target}"'
+
+
+def _are_compatible(a: Terminal, b: Terminal) -> bool:
+    """Return whether two pins have equal units and, unless they are signals, equal flows."""
+    return a.unit == b.unit and (a.flow == b.flow or "-" in (a.flow, b.flow))
+
+
+def _require_one_kind(net: list[Pin], scene: Scene) -> None:
+    """Reject a net with pins of different kinds that are joined through a signal pin."""
+    for a, b in combinations(() if _GROUND_PIN in net else net, 2):
+        _require_same_kind(a, b, scene, f"{a[0]}.pins.{a[1]}")
+
+
+def _require_distinct_pin_names(terminals: Mapping[Pin, Terminal]) -> None:
+    """Reject two pins of a part whose names differ only in letter case."""
+    spellings: dict[Pin, str] = {}
+    for name, pin in terminals:
+        first = spellings.setdefault((name, pin.lower()), pin)
+        if first != pin:
+            raise UsageError(
+                "the names of two pins differ in letter case only",
+                where=name,
+                got=f"{first} and {pin}",
+                expected="names that differ in more than letter case",
+                hint=f"rename the pin {pin}",
+            )
+
+
+def _name_nets(groups: list[list[Pin]], scene: Scene) -> dict[Pin, str]:
+    """Return the netlist node of each pin; a node is named after the first pin on its net."""
+    names, nets = NameAllocator(("0", GROUND)), dict[Pin, str]()
+    for group in groups:
+        preferred = group[0], "_".join(group[0]).lower()
+        nets |= dict.fromkeys(
+            group, "0" if _GROUND_PIN in group else names.allocate_name(*preferred)
+        )
+    return {pin: nets[pin] for pin in scene.terminals}
+
+
+def _with_inner_names(scene: Scene) -> Scene:
+    """Return the scene with unused names for ammeters, inner nodes and further cards."""
+    cards = map("".join, product(ascii_lowercase, scene.parts))
+    free = NameAllocator((*scene.nets.values(), *cards))
+    names: dict[tuple[str, ...], str] = {}
+    for part in scene.parts.values():
+        for words in part.type.list_inner_names(part, scene):
+            key = part.name, *words
+            names[key] = free.allocate_name(key, "_".join(words))
+    scene = replace(scene, names=names)
+    meters = {}
+    for name, pin in _list_metered_pins(scene):
+        preferred = f"v{name}_{pin}_{METER_SUFFIX}".lower()
+        meters[name, pin] = free.allocate_name((METER_SUFFIX, name, pin), preferred)
+    return replace(scene, meters=meters)
+
+
+def list_metered_pins(part: Part, scene: Scene) -> dict[str, Domain]:
+    """Return the pins of a part at which a flow can be measured, with their domains.
+
+    Pins on ground are excluded. In a domain whose flow is a power, the reference pin, such as
+    ``ambient``, is also excluded, because its flow is the sum of the flows at the other pins.
+    """
+    result: dict[str, Domain] = {}
+    for pin in scene.pins(part.name):
+        domain = pin.domain
+        if domain is None or not domain.can_be_metered or scene.get_net(part.name, pin.name) == "0":
+            continue
+        if domain.power != "through" or pin.name != domain.reference:
+            result[pin.name] = domain
+    return result
+
+
+def list_power_input_pins(part: Part, scene: Scene) -> dict[str, Domain]:
+    """Return the pins through which power enters a part; all these pins have one domain.
+
+    The domain is electrical if the part has electrical pins. Otherwise, the domain is that of the
+    first pin.
+    """
+    pins = list_metered_pins(part, scene)
+    domains = [*pins.values()]
+    powered = ELECTRICAL if ELECTRICAL in domains else next(iter(domains), None)
+    return {pin: domain for pin, domain in pins.items() if domain is powered}
+
+
+def _list_metered_pins(scene: Scene) -> Iterator[Pin]:
+    """Yield the pins of subcircuits at which a probe needs an ammeter.
+
+    A probe of ``PART.power`` needs ammeters at all powered pins. A probe of ``PART.PIN.current``,
+    or of another flow such as ``PART.PIN.force``, needs an ammeter at the pin. A probe of
+    ``PART.current`` needs an ammeter at the first pin. ``PART.force`` is a result of the part
+    itself.
+    """
+    for of in scene.probed_results:
+        name, _, quantity = of.partition(".")
+        part = scene.parts.get(name)
+        if part is None or not scene.has_subcircuit(part):
+            continue
+        powered = list_power_input_pins(part, scene)
+        for pin, domain in list_metered_pins(part, scene).items():
+            flow = domain.through_variable.name
+            first = domain is ELECTRICAL and pin == next(iter(powered))
+            # a body may report this current without an ammeter
+            paired = part.is_body and not domain.reference
+            if (
+                (quantity == "power" and pin in powered)
+                or quantity in (f"{pin}.power", f"{pin}.{flow}")
+                or (
+                    first
+                    and quantity == flow
+                    and not (paired and _reports_pin_current(part, pin, scene))
+                )
+            ):
+                yield name, pin
+
+
+def _reports_pin_current(body: Part, pin: str, scene: Scene) -> bool:
+    """Return whether the only other part at a body's pin has a result for the pin's current."""
+    build = BuiltScene(scene, {})
+    records = {}
+    for name, _ in scene.list_joined_pins(body.name, pin):
+        part = scene.parts[name]
+        if not part.is_body:
+            records[name] = BuildRecord(EquilibriumConditions(), part.type.vectors(part, build))
+    return find_current_into(body, pin, replace(build, records=records)) is not None
+
+
+def _require_joined_pins(scene: Scene, alone: Collection[Pin]) -> None:
+    """Reject a scene with a required pin that is not joined."""
+    for (name, pin), terminal in scene.terminals.items():
+        if terminal.required and (name, pin) in alone:
+            raise _make_unjoined_error(name, terminal, alone, scene)
+
+
+def _make_unjoined_error(
+    name: str, terminal: Terminal, alone: Collection[Pin], scene: Scene
+) -> UsageError:
+    """Return the error about a required pin that is not joined.
+
+    If possible, the hint names a target pin that is not joined either. A target that is already
+    joined could short-circuit a voltage, such as a bias, and ground would clamp a motion.
+    """
+    fitting: list[Pin] = []
+    waiting: list[Pin] = []
+    for end, other in scene.terminals.items():
+        if end[0] != name and _are_compatible(terminal, other):
+            (waiting if end in alone else fitting).append(end)
+    names = list(map(".".join, waiting + fitting))
+    count = LISTED_PINS - (not terminal.can_move)
+    pin, more = terminal.name, "" if len(names) <= count else ", …"
+    if waiting:
+        hint = f'add  pins = {{ {pin} = "{names[0]}" }}  to [{name}]'
+    elif fitting:
+        hint = f'connect this pin, for example  pins = {{ {pin} = "{names[0]}" }}  in [{name}]'
+        if terminal.domain is ELECTRICAL:  # a load resistor does not short-circuit another net
+            hint = (
+                f'add a part at this pin, such as [{name}_load] with part = "resistor", '
+                f'resistance = "1 MOhm", pins = {{ a = "{name}.{pin}" }}'
+            )
+    elif terminal.can_move:
+        hint = f'add a part that {name} moves with, such as [spring] with part = "spring"'
+    else:
+        hint = f'add  pins = {{ {pin} = "{GROUND}" }}  to [{name}]'
+    ground = [] if terminal.can_move else [GROUND]
+    kind = "an electrical pin" if terminal.domain is ELECTRICAL else f"a pin of {terminal.kind}"
+    pin_kind = "a displacement pin" if terminal.can_move else kind
+    listed = ", ".join([*names[:count], *ground])
+    return UsageError(
+        f"pin {pin} of {name} is not connected",
+        where=f"{name}.pins.{pin}",
+        expected=f"{pin_kind}: {listed or 'the scene has none'}{more}",
+        hint=hint,
+    )
+
+
+def _require_one_output_per_net(scene: Scene) -> None:
+    """Reject a net with two signal outputs, and a signal output on ground."""
+    drivers = {"0": "ground"}
+    for (name, pin), terminal in scene.terminals.items():
+        net = scene.nets[name, pin]
+        if terminal.signal_out and net in drivers:
+            got = f"{name}.{pin} and {drivers[net]}"
+            where = f"{name}.pins.{pin}"
+            message = "two outputs prescribe the same net"
+            hint = f"join {name}.{pin} to another pin"
+            raise UsageError(message, where=where, got=got, expected="one output", hint=hint)
+        if terminal.signal_out:
+            drivers[net] = f"{name}.{pin}"
+
+
+def _require_pins_on_distinct_nets(scene: Scene) -> None:
+    """Reject a part whose two pins are on one net, because the part would have no effect."""
+    for part in scene.parts.values():
+        pins = scene.pins(part.name)
+        if len(pins) != 2 or pins[0].kind != pins[1].kind or pins[0].flow == "-":
+            continue
+        a, b = map(attrgetter("name"), pins)
+        net, other = scene.get_nets(part.name, (a, b))
+        if net == other:
+            raise part.wrong(
+                f"pins.{a}",
+                "both pins of this part are connected to the same net",
+                f"{part.name}.{a} and {part.name}.{b} on {'gnd' if net == '0' else net}",
+                "two pins on different nets",
+                f'connect one of the pins to another net: pins = {{ {a} = "part.pin" }}',
+            )
+
+
+def _reject_source_loops(scene: Scene) -> None:
+    """Reject loops of ideal sources, because their currents have no unique value."""
+    union = DisjointGroups(["0", *scene.nets.values()])
+    for part in scene.parts.values():
+        for plus, minus in scene.records[part.name].rest.ideal:
+            a, b = scene.get_nets(part.name, (plus, minus))
+            if union.are_joined(a, b):
+                raise part.wrong(
+                    "",
+                    "this ideal source closes a loop of ideal sources",
+                    f"{part.name}.{plus} and {part.name}.{minus} are already connected by ideal "
+                    f"sources",
+                    "one ideal source between two nets",
+                    "add a resistor or a spring between the sources, or delete one source",
+                )
+            union.join(a, b)
+
+
+def _require_ground(scene: Scene) -> None:
+    """Reject parts without a connection to ground, because their potentials are not unique."""
+    union = DisjointGroups(["0", *scene.nets.values()])
+    first: dict[str, str] = {}
+    for (part, _), net in scene.nets.items():
+        union.join(first.setdefault(part, net), net)
+    floating = [pin for pin, net in scene.nets.items() if not union.are_joined(net, "0")]
+    if floating:
+        raise UsageError(
+            "no pin of this circuit is connected to ground",
+            where=floating[0][0],
+            got=", ".join(map(".".join, floating)),
+            expected='at least one of these pins connected to "gnd"',
+            hint=f'for example  {floating[-1][1]} = "gnd"  in {floating[-1][0]}.pins',
+        )
+
+
+class DisjointGroups:
+    """Disjoint groups of members, which can be joined."""
+
+    def __init__(self, members: Iterable[Hashable]) -> None:
+        self._groups = {member: [member] for member in members}
+
+    def are_joined(self, a: Hashable, b: Hashable) -> bool:
+        """Return whether two members are in the same group."""
+        return self._groups[a] is self._groups[b]
+
+    def join(self, a: Hashable, b: Hashable) -> None:
+        """Join the groups that contain two members."""
+        first, second = self._groups[a], self._groups[b]
+        if first is not second:
+            first += second
+            self._groups.update(dict.fromkeys(second, first))
+
+    def list_groups(self) -> list[list[Any]]:
+        """Return all groups, in the order of the groups' first members."""
+        result: dict[int, list[Any]] = {}
+        for member, group in self._groups.items():
+            result.setdefault(id(group), []).append(member)
+        return list(result.values())
+
+
+def describe_nets(scene: Scene) -> tuple[str, ...]:
+    """Describe each net with more than one pin in a line of text."""
+    nets: dict[str, list[str]] = {}
+    for (part, pin), net in scene.nets.items():
+        nets.setdefault(net, []).append(f"{part}.{pin}")
+    lines = []
+    for net, pins in nets.items():
+        if net == "0":
+            lines.append("gnd: " + ", ".join(pins))
+        elif len(pins) > 1:
+            lines.append(" -- ".join(pins))
+    return tuple(lines)

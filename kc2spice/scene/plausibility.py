@@ -1,0 +1,186 @@
+"""Checks that key values and voltages are plausible.
+
+A value outside of its plausible range probably has a wrong unit.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pydantic import BaseModel
+
+from kc2spice.core.errors import UsageError
+from kc2spice.core.quantities import PLAUSIBLE_MASS, PlausibleRange
+from kc2spice.core.schemas import get_plausible_range
+from kc2spice.core.si_prefix_format import format_quantity
+
+if TYPE_CHECKING:
+    from kc2spice.scene.model import BuiltScene, Scene
+
+
+class ImplausibleError(UsageError):
+    """Error about a value that is possible but not plausible, often due to a wrong unit."""
+
+
+MAX_LAYER_ASPECT = 10.0  # largest plausible thickness of a layer, relative to its width
+# largest plausible diameter of a ceramic layer, relative to the plate; wider ceramics break
+MAX_OVERHANG = 1.02
+# Voltage, relative to the rated voltage, above which the check fails; above 1, it warns.
+BREAKDOWN_RATIO = 10.0
+# Multiple of an upper limit below which a value probably has the right unit.
+# A wrong SI prefix would change the value by a factor of 1000.
+MISTAKEN_UNIT_RATIO = 2.0
+LOWEST_DRIVE_RATIO = 1e-4  # voltage, relative to the rated voltage, below which the check warns
+_MICRO_UNITS = ("F", "H")  # units in which the prefix mega is rare
+_ALTERNATIVE_UNITS = {"m": {"mm": 1e-3, "um": 1e-6}, "kg": {"g": 1e-3, "mg": 1e-6, "ug": 1e-9}}
+
+
+def check_range(
+    where: str, value: float, unit: str, low: float, high: float, why: str
+) -> Iterator[UsageError]:
+    """Yield an error if a value is not between ``low`` and ``high``.
+
+    ``why`` states why a value outside of these limits is not plausible.
+    """
+    if not low <= value <= high:
+        units = _ALTERNATIVE_UNITS.get(unit, {}).items()
+        fitting = next((name for name, size in units if low < value * size <= high), None)
+        if high < value < MISTAKEN_UNIT_RATIO * high:
+            fitting = None  # the value is only slightly too large, so that its unit is not wrong
+        limit = high if value > high else low
+        micro = format_quantity(1e-12 * value, unit).replace("µ", "u")
+        if unit in _MICRO_UNITS and 1e6 <= value < 1e9:  # probably M (mega) in place of u (micro)
+            fitting = None
+            advice = f'write  "{micro}"  if you mean micro, not mega'
+        else:
+            verb = "lower" if value > high else "raise"
+            advice = f"{verb} the value to {format_quantity(limit, unit)}"
+        yield ImplausibleError(
+            f"this value is not plausible: {why}",
+            where=where,
+            got=format_quantity(value, unit),
+            expected=f"{format_quantity(low, unit)} to {format_quantity(high, unit)}",
+            hint=f'did you mean "{value:g} {fitting}"?' if fitting else advice,
+        )
+
+
+def check_plausible_values(where: str, keys: BaseModel) -> Iterator[UsageError]:
+    """Yield an error for each key whose value is outside of its plausible range.
+
+    Values in lists and in inner tables are also checked.
+    """
+    for name, field in type(keys).model_fields.items():
+        yield from _check_value(f"{where}.{name}", get_plausible_range(field), getattr(keys, name))
+
+
+def _check_value(where: str, role: PlausibleRange | None, value: Any) -> Iterator[UsageError]:
+    """Yield an error for each implausible number in the value of one key.
+
+    The value is a number, a list or a table.
+    """
+    if isinstance(value, BaseModel):
+        yield from check_plausible_values(where, value)
+    elif isinstance(value, tuple):
+        for k, item in enumerate(value):
+            yield from _check_value(f"{where}.{k}", role, item)
+    elif isinstance(value, float) and value and role is not None:
+        yield from check_range(where, value, role.unit, role.low, role.high, role.why)
+
+
+def check_layers(
+    where: str, entries: Iterable[tuple[float, float, bool]], *, plate: bool
+) -> Iterator[UsageError]:
+    """Yield an error for each layer with an implausible shape.
+
+    Each entry contains the width [m] and the thickness [m] of a layer, and whether the layer is a
+    ceramic. A layer must be flat. With ``plate``, a ceramic layer must not be wider than its metal
+    plate.
+    """
+    rows = list(entries)
+    metal = max((width for width, _, ceramic in rows if not ceramic), default=0.0)
+    thick = f"no layer is more than {MAX_LAYER_ASPECT:g} times as thick as it is wide"
+    wide = "ceramic that is wider than its plate breaks off"
+    for k, (width, thickness, ceramic) in enumerate(rows):
+        yield from check_range(
+            f"{where}.{k}.thickness", thickness, "m", 0.0, MAX_LAYER_ASPECT * width, thick
+        )
+        if plate and ceramic and metal:
+            yield from check_range(
+                f"{where}.{k}.diameter", width, "m", 0.0, MAX_OVERHANG * metal, wide
+            )
+
+
+def check_drive_levels(scene: Scene) -> Iterator[UsageError]:
+    """Yield an error for each source whose voltage is far above the rating of its electrode.
+
+    A voltage slightly above the rated voltage, or far below it, causes only a warning.
+    """
+    rated = {name: pin.rated for (name, _), pin in scene.terminals.items() if pin.rated}
+    for body, limit in rated.items():
+        for name, peak in _list_peak_voltages(body, scene):
+            state = f"{peak:.4g} V at {body}, whose ceramic stands {limit:.4g} V"
+            # suggest the same number in V or in mV, if the rating permits this voltage
+            units = {f"{1e3 * peak:g} V": 1e3 * peak, f"{peak:g} mV": 1e-3 * peak}
+            fits = (text for text, v in units.items() if LOWEST_DRIVE_RATIO * limit <= v <= limit)
+            fitting = next(fits, None)
+            hint = fitting and f"did you mean {fitting}?"
+            if peak > BREAKDOWN_RATIO * limit:
+                yield UsageError(
+                    "this voltage depolarises the ceramic or causes a breakdown",
+                    where=name,
+                    got=state,
+                    expected=f"at most {limit:.4g} V",
+                    hint=hint,
+                )
+            elif peak > limit:
+                warnings.warn(f"{name}: {state}: the ceramic may depolarise", stacklevel=2)
+            elif 0.0 < peak < LOWEST_DRIVE_RATIO * limit:
+                warnings.warn(f"{name}: {state}: {hint or 'is the unit right?'}", stacklevel=2)
+
+
+def _list_peak_voltages(body: str, scene: Scene) -> Iterator[tuple[str, float]]:
+    """Yield the name and the peak voltage [V] of each source that drives a body.
+
+    Only ideal sources between ground and an electrode of ``body`` count.
+    """
+    nets = {scene.get_net(body, pin.name) for pin in scene.pins(body) if pin.unit == "V"}
+    for source in scene.list_parts("source"):
+        wave = source.type.voltage(source, scene)
+        if wave is None or scene.nets[source.name, "ret"] != "0":
+            continue
+        if scene.nets[source.name, "out"] in nets:
+            corners = np.concatenate(
+                [[0.0], wave.find_corner_times(scene.stop_time), [scene.stop_time]]
+            )
+            peak = np.abs(wave(corners)).max() if wave.is_piecewise_linear else abs(wave.amplitude)
+            yield source.name, float(peak)
+
+
+def check_model_masses(build: BuiltScene) -> Iterator[UsageError]:
+    """Yield an error for each part whose model has an implausible mass."""
+    for part in build.scene.parts.values():
+        mass = build.facts(part).get("mass_kg")
+        if mass is not None:
+            yield from check_range(
+                part.name,
+                mass,
+                PLAUSIBLE_MASS.unit,
+                PLAUSIBLE_MASS.low,
+                PLAUSIBLE_MASS.high,
+                PLAUSIBLE_MASS.why,
+            )
+
+
+def apply_check_action(errors: Iterable[UsageError], action: str) -> Iterator[UsageError]:
+    """Yield the errors, print them as warnings, or ignore them, according to ``action``."""
+    if action == "off":
+        return
+    for item in errors:
+        if action == "warn":
+            warnings.warn(f"{item.where}: {item.got}: {item.message}", stacklevel=2)
+            continue
+        item.hint = f"{item.hint or 'is the unit right?'} (checks.plausible = 'warn' runs it)"
+        yield item

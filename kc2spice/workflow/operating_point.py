@@ -1,0 +1,61 @@
+"""Operating point at which ``ac`` and ``noise`` analyses are linearised."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from kc2spice.core.errors import SimulationError, UsageError
+from kc2spice.core.waveforms import Waveforms
+from kc2spice.equations.scene_laws import SceneLaws
+from kc2spice.netlist.deck import Deck
+from kc2spice.scene.checks import Check
+from kc2spice.scene.model import BuiltScene
+from kc2spice.scene.settings import Analysis
+from kc2spice.sim.ngspice import run_deck
+from kc2spice.workflow.decks import make_deck
+from kc2spice.workflow.models import rebuild_with_scene
+
+
+@dataclass(frozen=True)
+class OperatingPoint:
+    """Results of all parts at an operating point, with their checks."""
+
+    values: Mapping[str, float] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    checks: tuple[Check, ...] = ()
+
+
+def find_operating_point(build: BuiltScene, deck: Deck, laws: SceneLaws) -> OperatingPoint:
+    """Find the operating point of a small-signal analysis in a separate run.
+
+    The result is empty for other analyses and for edited decks. The result is also empty for scenes
+    with linear parts only, because responses of linear parts do not depend on the operating point.
+    If no operating point is found, the result is empty and a warning is printed.
+    """
+    scene = build.scene
+    if not scene.analysis.is_small_signal or deck.text is not None or laws.linear:
+        return OperatingPoint()
+    # The probes are kept, because they determine the pins of a body. This run has no noise result.
+    probes = {} if build.has_noise else scene.probes
+    frame = scene.frame.model_copy(update={"analysis": Analysis(type="op"), "probes": probes})
+    # The highest resolved frequency remains the end of the frequency range.
+    # Therefore, pins and frequency-dependent models, such as those of eddy currents, do not change.
+    resolved = replace(scene, frame=frame, resolved_frequency=scene.analysis.stop)
+    try:
+        deck_at_rest = make_deck(rebuild_with_scene(build, resolved))
+        with TemporaryDirectory() as folder:
+            point: Waveforms = run_deck(deck_at_rest, Path(folder))
+    except (SimulationError, UsageError) as error:
+        message = f"the operating point of {scene.name} is not known: {error.message}"
+        warnings.warn(message, stacklevel=2)
+        return OperatingPoint()
+    values = {name: float(point[name][-1]) for name in deck_at_rest.units if name in point}
+    checks: list[Check] = []
+    for part in scene.parts.values():
+        checks += part.type.check_operating_point(part, build, point)
+    units = {name: deck_at_rest.units[name] for name in values}
+    return OperatingPoint(values, units, tuple(checks))
