@@ -1,4 +1,4 @@
-"""kc2spice: finite-element actuator models as SPICE subcircuits, run with their electronics.
+"""Finite-element models of actuators as SPICE subcircuits, and their simulation.
 
 ``import kc2spice as kc`` provides functions with the names of commands, such as ``kc.run`` for
 the command ``kc2spice run``.

@@ -1,7 +1,7 @@
-"""Public functions of kc2spice; run, export, verify and sweep correspond to commands.
+"""Python functions of kc2spice; run, export, verify and sweep are also commands.
 
-``import kc2spice as kc`` provides all functions, for example ``kc.run(...)``. Exceptions are
-classes of :mod:`kc2spice.core.errors`, also called ``kc.errors``.
+``import kc2spice as kc`` provides all functions, for example ``kc.run(...)``. The module
+:mod:`kc2spice.core.errors`, also called ``kc.errors``, defines all exceptions.
 """
 
 from __future__ import annotations
@@ -57,8 +57,9 @@ Function = Callable[[float, Mapping[str, float]], float]
 def build(scene: AnyScene) -> dict[str, LinearModel]:
     """Build the full model of every body of a scene.
 
-    Each model has all ports of its body and all unknowns of its mesh. No model is reduced. Parts
-    that are not bodies, such as drivers and contacts, have no entry.
+    Each full model has all ports of a body and all unknowns of the body's mesh. No model is
+    reduced. Parts that are not bodies, such as drivers and contacts, have no entry in the returned
+    mapping.
 
     Parameters
     ----------
@@ -147,7 +148,7 @@ def run(
     functions: Mapping[str, Function] | None = None,
     overrides: Mapping[str, Any] | None = None,
 ) -> Result:
-    """Build and reduce the models of a scene, write its netlists and simulate the scene.
+    """Build and reduce the models of a scene, write netlists and simulate the scene.
 
     Parameters
     ----------
@@ -161,11 +162,12 @@ def run(
     trust : bool, default False
         Whether files that the scene includes may run commands and write files on this machine.
     functions : mapping of str to callable, optional
-        Control functions, keyed by the name of their ``controller`` part. The functions replace the
-        Python file beside the scene. Each function has the form ``function(time, inputs) ->
-        output``, in SI units. If the simulation is repeated with other settings, ``time`` begins at
-        0 again, and a function that stores values between its calls must reset these values. A
-        Python file is loaded again for each simulation.
+        Control functions, keyed by the name of their ``controller`` part. These control functions
+        replace the functions in the Python file beside the scene. Each function has the form
+        ``function(time, inputs) -> output``, in SI units. If the simulation is repeated with other
+        settings, ``time`` begins at 0 again. A control function that stores values between its
+        calls must then reset these values. The Python file beside the scene is loaded again for
+        each simulation.
     overrides : mapping, optional
         New values of keys of the scene, by dotted key, as for :func:`kc2spice.load_scene`.
 
@@ -179,8 +181,8 @@ def run(
     UsageError : the scene is invalid (see :func:`kc2spice.load_scene`), ``deck`` lacks vectors that
         the metrics need, or ``out`` cannot be written, which is checked before the computation.
     MissingToolError : ngspice is not installed.
-    SimulationError : ngspice or a check of its result failed. With ``out``, deck and log are kept
-        in ``OUT.failed`` until a run with the same ``out`` succeeds.
+    SimulationError : ngspice or a check of its result failed. If ``out`` is given, the deck and the
+        log of a failed run are kept in ``OUT.failed`` until a run with the same ``out`` succeeds.
 
     Examples
     --------
@@ -239,7 +241,7 @@ def simulate(deck: Deck, *, timeout: float | None = None) -> Result:
     deck : Deck
         Netlist with its libraries, such as :func:`deck` returns.
     timeout : float, optional
-        Largest wall-clock time of ngspice in s. By default there is no limit.
+        Largest wall-clock time of ngspice in s. By default, the time is not limited.
 
     Returns
     -------
@@ -317,7 +319,7 @@ def export(
     >>> [path.name for path in kc.export(lamp, "netlists", dialect="xyce")]
     ['lamp.cir']
     """
-    # imported here, because `run` does not need this module
+    # ``export_scene`` is imported here, because ``run`` does not need this module
     from kc2spice.workflow.export import export_scene
 
     with naming_arguments("values"):
@@ -327,10 +329,10 @@ def export(
 def verify(
     scene: AnyScene, out: str | Path | None = None, *, full: bool = False, trust: bool = False
 ) -> dict[str, Any]:
-    """Compare the netlist of a scene in ngspice with independent solutions.
+    """Compare the ngspice simulation of a scene with two independent solutions.
 
-    There are two independent solutions. The first integrates the equations of the parts with their
-    reduced models in scipy. The second uses the full models.
+    The first independent solution integrates the equations of the parts in scipy, with the reduced
+    models of bodies. The second independent solution uses the full models of bodies.
 
     Parameters
     ----------
@@ -368,7 +370,7 @@ def verify(
     >>> kc.verify(lamp)["passed"]
     True
     """
-    # imported here, because ``run`` does not need this module
+    # ``verify_scenes`` is imported here, because ``run`` does not need this module
     from kc2spice.workflow.verify.verify import verify_scenes
 
     loaded = load_scene(scene)
@@ -389,7 +391,7 @@ class Result:
     metrics : numbers by name, in the SI unit that ``record["metric_units"]`` states. An unknown
         name in ``metrics``, ``waves`` or ``units`` raises a KeyError that lists similar names.
     waves : arrays of shape (points,) in SI units, keyed by name, with one value for each point of
-        the ``scale``. In an ``ac`` analysis, the arrays are complex.
+        the ``scale``. The waves of an ``ac`` analysis are complex arrays.
     units : SI unit of each wave, by name.
     checks : checks of physical laws, such as conservation of energy, each with ``name``, ``value``,
         ``limit``, ``passed`` and ``advice``.
@@ -434,7 +436,7 @@ class Result:
         return self._require_scale("frequency")
 
     def _require_scale(self, scale: str) -> np.ndarray:
-        """Return the values of the variable ``scale``; reject a result over another variable."""
+        """Return the independent variable if its name is ``scale``; reject other names."""
         if self.scale != scale:
             raise UsageError(
                 f"this result is not a function of {scale}",
@@ -490,7 +492,8 @@ class Result:
         -------
         xarray.Dataset
             One variable for each wave in SI units, with its unit in ``attrs["units"]``. The
-            coordinate is time, frequency or the swept key. Complex waves stay complex.
+            coordinate of the dataset is time, frequency or the swept key. Complex waves stay
+            complex.
 
         Raises
         ------
@@ -514,9 +517,9 @@ class Result:
     def save(self, out: str | Path, *, png: bool = False) -> Path:
         """Write the files of ``kc2spice run`` into a directory and return its path.
 
-        The files are deck, libraries, waveforms, ``result.json`` and, for a scene, ``report.html``.
-        With ``png``, each figure is also written as a PNG file. Either all files are written to
-        ``out``, or no file is written.
+        The written files are deck, libraries, waveforms, ``result.json`` and, for a scene,
+        ``report.html``. With ``png``, each figure is also written as a PNG file. Either all files
+        are written to ``out``, or no file is written.
 
         Raises
         ------
@@ -589,8 +592,9 @@ def _make_result(
 class Table(tuple[dict[str, Any], ...]):
     """Table of a sweep: for each point, a mapping of column names to values.
 
-    The columns are the swept keys, the metrics that are single numbers, and ``status``. ``status``
-    is ``"ok"``, or ``"failed: "`` and the reason. The metrics of a failed point are None.
+    The columns of the table are the swept keys, the metrics that are single numbers, and
+    ``status``. ``status`` is ``"ok"``, or ``"failed: "`` and the reason. The metrics of a failed
+    point are None.
     """
 
     @property
@@ -701,8 +705,8 @@ def sweep(
 ) -> Table:
     """Run a scene at every combination of values; the last key varies fastest.
 
-    The points are the same as those of the command ``kc2spice sweep``. Unlike this function, the
-    command can continue an interrupted sweep.
+    This function and the command ``kc2spice sweep`` run the same points. Only the command can
+    continue an interrupted sweep.
 
     Parameters
     ----------

@@ -18,7 +18,7 @@ Package = Literal["PySpice", "InSpice"]
 def pyspice_subcircuit(part: Subcircuit, package: Package = "PySpice") -> Any:
     """Return a part as a subcircuit of PySpice or InSpice.
 
-    Add the result to a circuit by ``circuit.subcircuit(...)``, and instantiate the result by
+    Add the result to a circuit with ``circuit.subcircuit(...)``, and instantiate it with
     ``circuit.X(name, part.name, *nodes)``.
 
     Parameters
@@ -48,7 +48,7 @@ def pyspice_subcircuit(part: Subcircuit, package: Package = "PySpice") -> Any:
     >>> lamp.name, lamp.external_nodes
     ('lamp', ('plus', 'minus'))
     """
-    # hide log messages, because the output of the package contains the same text
+    # hide log messages, which only repeat the text that the package prints
     logging.getLogger(package).setLevel(logging.CRITICAL)
     parent = import_optional(f"{package}.Spice.Netlist", "pyspice_subcircuit").SubCircuit
 

@@ -1,1 +1,1 @@
-"""Linear models of devices (bodies) with named ports, made from dimensions, meshes or files."""
+"""Linear models of bodies with named ports, from dimensions, meshes or files."""

@@ -57,14 +57,14 @@ from kc2spice.rom.pencil import SchurComplement
 FREE_SHIFT_RATIO = 1e-3
 UP = np.array([0.0, 0.0, 1.0])
 # Steps of the computation for supported and for unsupported bodies, and their relative times.
-# The times were measured for piezoelectric blocks with 10 000 and 29 000 unknowns.
+# The computation times were measured for piezoelectric blocks with 10 000 and 29 000 unknowns.
 SUPPORTED_STEPS = ("assembly", 1.0), ("static responses and resonances", 2.6), ("mesh error", 3.8)
 FREE_STEPS = ("assembly", 1.0), ("static responses and resonances", 11.0), ("mesh error", 6.6)
 
 
 @dataclass(frozen=True, eq=False)
 class PortLoad:
-    """Port of a force or a pressure, and the distribution of its unit load over the nodes.
+    """Port of a force or a pressure, and the nodal forces of its unit load.
 
     ``weights`` (d nodes,) are the nodal forces of a unit load. ``facets`` are the facets on which a
     pressure acts.
@@ -76,7 +76,7 @@ class PortLoad:
 
 
 def make_pressure_load(port: Port, solid: Solid, facets: np.ndarray) -> PortLoad:
-    """Return a port for the pressure on the ``facets`` of a boundary, and its nodal forces.
+    """Return a port for the pressure on the ``facets``, and its nodal forces.
 
     The pressure p acts against the outward normal n: the nodal forces are ``-p int N n dS`` with
     the shape functions N. The output of the port is the displaced volume ``-int u n dS``.
@@ -93,9 +93,9 @@ def get_area_name(port: str) -> str:
 class RigidFace:
     """Face that moves as a rigid body, with ports for its motions.
 
-    ``ports`` contains pairs of a port and the motion that the port represents. The motions are
-    three translations (ux, uy, uz) and three rotations (rx, ry, rz). The rotations are about the
-    mean position of the face's nodes.
+    ``ports`` contains pairs of a port and the motion that the port represents. The motions of a
+    rigid face are three translations (ux, uy, uz) and three rotations (rx, ry, rz). The rotations
+    are about the mean position of the face's nodes.
     """
 
     nodes: np.ndarray
@@ -117,11 +117,12 @@ class BoundaryConditions:
     faces : rigid faces with ports of forces and moments.
     base : ports of base acceleration, and the direction (3,) of each port.
     graded : nodes whose potential is a fraction of the voltage at the first pin, and the fraction
-        of each node. Nodes have such potentials if planes of electrodes lie inside elements.
+        of each node. Nodes have fractions of the voltage if planes of electrodes lie inside
+        elements.
     lumped : additional mass [kg] at each node, an array of shape (nodes,).
     springs : additional stiffness matrix [N/m] of shape (d nodes, d nodes).
-    sectors : number of equal solids that move identically. One of these solids is meshed, and the
-        model represents all of these solids.
+    sectors : number of equal solids that move identically. One of the ``sectors`` solids is meshed,
+        and the model represents all ``sectors`` solids.
     damping : damping of the solid.
     """
 
@@ -140,12 +141,14 @@ class BoundaryConditions:
 
     @property
     def driven_electrodes(self) -> dict[str, np.ndarray]:
-        """Nodes of each electrode with an independent voltage, keyed by its pin."""
+        """Nodes of each electrode with an independent voltage, keyed by pin."""
         return {pin: n for pin, n in self.electrodes.items() if pin != self.reference}
 
 
 def make_device(solid: Solid, setup: BoundaryConditions) -> FiniteElementModel:
-    """Make the damped model of a solid with supports and ports, and its characteristic values.
+    """Make the damped model of a solid, and compute characteristic values.
+
+    The model has the supports and ports of the boundary conditions.
 
     Raises
     ------
@@ -223,8 +226,8 @@ def make_undamped_model(solid: Solid, setup: BoundaryConditions) -> FiniteElemen
 def _estimate_depoling_voltage(solid: Solid, setup: BoundaryConditions) -> float | None:
     """Estimate the voltage [V] that depolarises a ceramic of the solid.
 
-    At this voltage, the mean electric field along the shortest line from a driven electrode to the
-    reference electrode equals the lowest depoling field of the materials. At the edge of an
+    At the returned voltage, the mean electric field along the shortest line from a driven electrode
+    to the reference electrode equals the lowest depoling field of the materials. At the edge of an
     electrode, a lower voltage may depolarise the ceramic. Return None if the depoling field of a
     material is unknown.
     """
@@ -268,7 +271,7 @@ def _find_damping_frequency(model: LinearModel, damping: DampingKeys) -> float |
 def _add_damping(
     model: LinearModel, solid: Solid, P: sparse.csc_array, setup: BoundaryConditions
 ) -> LinearModel:
-    """Add Rayleigh damping to a model, or damping of each material according to its Q factor."""
+    """Add Rayleigh damping to a model, or damping by the Q factor of each material."""
     damping = setup.damping
     if not damping.per_material:
         return add_rayleigh_damping(model, damping)
@@ -283,16 +286,16 @@ def _add_damping(
         loss.append(1 / (material.quality * 2 * np.pi * first))
 
     def assemble_damping_term(beta: float, material: int | None = None) -> sparse.csc_array:
-        """Return the damping matrix of one material, or of all materials if ``material`` is None.
+        """Return the damping matrix of one ``material``, or of all materials if None.
 
-        The matrix is ``beta`` [s] times the stiffness matrix.
+        The damping matrix is ``beta`` [s] times the stiffness matrix.
         """
         K_uu = assemble_solid(solid, only=material).K_uu
         return beta * (P.T @ (setup.sectors * K_uu) @ P)
 
-    # The first term damps the whole body with the smallest factor beta of all materials.
-    # Further terms add the remaining damping of each material.
-    # With these terms, E and K have the same rounding errors in the first mode.
+    # The first damping term damps the whole body with the smallest factor beta of all materials.
+    # Further damping terms add the remaining damping of each material.
+    # With this choice of the first term, E and K have the same rounding errors in the first mode.
     least = min(loss)
     E = damping.alpha * model.M + assemble_damping_term(least)
     for number, beta in enumerate(loss):
@@ -302,15 +305,16 @@ def _add_damping(
 
 
 def spread_force(shares: np.ndarray, axis: np.ndarray, solid: Solid) -> np.ndarray:
-    """Return the nodal forces of a unit force along ``axis``, an array of shape (d nodes,).
+    """Return the nodal forces of a unit force along ``axis``.
 
-    ``shares`` is the share of the force at each node, an array of shape (nodes,).
+    The returned array has the shape (d nodes,). ``shares`` is the share of the force at each node,
+    an array of shape (nodes,).
     """
     return np.outer(shares, axis[solid.axis_indices]).ravel()
 
 
 def compute_rigid_translation(solid: Solid, axis: np.ndarray) -> np.ndarray:
-    """Return the nodal displacements of a rigid translation by the vector ``axis`` (3,).
+    """Return the nodal displacements of a rigid translation by ``axis`` (3,).
 
     The returned array has the shape (d nodes,).
     """
@@ -321,12 +325,12 @@ def compute_rigid_body_modes(solid: Solid, centre: np.ndarray) -> np.ndarray:
     """Return the nodal displacements of three translations and three rotations.
 
     The rotations are about ``centre``. The returned array has the shape (d nodes, 6). For a body of
-    revolution, it has only one column, for the translation along the axis.
+    revolution, the array has only one column, for the translation along the axis.
     """
     if solid.axisymmetric:
         return compute_rigid_translation(solid, UP)[:, None]
     arm = solid.node_positions.T - centre
-    turns = np.cross(np.eye(3)[:, None], arm[None])  # array of shape (axes, nodes, components)
+    turns = np.cross(np.eye(3)[:, None], arm[None])  # shape: (axes of rotation, nodes, components)
     moves = np.broadcast_to(np.eye(3)[:, None], turns.shape)
     return np.concatenate([moves, turns]).reshape(6, -1).T
 
@@ -366,7 +370,7 @@ def _constrain_displacements(
 def _constrain_potentials(
     K_pp: sparse.csc_array, setup: BoundaryConditions
 ) -> tuple[sparse.csc_array, sparse.csc_array, list[Port]]:
-    """Compute the matrices ``Q`` and ``R`` of ``phi = Q p + R V``, and the electrical ports."""
+    """Compute ``Q`` and ``R`` of ``phi = Q p + R V``, and the electrical ports."""
     live = K_pp.diagonal() > 0
     times_driven = np.zeros(len(live), int)
     for nodes in (*setup.electrodes.values(), *setup.floating):
@@ -437,7 +441,7 @@ def _find_pieces(solid: Solid, setup: BoundaryConditions) -> list[np.ndarray]:
 
 
 def _is_supported(solid: Solid, fixed: np.ndarray, pieces: Sequence[np.ndarray]) -> bool:
-    """Return whether the ``fixed`` displacements prevent all rigid-body modes of all pieces.
+    """Return whether the ``fixed`` displacements prevent all rigid-body modes.
 
     ``fixed`` is a mask of shape (d nodes,). ``pieces`` contains the nodes of each piece. A
     supported piece also supports other pieces at their common nodes.
@@ -501,7 +505,7 @@ class Block:
 
 @dataclass(frozen=True, eq=False)
 class BondedBlocks:
-    """Body of blocks that are bonded where they touch, with electrodes, ports and supports.
+    """Body of blocks bonded where they touch, with electrodes, ports and supports.
 
     Attributes
     ----------
@@ -558,7 +562,7 @@ class BondedBlocks:
 
     @property
     def depoling_voltage(self) -> float | None:
-        """Voltage [V] at which a ceramic of the body reaches its depoling field, None if unknown.
+        """Voltage [V] at which a ceramic reaches its depoling field; None if unknown.
 
         If there are floating electrodes between the ceramics, all ceramics have the same electric
         field.
@@ -613,7 +617,7 @@ class BondedBlocks:
         return result
 
     def _list_edges(self) -> np.ndarray:
-        """Return the ends of all blocks, electrodes, supports and ports along each axis [m].
+        """Return the ends [m] of all blocks, electrodes, supports and ports per axis.
 
         The returned array has the shape (axes, edges).
         """
@@ -706,7 +710,7 @@ def select_face(solid: Solid, face: RadiatingFace, near: float) -> np.ndarray:
 
 
 def _merge_edges(edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Sort the positions of edges, and merge positions that differ only by rounding errors.
+    """Sort the positions of edges; merge positions that differ by rounding errors.
 
     Return the sorted positions, and for each edge the index of its position in the sorted array.
     """
@@ -718,8 +722,8 @@ def _merge_edges(edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _mask_inside_box(box: Box, places: np.ndarray, near: float) -> np.ndarray:
     """Return a mask of the ``places`` that are inside a box or on its boundary.
 
-    ``places`` are points of shape (d, …). Points are on the boundary if their distance to it is
-    less than ``near`` [m].
+    ``places`` are points of shape (d, …). Points at a distance of less than ``near`` [m] from the
+    boundary count as points on the boundary.
     """
     low, high = np.array(box, dtype=float).T.reshape(2, -1, *[1] * (places.ndim - 1))
     return np.asarray(((places > low - near) & (places < high + near)).all(axis=0))

@@ -1,4 +1,4 @@
-"""Correction of the mesh error of a body's responses by additional cubic shape functions.
+"""Correction of the mesh error of a body by additional cubic shape functions.
 
 The cubic functions of :mod:`kc2spice.fem.enrichment` are added to the model ``S w = f`` of the
 displacements and potentials w, where ``S = [[K, C], [C', -P]]``. For a static response w of the
@@ -8,13 +8,13 @@ correction e_p of the response to a force, the corrections of capacitance, strok
 
     dC = e_v' S e_v,    d(stroke) = e_p' S e_v,    d(compliance) = e_p' S e_p.
 
-All corrections are computed in one space of few vectors (Galerkin, Rayleigh-Ritz). The corrected
+All corrections are computed in one low-dimensional space (Galerkin, Rayleigh-Ritz). The corrected
 frequency of a mode is the frequency of the eigenvector in this space that is nearest to the mode.
-Solutions for the residuals extend this space. Each of these solutions contains only the additional
-functions or only the unknowns of the mesh, alternately. If a support or electrode fixes all nodes
-of an edge or face, it also fixes the additional functions of this edge or face. Loads on the
-additional functions are neglected. Sources: R. E. Bank and R. K. Smith, SIAM J. Numer. Anal. 30
-(1993) 921; R. Becker and R. Rannacher, Acta Numerica 10 (2001) 1.
+In each round, solutions for the residuals extend the low-dimensional space. One solution contains
+only the additional functions, and the next solution only the unknowns of the mesh. If a support or
+electrode fixes all nodes of an edge or face, it also fixes the additional functions of this edge or
+face. Loads on the additional functions are neglected. Sources: R. E. Bank and R. K. Smith, SIAM J.
+Numer. Anal. 30 (1993) 921; R. Becker and R. Rannacher, Acta Numerica 10 (2001) 1.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class Corrections:
     products: np.ndarray
 
     def is_near(self, other: Corrections) -> bool:
-        """Return whether the frequencies and the energies of two corrections are nearly equal."""
+        """Return whether two corrections have nearly equal frequencies and energies."""
         pairs = (
             (self.frequencies, other.frequencies),
             (np.diag(self.products), np.diag(other.products)),
@@ -74,11 +74,12 @@ def correct_responses(
     sectors: int = 1,
     rounds: int = MAX_ROUNDS,
 ) -> Corrections:
-    """Compute corrections of the modes, and of the static responses to voltages and to a force.
+    """Compute the corrections of the modes and of the static responses.
 
-    In ``products`` of the returned object, the responses to voltages precede the response to a
-    force. The body consists of ``sectors`` equal solids, of which one is meshed. ``rounds`` is the
-    largest number of rounds of the iteration.
+    The static responses are responses to voltages and to a force. In ``products`` of the returned
+    object, the responses to voltages precede the response to a force. The body consists of
+    ``sectors`` equal solids, of which one is meshed. ``rounds`` is the largest number of rounds of
+    the iteration.
     """
     model, modes = enrich_model(device, answers.solve, sectors), answers.modes
     z = np.hstack([modes, answers.static, answers.pushed])
@@ -106,8 +107,8 @@ def correct_responses(
 class BlockMatrix(NamedTuple):
     """Matrix of four sparse blocks.
 
-    The first rows and columns are for the unknowns of the mesh. The last rows and columns are for
-    the unknowns of the additional functions.
+    The first rows and columns of the matrix are for the unknowns of the mesh. The last rows and
+    columns of the matrix are for the unknowns of the additional functions.
     """
 
     mesh: sparse.sparray
@@ -147,17 +148,17 @@ class EnrichedModel:
     solve_shifted: Callable[[np.ndarray], np.ndarray]
 
     def extend_responses(self, z: np.ndarray, voltages: np.ndarray) -> tuple[Pair, Pair]:
-        """Add zeros for the additional functions to responses of the mesh; compute the residuals.
+        """Extend responses of the mesh by zeros, and compute the residuals.
 
-        ``z`` of shape (n, k) contains the responses of the mesh under the ``voltages`` of shape (e,
-        k). Return two pairs of arrays with k columns. The first pair of arrays contains the
-        displacements and potentials of the responses; its rows for the additional functions are
-        zero. The second pair of arrays contains the residuals of the equations of displacements and
-        potentials.
+        The additional functions have the value zero in the extended responses. ``z`` of shape (n,
+        k) contains the responses of the mesh under the ``voltages`` of shape (e, k). Return two
+        pairs of arrays with k columns. The first pair of arrays contains the displacements and
+        potentials of the responses; its rows for the additional functions are zero. The second pair
+        of arrays contains the residuals of the equations of displacements and potentials.
         """
         K, lift = self.device.model.K, self.device.lift @ voltages
         p = np.zeros((self.P.mesh.shape[0], z.shape[1]))
-        if isinstance(K, SchurComplement):  # the block K.pp is -K_pp
+        if isinstance(K, SchurComplement):  # the block ``pp`` of K is the matrix -P
             load = K.pu @ z
             p = -K.inner_factor.solve(load + lift if len(lift) else load)
         (u, phi), more = self.device.compute_nodal_values(z, voltages), self.operators
@@ -168,8 +169,9 @@ class EnrichedModel:
         return shapes, (np.vstack([0.0 * z, r_u]), np.vstack([0.0 * p, r_p]))
 
     def solve_functions(self, residual: Pair) -> Pair:
-        """Solve for the unknowns of the additional functions; all unknowns of the mesh are zero.
-        The coupling C between displacements and potentials is included by one iteration.
+        """Solve for the unknowns of the additional functions.
+
+        All unknowns of the mesh are zero.
         """
         (z, r_u), (q, r_p) = self._split_blocks(residual)
         (of_u, of_p), C = self.factors, self.operators.C
@@ -180,7 +182,10 @@ class EnrichedModel:
         return np.vstack([0.0 * z, u]), np.vstack([0.0 * q, p])
 
     def solve_mesh(self, residual: Pair) -> Pair:
-        """Solve for the unknowns of the mesh; all unknowns of the additional functions are zero."""
+        """Solve for the unknowns of the mesh.
+
+        All unknowns of the additional functions are zero.
+        """
         ((z, more_u), (q, more_p)), K = self._split_blocks(residual), self.device.model.K
         if isinstance(K, SchurComplement):
             q = K.inner_factor.solve(q)
@@ -191,7 +196,7 @@ class EnrichedModel:
         return np.vstack([z, 0.0 * more_u]), np.vstack([q, 0.0 * more_p])
 
     def _split_blocks(self, pair: Pair) -> list[list[np.ndarray]]:
-        """Split displacements and potentials into the rows of the mesh and of the functions."""
+        """Split displacements and potentials into rows of the mesh and of the functions."""
         counts = self.K.mesh.shape[0], self.P.mesh.shape[0]
         return [np.vsplit(part, [count]) for part, count in zip(pair, counts, strict=True)]
 
@@ -210,7 +215,7 @@ def enrich_model(
     more = assemble_enrichment(enrichment, *_find_free_functions(device, enrichment)).scale(sectors)
     K, C, P = _get_mesh_blocks(model.K)
     to_u, to_phi = device.displacement, device.potential
-    if to_phi.shape[1] != P.shape[0]:  # here, some eliminated unknowns are not potentials
+    if to_phi.shape[1] != P.shape[0]:  # not all eliminated unknowns are potentials
         to_phi = sparse.csc_array((to_phi.shape[0], P.shape[0]))
     k, m, p = more.K_nodes @ to_u, more.M_nodes @ to_u, more.P_nodes @ to_phi
     return EnrichedModel(
@@ -242,8 +247,8 @@ def _find_free_functions(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return masks of the additional functions that are free unknowns.
 
-    The first mask is for displacements and has the shape (functions, d). The second mask is for
-    potentials and has the shape (functions,).
+    The first returned mask is for displacements and has the shape (functions, d). The second
+    returned mask is for potentials and has the shape (functions,).
     """
     solid, count = device.solid, enrichment.function_count
     nodes = solid.basis(1).element_dofs
@@ -275,7 +280,7 @@ def _mask_separate_unknowns(prolongation: sparse.csc_array) -> np.ndarray:
 def _number_electrodes(device: FiniteElementModel) -> np.ndarray:
     """Return the electrode number of each node, an array of shape (nodes,).
 
-    The number is -1 at nodes with a free potential.
+    The electrode number is -1 at nodes with a free potential.
     """
     rows = sparse.csr_array(device.potential)
     column = np.full((rows.shape[0], 1), -1.0)
@@ -292,8 +297,9 @@ def _number_electrodes(device: FiniteElementModel) -> np.ndarray:
 class _CorrectionSpace:
     """Spaces of displacements and of potentials in which the corrections are computed.
 
-    The basis vectors are orthonormal. The first basis vectors span the ``rigid`` modes and the
-    ``shapes`` of the other modes. The products of the basis vectors with K, M, C and P are stored.
+    The basis vectors of both spaces are orthonormal. The first basis vectors span the ``rigid``
+    modes and the ``shapes`` of the other modes. The products of the basis vectors with K, M, C and
+    P are stored.
     """
 
     def __init__(self, model: EnrichedModel, rigid: np.ndarray, shapes: Pair) -> None:
@@ -319,8 +325,8 @@ class _CorrectionSpace:
         """Compute the eigenvalues of the k modes in the space.
 
         Return the eigenvalues of shape (k,), and the weights of the basis vectors in the
-        eigenvectors. The weights are a pair of arrays for displacements and potentials, with k
-        columns each.
+        eigenvectors. The weights are two arrays with k columns each, for displacements and for
+        potentials.
         """
         if not self.modes.size:
             return np.zeros(0), (self.u.T[:, :0], self.p.T[:, :0])
@@ -358,7 +364,7 @@ class _CorrectionSpace:
         return Corrections(np.sqrt(self.solve_ritz()[0] / eigenvalues) - 1, products)
 
     def compute_residuals(self, loads: Pair) -> Pair:
-        """Compute the residuals of the corrected modes and of the corrected static responses."""
+        """Compute the residuals of the corrected modes and static responses."""
         values, (mode_u, mode_p) = self.solve_ritz()
         u, p = self.solve_galerkin(loads)
         return (

@@ -1,7 +1,8 @@
-"""Difference between the motions of a radiating face and of a piston, and the effect on sound.
+"""Differences between the motion of a radiating face and of a piston.
 
-An acoustic port represents a face only by its volume velocity. A face in an infinite baffle has the
-surface S and the normal velocity v. At the wave number k, its pressure in the far field is
+The differences change the radiated sound. An acoustic port represents a face only by its volume
+velocity. A face in an infinite baffle has the surface S and the normal velocity v. At the wave
+number k, the pressure of the face in the far field is
 
     p = j omega rho / (2 pi r) exp(-j k r) F,     F(direction) = int v exp(j k x . direction) dS.
 
@@ -12,9 +13,9 @@ sin(angle)``.
 
 Without a baffle, the sound of the back of a thin disc cancels the sound of the front. The disc of
 radius a then radiates as a dipole. At small k a, the field of the disc on the axis, relative to the
-field in a baffle, is ``k / 2 int v g dS / int v dS``. Here ``g = (4 / pi) (a^2 - r^2)^1/2`` is the
-potential difference across a rigid disc that moves at a velocity of 1 (H. Lamb, Hydrodynamics, 6th
-ed., section 102).
+field in a baffle, is ``k / 2 int v g dS / int v dS``. The function ``g = (4 / pi) (a^2 - r^2)^1/2``
+is the difference in velocity potential across a rigid disc that moves at a velocity of 1 (H. Lamb,
+Hydrodynamics, 6th ed., section 102).
 
 In a closed volume, the mean of v over the face compresses the fluid. The difference of v from its
 mean is a sum of the volume's cross modes psi_n with the amplitudes v_n. The cross modes do not
@@ -39,8 +40,9 @@ from scipy.special import j0, j1
 from kc2spice.bodies.undamped_models import FiniteElementModel
 
 FACE_QUADRATURE = 5  # highest polynomial degree that is integrated exactly over a face
-# Product of a cylinder's radius and its lowest cross wave number; key True: axisymmetric motions.
-# The product is the first positive zero of J1'(x), or of J1(x) for axisymmetric motions.
+# Radius of a cylinder times its lowest cross wave number; the key True is for axisymmetric motions.
+# This product of radius and wave number is the first positive zero of J1', or of J1 if
+# axisymmetric.
 CROSS_MODES = {False: 1.841183781340659, True: 3.831705970207512}
 # Numbers of directions at which the far field in a half-space is sampled.
 # At k a = 20, 30 polar angles would be sufficient.
@@ -49,7 +51,7 @@ POLAR_ANGLES, AZIMUTHS = 48, 32
 
 @dataclass(frozen=True, eq=False)
 class FaceMotion:
-    """Normal displacement of a face at integration points, for several motions of its body.
+    """Normal displacement of a face at integration points, for several motions.
 
     Attributes
     ----------
@@ -79,7 +81,7 @@ class FaceMotion:
 
     @property
     def piston_ratios(self) -> np.ndarray:
-        """Mean normal velocity of the face for each motion, relative to the rms normal velocity.
+        """Ratio of mean to rms normal velocity of the face, for each motion.
 
         The returned array has the shape (motions,). For a piston, the ratio is 1.
         """
@@ -97,7 +99,7 @@ class FaceMotion:
 
     @cached_property
     def _in_plane_coordinates(self) -> np.ndarray:
-        """Coordinates of the integration points in the plane of the face, relative to its centre.
+        """In-plane coordinates of the integration points, relative to the face's centre.
 
         The returned array has the shape (2, points).
         """
@@ -108,8 +110,9 @@ class FaceMotion:
     def compute_far_field(self, wave_number: float, sines: np.ndarray) -> np.ndarray:
         """Return the far-field integral ``F`` of the normal displacement.
 
-        ``F`` is defined in the module docstring; the array has the shape (angles, azimuths,
-        motions). ``sines`` are the sines of the angles between the directions and the face's axis.
+        The docstring of this module defines ``F``. The returned array has the shape (angles,
+        azimuths, motions). ``sines`` are the sines of the angles between the directions and the
+        face's axis.
         """
         if self.axisymmetric:
             kernel = j0(wave_number * np.outer(sines, self.places[0]))[:, None]
@@ -138,8 +141,8 @@ class FaceMotion:
         """Return an upper bound of the mass that the near field adds to each motion.
 
         The fluid has the density 1 and fills a cylinder of the ``depth`` [m] in front of the face.
-        If a cross mode of the cylinder propagates, the bound is infinite. The returned array has
-        the shape (motions,).
+        If a cross mode of the cylinder propagates, the bound of the mass is infinite. The returned
+        array has the shape (motions,).
         """
         radius = np.sqrt(self.area / np.pi)
         cross = (CROSS_MODES[self.axisymmetric] / radius) ** 2 - wave_number**2
@@ -152,8 +155,9 @@ class FaceMotion:
     def compute_unbaffled_ratios(self, wave_number: float) -> np.ndarray:
         """Return the far field without a baffle, relative to the far field with a baffle.
 
-        The ratio is for the sound pressure on the axis of a thin body of revolution, for small k a;
-        the formula is in the module docstring. The returned array has the shape (motions,).
+        The returned ratio is for the sound pressure on the axis of a thin body of revolution, for
+        small k a. The docstring of this module contains the formula. The returned array has the
+        shape (motions,).
         """
         square = self.area / np.pi - self.places[0] ** 2
         potential = 4 / np.pi * np.sqrt(np.maximum(square, 0.0))

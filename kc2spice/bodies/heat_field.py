@@ -1,8 +1,8 @@
-"""Temperatures inside a body during a run, computed from the heat flows into its ports.
+"""Temperatures inside a body during a run, from the heat flows into its ports.
 
 The full model is projected on a Krylov basis. Each mode of the projected model has the equation
-``x' + x / t = g q`` with the time constant t and the heat flows q. The equation is integrated
-exactly for heat flows that are linear between samples.
+``x' + x / t = g q`` with the time constant t and the heat flows q. The equation of a mode is
+integrated exactly for heat flows that are linear between samples.
 """
 
 from __future__ import annotations
@@ -30,7 +30,10 @@ SLOW_RATE_RATIO = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class TemperatureField:
-    """Temperature rises at the nodes of a body: ``basis @ states[k]`` at the sample ``time[k]``."""
+    """Temperature rises at the nodes of a body during a run.
+
+    The temperature rises are ``basis @ states[k]`` at the sample ``time[k]``.
+    """
 
     heat: HeatModel
     time: np.ndarray
@@ -63,9 +66,10 @@ class TemperatureField:
 
 @dataclass(frozen=True, eq=False)
 class HotSpot:
-    """Highest temperature rise ``value`` [K] of a material, which occurs at ``instant`` [s].
+    """Highest temperature rise of a material.
 
-    ``curve`` is the temperature rise of the hottest node of the material at the times ``time``.
+    The temperature rise ``value`` [K] occurs at the ``instant`` [s]. ``curve`` is the temperature
+    rise of the hottest node of the material at the times ``time``.
     """
 
     material: str
@@ -78,7 +82,7 @@ class HotSpot:
 def recover_temperatures(
     heat: HeatModel, time: np.ndarray, flows: Mapping[str, np.ndarray]
 ) -> TemperatureField:
-    """Compute the nodal temperature rises that the heat flows into a body's ports cause.
+    """Compute the nodal temperature rises due to the heat flows into a body's ports.
 
     ``flows`` maps names of ports to waveforms of heat flows [W] at the times ``time`` [s]. A body
     with a thermal path to the ambient temperature starts in equilibrium with the first heat flows.

@@ -1,15 +1,15 @@
-"""Finite-element models of heat in solids, with pins for heat sources and temperatures.
+"""Finite-element models of heat in solids, with pins for heat and temperatures.
 
-The unknowns z are temperature rises above the ambient temperature: one for each free node, one for
-each isothermal face, and one for the fluid outside each film with a pin. The nodal temperature
-rises are ``T = P z``. With the matrices of :mod:`kc2spice.fem.heat_conduction`, the model is
+The unknowns z are temperature rises above the ambient temperature. Each free node, each isothermal
+face, and the fluid outside each film with a pin has one unknown. The nodal temperature rises are
+``T = P z``. With the matrices of :mod:`kc2spice.fem.heat_conduction`, the model is
 
     E = P'E_solid P,    K = P'(K_solid + sum_f h_f H_f + sum_i J_i / r_i) P + films with pins,
     E z' + K z = B q,   y = B' z.
 
 A heat source distributes its heat flow q evenly over a group of elements or facets. The temperature
-at the pin of the source is the mean temperature of this group. E and K are symmetric and positive
-semi-definite, so the model is passive.
+at the pin of the source is the mean temperature of this group of elements or facets. E and K are
+symmetric and positive semi-definite, so the model is passive.
 """
 
 from __future__ import annotations
@@ -33,11 +33,12 @@ from kc2spice.fem.heat_conduction import (
 from kc2spice.fem.solid import sum_matrices
 from kc2spice.rom.linear_model import LinearModel, Port
 
-HEAT_CAPACITY_NAME = "heat_capacity_j_per_k"  # key in `facts` of the body's total heat capacity
-# key in `facts` of the frequency up to which the mesh resolves the response
+HEAT_CAPACITY_NAME = "heat_capacity_j_per_k"  # name of the total heat capacity in `facts`
+# name in `facts` of the highest frequency that the mesh resolves
 MESH_LIMIT_NAME = "mesh_limit_hz"
-# Error of a thermal resistance estimated from recovered heat flows, relative to its true error.
-# Much finer meshes yield 0.32 for uniform heat flow into a disc, and 0.42 for an isothermal disc.
+# Ratio of estimated error (from recovered heat flows) to true error of a thermal resistance.
+# Comparison with much finer meshes yields the ratio 0.32 for uniform heat flow into a disc, and
+# 0.42 for an isothermal disc.
 RECOVERED_SHARE = 0.35
 # the key of a port's thermal resistance is RESISTANCE_PREFIX + PORT + "_k_per_w"
 RESISTANCE_PREFIX = "thermal_resistance_"
@@ -148,9 +149,10 @@ def _get_resistance_name(port: Port) -> str:
 
 
 def compute_static_resistances(model: LinearModel) -> dict[str, float]:
-    """Return the thermal resistance of each port: its temperature rise for 1 W into this port.
+    """Return the thermal resistance [K/W] of each port.
 
-    The returned mapping is keyed by the names ``thermal_resistance_PORT_k_per_w``.
+    The thermal resistance is the temperature rise of the port for a heat flow of 1 W into this
+    port. The returned mapping is keyed by the names ``thermal_resistance_PORT_k_per_w``.
     """
     response = model.transfer(np.zeros(1))[0].real
     pairs = zip(model.ports, np.diag(response), strict=True)
@@ -161,8 +163,8 @@ def _find_highest_frequency(solid: HeatSolid) -> float:
     """Return the highest frequency [Hz] that the mesh resolves.
 
     A temperature that varies like ``sin(pi x / h)`` in an element of the size h decays at the rate
-    ``k pi^2 / (rho c h^2)``. The returned frequency is the decay rate in the smallest element,
-    divided by ``2 pi``.
+    ``k pi^2 / (rho c h^2)``. The highest resolved frequency is the decay rate in the smallest
+    element, divided by ``2 pi``.
     """
     mesh, result = solid.geometry.mesh, 0.0
     basis = solid.geometry.basis(1)
@@ -176,10 +178,10 @@ def _find_highest_frequency(solid: HeatSolid) -> float:
 
 
 def _constrain_temperatures(solid: HeatSolid, setup: HeatBoundaryConditions) -> sparse.csc_array:
-    """Return the matrix ``P`` that maps the unknowns z to nodal temperatures ``T = P z``.
+    """Return the matrix ``P`` of the nodal temperatures ``T = P z``.
 
-    The matrix has one row for each node. The first columns of the matrix are for the free nodes,
-    and the last columns for the isothermal faces.
+    The unknowns of the model are z. The matrix ``P`` has one row for each node. The first columns
+    of ``P`` are for the free nodes, and the last columns for the isothermal faces.
     """
     constraint_count = np.zeros(solid.node_count, int)
     constraint_count[setup.fixed] = 1
@@ -207,7 +209,7 @@ def _add_film_pin(
     solid: HeatSolid,
     film: HeatFilm,
 ) -> tuple[sparse.csc_array, sparse.csc_array, np.ndarray]:
-    """Add an unknown with a pin to the model: the fluid temperature ``a`` outside a film.
+    """Add the fluid temperature ``a`` outside a film as an unknown with a pin.
 
     The heat flow through the film is ``h int (T - a) dA``. Return the matrices E, K and B with the
     new unknown.

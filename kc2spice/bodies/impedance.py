@@ -1,17 +1,17 @@
 """Characteristic values that an impedance analyser displays for a resonance.
 
-The values are f_s, f_p, Q, coupling, capacitance and the elements of a Butterworth-Van Dyke (BVD)
-circuit. This circuit is a capacitor C0 in parallel with a branch of R, L and C in series.
-With s = j w, the admittance of the circuit is
+The characteristic values are f_s, f_p, Q, coupling, capacitance and the elements of a
+Butterworth-Van Dyke (BVD) circuit. A BVD circuit is a capacitor C0 in parallel with a branch of R,
+L and C in series. With s = j w, the admittance of the circuit is
 
     Y(s) = s C0 + s C / (1 + s R C + s^2 L C).
 
-The values are f_s = 1/(2 pi sqrt(L C)), f_p = f_s sqrt(1 + C/C0), Q = sqrt(L/C)/R and the effective
-coupling ``k^2 = 1 - (f_s/f_p)^2 = C/(C + C0)`` (IEEE Std 177-1966, IEEE Std 176-1987). The equation
-for Y becomes linear in its coefficients if it is multiplied by the denominator. The coefficients
-are fitted to the samples around the resonance. A few iterations update the weights of the samples
-(Sanathanan and Koerner, IEEE Trans. Autom. Control 8 (1963) 56). The fitted f_s can lie between the
-frequencies of the samples.
+The characteristic values are f_s = 1/(2 pi sqrt(L C)), f_p = f_s sqrt(1 + C/C0), Q = sqrt(L/C)/R
+and the effective coupling ``k^2 = 1 - (f_s/f_p)^2 = C/(C + C0)`` (IEEE Std 177-1966, IEEE Std
+176-1987). Multiplication by the denominator makes the equation for Y linear in the coefficients.
+The coefficients of Y are fitted to the samples around the resonance. A few iterations update the
+weights of the samples (Sanathanan and Koerner, IEEE Trans. Autom. Control 8 (1963) 56). The fitted
+f_s can lie between the frequencies of the samples.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ METRIC_UNITS = {
 
 
 def analyse_impedance(frequency: np.ndarray, impedance_ohm: np.ndarray) -> AnalyserValues:
-    """Return the characteristic values of the first resonance in samples of an impedance.
+    """Return the characteristic values of the first resonance of an impedance.
 
     The samples are at increasing frequencies [Hz]. The field ``capacitance_f`` is Im(Y)/w at 1 kHz
     or at a tenth of the resonance frequency, whichever is lower. If the frequency for
@@ -115,8 +115,8 @@ def _require_resonance(
 ) -> None:
     """Reject a fitted circuit if the maximum of the conductance is not a resonance.
 
-    Dielectric losses also cause maxima of the conductance, as do rounding errors in a body without
-    losses.
+    Dielectric losses, and rounding errors in a body without losses, also cause maxima of the
+    conductance.
     """
     branch = bvd.admittance(f) - 2j * np.pi * f * bvd.c0_f
     # the conductance without the R-L-C branch is due to dielectric loss and other modes
@@ -167,10 +167,10 @@ def _select_window(f: np.ndarray, Y: np.ndarray) -> slice:
 
 
 def _fit_circuit(f: np.ndarray, Y: np.ndarray) -> BVD:
-    """Fit a Butterworth-Van Dyke circuit to samples of Y by weighted linear least squares.
+    """Fit a Butterworth-Van Dyke circuit to samples of Y by linear least squares.
 
-    The frequencies f are scaled by their mean, and the admittances Y by their largest magnitude.
-    The least-squares problem determines the coefficients of the equation
+    The samples are weighted. The frequencies f are scaled by their mean, and the admittances Y by
+    their largest magnitude. The least-squares problem determines the coefficients of the equation
 
         Y (1 + a s + b s^2) = s C + (s C0 + s^2 g)(1 + a s + b s^2).
 

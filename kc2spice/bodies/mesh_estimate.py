@@ -1,24 +1,25 @@
-"""Estimates of the errors that a body's mesh causes in frequencies and static responses.
+"""Estimates of the errors of frequencies and static responses due to the mesh.
 
-A is the energy product of displacements and potentials. The errors of frequencies, capacitances and
-strokes follow from three errors: e_w of a mode w, e_v of the response v to a voltage, and e_p of
-the response p to a force:
+``A(u, v)`` is the energy product of two fields u and v of displacements and potentials. The errors
+of frequencies, capacitances and strokes follow from three errors: e_w of a mode w, e_v of the
+response v to a voltage, and e_p of the response p to a force:
 
     df/f = -A(e_w, e_w) / (2 A(w, w)),   dC = A(e_v, e_v),   d(stroke) = A(e_p, e_v).
 
 On triangles, tetrahedra and quadrilaterals, each error e is estimated by the correction that cubic
 shape functions yield (:mod:`kc2spice.bodies.enriched_model`). At edges of electrodes and supports,
-the solution is singular, and it converges slowly as the polynomial degree rises. The cubic
-functions therefore correct only the share :data:`CORRECTED_SHARE` of the error. On hexahedra, cubic
-functions would need more time than the model itself. On hexahedra, e is the difference between
-recovered and computed strain and electric field (:mod:`kc2spice.fem.recovery`).
+the solution is singular and converges slowly as the polynomial degree rises. The cubic functions
+therefore correct only the share :data:`CORRECTED_SHARE` of the error. On hexahedra, cubic functions
+would need more time than the model itself. On hexahedra, e is the difference between recovered and
+computed strain and electric field (:mod:`kc2spice.fem.recovery`).
 
-In the error of a stroke, positive and negative contributions may cancel by chance. Therefore, the
-error estimate of a stroke is increased. On hexahedra, the sum of the absolute contributions of the
-elements is added with the factor :data:`ABSOLUTE_SHARE`. On other elements, the bound ``sqrt(A(e_p,
-e_p) A(e_v, e_v))`` is added with the factor :data:`BOUND_SHARE`. All factors were determined by
-comparison with much finer meshes. ``tests/physics/test_mesh_error.py`` checks that an estimate is
-at least half and at most twice the error.
+In the error of a stroke, positive and negative contributions may cancel by chance. To prevent an
+underestimate, a second term is added to the error estimate of a stroke. On hexahedra, this term is
+:data:`ABSOLUTE_SHARE` times the sum of the absolute contributions of the elements. On other
+elements, this term is :data:`BOUND_SHARE` times the bound ``sqrt(A(e_p, e_p) A(e_v, e_v))``. The
+factors of both terms were determined by comparison with much finer meshes.
+``tests/physics/test_mesh_error.py`` checks that an estimate is at least half and at most twice the
+true error.
 """
 
 from __future__ import annotations
@@ -32,26 +33,27 @@ from kc2spice.core.mesh_error import MESH_ERROR_PREFIX
 from kc2spice.fem.recovery import compute_energy_products
 
 # Share of the energy error that cubic functions correct.
-# If a solution varies like r^0.5 at an edge, the share is 1 - (2/3)^2 = 0.56.
-# If a solution varies like r^0.7 at a clamp, the share is 0.68.
-# On the meshes of tests/physics/test_mesh_error.py, the share is 0.4 to 0.9.
+# If a solution varies like r^0.5 at an edge, the corrected share is 1 - (2/3)^2 = 0.56.
+# If a solution varies like r^0.7 at a clamp, the corrected share is 0.68.
+# On the meshes of tests/physics/test_mesh_error.py, the corrected share is 0.4 to 0.9.
 CORRECTED_SHARE = 0.6
 # Share of the error bound that is added to the error estimate of a stroke.
-# For energy products below bound / 10, the estimate without this share is half of the error.
+# If an energy product is below a tenth of the bound, the estimate without this share is half of the
+# error.
 BOUND_SHARE = 0.05
 # Factor of the sum of absolute element contributions in the error estimate of a static response.
-# In beams, the contributions cancel: the sum of the signed contributions is 0.3 of the error.
+# In beams, the contributions of elements partly cancel: their signed sum is 0.3 of the error.
 ABSOLUTE_SHARE = 1 / 3
 MIN_CORRECTION_RATIO = 0.1  # smallest corrected value, relative to the uncorrected value
 # Smallest relative mesh error that a model states.
-# Smaller errors are rounding errors or errors of ports.
+# Smaller estimates are rounding errors, or are due to ports.
 MIN_STATED_ERROR = 1e-4
 
 
 def estimate_mesh_errors(
     device: FiniteElementModel, answers: UndampedResponses, sectors: int = 1
 ) -> dict[str, float]:
-    """Estimate the relative errors that the mesh causes in characteristic values of a body.
+    """Estimate the relative mesh errors of characteristic values of a body.
 
     Return a mapping of names to relative errors. Each name is :data:`MESH_ERROR_PREFIX` followed by
     ``resonance``, ``modes``, ``capacitance``, ``stroke`` or ``compliance``. The error of ``modes``
@@ -86,8 +88,9 @@ def _estimate_by_enrichment(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Estimate errors of frequencies and static responses by cubic shape functions.
 
-    Return two arrays: the relative frequency change of each mode, of shape (modes,), and the energy
-    product of the errors of each pair of static responses, of shape (a, a).
+    Return two arrays. The first array, of shape (modes,), contains the relative frequency change of
+    each mode. The second array, of shape (a, a), contains the energy product of the errors of each
+    pair of static responses.
     """
     corrections = correct_responses(device, answers, sectors)
     products = corrections.products
@@ -99,9 +102,9 @@ def _estimate_by_enrichment(
 def _estimate_by_recovery(
     device: FiniteElementModel, answers: UndampedResponses, sectors: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Estimate errors of frequencies and static responses by recovered strains and fields.
+    """Estimate errors of frequencies and responses by recovered strains and fields.
 
-    Return the same quantities as :func:`_estimate_by_enrichment`.
+    The returned quantities are the same as in :func:`_estimate_by_enrichment`.
     """
     n, volts = answers.modes.shape[1], answers.static.shape[1]
     z = np.hstack([answers.modes, answers.static, answers.pushed])
@@ -121,5 +124,5 @@ def _add_in_quadrature(values: np.ndarray, others: np.ndarray) -> np.ndarray:
 
 
 def _convert_to_relative_error(change: float) -> float:
-    """Convert a relative change of a value to an error relative to the corrected value."""
+    """Convert a relative change to an error relative to the corrected value."""
     return float(max(abs(change) / max(1 + change, MIN_CORRECTION_RATIO), MIN_STATED_ERROR))

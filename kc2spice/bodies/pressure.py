@@ -1,10 +1,10 @@
-"""Pressure on the top of a stack: a contact port that converges as the mesh is refined.
+"""Contact pressure on a stack: a port that converges as the mesh is refined.
 
 A force on a circle of mesh nodes is a line load. The indentation under a line load grows without
 bound as the mesh is refined. In this module, contact pressures are sums of basis functions that are
-piecewise linear in the radius (P1). The displacement of a basis function is the average of the
-surface displacement, weighted with this function. The mesh of the whole stack is too coarse for
-these functions. The contact port of the whole stack is therefore a patch with the pressure of a
+piecewise linear in the radius (P1). The displacement of a basis function is the average surface
+displacement, weighted with the function. The mesh of the whole stack is too coarse for the basis
+functions of the pressure. The contact port of the whole stack is a patch with the pressure of a
 flat punch. Let S be the static compliance matrix (n, n) between the basis functions. If the force
 is divided among the functions in the shares ``w = S^-1 1 / (1' S^-1 1)``, all functions have the
 same displacement: ``S w = s 1``. The displacement of function i is
@@ -12,37 +12,37 @@ same displacement: ``S w = s 1``. The displacement of function i is
     u_i = u_patch + sum_j (S - s_patch 1 1')_ij F_j,     F_patch = sum_j F_j,
 
 where S is the compliance of a round stack of the same layers on a graded axisymmetric mesh.
-``s_patch`` is the compliance of the patch on the coarse mesh of the same round stack. The sum adds
-the compliance that the coarse mesh does not represent. The displacements of the round stack and of
-the real stack differ by a smooth function of the position, which is nearly equal for all basis
-functions. The port of the patch represents this difference between the two stacks, including its
-dynamics. ``S - s 1 1'`` is positive semi-definite, because s is the smallest compliance of all
-possible shares. A coarse mesh is too stiff, so that s_patch is smaller than s. Therefore, ``S -
-s_patch 1 1'`` is also positive semi-definite.
+``s_patch`` is the compliance of the patch on the coarse mesh of the same round stack. The sum over
+j adds the compliance that the coarse mesh does not represent. The displacements of the round stack
+and of the real stack differ by a smooth function of the position, which is nearly equal for all
+basis functions. The port of the patch represents this difference between the two stacks, including
+the dynamics of the difference. ``S - s 1 1'`` is positive semi-definite, because s is the smallest
+compliance of all possible shares. A coarse mesh is too stiff, so ``s_patch`` is smaller than s.
+Therefore, ``S - s_patch 1 1'`` is also positive semi-definite.
 
 Like residual modes (:mod:`kc2spice.rom.modal_models`), the local compliance has no inertia. The
 inertia of the patch is negligible, because the modes of the patch are above ten megahertz (speed of
-sound divided by the size of the patch). Therefore, the forces depend only on x, the indentation of
-a sphere relative to the patch. The sum of the forces is a function of x
+sound divided by the size of the patch). Therefore, the contact forces depend only on x, the
+indentation of a sphere relative to the patch. The sum of the contact forces is a function of x
 (:func:`fit_indentation_law`), which a circuit evaluates like the force of one spring.
 
 The other contact body may be a free elastic sphere (:class:`TransverselyIsotropicSphere`) with the
 same basis functions. The quadrilaterals in the mesh of the sphere are larger at larger distances
 from the lowest point of the sphere (the lower pole). Points in the half disc are ``zeta = r + i
 h``, where h is the height above the lower pole. The conformal map ``zeta = w / (1 - i w / 2R)``
-transforms the quarter plane ``w = 2R (tan x/2 + i tan y/2)`` to this half disc. Lines of constant
+transforms the quarter plane ``w = 2R (tan x/2 + i tan y/2)`` to the half disc. Lines of constant
 angles x (along the surface) and y (along the axis) cross at right angles everywhere. On the surface
 at the lower pole, the lines of the grid meet the nodes of the basis functions. The upper pole is at
-infinity in the quarter plane. The mesh omits a pit of the radius ``R / 30`` at the upper pole. This
-pit has 1e-5 of the sphere's mass.
+infinity in the quarter plane. The mesh omits a pit of the radius ``R / 30`` at the upper pole. The
+pit at the upper pole has 1e-5 of the sphere's mass.
 
 Displacements of the sphere are relative to its centre of mass. The rigid translation of the sphere
-along the axis is the vector t (n,), and its mass is ``m = t' M t``. The loads B of the ports are
-supplemented by the inertia forces that balance them: ``B - M t t' B / m``. Therefore, forces at the
-ports do not move the centre of mass. K would be singular for the rigid translation. A spring ``(M
-t) (M t)' w^2 / m`` makes K definite; the spring is represented by an unknown that is eliminated. No
-port force deforms this spring, and no output contains its deformation. A uniform force, such as
-weight, has no effect.
+along the axis is the vector t (n,), and its mass is ``m = t' M t``. Inertia forces that balance the
+loads B of the ports are added to these loads: ``B - M t t' B / m``. Therefore, forces at the ports
+do not move the centre of mass. K would be singular for the rigid translation. A spring ``(M t) (M
+t)' w^2 / m`` makes K definite; the spring is represented by an unknown that is eliminated. No port
+force deforms this spring, and no output contains its deformation. A uniform force on the sphere,
+such as weight, has no effect.
 """
 
 from __future__ import annotations
@@ -80,10 +80,10 @@ MIN_FUNCTIONS = 5
 LAW_DEGREE = 5  # degree of the force law's polynomial in the contact radius
 FIT_DEPTHS = 300  # number of indentations to which the force law is fitted
 # This share of the largest diagonal entry is added to all diagonal entries of a compliance matrix.
-# The sum of matrix and added diagonal entries is definite.
+# The addition makes the compliance matrix positive definite.
 REGULARISATION = 1e-7
 # Dimensionless frequency 2 pi f R / c of the lowest mode of a sphere of radius R.
-# Here, c is the speed of shear waves, and Poisson's ratio is 0.25 (Lamb 1882).
+# The speed of shear waves is c, and Poisson's ratio is 0.25 (Lamb 1882).
 OBLATE_FREQUENCY = 2.65
 MAX_CELL_ANGLE = 1 / 8  # rad, largest angle that a cell of the sphere's mesh spans
 PIT_ANGLE = 1 / 60  # rad, angle around the upper pole that the mesh omits
@@ -94,8 +94,8 @@ class PressureBasis(EqualByContent):
     """Basis functions of contact pressures: piecewise linear in the radius (P1).
 
     ``nodes`` [m] contains the radii of the nodes. Function j is 1 at node j and 0 at all other
-    nodes. The last node is the edge of the patch and has no function, because the pressure there is
-    zero.
+    nodes. The last node is the edge of the patch and has no function, because the pressure at the
+    edge is zero.
     """
 
     nodes: np.ndarray
@@ -109,8 +109,8 @@ class PressureBasis(EqualByContent):
     def mean_gap_radii(self) -> np.ndarray:
         """Radius [m] at which a paraboloid's gap equals its mean over each function.
 
-        The mean is weighted with the function. The square of the radius is therefore the weighted
-        mean of ``r^2``.
+        The mean gap is weighted with the basis function. The square of the returned radius is the
+        weighted mean of ``r^2``.
         """
         return np.asarray(np.sqrt(self._integrate_powers(2) / self._integrate_powers(0)))
 
@@ -137,8 +137,8 @@ def choose_pressure_basis(spacing: float, patch: float) -> PressureBasis:
     """Choose the nodes of a basis on a patch with the radius ``patch`` [m].
 
     Near the axis, the distance between two nodes is ``spacing`` [m]. Beyond a fifth of the patch
-    radius, the distance is proportional to the radius. In this way, each function has a similar
-    share of the force of a sphere.
+    radius, the distance between two nodes is proportional to the radius. With these distances, each
+    basis function has a similar share of the force of a sphere.
     """
     nodes = [0.0]
     while (
@@ -151,7 +151,7 @@ def choose_pressure_basis(spacing: float, patch: float) -> PressureBasis:
 
 @dataclass(frozen=True, eq=False)
 class LocalCompliance(EqualByContent):
-    """Compliance between basis functions, in addition to the compliance of the whole patch.
+    """Compliance of the basis functions in addition to that of the whole patch.
 
     ``compliance`` (n, n) [m/N] is the additional compliance matrix of the basis functions.
     ``patch`` [m/N] is the compliance of the patch.
@@ -162,9 +162,9 @@ class LocalCompliance(EqualByContent):
 
     @property
     def rigid_force_shares(self) -> np.ndarray:
-        """Shares of a force on the basis functions that give all functions equal displacements.
+        """Shares of a force that give all basis functions the same displacement.
 
-        The returned array has the shape (n,).
+        The returned array of n shares has the shape (n,).
         """
         result = np.linalg.solve(self.compliance + self.patch, np.ones(len(self.compliance)))
         return np.asarray(result / result.sum())
@@ -256,10 +256,10 @@ def compute_stresses_under_force(
 
 
 def _model_stack(chip: StackKeys, shape: PressureBasis, cells: int) -> FiniteElementModel:
-    """Model the round stack on a frictionless support, with a port for every basis function.
+    """Model the round stack on a frictionless support.
 
-    The size of the quadrilaterals increases with their distance from the basis functions. Every
-    face of a layer is a line of the mesh.
+    Every basis function has a port. The quadrilaterals of the mesh grow with the distance from the
+    basis functions. Every face of a layer is a line of the mesh.
     """
     ends = [cap.thickness if cap else 0.0 for cap in (chip.bottom_cap, chip.top_cap)]
     caps = [int(end > 0) for end in ends]
@@ -303,10 +303,10 @@ def _make_basis_ports(shape: PressureBasis) -> list[Port]:
 
 
 def _compute_basis_loads(solid: Solid, shape: PressureBasis, facets: np.ndarray) -> np.ndarray:
-    """Return the nodal loads of a unit axial force that is distributed like each basis function.
+    """Return the nodal loads of a unit axial force for each basis function.
 
     The force per projected horizontal area of the facets is proportional to the basis function.
-    The loads are an array of shape (2 nodes, n).
+    The nodal loads of the n basis functions are an array of shape (2 nodes, n).
     """
     basis = solid.make_facet_basis(facets, 5)
 
@@ -345,9 +345,9 @@ class IndentationLaw:
     """Contact force of a sphere as a function of its indentation x [m].
 
     The force is ``sum_k c_k s^(3 + k)`` [N] with ``s = sqrt(x / depth)``, where ``depth`` [m] is
-    the largest indentation of the law. Thus s is the contact radius divided by its maximum. The
-    first term of the sum is Hertz's law. The other terms represent effects of the layers and of the
-    size of the body.
+    the largest indentation of the law. Thus s is the contact radius divided by the largest contact
+    radius. The first term of the sum is Hertz's law. The other terms represent effects of the
+    layers and of the size of the body.
     """
 
     depth: float
@@ -367,11 +367,11 @@ def fit_indentation_law(
     ``compliance`` (n, n) [m/N] is the compliance matrix of the functions, and ``gap`` (n,) [m] is
     the initial gap between each function and the sphere. The basis functions come into contact one
     after another, so that the force is a piecewise linear function of the indentation with n
-    pieces. This force differs from the converged force by a relative error of up to a quarter of
-    (spacing / contact radius)^2. The work ``J = int F dx`` is a minimum over all pressures. The
-    error of J is therefore proportional to the squared errors of the pressures. A polynomial is
-    fitted to J at contact radii within which there are at least :data:`MIN_FUNCTIONS` basis
-    functions. The force law is the derivative of this polynomial.
+    pieces. The relative error of the piecewise linear force is at most a quarter of (spacing /
+    contact radius)^2. The work ``J = int F dx`` is a minimum over all pressures. The error of J is
+    therefore proportional to the squared errors of the pressures. A polynomial is fitted to J at
+    contact radii within which there are at least :data:`MIN_FUNCTIONS` basis functions. The force
+    law is the derivative of the fitted polynomial.
     """
     spacing, widest = shape.nodes[1], MAX_CONTACT_RATIO * shape.nodes[-1]
     # in Hertz's solution, the pressure at this radius is half of the largest pressure
@@ -393,8 +393,7 @@ def solve_contact_forces(compliance: np.ndarray, gap: np.ndarray, depth: np.ndar
     n). The compliance matrix is S, and ``g = x - gap`` is the overlap of sphere and surface. The
     forces are positive only where the sphere touches the surface: ``f >= 0``, ``S f >= g`` and
     ``f'(S f - g) = 0``. Forces that satisfy these three conditions minimise ``f'S f / 2 - f'g``.
-    With the factorisation ``S = L L'``, this function equals ``|L'f - L^-1 g|^2 / 2`` apart from a
-    constant.
+    With ``S = L L'``, minimisation of ``|L'f - L^-1 g|^2 / 2`` yields the same forces.
     """
     from scipy.optimize import nnls  # nnls is imported here, because ring contacts do not need it
 
@@ -413,7 +412,7 @@ class TransverselyIsotropicSphere:
 
     @property
     def oblate_frequency(self) -> float:
-        """Frequency [Hz] of the lowest mode, which alternates between oblate and prolate shapes.
+        """Frequency [Hz] of the lowest mode (alternately an oblate and a prolate shape).
 
         Poisson's ratio changes the frequency by at most 1 %.
         """
@@ -424,7 +423,7 @@ class TransverselyIsotropicSphere:
     def rayleigh_factors(self) -> tuple[float, float]:
         """Rayleigh damping factors ``alpha`` [1/s] and ``beta`` [s] of the sphere.
 
-        A damping ratio of the sphere applies at the frequency of its lowest mode.
+        If ``damping`` contains a damping ratio, the lowest mode of the sphere has this ratio.
         """
         return self.damping.compute_rayleigh_factors(self.oblate_frequency)
 
@@ -434,9 +433,9 @@ def make_sphere_model(
 ) -> LinearModel:
     """Make the model of a free sphere with the port ``patch``.
 
-    The direction of the port is upwards. ``shares`` (n,) are the shares of the port's force on the
-    basis functions. ``refine`` is the number of parts into which every cell is divided along each
-    axis. The module docstring describes the model.
+    The port ``patch`` is directed upwards. ``shares`` (n,) are the shares of the port's force on
+    the basis functions. ``refine`` is the number of parts into which every cell is divided along
+    each axis. The docstring of :mod:`kc2spice.bodies.pressure` describes the model of the sphere.
     """
     device, port = _make_free_sphere_model(body, shape, refine), Port(PATCH_PORT, TRANSLATION.port)
     facet_load = device.model.B @ shares[:, None]
@@ -453,7 +452,7 @@ def make_sphere_model(
 def compute_sphere_compliance(
     body: TransverselyIsotropicSphere, shape: PressureBasis, refine: int = 1
 ) -> LocalCompliance:
-    """Compute the compliance of the basis functions on a sphere, and of the whole patch."""
+    """Compute the compliance of a sphere at the basis functions and at the patch."""
     S = _compute_port_compliance(_make_free_sphere_model(body, shape, refine).model)
     patch = float(1 / np.linalg.solve(S, np.ones(len(S))).sum())
     return LocalCompliance(S - patch, patch)

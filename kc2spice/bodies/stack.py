@@ -1,16 +1,16 @@
 """Multilayer piezoelectric stack with ring-shaped contact ports on its top.
 
-One quarter of the stack is meshed, because all four quarters move in the same way. As in the paper
-(2.2.2), the nodes are on concentric circles, so that a force on a ring is exactly a sum of nodal
-forces. A *level* is a layer of elements of the mesh. A level contains one ceramic layer, or several
-ceramic layers as one medium if the key ``layers_per_element`` permits this. The electrodes
-determine the electric field in each ceramic layer. Therefore, m parallel layers at the same voltage
-are equivalent to one layer with m times the thickness, the coupling ``m e`` and the permittivity
-``m^2 eps``.
+One quarter of the stack is meshed, because all four quarters move in the same way. The nodes are on
+concentric circles, so that a force on a ring is exactly a sum of nodal forces. A *level* is a layer
+of elements of the mesh. A level contains one ceramic layer, or up to ``layers_per_element`` ceramic
+layers as one medium. The electrodes determine the electric field in each ceramic layer. Therefore,
+m parallel layers at the same voltage are equivalent to one layer with m times the thickness, the
+coupling ``m e`` and the permittivity ``m^2 eps``.
 
 Electrode planes with even numbers are the grounded cathode, and planes with odd numbers are the
-anode. The poling of the layers alternates: it is along -z above a cathode, so that a positive
-voltage at the anode lengthens every layer. Source: paper 2.2.2 and appendix A.2.
+anode. The poling of the layers alternates: the poling is along -z above a cathode, so that a
+positive voltage at the anode lengthens every layer. Source: section 2.2.2 and appendix A.2 of the
+paper (Schütz, Maeter and Bechtold, Actuators 10 (2021) 279).
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ SPARSE_BYTES = 700.0
 # largest distance between nodes that are regarded as one position, relative to the stack's size
 _POSITION_TOLERANCE = 1e-9
 # Order of the quadrature over a cell.
-# The order is high, because the slope of a pressure may jump inside the cell.
+# The order of the quadrature is high, because the slope of a pressure may jump inside the cell.
 _PRESSURE_QUADRATURE = 8
 
 Profile = tuple[np.ndarray, np.ndarray]
@@ -47,7 +47,7 @@ Profile = tuple[np.ndarray, np.ndarray]
 def make_stack(
     kick: StackKeys, breakdown: float | None = None, pressure: Profile | None = None
 ) -> FiniteElementModel:
-    """Make the model of the stack with the ports ``ring0``, ``ring1``, … and ``anode``.
+    """Make the model of the stack with ports ``ring0``, ``ring1``, … and ``anode``.
 
     The symmetry conditions are u_x = 0 on x = 0 and u_y = 0 on y = 0. A stack poled along x moves
     antisymmetrically in x, so that u_y = u_z = 0 on x = 0. The support of the bottom face z = 0
@@ -62,8 +62,8 @@ def make_stack(
     describe one quarter of the stack. A force on a whole ring is divided among the four quarters.
     Each quarter has the displacement of the whole ring. ``breakdown`` [V/m] is the breakdown field
     of a layer. If a ``pressure`` is given, the model has one mechanical port for this pressure
-    instead of the ring ports. ``pressure`` contains radii [m] and pressures. The pressure is linear
-    between the radii, and zero beyond the last radius.
+    instead of the ring ports. ``pressure`` contains radii [m], and the pressure at each radius. The
+    pressure is linear between two radii, and zero beyond the last radius.
 
     Raises
     ------
@@ -73,8 +73,8 @@ def make_stack(
     solid, setup = make_stack_setup(kick, breakdown, pressure)
     device = make_device(solid, setup)
     facts = dict(device.model.facts)
-    facts.pop("depoling_voltage_v", None)  # the user gives this limit by the key `rated_field`
-    facts["unknowns"] += 1  # the paper counts the anode as one unknown
+    facts.pop("depoling_voltage_v", None)  # the key `rated_field` limits the electric field
+    facts["unknowns"] += 1  # Schütz et al. (2021) count the anode as one unknown
     for name in [name for name in facts if name.endswith("_m_per_v")]:
         # data sheets of stacks state the stroke per 100 V
         facts[name.replace("_m_per_v", "_m_per_100v")] = 100 * facts.pop(name)
@@ -87,9 +87,9 @@ def make_stack_setup(
     """Make mesh, materials and boundary conditions of one quarter of the stack.
 
     The quarter has ``x >= 0`` and ``y >= 0``. The bottom face of the quarter, including the bottom
-    cap, is at ``z = 0`` (paper 2.2.2, Fig. 3b). Nodes are numbered plane by plane. In each plane,
-    the centre is first, followed by the nodes of each ring from the x axis to the y axis. Elements
-    are numbered from the bottom to the top.
+    cap, is at ``z = 0`` (Fig. 3b of Schütz et al. 2021). Nodes are numbered plane by plane. In each
+    plane of nodes, the centre is first, followed by the nodes of each ring from the x axis to the y
+    axis. Elements are numbered from the bottom to the top.
     """
     steps = kick.mesh.refine * kick.mesh.order
     (spans, heights), lattice = _divide_height(kick, steps), _place_nodes(kick, steps)
@@ -123,7 +123,10 @@ def make_stack_setup(
 
 
 def _divide_height(kick: StackKeys, steps: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the number of active layers in each level, and the heights [m] of all node planes."""
+    """Return the number of active layers in each level, and the node heights.
+
+    The node heights are the heights [m] of all node planes.
+    """
     spans, caps = choose_level_spans(kick), (kick.bottom_cap, kick.top_cap)
     counts = [choose_cap_layers(kick, cap) for cap in caps]
     below, above = (
@@ -157,10 +160,11 @@ def _make_hexahedra(
 
 
 def choose_level_spans(kick: StackKeys) -> np.ndarray:
-    """Choose the number of ceramic layers in each level of elements, from the bottom to the top.
+    """Choose the number of ceramic layers in each level of elements.
 
-    The number of ceramic layers in a level is at most ``layers_per_element``. Levels of several
-    layers are not thicker than :data:`LEVEL_GROWTH` times their depth below the top.
+    The levels are in the order from the bottom to the top. The number of ceramic layers in a level
+    is at most ``layers_per_element``. Levels of several layers are not thicker than
+    :data:`LEVEL_GROWTH` times their depth below the top.
     """
     spans: list[int] = []
     while (left := kick.layers - sum(spans)) > 0:
@@ -173,7 +177,7 @@ def choose_cap_layers(kick: StackKeys, cap: Cap | None) -> int:
     """Choose the number of element levels in a cap.
 
     A level in the cap is about as thick as an active layer. A cap has two to sixteen levels. The
-    number is 0 if there is no cap.
+    returned number of levels is 0 if there is no cap.
     """
     if cap is None:
         return 0
@@ -183,9 +187,9 @@ def choose_cap_layers(kick: StackKeys, cap: Cap | None) -> int:
 def _place_nodes(kick: StackKeys, steps: int) -> np.ndarray:
     """Return the x and y positions of the nodes of one plane.
 
-    The returned array has the shape (rings + 1, spokes + 1, 2). All nodes in its row 0 are at the
-    centre. Nodes divide arcs and straight edges into equal parts. Beyond the last contact ring, the
-    nodes of each spoke are on a straight line.
+    The returned array has the shape (rings + 1, spokes + 1, 2). All nodes in row 0 of the array are
+    at the centre. Nodes divide arcs and straight edges into equal parts. Beyond the last contact
+    ring, the nodes of each spoke are on a straight line.
     """
     mesh, half = kick.mesh, kick.half_widths
     along = np.linspace(0.0, 1.0, mesh.sectors * steps + 1)
@@ -200,7 +204,7 @@ def _place_nodes(kick: StackKeys, steps: int) -> np.ndarray:
     left = min(half) - mesh.rings * mesh.ring_spacing
     growth, count, ratio = 1.0, mesh.outer_rings, left / mesh.ring_spacing
     # The growth factor g solves: spacing (1 + g + ... + g^(count-1)) = remaining length.
-    # With this growth factor, the first outer ring has the spacing of the contact rings.
+    # With the growth factor g, the first outer ring has the spacing of the contact rings.
     if ratio > count > 1:
         from scipy.optimize import brentq  # brentq is imported here, because most meshes are cached
 
@@ -213,7 +217,7 @@ def _place_nodes(kick: StackKeys, steps: int) -> np.ndarray:
 def make_layer_materials(
     kick: StackKeys, spans: np.ndarray, breakdown: float | None = None
 ) -> tuple[tuple[Material, ...], np.ndarray]:
-    """Return the different materials of the stack, and for each level the index of its material.
+    """Return the materials of the stack, and the material index of each level.
 
     ``spans`` contains the number of ceramic layers in each level from the bottom to the top; the
     number is 0 in a cap.
@@ -250,7 +254,7 @@ def make_layer_materials(
 
 
 def _mask_fixed_displacements(kick: StackKeys, solid: Solid) -> np.ndarray:
-    """Return a mask of the nodal displacements that are fixed by symmetry or by the mounting.
+    """Return a mask of the displacements that symmetry or the mounting fixes.
 
     Entry ``3 node + axis`` of the mask is for the displacement of a node along an axis.
     """
@@ -267,7 +271,7 @@ def _mask_fixed_displacements(kick: StackKeys, solid: Solid) -> np.ndarray:
 def _find_electrodes(
     spans: np.ndarray, faces: np.ndarray, solid: Solid
 ) -> tuple[dict[str, np.ndarray], Profile | None]:
-    """Find the nodes on the electrodes, and the potentials of nodes between electrodes.
+    """Find the nodes on electrodes, and the potentials of nodes between electrodes.
 
     ``spans`` contains the number of ceramic layers in each level; the number is 0 in a cap.
     ``faces`` [m] contains the heights of the lower and upper faces of the levels. A level of
@@ -292,8 +296,8 @@ def _make_ring_forces(kick: StackKeys, solid: Solid) -> list[PortLoad]:
     """Make a unit force on each ring along z, or along x for a stack poled along x.
 
     At nodes on a symmetry plane, half of the force acts on the mirror image of the quarter. The
-    weights of the nodes of a ring add up to one. Therefore, the output of the ring's port is its
-    mean displacement (paper 2.2.2, eq. 8).
+    weights of the nodes of a ring add up to one. Therefore, the output of a ring's port is the mean
+    displacement of the ring (eq. 8 of Schütz et al. 2021).
     """
     shapes, (x, y, z), axis = [], solid.node_positions, np.eye(3)["xyz".index(kick.poling)]
     near = _POSITION_TOLERANCE * solid.node_positions.max()
@@ -307,7 +311,10 @@ def _make_ring_forces(kick: StackKeys, solid: Solid) -> list[PortLoad]:
 
 
 def _make_patch_force(solid: Solid, pressure: Profile) -> PortLoad:
-    """Return the nodal forces of a unit axial force on the top with the given pressure profile."""
+    """Return the nodal forces of a unit axial force with a ``pressure`` profile.
+
+    The force acts on the top of the stack.
+    """
 
     def pressure_load(v, w):  # type: ignore[no-untyped-def]
         """Return the integrand ``p v`` of the work of the pressure p."""
@@ -324,13 +331,14 @@ def _make_patch_force(solid: Solid, pressure: Profile) -> PortLoad:
 
 
 def make_springs(solid: Solid, kick: StackKeys) -> sparse.csc_array | None:
-    """Make the stiffness matrix of the springs under the bottom face and on the top face.
+    """Make the stiffness matrix of the springs on the bottom and top faces.
 
-    The matrix [N/m] is for one quarter of the stack. Return None if the stack has no springs.
+    The stiffness matrix [N/m] is for one quarter of the stack. Return None if the stack has no
+    springs.
     """
 
     def integrate_face_products(height: float) -> sparse.csc_array:
-        """Return the matrix ``int N_i N_j dA`` over the horizontal face at the ``height`` [m]."""
+        """Return the matrix ``int N_i N_j dA`` of the face at the ``height`` [m]."""
         basis = solid.make_facet_basis(_find_facets(solid, height), solid.quadrature_degree + 1)
         local = sparse.csc_array(BilinearForm(lambda u, v, _: u * v).assemble(basis))
         return (local + local.T) / 2

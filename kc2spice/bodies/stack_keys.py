@@ -1,4 +1,4 @@
-"""Keys of the multilayer chip: mesh, damping and geometry (paper 2.1, 2.2.2, A.2)."""
+"""Keys of the multilayer chip: mesh, damping and geometry (Schütz et al. 2021)."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from kc2spice.fem.materials import Material, find_material
 
 SECTORS = 4  # number of equal quarters of the chip; the mesh contains only one quarter
 PATCH_PORT = "patch"  # name of the port that replaces the ring ports if a pressure is given
-PAPER_CERAMIC = "THP51"  # ceramic of the chip in the paper
+PAPER_CERAMIC = "THP51"  # ceramic of the chip in Schütz et al. (2021)
 
 
 class ChipMesh(Section):
@@ -101,7 +101,7 @@ class ChipDamping(DampingKeys):
     """Keys of the losses of a chip.
 
     The damping ratio applies at the frequency ``at``. The default of ``at`` is the frequency for
-    the chip in the paper.
+    the chip of Schütz et al. (2021).
     """
 
     at: Frequency | tuple[Frequency, Frequency] | None = Field(
@@ -143,13 +143,13 @@ class Cap(Section):
     )
 
 
-DEFAULT_HEIGHT = 2e-3  # m, height of the stack in the paper
+DEFAULT_HEIGHT = 2e-3  # m, height of the stack in Schütz et al. (2021)
 
 
 def _compute_default_height(keys: dict[str, Any]) -> float:
     """Return the total height [m] of the active layers.
 
-    If the number of layers and the thickness of one layer are given, the height is their product.
+    If ``layers`` and ``layer_thickness`` are given, the height is the product of both.
     """
     layers, thickness = keys.get("layers"), keys.get("layer_thickness")
     return DEFAULT_HEIGHT if layers is None or thickness is None else float(layers * thickness)
@@ -161,8 +161,8 @@ class StackKeys(Section):
     The cross-section of the stack is a square with the side ``side``, a rectangle ``side`` (x)
     times ``depth`` (y), or a circle with the ``diameter``. ``height`` is the height of the active
     layers. If ``layer_thickness`` is given, the height is ``layers`` times ``layer_thickness``. The
-    electric field is along z. If the stack is poled along z, it becomes longer. If the stack is
-    poled along x, it shears, and the rings move along x.
+    electric field is along z. A stack that is poled along z becomes longer. A stack that is poled
+    along x shears, and its rings move along x.
     """
 
     side: Width = Field(3e-3, gt=0, description="Width of a rectangular stack along x")

@@ -1,6 +1,6 @@
 """Finite-element models of bodies, and their responses without damping.
 
-Capacitances, strokes per volt and the lowest resonances are computed from these responses.
+The undamped responses yield capacitances, strokes per volt and the lowest resonances.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ Operator = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class FiniteElementModel:
-    """Linear model of a solid, and the conversion of its unknowns to values at the nodes.
+    """Linear model of a solid, and the map from unknowns to nodal values.
 
     The unknowns z and the voltages V determine the values at the nodes. The displacements are ``u =
     displacement @ z``, an array of shape (d nodes,). The potentials are ``phi = potential @ p +
@@ -60,7 +60,7 @@ class FiniteElementModel:
         """
         phi, K = self.drive @ voltages, self.model.K
         if self.potential.shape[1]:
-            # K.pp is -K_pp: p = K_pp^-1 (K_up' z + lift V)
+            # the block ``pp`` of K is -K_pp: p = K_pp^-1 (K_up' z + lift V)
             phi = phi - self.potential @ K.inner_factor.solve(K.pu @ z + self.lift @ voltages)
         return self.displacement @ z, phi
 
@@ -95,8 +95,8 @@ def compute_undamped_responses(model: LinearModel, shift: float = 0.0) -> Undamp
 
     * the capacitance of each electrical port while the other electrical ports are shorted. The key
       of a capacitance contains the name of the port, except for the first port.
-    * the stroke per volt of the first mechanical port. The key of this stroke contains the name of
-      the port.
+    * the stroke per volt of the first mechanical port. The key of a stroke contains the name of the
+      mechanical port.
     * the lowest resonance that the electrical ports excite while all electrodes are shorted, and
       the lowest resonance while all electrodes are open. In a model without electrical ports, all
       ports except acoustic ports excite the modes. If all ports are acoustic, the acoustic ports
@@ -173,7 +173,7 @@ def _find_resonance(
     inverse = LinearOperator((n, n), matvec=solve, dtype=float)
     ports = [k for k in ports if model.B[:, k].any()]
     none = rigid = np.empty((n, 0))
-    if not ports:  # no port excites a body such as a dielectric that is not piezoelectric
+    if not ports:  # no port excites a mode, for example in a dielectric that is not piezoelectric
         return None, none, rigid
     static = np.array([solve(model.B[:, k]) for k in ports])
     start = (static / np.linalg.norm(static, axis=1, keepdims=True)).sum(axis=0)

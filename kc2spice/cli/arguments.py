@@ -1,7 +1,7 @@
 """Arguments and options of the command line.
 
 A key of ``PARAMETERS`` is the name of a parameter of a command function. If a parameter differs
-between commands, its keys have the form ``command.parameter``.
+between commands, the keys of the parameter have the form ``command.parameter``.
 """
 
 from importlib import resources
@@ -25,7 +25,7 @@ def _complete_scene_names(incomplete: str) -> list[str]:
 def _list_dialects() -> str:
     """Return the names of the built-in dialects, separated by commas.
 
-    The names are read from file names, because importing the printers takes 0.2 s.
+    The names of the dialects are read from file names, because importing the printers takes 0.2 s.
     """
     folder = resources.files("kc2spice") / "netlist" / "printers" / "dialects"
     stems = (item.name.removesuffix(".py") for item in folder.iterdir())

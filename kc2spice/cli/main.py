@@ -1,7 +1,8 @@
 """Command line: commands, progress and exit codes.
 
-Slow imports are inside the commands, so that ``--help`` prints without delay. For the same reason
-this module does not postpone annotations: typer would evaluate each annotation three times.
+Slow imports are inside the commands, so that ``--help`` prints without delay. This module does not
+postpone annotations, because typer would then evaluate each annotation three times, which delays
+``--help``.
 """
 
 import gc
@@ -89,10 +90,10 @@ app = typer.Typer(
 def run_command_line() -> None:
     """Run the command line and end the program."""
     # The matrices are sparse and small: threads of BLAS and ngspice mostly wait for each other. The
-    # variable must be set before numpy is loaded. A user's value is not changed.
+    # variables must be set before numpy is loaded. Values that the user has set are not changed.
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
-    # This setting skips a search of all installed packages for plugins.
+    # Pydantic then does not search all installed packages for plugins.
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")
     # Frequent garbage collections would take time, and free little memory: nearly all imported
     # objects exist until the program ends.
@@ -520,7 +521,7 @@ def _compare_methods(
 
 
 def _format_method_row(row: dict[str, Any]) -> tuple[str, ...]:
-    """Return the table row of a reduction method; if it failed, the row contains the reason."""
+    """Return the table row of a reduction method, with the reason of a failure."""
     cpu = f"{row['cpu_s']:.2g} s"
     if row["states"] is None:
         return row["method"], "-", row["reason"], "", cpu

@@ -25,7 +25,7 @@ from kc2spice.core.progress import ERROR_BUDGET, Progress, ignore_progress
 if TYPE_CHECKING:
     from kc2spice.report.html import PageSection
     from kc2spice.scene.keys import KeyDescription
-PIPED_COLUMNS = 80  # width of output that is not printed on a terminal
+PIPED_COLUMNS = 80  # characters, line width of output that is not printed on a terminal
 # largest numbers of metrics and rows in the summary of a run
 MAX_METRICS = 9
 MAX_ROWS = 13
@@ -57,7 +57,7 @@ class OutputRecipient:
 
 
 def _print_limits(stage: str, done: float | None, text: str) -> None:
-    """Print the limits of an error budget; ignore the progress of all other stages."""
+    """Print the limits of an error budget, but no progress of other stages."""
     if stage == ERROR_BUDGET:
         print(f"{stage}: {text}", file=sys.stderr)
 
@@ -104,7 +104,7 @@ def _show_progress_bars() -> Iterator[Progress]:
 
 
 def _describe_remaining_time(seconds: float) -> str:
-    """Describe a remaining time [s] in minutes and seconds; "" if the time is infinite.
+    """Describe a remaining time [s] in minutes and seconds; "" for an infinite time.
 
     >>> [_describe_remaining_time(time) for time in (75.2, -1.0, math.inf)]
     ['1:15 left', '0:00 left', '']
@@ -117,7 +117,7 @@ def _describe_remaining_time(seconds: float) -> str:
 
 @contextmanager
 def report_errors() -> Iterator[None]:
-    """Print one message for an exception of the block, and exit with the documented code."""
+    """Print one message for an exception, and exit with the documented code."""
     warnings.showwarning = lambda message, *_, **__: print(
         f"kc2spice: warning: {message}", file=sys.stderr, flush=True
     )
@@ -154,7 +154,7 @@ def report_errors() -> Iterator[None]:
 
 def _discard_stdout() -> None:
     """Discard further output on stdout."""
-    with contextlib.suppress(OSError, ValueError):  # ``sys.stdout`` may lack a descriptor
+    with contextlib.suppress(OSError, ValueError):  # ``sys.stdout`` may lack a file descriptor
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
@@ -169,7 +169,8 @@ def print_table(
 ) -> None:
     """Print a small table on stdout, as plain text if stdout is not a terminal.
 
-    Entries of the column ``names`` are never wrapped, so that readers can search and copy them.
+    Entries of the column ``names`` are never wrapped, so that readers can search for and copy each
+    entry.
     """
     from rich.console import Console
     from rich.table import Table
@@ -203,7 +204,10 @@ def print_tables(sections: Iterable[PageSection]) -> None:
 
 
 def print_result(result: Mapping[str, Any], directory: Path, *, verbose: bool = False) -> None:
-    """Print the result of a run in at most 15 lines; ``verbose`` adds all tables of the report."""
+    """Print the result of a run in at most 15 lines.
+
+    With ``verbose``, all tables of the report are also printed.
+    """
     from kc2spice.report.run_page import format_results, format_summary
 
     summary = format_summary(result, MAX_METRICS)

@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from kc2spice.core.errors import UsageError
 
 _PAIR_OPTION = "band"  # option with two values
-_LIST_OPTION = "vary"  # option that may be repeated; in Python, a list
+_LIST_OPTION = "vary"  # option that may be repeated; the Python argument is a list
 # A word after an option is its value if it contains a digit, a capital letter or an equals sign.
 # A word without such a character belongs to the sentence of the error.
 _WORD = r"(?:'[^']*'|(?=\S*[\dA-Z=])\S*[^\s,;:.)])"
@@ -85,7 +85,7 @@ def name_arguments(error: UsageError, overrides: str = "overrides") -> None:
 
 
 def _translate_error(error: UsageError, translate: Callable[[str], str]) -> None:
-    """Apply ``translate`` to the message, the expected values and the hint of an error."""
+    """Apply ``translate`` to the message, expected values and hint of an error."""
     error.message = translate(error.message)
     error.expected = error.expected and translate(error.expected)
     error.hint = error.hint and translate(error.hint)
@@ -93,7 +93,7 @@ def _translate_error(error: UsageError, translate: Callable[[str], str]) -> None
 
 @contextmanager
 def naming_arguments(overrides: str = "overrides") -> Iterator[None]:
-    """Replace command-line options by Python arguments in the errors of the ``with`` block."""
+    """Replace options by Python arguments in the errors of the ``with`` block."""
     try:
         yield
     except UsageError as error:
@@ -103,7 +103,7 @@ def naming_arguments(overrides: str = "overrides") -> Iterator[None]:
 
 @contextmanager
 def naming_options(names: Iterable[str]) -> Iterator[None]:
-    """Replace Python arguments by command-line options in the errors of the ``with`` block."""
+    """Replace Python arguments by options in the errors of the ``with`` block."""
     try:
         yield
     except UsageError as error:

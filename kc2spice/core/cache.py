@@ -1,7 +1,7 @@
 """Cache of expensive results on disk; the key of an entry is a hash of all inputs.
 
-An entry is an ``.npz`` archive, without pickle. It contains arrays, and one JSON text with the
-structure of the result. An entry is written under a temporary name and then renamed, so other
+An entry is an ``.npz`` archive, without pickle. An entry contains arrays, and one JSON text with
+the structure of the result. An entry is written under a temporary name and then renamed, so other
 processes read complete entries only. Checksums detect a damaged entry, which is then computed
 again.
 """
@@ -104,8 +104,11 @@ def load_or_build(
 
 @contextmanager
 def _lock_entry(path: Path) -> Iterator[None]:
-    """Prevent other processes from building the same entry, if the system has file locks."""
-    lock = path.with_name(f".{path.stem}.lock.part")  # old .part files are deleted
+    """Prevent other processes from building the same entry at the same time.
+
+    Without file locks, other processes are not prevented.
+    """
+    lock = path.with_name(f".{path.stem}.lock.part")  # old files with the suffix .part are deleted
     with ExitStack() as stack:
         with contextlib.suppress(OSError):
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -196,7 +199,7 @@ def _delete_unused_entries(root: Path) -> None:
 
 
 def _load_entry(path: Path, known: Mapping[str, type]) -> tuple[Any] | None:
-    """Return a tuple with the cached result, or None if the entry is missing or unreadable."""
+    """Return a tuple with the cached result; None for an unreadable entry."""
     if not path.exists():
         return None
     try:
@@ -209,13 +212,13 @@ def _load_entry(path: Path, known: Mapping[str, type]) -> tuple[Any] | None:
             f"the cache entry {path.name} is damaged and is computed again: {error}", stacklevel=3
         )
         return None
-    with contextlib.suppress(OSError):  # in a read-only cache, the time cannot be set
-        os.utime(path)  # records the time of the last use
+    with contextlib.suppress(OSError):  # the time of a read-only entry cannot be set
+        os.utime(path)  # records the time of the entry's last use
     return (result,)
 
 
 def _encode_value(value: Any, arrays: dict[str, np.ndarray], known: Mapping[str, type]) -> Any:
-    """Convert a value to a JSON structure, and append the arrays in the value to ``arrays``.
+    """Convert a value to a JSON structure; append its arrays to ``arrays``.
 
     A value that JSON cannot represent becomes ``{tag: …}`` with the name of its type as tag.
     """

@@ -1,8 +1,8 @@
-"""Table of the physical domains, with the quantities on their pins and the units of the quantities.
+"""Table of the physical domains, with the quantities and units of their pins.
 
 All code that depends on a domain reads :data:`TABLE`: model ports, branches of declarations,
 netlist pins, sources, symbols, netlist headers and energy balances. A new domain needs one new row
-of this table, and tests.
+of :data:`TABLE`, and tests.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from typing import Literal
 
-# Formulas of the power that enters a part through a pin, from the two quantities of the pin.
+# Formulas of the power that enters a part through a pin, with the two quantities of this pin.
 Power = Literal[
     "across * through",
     "d(across)/dt * through",
@@ -133,7 +133,7 @@ class Domain:
         return self.across.pin_unit, self.flow_unit
 
     def value_unit(self, letter: str) -> str:
-        """Return the unit of a V, I, R, C or L element's value; empty for SPICE's own units.
+        """Return the unit of a V, I, R, C or L value; empty for SPICE's own units.
 
         Examples
         --------
@@ -164,7 +164,10 @@ class Domain:
 
     @property
     def is_relaxing(self) -> bool:
-        """Whether responses decay without oscillation, because the domain (heat) has no inertia."""
+        """Whether responses decay without oscillation, because there is no inertia.
+
+        The thermal domain has no inertia.
+        """
         return self.power == "through"
 
     @property
@@ -174,7 +177,7 @@ class Domain:
 
     @property
     def law_pin_kind(self) -> str:
-        """Kind of the pins in the reference solver; ``signal`` for the domain acceleration."""
+        """Kind of the pins in the reference solver; ``signal`` for accelerations."""
         return "signal" if self.power == "velocity of the frame * through" else self.name
 
     @property
@@ -308,9 +311,10 @@ REFERENCES = frozenset({"ref", *(domain.reference for domain in TABLE if domain.
 
 
 def _list_quantities() -> dict[str, tuple[Domain, Side]]:
-    """Return the domain and the side of each quantity, keyed by the name of the quantity.
+    """Return the domain and the side of each quantity, keyed by quantity name.
 
-    The force is a quantity of two domains; the result contains the domain translation.
+    The force is a quantity of two domains; the returned mapping contains only the domain
+    translation.
     """
     result: dict[str, tuple[Domain, Side]] = {}
     for domain in CONSERVATIVE:
@@ -342,7 +346,7 @@ PIN_UNITS = tuple(_list_pin_units())
 def find_domain(unit: str, flow: str) -> Domain | None:
     """Return the domain of a pin from the units that 1 V and 1 A represent.
 
-    The result is None for signals and unknown units.
+    The returned domain is None for signals and unknown units.
 
     Examples
     --------
@@ -374,7 +378,7 @@ def find_across_quantity(unit: str) -> Quantity | None:
 
 
 def describe_units(units: Collection[str]) -> str:
-    """Describe what 1 V and 1 A mean in the domains that have one of these units.
+    """Describe what 1 V and 1 A mean in the domains that have one of the ``units``.
 
     Examples
     --------

@@ -50,7 +50,7 @@ def have_same_content(a: Any, b: Any) -> bool:
     >>> have_same_content((np.zeros(2), 1), (np.zeros(3), 1))
     False
     """
-    import numpy as np  # imported here, so that commands without arrays start faster
+    import numpy as np  # numpy is imported here, so that commands without arrays start faster
 
     if a is b:
         return True

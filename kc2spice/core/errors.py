@@ -1,4 +1,4 @@
-"""Exceptions with the place of the mistake, the faulty value, accepted values and a next step."""
+"""Exceptions with the place and value of a mistake, accepted values and a remedy."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any, NoReturn
 
-MAX_COMPARED_LENGTH = 200  # characters; longer words are not compared with other words
+MAX_COMPARED_LENGTH = 200  # characters of the longest word that is compared with other words
 MAX_CANDIDATES = 5  # largest number of candidates that an error lists
 # smallest number of letters and digits of a word that is searched for inside other names
 MIN_FRAGMENT_LENGTH = 4
@@ -196,7 +196,7 @@ def list_candidates(word: object, choices: Iterable[str], command: str | None = 
     names = list(choices)
     if len(names) <= MAX_CANDIDATES:
         return ", ".join(names)
-    import difflib  # imported here, because most errors do not need it
+    import difflib  # difflib is imported here, because most errors do not need it
 
     def compute_dissimilarity(name: str) -> float:
         """Return a measure of the difference between a name and the word."""
@@ -212,14 +212,14 @@ def did_you_mean(word: str, choices: Iterable[str]) -> str | None:
 
     Only the last parts of dotted keys are compared. Letter case is ignored.
     """
-    import difflib  # imported here, because most errors do not need it
+    import difflib  # difflib is imported here, because most errors do not need it
 
     if len(word) > MAX_COMPARED_LENGTH:
-        return None  # the time of a comparison is proportional to the square of the length
+        return None  # the time of a comparison is proportional to the square of the word's length
     choices = list(choices)
     owner, dot, _ = word.partition(".")
     same_owner = [choice for choice in choices if dot and choice.startswith(f"{owner}.")]
-    if same_owner and len(same_owner) < len(choices):  # names of the same part are more likely
+    if same_owner and len(same_owner) < len(choices):  # names of the same part are suggested first
         suggestion = did_you_mean(word, same_owner)
         last = word.rpartition(".")[2].lower()
         prefixes = [item for item in same_owner if last.startswith(item.rpartition(".")[2].lower())]

@@ -1,7 +1,7 @@
-"""Import of optional libraries, with an error that states how to install a missing library.
+"""Import of optional libraries, with an error that states how to install them.
 
 All imports of optional libraries go through :func:`import_optional`. ``pyproject.toml`` states the
-versions of these libraries.
+versions of the optional libraries.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class OptionalLibrary(NamedTuple):
     def installation_command(self) -> str:
         """Command that installs the library.
 
-        >>> OptionalLibrary("pyyeti", "nastran").install
+        >>> OptionalLibrary("pyyeti", "nastran").installation_command
         "pip install 'kc2spice[nastran]'"
         """
         name = self.package if self.extra is None else f"'kc2spice[{self.extra}]'"
@@ -71,7 +71,7 @@ def import_optional(module: str, where: str) -> Any:
     ------
     MissingToolError : The library is not installed or cannot be loaded.
     """
-    import numpy as np  # imported here, so that commands without arrays start faster
+    import numpy as np  # numpy is imported here, so that commands without arrays start faster
 
     top = module.partition(".")[0]
     library = OPTIONAL_LIBRARIES[top]

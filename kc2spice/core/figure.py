@@ -15,9 +15,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Curve(EqualByContent):
-    """Curve through points ``x``, ``y``: arrays of shape (n,) in the units of the panel's axes.
+    """Curve through points with coordinates ``x`` and ``y``.
 
-    A value that is not finite causes a gap in the curve.
+    The coordinates are arrays of shape (n,) in the units of the panel's axes. A value that is not
+    finite causes a gap in the curve.
 
     ``style``: a line (``-``, ``--``, ``:``), ``reference`` (dotted, in black), ``step`` (constant
     up to the next point), ``bar`` (bars without gaps), ``o`` (points), ``o-`` (points and a line).
@@ -48,11 +49,11 @@ class ColourMap(EqualByContent):
 
 @dataclass(frozen=True)
 class Panel:
-    """One pair of axes with curves, lines, shaded ranges, and a colour map behind the curves.
+    """One pair of axes with curves, lines, shaded ranges and a colour map.
 
-    ``levels`` are horizontal lines ``(value, label)``, ``bands`` shaded ranges ``(low, high,
-    label)``, and ``marks`` vertical lines ``(value, label)``. ``span`` is the range of the x axis.
-    With ``equal``, both axes have the same scale.
+    The colour map is behind the curves. ``levels`` are horizontal lines ``(value, label)``,
+    ``bands`` shaded ranges ``(low, high, label)``, and ``marks`` vertical lines ``(value, label)``.
+    ``span`` is the range of the x axis. With ``equal``, both axes have the same scale.
 
     ``x`` and ``y`` are labels of the axes, of the form ``quantity in unit``.
     """
@@ -75,8 +76,8 @@ class Figure:
     """Figure of stacked panels with a common x axis, or of panels in a grid.
 
     ``columns`` is the number of columns of the grid, in which each panel has a separate x axis.
-    ``name`` is the name of the file without suffix. ``main`` marks the most important figure of a
-    scene.
+    ``name`` is the name of the figure's file without suffix. ``main`` marks the most important
+    figure of a scene.
     """
 
     name: str
@@ -89,9 +90,10 @@ class Figure:
 
 @dataclass(frozen=True)
 class Shape:
-    """Shape in a side view: an upright rectangle, or a circle if ``round``; lengths in metres.
+    """Shape in a side view: an upright rectangle, or a circle if ``round``.
 
-    The rectangle is drawn as ``layers`` equal slices. The text ``label`` is drawn beside the shape.
+    All lengths are in metres. The rectangle is drawn as ``layers`` equal slices. The text ``label``
+    is drawn beside the shape.
     """
 
     x: float
@@ -105,11 +107,12 @@ class Shape:
 
 
 def select_window(t: np.ndarray, first: float, last: float) -> np.ndarray:
-    """Return a mask of the times from ``first`` to ``last``, and of one more time on each side.
+    """Return a mask of the times from ``first`` to ``last``.
 
-    The boolean mask has the same shape (n,) as the times ``t``.
+    The mask also contains one more time on each side. The boolean mask has the same shape (n,) as
+    the times ``t``.
     """
-    import numpy as np  # imported here, because most users of this module need no numpy
+    import numpy as np  # numpy is imported here, because few users of this module need numpy
 
     low, high = np.searchsorted(t, (first, last))
     inside = np.zeros(t.size, dtype=bool)
@@ -118,7 +121,7 @@ def select_window(t: np.ndarray, first: float, last: float) -> np.ndarray:
 
 
 def scale_time_axis(t: np.ndarray) -> tuple[str, float]:
-    """Return the label of a time axis, and the factor from seconds to the unit of the axis.
+    """Return the label of a time axis, and the factor from seconds to its unit.
 
     The unit is ms if the range of the times is at least 1 ms, otherwise µs.
     """
@@ -131,7 +134,7 @@ def format_axis_label(name: str, unit: str) -> str:
 
 
 def get_axis_label_and_factor(name: str, x: np.ndarray) -> tuple[str, float]:
-    """Return the label of the x axis, and the factor from SI units to the unit of the axis.
+    """Return the label of the x axis, and the factor from SI units to its unit.
 
     ``name`` is ``time``, ``frequency`` or a swept key, and ``x`` are its values in SI units.
     """

@@ -24,7 +24,7 @@ MAIN_SUFFIXES = (".cir", "verify.json", RESULT_FILE)
 _WORK_SUFFIX = ".part"
 _OTHER_DIRECTORY_HINT = "choose another --out"
 _SAFE_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,127}")
-_MAX_RECORD_BYTES = 10_000_000  # size of the largest ``result.json`` that is read
+_MAX_RECORD_BYTES = 10_000_000  # largest ``result.json`` that is read
 DISK_FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _ABANDONED_AGE = 60.0  # s, age at which an unlocked work directory is deleted
 
@@ -32,7 +32,8 @@ _ABANDONED_AGE = 60.0  # s, age at which an unlocked work directory is deleted
 def suggest_file(path: Path) -> str | None:
     """Suggest an existing file with a name similar to the name of a missing file.
 
-    Files with the same suffix have precedence. A TOML file is suggested only for a TOML file.
+    Files with the same suffix as the missing file have precedence. A TOML file is suggested only
+    for a TOML file.
     """
     names: list[str] = []
     with contextlib.suppress(OSError, ValueError):
@@ -48,8 +49,9 @@ def stage_directory(out: Path | str) -> Iterator[Path]:
     """Yield a work directory whose files move to ``out`` if the block succeeds.
 
     If the block raises an error, nothing is written, and earlier results in ``out`` stay
-    unchanged. The files are renamed while ``out`` is locked: two runs with the same output
-    directory publish their files one after the other, and no program reads an incomplete file.
+    unchanged. The files are renamed while ``out`` is locked. Two runs with the same output
+    directory therefore publish their files one after the other. No program reads an incomplete
+    file.
 
     Raises
     ------
@@ -69,7 +71,8 @@ def stage_directory(out: Path | str) -> Iterator[Path]:
     if not os.access(nearest, os.W_OK | os.X_OK):
         raise _make_write_error(typed, nearest, "no permission to write")
     # The work directory is created next to the output directory ``out`` if possible.
-    # The work directory is inside ``out`` if only ``out`` is writable, or if it is a mount point.
+    # The work directory is inside ``out`` if only ``out`` is writable, or if ``out`` is a mount
+    # point.
     if nearest == out and not os.path.ismount(out) and os.access(out.parent, os.W_OK):
         nearest = out.parent
     prefix = f".kc2spice.{out.name}."
@@ -95,7 +98,10 @@ def stage_directory(out: Path | str) -> Iterator[Path]:
 
 
 def _make_write_error(typed: str, directory: Path, reason: str) -> UsageError:
-    """Make the error for an output path that cannot be written; ``typed`` is the user's text."""
+    """Make the error for an output path that cannot be written.
+
+    ``typed`` is the user's text.
+    """
     return UsageError(
         "this path cannot be written",
         where=typed,
@@ -151,8 +157,8 @@ def _hash_file(path: Path) -> str:
 def list_earlier_files(out: Path) -> set[str]:
     """List the files in ``out`` that are unchanged since an earlier run.
 
-    The file ``result.json`` of the earlier run contains the hashes of its files. The list does not
-    contain
+    The file ``result.json`` of the earlier run contains the hashes of its files. The returned list
+    does not contain
 
     * files whose hash has changed,
     * files in sub-directories,
@@ -176,7 +182,10 @@ def list_earlier_files(out: Path) -> set[str]:
 
 
 def _rank_main_file(path: Path) -> int:
-    """Return the position of a file's suffix in :data:`MAIN_SUFFIXES`; -1 for other suffixes."""
+    """Return the position of a file's suffix in :data:`MAIN_SUFFIXES`.
+
+    The position of other suffixes is -1.
+    """
     return next((rank for rank, end in enumerate(MAIN_SUFFIXES) if path.name.endswith(end)), -1)
 
 
@@ -211,5 +220,5 @@ def lock_path(path: Path, *, wait: bool = True) -> Iterator[None]:
         fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
         yield
     finally:
-        fcntl.flock(handle, fcntl.LOCK_UN)  # a forked process may have inherited the handle
+        fcntl.flock(handle, fcntl.LOCK_UN)  # a forked process may have inherited the file handle
         os.close(handle)

@@ -1,8 +1,8 @@
-"""Signal handlers that end the program even during a long call of a numerical library.
+"""Signal handlers that end the program even during a long numerical call.
 
 Python handles a signal between two bytecode instructions, but the factorisation of a large matrix
-is one instruction that takes minutes. Therefore a separate thread waits for each signal. The thread
-ends the process and its children if the main thread does not begin to handle the signal.
+is one instruction that takes minutes. Therefore a separate thread waits for each signal. This
+thread ends the process and its children if the main thread does not begin to handle the signal.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import threading
 from collections.abc import Iterator
 from types import FrameType
 
-GRACE_PERIOD = 0.5  # s in which the main thread must begin to handle a signal
+GRACE_PERIOD = 0.5  # s, time within which the main thread must begin to handle a signal
 END_SIGNALS = ("SIGTERM", "SIGHUP")
 INTERRUPT_MESSAGE = b"kc2spice: interrupted; nothing was written\n"
 
@@ -25,12 +25,12 @@ def end_on_signals(grace: float = GRACE_PERIOD) -> Iterator[None]:
     """Convert signals to exceptions that stop simulators and remove files.
 
     Ctrl-C raises KeyboardInterrupt; SIGTERM and SIGHUP raise SystemExit. If the main thread does
-    not handle the signal within ``grace`` [s], the process ends immediately. The exit code is 128 +
+    not begin to handle a signal within ``grace`` [s], the process ends. The exit code is 128 +
     number of the signal in all cases. Signal handlers that the caller has set are not replaced.
 
     A KeyboardInterrupt that leaves the block ends the program with the exit code 130. After the
-    block, the signals are ignored. With restored handlers, a late signal could kill a program that
-    has already written all results, and change its exit code.
+    ``with`` block, the handled signals are ignored. Otherwise, a late signal could kill a program
+    that has already written all results, and change the exit code of the program.
     """
     try:
         signals = _handle_signals(grace)
@@ -46,7 +46,7 @@ def end_on_signals(grace: float = GRACE_PERIOD) -> Iterator[None]:
 
 
 def _handle_signals(grace: float) -> set[int]:
-    """Set the signal handlers, start the watching thread, and return the handled signals."""
+    """Set the signal handlers, start the watching thread, and return the signals."""
     handled = threading.Semaphore(0)
 
     def raise_interrupt(number: int, frame: FrameType | None) -> None:

@@ -1,4 +1,4 @@
-"""Errors about TOML tables that do not match their schema, each with one corrective action."""
+"""Errors about TOML tables that do not match their schema, with one remedy each."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ Explanation: TypeAlias = tuple[str, str | None, str | None]  # message, expected
 
 # Steps of a pydantic path that name a member of a union, such as ``dict[str,float]``, not a key.
 _UNION_MEMBER = re.compile(r"\]$|^(float|int|str|bool)$|^[A-Z]\w*Keys$")
-# Unit vectors of the coordinate axes, as TOML lists.
+# Unit vectors of the coordinate axes x, y and z, as TOML lists.
 _AXIS_VECTORS = {"x": "[1, 0, 0]", "y": "[0, 1, 0]", "z": "[0, 0, 1]"}
 _LIMIT_SIGNS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
 # Keys whose text must be one line, because a line break would begin a statement of the netlist.
@@ -42,7 +42,7 @@ _SINGLE_LINE_KEYS = ("title", "include")
 
 @dataclass(frozen=True)
 class _InvalidValue:
-    """Validation error of pydantic about one value, with the schema and the key of the value.
+    """Validation error of pydantic about one value, with its schema and key.
 
     ``path`` is the key in the scene. ``also`` are accepted keys in addition to the keys of
     ``schema``. ``missing`` are the required keys that the table of an unknown key lacks.
@@ -170,7 +170,10 @@ def _is_union_member(step: str | int) -> bool:
 
 
 def _find_typed_value(table: object, path: KeyPath, converted: Any) -> Any:
-    """Return the value that was typed at ``path``; ``converted`` if ``table`` lacks this path."""
+    """Return the value that was typed at ``path``.
+
+    If ``table`` lacks this path, ``converted`` is returned.
+    """
     if isinstance(converted, Mapping):
         return converted
     for step in path:
@@ -233,7 +236,7 @@ def _suggest_key(word: str, fields: Sequence[str]) -> str | None:
 
 
 def _suggest_described_key(word: str, table: type[BaseModel]) -> str | None:
-    """Suggest the key whose description contains ``word`` as its name in SPICE."""
+    """Suggest the key whose description states ``word`` as the name in SPICE."""
     described = re.compile(rf"\b{re.escape(word)} of the SPICE model", re.IGNORECASE)
     for name, field in table.model_fields.items():
         if described.search(field.description or ""):
@@ -249,7 +252,7 @@ def _suggest_synonym(word: str, fields: Sequence[str]) -> str | None:
 
 
 def _list_replacement_hints(table: type[BaseModel]) -> Mapping[str, str]:
-    """Return the hint for each unsupported key of a table, with the key to use in its place."""
+    """Return a hint for each unsupported key of a table: the key to use in its place."""
     return getattr(table, "unsupported_key_hints", {})
 
 
@@ -272,7 +275,7 @@ def _explain_missing(
 
 
 def _suggest_quantity(schema: type[BaseModel], path: KeyPath, unit: str) -> str:
-    """Return a plausible value of the key at ``path``: a power of ten within its range."""
+    """Return a plausible value of the key at ``path``, a power of ten in its range."""
     field = _find_field(schema, path)
     plausible = None if field is None else get_plausible_range(field)
     if plausible is None:
@@ -328,7 +331,7 @@ def _explain_number(invalid: _InvalidValue) -> Explanation:
 
 
 def _explain_text(invalid: _InvalidValue) -> Explanation:
-    """Explain the error that a value is not a text."""
+    """Explain the error that a value is not a string."""
     return "not a text", "a text in quotes", f'for example  {invalid.path[-1]} = "NAME"'
 
 
@@ -519,7 +522,7 @@ def _find_value_key(schema: type[BaseModel], path: KeyPath, value: object) -> st
 
 
 def _find_field(schema: type[BaseModel], path: KeyPath) -> FieldInfo | None:
-    """Return the field of the key at ``path``; the indices of list entries are ignored."""
+    """Return the field of the key at ``path``; ignore the indices of list entries."""
     names = tuple(step for step in path if isinstance(step, str))
     return dict(list_keys(schema)).get(names)
 

@@ -1,6 +1,6 @@
-"""Constitutive equations (laws) of parts for the independent integrator.
+"""Constitutive equations (laws) of parts, which the reference solver integrates.
 
-A law consists of data in SI units and of pins with a name and a kind. It does not depend on a scene
+A law consists of data in SI units and of pins with a name and a kind. Laws do not depend on a scene
 or a netlist. The kind of a pin is the name of a domain (:mod:`kc2spice.core.domains`). All pins of
 a net share the *across* quantity of this domain, such as a voltage [V]. The *through* quantities
 into the parts, such as currents [A], sum to zero on each net. Pins of the kind ``signal`` have no
@@ -8,8 +8,8 @@ through quantity, and one pin of each net sets the signal.
 
 The module :mod:`kc2spice.reference.system` assembles bodies, sources and linear devices into
 constant matrices. Every law except bodies and sources is a :class:`Device`, which consists of
-smooth expressions and guard functions. The expressions are valid within a *mode*, which ends when a
-guard function reaches zero.
+smooth expressions and guard functions. The expressions of a device are valid within a *mode*, which
+ends when a guard function reaches zero.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ from kc2spice.core.waveforms import Function
 
 
 def _collect_names(domains: Iterable[Domain]) -> tuple[str, ...]:
-    """Return the names of domains."""
+    """Return the names of the given ``domains``."""
     return tuple(map(attrgetter("name"), domains))
 
 
 MECHANICAL = _collect_names(filter(attrgetter("has_position"), CONSERVATIVE))
 POTENTIALS = _collect_names(filter(attrgetter("has_potential"), CONSERVATIVE))
-# Kinds of ports whose input is a flow and whose output is a potential.
-# The flow into such a port is an unknown of the equations.
+# Kinds of ports with a flow as input and a potential as output.
+# The flow into a port of these kinds is an unknown of the equations.
 FLOW_DRIVEN = _collect_names(
     d for d in CONSERVATIVE if d.has_potential and d.input_side == "through"
 )
-# Kinds of ports whose input is a potential and whose output is the time integral of the flow.
+# Kinds of ports with a potential as input and the time integral of the flow as output.
 # For example, the output of an electrical port is a charge.
 CHARGE_OUTPUTS = _collect_names(filter(attrgetter("has_charge_output"), CONSERVATIVE))
 GROUND = "gnd"
@@ -49,9 +49,10 @@ GROUND = "gnd"
 
 @dataclass(frozen=True)
 class LawPin:
-    """Pin of a law, with a name and a kind.
+    """Pin of a law.
 
-    A ``grounded`` pin is connected to the reference if it is not joined to another pin.
+    The ``kind`` of a pin is the name of a domain, or ``signal``. A ``grounded`` pin is connected to
+    ground if the pin is not joined to another pin.
     """
 
     name: str
@@ -61,12 +62,12 @@ class LawPin:
 
 @dataclass(frozen=True)
 class WaveCombination:
-    """Result as a linear combination of the integrator's waves: ``sum factor wave + constant``.
+    """Result that is a linear combination of waves: ``sum factor wave + constant``.
 
     ``terms`` are pairs ``(factor, wave)``. If ``charge`` is true, an ac result is divided by ``j
     omega``, which converts a current to a charge. If ``rate`` is true, an ac result is multiplied
-    by ``j omega`` and by a :func:`compute_low_pass_response` with the corner frequency ``corner``
-    [rad/s]; in other analyses the result does not exist.
+    by ``j omega`` and by the response of :func:`compute_low_pass_response` with the corner
+    frequency ``corner`` [rad/s]. A result with a true ``rate`` exists only in ac analyses.
     """
 
     terms: tuple[tuple[float, str], ...]
@@ -85,10 +86,10 @@ class WaveCombination:
         return np.asarray(sum(factor * waves[wave] for factor, wave in self.terms))
 
     def evaluate(self, waves: Mapping[str, np.ndarray], scale: np.ndarray) -> np.ndarray | None:
-        """Evaluate the combination; for small signals, the constant is omitted.
+        """Evaluate the combination, without the constant if the waves are small signals.
 
-        ``scale`` are the times [s] or frequencies [Hz] of the waves. The function returns None if
-        ``rate`` is true and the waves are not small signals.
+        ``scale`` contains the times [s] or frequencies [Hz] of the waves. The function returns None
+        if ``rate`` is true and the waves are not small signals.
         """
         value = self.combine(waves)
         if not np.iscomplexobj(value):
@@ -102,9 +103,10 @@ class WaveCombination:
 def evaluate_combinations(
     combinations: Mapping[str, WaveCombination], waves: Mapping[str, np.ndarray], scale: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """Evaluate the combinations whose waves are all in ``waves``, and return the values by name.
+    """Evaluate the combinations whose waves are all in ``waves``.
 
-    ``scale`` are the times [s] or frequencies [Hz] of the waves.
+    The result is keyed by the name of the combination. ``scale`` contains the times [s] or
+    frequencies [Hz] of the waves.
     """
     result = {}
     for name, item in combinations.items():
@@ -116,35 +118,36 @@ def evaluate_combinations(
 
 
 def compute_low_pass_response(s: np.ndarray, corner: float) -> np.ndarray:
-    """Return the response of a second-order low-pass filter at complex frequencies ``s``.
+    """Return the response of a second-order low-pass filter at frequencies ``s``.
 
-    The response is ``1 / (1 + sqrt(2) s / w + (s / w)^2)`` with the corner frequency w [rad/s],
-    which may be infinite.
+    For complex frequencies ``s`` [rad/s], the response is ``1 / (1 + sqrt(2) s / w + (s / w)^2)``.
+    The corner frequency w [rad/s] may be infinite.
     """
     x = s / corner
     return np.asarray(1 / (1 + math.sqrt(2) * x + x**2))
 
 
 def scale_wave(wave: str, factor: float = 1.0, constant: float = 0.0) -> WaveCombination:
-    """Make the combination of ``factor`` times one wave, plus ``constant``."""
+    """Make the combination ``factor wave + constant``."""
     return WaveCombination(((factor, wave),), constant)
 
 
 def subtract_waves(plus: str, minus: str) -> WaveCombination:
-    """Make the combination of the wave ``plus`` minus the wave ``minus``."""
+    """Make the difference between the wave ``plus`` and the wave ``minus``."""
     return WaveCombination(((1.0, plus), (-1.0, minus)))
 
 
 @dataclass(frozen=True)
 class Equations:
-    """Laws of a part, with tables that map its pins and results to pins and waves of the laws.
+    """Laws of a part, with the relation of its pins and results to the laws.
 
     ``pins`` maps pins of the part to pins of the laws (``NAME.pin``). A pin of the part is not in
-    ``pins`` if another pin represents this pin, or if nothing acts on this pin. Two pins of the
-    part may correspond to one pin of a law: a netlist has a velocity node and a displacement node
-    for one coordinate of the law. ``nets`` are pins of the laws that are joined inside of the part.
-    ``results`` maps the part's results to combinations of waves. ``sweeps`` maps each key that a dc
-    analysis may sweep to the name of a source and the value of the source per SI unit of the key.
+    ``pins`` if another pin represents the pin, or if nothing acts on the pin. Two pins of the part
+    may correspond to one pin of a law. For example, the velocity node and the displacement node in
+    a netlist correspond to one coordinate of a law. Each item of ``nets`` lists pins of laws that
+    are joined inside of the part. ``results`` maps the part's results to combinations of waves. The
+    keys of ``sweeps`` are the scene keys that a dc analysis may sweep. Each value of ``sweeps``
+    contains the name of a source, and the source's value per SI unit of the scene key.
     """
 
     laws: tuple[Law, ...] = ()
@@ -156,22 +159,22 @@ class Equations:
 
 @dataclass(frozen=True)
 class MissingEquations:
-    """Reason why a part has no equations; ``verify`` prints it."""
+    """Reason why a part has no equations, which ``verify`` prints."""
 
     reason: str
 
 
 @dataclass(frozen=True)
 class LawPort:
-    """Port of a :class:`SecondOrderBody`, with one column of its matrix B and one row of C.
+    """Port of a :class:`SecondOrderBody`: one column of B and one row of C.
 
     The input and the output of a port depend on its kind:
 
     * electrical: voltage and charge; ``ret`` names the return pin,
     * acoustic: pressure and volume,
     * mechanical: force and displacement,
-    * ``acceleration``: acceleration [m/s^2] of the base, on a signal pin, and reaction force [N],
-      which the wave ``NAME.PORT.reaction`` contains.
+    * ``acceleration``: acceleration [m/s^2] of the frame, on a signal pin, and reaction force [N]
+      in the wave ``NAME.PORT.reaction``.
     """
 
     name: str
@@ -183,13 +186,13 @@ class LawPort:
 class SecondOrderBody:
     """Body with the equations ``M x'' + E x' + K x = B u`` and ``y = C x + D u``.
 
-    The ``pencil`` of ``model`` contains dense matrices of second-order differential equations or,
-    without M, of first-order equations. The unknowns x are unknowns of the complete system of
-    equations.
+    The ``pencil`` of ``model`` contains the dense matrices M, E and K. Without M, the differential
+    equations are of first order. The solver adds the unknowns x to the unknowns of the complete
+    system of equations.
 
-    A port with an entry in ``D`` must be electrical or acoustic, or this entry must be a positive
-    compliance. A heat model has the energy ``x^T E x / 2`` and the loss ``x^T K x``, like an RC
-    circuit with the same values.
+    An entry of ``D`` must belong to an electrical or acoustic port, or be a positive compliance. A
+    thermal model has the energy ``x^T E x / 2`` and the loss ``x^T K x``, like an RC circuit with
+    the same values.
     """
 
     name: str
@@ -203,7 +206,10 @@ class SecondOrderBody:
 
     @property
     def states(self) -> tuple[str, ...]:
-        """Names of ports whose flow is a state: heat ports, mechanical ports with a row of D."""
+        """Names of ports whose flow is a state.
+
+        The flow is a state at heat ports, and at mechanical ports with a nonzero row of D.
+        """
         pairs = zip(self.ports, self.model.D, strict=True)
         return tuple(
             port.name
@@ -213,14 +219,14 @@ class SecondOrderBody:
 
     @property
     def state_scales(self) -> tuple[float, ...]:
-        """Reference magnitude of each state, by which the error of the state is divided."""
+        """Reference magnitude of each state, by which its error is divided."""
         return (1e-3,) * len(self.states)
 
 
 def make_port_pins(ports: tuple[LawPort, ...]) -> tuple[LawPin, ...]:
-    """Make a :class:`LawPin` for each port, and for each return pin of a port.
+    """Make a pin for each port and for each return pin of a port.
 
-    Pins of ports of the kinds ``acceleration``, ``input`` and ``output`` are signals.
+    The pins of ``acceleration``, ``input`` and ``output`` ports are signal pins.
     """
     result: list[LawPin] = []
     for port in ports:
@@ -233,11 +239,12 @@ def make_port_pins(ports: tuple[LawPort, ...]) -> tuple[LawPin, ...]:
 
 @dataclass(frozen=True)
 class IdealSource:
-    """Source that prescribes a quantity between ``out`` and ``ret``.
+    """Ideal source that prescribes a quantity between its pins ``out`` and ``ret``.
 
     ``kind`` is ``signal`` or a quantity of :mod:`kc2spice.core.domains`, such as the ``voltage``
-    between the pins or the ``current`` out of the pin ``out``. A source of ``acceleration`` has a
-    signal pin. ``ac`` is the complex amplitude of the source in an ac analysis.
+    between the pins or the ``current`` out of the pin ``out``. A source of the kind
+    ``acceleration`` has only the pin ``out``, which is a signal pin. ``ac`` is the complex
+    amplitude of the source in an ac analysis.
     """
 
     name: str
@@ -271,10 +278,10 @@ class IdealSource:
 
 @dataclass(frozen=True)
 class AcrossInput:
-    """Input of a device: an across quantity or its rate.
+    """Input of a device: an across quantity, or the rate of an across quantity.
 
-    The across quantities of ``minus`` and ``less`` are subtracted from the across quantity of
-    ``pin``.
+    The across quantities of the pins ``minus`` and ``less`` are subtracted from the across quantity
+    of ``pin``.
     """
 
     pin: str
@@ -285,10 +292,10 @@ class AcrossInput:
 
 @dataclass(frozen=True)
 class Flow:
-    """Output of a device: a through quantity (flow) that enters the device at ``pin``.
+    """Output of a device: a through quantity (flow) that enters at ``pin``.
 
-    The flow leaves the device at ``minus``. A flow of equal size also leaves the device at
-    ``less``.
+    The flow leaves the device at the pin ``minus``. If ``less`` is given, an equal flow also leaves
+    the device at the pin ``less``.
     """
 
     pin: str
@@ -297,18 +304,18 @@ class Flow:
 
 
 class Device(ABC):
-    """Law as a function of inputs, rates and states; subclasses are frozen dataclasses.
+    """Law as a function of inputs and states; subclasses are frozen dataclasses.
 
-    Each device has a ``name``. The inputs ``e``, an array of shape (m,), contain the across inputs
-    and then the states. A mode may be any value. Within a mode, the law has the form::
+    Each device has a ``name``. The array ``e`` of shape (m,) contains the across inputs, followed
+    by the states. A value of any type identifies a mode. Within a mode, the law has the form::
 
         out = [through of each flow, rate of each state's store, value of each prescribed signal]
         d/dt store(e) = rate,   store(e) = the states themselves by default
 
-    Flows with an index in ``charged`` also contain the rates of further entries of ``store``. A
-    mode ends when a guard function is no longer positive. ``start`` contains the initial
-    values [m] and [m/s] of the first across input and of its rate. Without ``start``, the device
-    begins at equilibrium.
+    A flow with an index in ``storing_flow_indices`` also contains the rate of a further entry of
+    ``store``. A mode ends when a guard function is no longer positive. ``start`` contains the
+    initial value [m] of the first across input, and the initial rate [m/s] of this input. Without
+    ``start``, the device begins at equilibrium.
     """
 
     name: str
@@ -322,16 +329,16 @@ class Device(ABC):
     @property
     @abstractmethod
     def across_inputs(self) -> tuple[AcrossInput, ...]:
-        """Across quantities and rates that are inputs of the law."""
+        """Across quantities, and rates of across quantities, that are inputs of the law."""
 
     @property
     def flows(self) -> tuple[Flow, ...]:
-        """Through variables (force, current, heat flow) that the law applies to its ports."""
+        """Through quantities (force, current, heat flow) at the pins of the device."""
         return ()
 
     @property
     def storing_flow_indices(self) -> tuple[int, ...]:
-        """Indices of the flows that contain the rate of a stored quantity, such as a charge."""
+        """Indices of the flows that include the rate of a stored charge or momentum."""
         return ()
 
     @property
@@ -346,17 +353,17 @@ class Device(ABC):
 
     @property
     def state_scales(self) -> tuple[float, ...]:
-        """Reference magnitude [A, N] of each state, by which the error of the state is divided."""
+        """Reference magnitude [A or N] of each state, by which its error is divided."""
         return (1e-3,) * len(self.states)
 
     @property
     def is_affine(self) -> bool:
-        """Whether ``evaluate`` is affine in ``e`` within a mode."""
+        """Whether the outputs are affine functions of the inputs ``e`` within a mode."""
         return False
 
     @property
     def linear(self) -> bool:
-        """Whether the device has one mode, with affine ``evaluate`` and ``store``.
+        """Whether the device has one mode with affine outputs and stored quantities.
 
         The energy and the loss of a linear device are quadratic functions of its inputs.
         """
@@ -371,22 +378,22 @@ class Device(ABC):
 
     @abstractmethod
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the outputs and their derivatives by ``e``, arrays of shape (k,) and (k, m)."""
+        """Return the outputs (k,) and their derivatives (k, m) with respect to ``e``."""
 
     def evaluate_storage(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         """Return the stored quantities, and their derivatives with respect to ``e``.
 
-        The number of stored quantities is ``len(states) + len(charged)``.
+        The number of stored quantities is ``len(states) + len(storing_flow_indices)``.
         """
         k, m = len(self.states), len(e)
         return e[m - k :], np.eye(k, m, m - k)
 
     def evaluate_outputs(self, e: np.ndarray, mode: Any) -> np.ndarray:
-        """Return the outputs ``out``, an array of shape (k,), without their derivatives."""
+        """Return the outputs (k,) without derivatives."""
         return self.evaluate(e, mode)[0]
 
     def evaluate_stored_quantities(self, e: np.ndarray, mode: Any) -> np.ndarray:
-        """Return the stored quantities without their derivatives."""
+        """Return the stored quantities without derivatives."""
         return self.evaluate_storage(e, mode)[0]
 
     def small_signal_derivatives(
@@ -394,67 +401,74 @@ class Device(ABC):
     ) -> tuple[np.ndarray, np.ndarray]:
         """Compute derivatives for small signals ``exp(s t)`` at the operating point.
 
-        The first result contains the derivatives of ``out`` with respect to the inputs and has the
-        shape (k, m). The second result contains the derivatives of ``store`` and has the shape
-        (len(states), m). All derivatives are evaluated at the inputs ``e`` of the operating point.
-        The derivatives are complex if they depend on the frequency.
+        The first returned array (k, m) contains the derivatives of the k outputs with respect to
+        the m inputs. The second array contains the derivatives of the stored quantities, with one
+        row for each stored quantity. All derivatives are evaluated at the inputs ``e`` of the
+        operating point. The derivatives are complex if they depend on the frequency.
         """
         return self.evaluate(e, mode)[1], self.evaluate_storage(e, mode)[1]
 
     def noise(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray] | None:
-        """Compute the weights of the noise sources in ``out`` and in the stored quantities.
+        """Compute the weights of noise sources in the outputs and stored quantities.
 
-        Each of the two arrays has one row for each output or stored quantity, and one column for
-        each noise source. The noise density is ``4 k T`` times the squared weight, with
-        Boltzmann's constant ``k``. The result is None for a device without noise.
+        The first returned array has one row for each output, and the second array one row for each
+        stored quantity. The columns correspond to the noise sources. The noise density is ``4 k T``
+        times the squared weight, with Boltzmann's constant ``k``. The result is None for a device
+        without noise.
         """
         return None
 
     def find_initial_mode(self, e: np.ndarray) -> Any:
-        """Return the mode in which the device begins, at the inputs ``e``."""
+        """Return the initial mode of the device for the inputs ``e``."""
         return None
 
     def evaluate_guards(self, e: np.ndarray, mode: Any) -> np.ndarray:
-        """Return the values of the guard functions, which are positive within the mode."""
+        """Return the values of the guard functions, which are positive within ``mode``."""
         return np.empty(0)
 
     def find_next_mode(self, mode: Any, guard: int) -> Any:
-        """Return the mode that follows ``mode`` when the guard function ``guard`` reaches zero."""
+        """Return the mode that follows when a guard function reaches zero.
+
+        ``mode`` is the present mode, and ``guard`` the index of the guard function.
+        """
         return mode
 
     def limit_change(self, e: np.ndarray, last: np.ndarray) -> np.ndarray:
-        """Return the new inputs, with a limited change in one step of Newton's method.
+        """Return the new inputs after limiting the change of inputs in a Newton step.
 
-        ``e`` are the inputs of the new iterate, ``last`` the inputs of the last linearisation. A
-        law with an exponential function limits the difference of these inputs, so that the function
-        does not overflow.
+        ``e`` contains the inputs of the new iterate, and ``last`` the inputs of the last
+        linearisation. Laws with exponential functions limit the change from ``last`` to ``e``, so
+        that the functions do not overflow.
         """
         return e
 
     def require_in_range(self, t: float, e: np.ndarray) -> None:  # noqa: B027 (most laws have no limits)
-        """Raise SimulationError if the inputs at the time ``t`` are outside of the law's range."""
+        """Raise SimulationError if inputs are outside of the law's range.
+
+        ``t`` [s] is the time of the inputs ``e``.
+        """
 
     def energy(self, e: np.ndarray, mode: Any) -> float:
         """Compute the stored energy [J]."""
         return 0.0
 
     def loss(self, e: np.ndarray, mode: Any) -> float:
-        """Compute the power [W] that becomes heat; supplied power is negative."""
+        """Compute the dissipated power [W]; power that the device supplies is negative."""
         return 0.0
 
     @property
     def energy_forms(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """Matrices of the quadratic forms of a linear device's energy and loss; shape (m, m).
+        """Matrices (m, m) of the quadratic forms for energy and loss of a linear device.
 
-        A large device states these matrices in place of the methods ``energy`` and ``loss``.
+        Large devices define these matrices instead of the methods ``energy`` and ``loss``.
         """
         return None
 
 
 Law = SecondOrderBody | IdealSource | Device
 
-MICRO = 1e-6  # m, unit of displacements in the scaled equations
-GROWTH_RATE = 1e3  # 1/s, growth rate of the load on an unsupported body
+MICRO = 1e-6  # m, unit of displacement in the scaled equations
+GROWTH_RATE = 1e3  # 1/s, growth rate of the loads on an unsupported body
 
 
 @dataclass(frozen=True, eq=False)
@@ -463,7 +477,7 @@ class Relation:
 
     The array a has the shape (inputs,), and the array y the shape (outputs,). A relation describes
     a linear body in static equilibrium, at one frequency, or within one stage of an implicit time
-    step. In a time step, ``free`` is the effect of the body's earlier motion.
+    step. In a time step, ``free`` contains the outputs that the earlier motion of the body causes.
     """
 
     H: np.ndarray
@@ -472,18 +486,18 @@ class Relation:
 
 @dataclass(frozen=True, eq=False)
 class PortBody(Device):
-    """Linear model of any size, represented by a relation between its ports.
+    """Linear body with a model of any size, represented by a relation between ports.
 
-    The mode of the body is a :class:`Relation`. Loads are forces [N], voltages [V], accelerations
-    and signals, in the order of the ports with a column of B. Outputs are displacements [m],
-    charges [C] and signals, in the order of the rows of C. The forces and the currents i are
-    unknowns of the device. The equation for each force states that the displacement at the pin
-    equals the output ``y(a)`` for the loads a. The equation for each current i is ``dq(a)/dt = i``
-    with the charge q.
+    The mode of the body is a :class:`Relation`. The loads a are forces [N], voltages [V],
+    accelerations [m/s^2] and signals, in the order of the ports with a column of B. The outputs y
+    are displacements [m], charges [C] and signals, in the order of the rows of C. The forces and
+    the currents i are unknowns of the device. For each force, one equation states that the
+    displacement at the pin equals the output ``y(a)``. For each current i, the equation is
+    ``dq(a)/dt = i`` with the charge q.
 
-    The method ``transfer(s)`` of the model's ``pencil`` gives the static relation and the relation
-    at a frequency. The integrator computes the relations of time steps. ``responses`` contains the
-    matrices ``H(s)`` that were already computed, keyed by ``s``.
+    The method ``transfer(s)`` of the model's ``pencil`` computes the relation at the complex
+    frequency s, and with s = 0 the static relation. The integrator computes the relations of time
+    steps. ``responses`` contains all computed matrices ``H(s)``, keyed by ``s``.
     """
 
     name: str
@@ -518,7 +532,7 @@ class PortBody(Device):
 
     @property
     def states(self) -> tuple[str, ...]:
-        """Names of the through quantities that are unknowns."""
+        """Names of the through quantities that are unknowns of the device."""
         return tuple(f"{port.name}.through" for port in self._flow_ports)
 
     @property
@@ -530,8 +544,8 @@ class PortBody(Device):
     def _port_matrices(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Matrices ``load``, ``stored``, ``direct`` and ``output``, in this order.
 
-        With the inputs e of the device and the outputs y of the body, the loads are ``load @ e``,
-        the charges are ``stored @ y``, and ``out`` is ``direct @ e + output @ y``.
+        For the inputs e of the device and the outputs y of the body, the loads are ``load @ e`` and
+        the charges ``stored @ y``. The outputs of the device are ``direct @ e + output @ y``.
         """
         n, k, drives = len(self._load_ports), len(self._flow_ports), len(self.prescribed_signals)
         rows = [port for port in self.ports if port.kind != "input"]
@@ -557,11 +571,11 @@ class PortBody(Device):
 
     @cached_property
     def static_relation(self) -> Relation:
-        """Relation of loads and displacements in static equilibrium.
+        """Relation between loads and outputs in static equilibrium.
 
-        A scene with a constant load on an unsupported body is rejected. For an unsupported body
-        without constant loads, any finite relation is valid: the result is the response to a load
-        that grows exponentially with the rate :data:`GROWTH_RATE`.
+        Scenes with a constant load on an unsupported body are rejected. Without constant loads, any
+        finite relation is valid for an unsupported body. The relation is then the response to loads
+        that grow exponentially with the rate :data:`GROWTH_RATE`.
         """
         try:
             H = self.transfer(0.0)
@@ -570,30 +584,30 @@ class PortBody(Device):
         return Relation(H.real, np.zeros(len(H)))
 
     def transfer(self, s: complex) -> np.ndarray:
-        """Return the transfer matrix ``H(s)``, which is computed once for all copies of a body.
+        """Return the transfer matrix ``H(s)`` of shape (outputs, inputs).
 
-        The transfer matrix has the shape (outputs, inputs).
+        The matrix is computed only once for all copies of a body.
         """
         if s not in self.responses:
             self.responses[s] = self.model.pencil.transfer(np.array([s]))[0]
         return self.responses[s]
 
     def find_initial_mode(self, e: np.ndarray) -> Relation:
-        """Return the static relation, in which the body begins."""
+        """Return the static relation, which is the initial mode of the body."""
         return self.static_relation
 
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the outputs ``out`` and their derivatives from the relation ``mode``."""
+        """Return the outputs and their derivatives for the relation ``mode``."""
         slope = self._compute_slope(mode.H)
         return slope @ e + self._port_matrices[3] @ mode.free, slope
 
     def _compute_slope(self, H: np.ndarray) -> np.ndarray:
-        """Return the derivatives of the outputs ``out`` for a transfer matrix ``H``."""
+        """Return the derivatives of the outputs with respect to the inputs."""
         load, _, direct, output = self._port_matrices
         return direct + output @ H @ load
 
     def evaluate_storage(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the charges and their derivatives with respect to ``e``."""
+        """Return the stored charges and their derivatives with respect to ``e``."""
         load, stored, _, _ = self._port_matrices
         slope = stored @ mode.H @ load
         return slope @ e + stored @ mode.free, slope
@@ -601,16 +615,17 @@ class PortBody(Device):
     def small_signal_derivatives(
         self, s: complex, e: np.ndarray, mode: Any
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the derivatives of ``out`` and of the charges at the complex frequency ``s``."""
+        """Return the derivatives of outputs and charges at the complex frequency ``s``."""
         load, stored, _, _ = self._port_matrices
         H = self.transfer(s) if s else self.static_relation.H
         return self._compute_slope(H), stored @ H @ load
 
     def noise(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray] | None:
-        """Compute the noise of the outputs, which has the density ``4 k T (Y + Y^H) / (2 |s|^2)``.
+        """Compute the weights of the thermal noise in the outputs of the body.
 
-        Here ``Y`` is ``s H(s)``, because the product of a load and the rate of its output is a
-        power.
+        The noise density of the outputs is ``4 k T (Y + Y^H) / (2 |s|^2)`` with ``Y = s H(s)``. The
+        admittance Y relates the rates of the outputs to the loads. The product of a load and the
+        rate of its output is a power.
         """
         if any(port.kind in ("input", "output", *FLOW_DRIVEN) for port in self.ports):
             return None
@@ -624,9 +639,9 @@ class PortBody(Device):
 
 @dataclass(frozen=True, eq=False)
 class SignalBlock(Device):
-    """Linear system ``E x' = A x + B u``, ``y = C x + D u``, whose outputs y are signals.
+    """Linear system ``E x' = A x + B u``, ``y = C x + D u`` with signals as outputs.
 
-    The inputs u are across quantities.
+    The inputs u are across quantities, and the outputs y are signals.
     """
 
     name: str
@@ -659,7 +674,7 @@ class SignalBlock(Device):
 
     @property
     def state_scales(self) -> tuple[float, ...]:
-        """Reference magnitude of each state, by which the error of the state is divided."""
+        """Reference magnitude of each state, by which its error is divided."""
         return (1.0,) * len(self.A)
 
     @property
@@ -668,7 +683,7 @@ class SignalBlock(Device):
         return self.outputs
 
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the rates ``A x + B u`` and the outputs ``y``, with their derivatives."""
+        """Return the rates ``A x + B u`` and the outputs ``y``, both with derivatives."""
         slope = np.block([[self.B, self.A], [self.D, self.C]])
         return slope @ e, slope
 
@@ -679,7 +694,10 @@ class SignalBlock(Device):
 
 
 def make_sensor_block(name: str, gain: float, kind: str) -> SignalBlock:
-    """Make a block whose signal ``out`` is ``gain`` times the across quantity of the pin ``a``."""
+    """Make a block whose output signal is ``gain`` times an across quantity.
+
+    The pin ``a`` has the across quantity, and the pin ``out`` the signal.
+    """
     none, column = np.zeros((0, 0)), np.zeros((0, 1))
     D = np.array([[gain]])
     return SignalBlock(name, none, none, column, column.T, D, ("a",), ("out",), kind)

@@ -1,7 +1,8 @@
-"""Magnetic coenergy of two coils and a moving magnet, as a function of height and currents.
+"""Magnetic coenergy of two coils and a moving magnet.
 
-The splines use numpy only. In a run with cached models, the import of scipy's splines would take
-most of the import time.
+The coenergy depends on the height of the magnet and on both coil currents. The splines of the
+coenergy use only numpy. An import of scipy's splines would dominate the start time of runs with
+cached models.
 """
 
 from __future__ import annotations
@@ -20,18 +21,18 @@ from kc2spice.core.mesh_error import MESH_ERROR_PREFIX
 
 @dataclass(frozen=True, eq=False)
 class PiecewisePolynomial(EqualByContent):
-    """Piecewise polynomial ``p(x) = sum_k c[k, j] (x - knots[j])^k`` in cell j.
+    """Piecewise polynomials ``p(x) = sum_k c[k, j] (x - knots[j])^k`` in cells j.
 
     The n ``knots`` are in ascending order. The array ``c`` has the shape (degree + 1, n - 1, m) and
-    contains the coefficients of m functions. The first and the last polynomial extend beyond the
-    first and the last knot.
+    contains the coefficients of m functions. Outside of the knots, the polynomial of the first or
+    last cell is valid.
     """
 
     knots: np.ndarray
     c: np.ndarray
 
     def __call__(self, x: np.ndarray | float) -> np.ndarray:
-        """Return the values of the m functions at ``x``, on an additional last axis."""
+        """Return the values of the m functions at ``x``, along an additional last axis."""
         x = np.asarray(x, dtype=float)
         cell = np.searchsorted(self.knots[1:-1], x, side="right")
         step = (x - self.knots[cell])[..., None]
@@ -41,7 +42,7 @@ class PiecewisePolynomial(EqualByContent):
         return value
 
     def integral(self) -> PiecewisePolynomial:
-        """Return the antiderivative, which is continuous and 0 at the first knot."""
+        """Return the continuous antiderivative that is 0 at the first knot."""
         power = np.arange(1, self.c.shape[0] + 1)[:, None, None]
         rising = self.c / power
         cells = np.sum(rising * np.diff(self.knots)[:, None] ** power, axis=0)
@@ -49,29 +50,33 @@ class PiecewisePolynomial(EqualByContent):
         return PiecewisePolynomial(self.knots, np.concatenate([start[None], rising]))
 
     def derivative(self) -> PiecewisePolynomial:
-        """Return the derivative; at a knot where it jumps, the upper cell determines its value."""
+        """Return the derivative.
+
+        If the derivative jumps at a knot, the cell above the knot determines the value.
+        """
         return PiecewisePolynomial(
             self.knots, self.c[1:] * np.arange(1, self.c.shape[0])[:, None, None]
         )
 
     def add_constant(self, by: np.ndarray) -> PiecewisePolynomial:
-        """Return the polynomials with the constant ``by[k]`` added to function k."""
+        """Return the polynomials after adding the constant ``by[k]`` to function k."""
         return PiecewisePolynomial(self.knots, np.concatenate([self.c[:1] + by, self.c[1:]]))
 
 
 def interpolate_by_splines(x: np.ndarray, values: np.ndarray) -> PiecewisePolynomial:
     """Interpolate the values of m functions at n points by not-a-knot cubic splines.
 
-    ``values`` is an array of shape (n, m). ``x`` contains the n points in ascending order. The
-    result is a straight line for two points, and a parabola for three points.
+    ``values`` is an array of shape (n, m). ``x`` contains the n points in ascending order. Two
+    points give a straight line, and three points a parabola.
 
-    The unknowns are the second derivatives s at the nodes. The first derivatives on both sides of a
-    node are equal if, with ``h = diff(x)`` and ``d = diff(values) / h``, ::
+    The unknowns are the second derivatives s at the points. With ``h = diff(x)`` and ``d =
+    diff(values) / h``, the first derivative is continuous at the points if ::
 
         h[j-1] s[j-1] + 2 (h[j-1] + h[j]) s[j] + h[j] s[j+1] = 6 (d[j] - d[j-1])
 
-    The first two cells have the same cubic polynomial, and so do the last two cells: ``diff(s) /
-    h`` is equal in both cells (de Boor, A Practical Guide to Splines, ch. IV).
+    The first two cells have the same cubic polynomial, so ``diff(s) / h`` is equal in both cells.
+    The same condition applies to the last two cells (de Boor, A Practical Guide to Splines, ch.
+    IV).
     """
     n, h = x.size, np.diff(x)
     d = np.diff(values, axis=0) / h[:, None]
@@ -94,16 +99,17 @@ def interpolate_by_splines(x: np.ndarray, values: np.ndarray) -> PiecewisePolyno
     )
 
 
-TEST_CURRENTS = np.array(list(product((-0.1, 0.0, 0.1), repeat=2)))  # A, pairs of coil currents
-# largest difference of heights that count as equal, relative to the height range of the table
+TEST_CURRENTS = np.array(list(product((-0.1, 0.0, 0.1), repeat=2)))  # pairs of coil currents [A]
+# largest difference between heights that count as equal, relative to the height range of the table
 HEIGHT_TOLERANCE = 1e-6
-# Convergence order of the force with the element size of quadratic triangles.
-# The convergence order is 4 for smooth fields, and lower at corners of magnets and coils.
-# The test tests/physics/test_mesh_statements.py compares estimated mesh errors with true errors.
+# Order of convergence of the force with decreasing size of quadratic triangles.
+# The order of convergence is 4 for smooth fields. The corners of magnets and coils reduce this
+# order. The test tests/physics/test_mesh_statements.py compares estimated mesh errors with true
+# errors.
 FORCE_CONVERGENCE_ORDER = 3
 
 
-# Exponents of both currents in the terms of the force, for linear magnetic materials.
+# Exponents of the two currents in each term of the force, for linear magnetic materials.
 CURRENT_EXPONENTS = {
     "c0": (0, 0),
     "c1": (1, 0),
@@ -116,33 +122,34 @@ FORCE_COEFFICIENTS = tuple(CURRENT_EXPONENTS)
 
 
 def compute_current_products(i1: Any, i2: Any) -> np.ndarray:
-    """Return the six products of powers of both currents, on an additional last axis."""
+    """Return the six products of powers of both currents, along a new last axis."""
     i1, i2 = np.broadcast_arrays(np.asarray(i1, dtype=float), i2)
     return np.stack([i1**a * i2**b for a, b in CURRENT_EXPONENTS.values()], axis=-1)
 
 
 @dataclass(frozen=True)
 class Coenergy:
-    """Coenergy ``W(y, i) = p(y) . products(i)`` [J] of currents i at the height ``y`` [m].
+    """Coenergy ``W(y, i) = p(y) . products(i)`` [J] at the height y for currents i.
 
-    The derivative of W with respect to the height is the force [N], and the derivatives with
-    respect to the currents are the flux linkages [Wb].
+    The products are the powers of the currents in :data:`CURRENT_EXPONENTS`. The derivative of W
+    with respect to the height y [m] is the force [N]. The derivatives of W with respect to the
+    currents i [A] are the flux linkages [Wb].
     """
 
     terms: PiecewisePolynomial  # coefficients p, shape (..., 6)
 
     @cached_property
     def slopes(self) -> tuple[PiecewisePolynomial, PiecewisePolynomial, PiecewisePolynomial]:
-        """Coefficients ``p``, and their first and second derivatives with respect to the height."""
+        """Coefficients ``p`` with their first and second derivatives by the height."""
         first = self.terms.derivative()
         return self.terms, first, first.derivative()
 
     def require_height(self, y: Any, where: str) -> np.ndarray:
-        """Return the height ``y``; raise an error if it is outside of the table's range.
+        """Return the height ``y``, or raise an error outside of the table's range.
 
         Raises
         ------
-        SimulationError : a height outside of the range of the table.
+        SimulationError : a height is outside of the range of the table.
         """
         y, (low, high) = np.asarray(y, dtype=float), self.terms.knots[[0, -1]]
         outside = ~((y >= low) & (y <= high))
@@ -157,17 +164,20 @@ class Coenergy:
         return y
 
     def force(self, y: Any, i1: Any, i2: Any) -> np.ndarray:
-        """Return the force on the sphere [N]; the arguments may be arrays."""
+        """Return the force [N] on the sphere for numbers or arrays as arguments."""
         slopes = self.slopes[1](self.require_height(y, "catch"))
         return np.asarray((slopes * compute_current_products(i1, i2)).sum(axis=-1))
 
     def compute_inductances(self, y: Any) -> np.ndarray:
-        """Return the symmetric inductance matrix [H] at the height ``y``; shape (..., 2, 2)."""
+        """Return the symmetric inductance matrix (..., 2, 2) [H] at the height ``y``."""
         return _compute_current_hessian(self.terms(self.require_height(y, "catch")))
 
 
 def _compute_current_hessian(p: np.ndarray) -> np.ndarray:
-    """Return the Hessian of ``p . products`` by the currents, an array of shape (..., 2, 2)."""
+    """Return the second derivatives of ``p . products`` by the currents.
+
+    The returned array has the shape (..., 2, 2).
+    """
     return np.stack([2 * p[..., 3], p[..., 4], p[..., 4], 2 * p[..., 5]], -1).reshape(
         *p.shape[:-1], 2, 2
     )
@@ -175,9 +185,10 @@ def _compute_current_hessian(p: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class MagnetostaticTable(EqualByContent):
-    """Table of magnetostatic finite-element solutions at several heights.
+    """Table of magnetostatic finite-element solutions at several heights of a sphere.
 
-    The dependence of force and flux on the currents is exact, because the materials are linear.
+    The formulas for force and flux as functions of the currents are exact, because the materials
+    are linear.
 
     With the currents ``i1`` (lower coil) and ``i2`` (upper coil) at the height ``y``::
 
@@ -191,12 +202,12 @@ class MagnetostaticTable(EqualByContent):
     """
 
     def scale_magnets(self, remanence: float, shift: float) -> MagnetostaticTable:
-        """Return the table for magnets with a different remanence and height.
+        """Return the table for magnets with another remanence and height.
 
         The remanence is multiplied by the factor ``remanence``, and the magnets are ``shift`` [m]
-        higher. In linear materials the force between the magnets is proportional to the square of
-        the remanence. Terms with one current are proportional to the remanence. Terms with products
-        of two currents do not depend on the remanence.
+        higher. In linear materials, the force between the magnets is proportional to the square of
+        the remanence. The force terms with one current are proportional to the remanence. The force
+        terms with a product of two currents do not depend on the remanence.
         """
         magnets = remanence ** np.array([2, 1, 1, 0, 0, 0])
         coarser = None if self.coarser is None else self.coarser.scale_magnets(remanence, shift)
@@ -214,25 +225,25 @@ class MagnetostaticTable(EqualByContent):
     inductance: np.ndarray  # (n, 2, 2)
     resistance: np.ndarray  # (2,)
     unknowns: int
-    # table at some of the heights, computed on a mesh with elements that are twice as large
+    # table for some of the heights, computed on a mesh with elements of twice the size
     coarser: MagnetostaticTable | None = None
 
     @cached_property
     def splines(self) -> PiecewisePolynomial:
-        """Not-a-knot cubic splines of the six force coefficients over the height.
+        """Not-a-knot cubic splines of the six force coefficients as functions of height.
 
-        Between 41 nodes, the splines are as accurate as the finite elements. Splines with other end
+        With 41 heights, the splines are as accurate as the finite elements. Splines with other end
         conditions, and monotone interpolants, are less accurate.
         """
         return interpolate_by_splines(self.y, self.coefficients)
 
     @cached_property
     def coenergy(self) -> Coenergy:
-        """Coenergy as the integral of the force splines over the height.
+        """Coenergy, computed as the integral of the force splines over the height.
 
-        The force is then exactly the derivative of the coenergy. Differentiation of a flux spline
-        would reduce the order of accuracy. The integration constants make the mean flux over the
-        nodes equal to the mean of the finite-element solutions.
+        As a result, the force is exactly the derivative of the coenergy. The derivative of a flux
+        spline would have a lower order of accuracy. The integration constants make the mean flux
+        over all heights equal to the mean flux of the finite-element solutions.
         """
         integrals = self.splines.integral()
         half = self.inductance / 2
@@ -246,7 +257,7 @@ class MagnetostaticTable(EqualByContent):
     def facts(self) -> dict[str, float]:
         """Characteristic values of the actuator: force, resistance and inductance.
 
-        The force is the largest force for the nine pairs of the coil currents -0.1, 0 and 0.1 A.
+        The force is the largest force for nine pairs of coil currents, each -0.1, 0 or 0.1 A.
         """
         forces = compute_test_forces(self, TEST_CURRENTS)
         return self.mesh_errors | {
@@ -259,10 +270,11 @@ class MagnetostaticTable(EqualByContent):
 
     @cached_property
     def mesh_errors(self) -> dict[str, float]:
-        """Estimated mesh errors ``|f(2 h) - f(h)| / (2^p - 1)``, h: element size, p: order 3.
+        """Estimated mesh errors ``|f(2 h) - f(h)| / (2^p - 1)`` of force and inductance.
 
-        Errors of forces are relative to the largest force for :data:`TEST_CURRENTS`. Errors of
-        inductances are relative to the largest inductance.
+        h is the element size, and p = 3 is the order of convergence. Errors of forces are relative
+        to the largest force for :data:`TEST_CURRENTS`. Errors of inductances are relative to the
+        largest inductance.
         """
         if self.coarser is None:
             return {}
@@ -282,7 +294,7 @@ class MagnetostaticTable(EqualByContent):
 
 
 def compute_test_forces(table: MagnetostaticTable, currents: np.ndarray) -> np.ndarray:
-    """Compute the forces [N] at the n heights of the table for m pairs of coil currents.
+    """Compute the forces [N] at all n heights for m pairs of coil currents.
 
     The argument ``currents`` has the shape (m, 2), and the result has the shape (m, n). The curves
     are comparable with Fig. 6 of Schütz et al. (2021).

@@ -1,4 +1,4 @@
-"""Memory that this process can still allocate.
+"""Determination of the memory that this process can still allocate.
 
 The memory of a process is limited by the machine, by control groups, and by resource limits of a
 shell or batch system.
@@ -14,14 +14,15 @@ from collections.abc import Iterator
 from pathlib import Path
 
 PAGE_SIZE_NAME = "SC_PAGE_SIZE"
-UNLIMITED_BYTES = 2**62  # bytes; without a limit, control groups of version 1 report almost 2^63
+UNLIMITED_BYTES = 2**62  # B; control groups of version 1 report almost 2^63 B if there is no limit
 
 
 def find_available_bytes(root: Path = Path("/")) -> float:
     """Determine the memory [B] that this process can use without swapping.
 
-    Without other limits, the result is the free memory of the machine. The limits are read from
-    files in ``root``, the root directory of the file system.
+    The result is the smallest of several limits; without other limits, the free memory of the
+    machine. The limits are read from files in ``root``, which is the root directory of the file
+    system.
     """
     limits = [
         *_free_memory_of_machine(root),
@@ -37,7 +38,7 @@ def _read_physical_memory() -> float:
 
 
 def _free_memory_of_machine(root: Path) -> Iterator[float]:
-    """Yield the available memory of the machine [B]."""
+    """Yield the available memory of the machine [B], if known."""
     free = _read_field(root / "proc/meminfo", "MemAvailable:")
     if free is not None:
         yield 1024.0 * free
@@ -59,7 +60,7 @@ def _free_memory_of_control_groups(root: Path) -> Iterator[float]:
         else:
             continue
         here = Path(path.lstrip("/"))
-        # in a container, the directory of the control group may be invisible
+        # the directory of the control group may be invisible in a container
         for folder in (here, *here.parents):
             limit, used = (_read_number(mount / folder / name) for name in names)
             if limit is None or used is None or limit >= UNLIMITED_BYTES:
@@ -74,7 +75,10 @@ def _free_memory_of_control_groups(root: Path) -> Iterator[float]:
 
 
 def _free_memory_below_limits(root: Path) -> Iterator[float]:
-    """Yield the free memory below the limits of address space and data segment (``ulimit``) [B]."""
+    """Yield the memory [B] that the limits of ``ulimit`` leave.
+
+    The limits apply to the address space and to the data segment.
+    """
     try:
         import resource
     except ImportError:  # Windows has no such limits
@@ -88,7 +92,7 @@ def _free_memory_below_limits(root: Path) -> Iterator[float]:
 
 
 def _read_field(path: Path, name: str) -> float | None:
-    """Return the number after ``name`` in a file with lines ``NAME NUMBER``."""
+    """Return the number on the line ``NAME NUMBER`` of a file for the given ``name``."""
     for line in _read_text(path).splitlines():
         words = line.split()
         if len(words) > 1 and words[0] == name:

@@ -1,7 +1,7 @@
-"""Store of large results in memory; :mod:`kc2spice.core.cache` stores results on disk.
+"""Store of large results in memory.
 
-A scene, a build and a sweep have one :class:`Workspace` each. No module has global variables with
-results.
+Each scene, built scene and sweep has its own :class:`Workspace`. No results are stored in global
+variables. The module :mod:`kc2spice.core.cache` stores results on disk.
 """
 
 from __future__ import annotations
@@ -13,9 +13,10 @@ T = TypeVar("T")
 
 
 class Workspace:
-    """Store of the latest result of each kind, with a key that identifies the inputs.
+    """Store of the latest result of each kind.
 
-    Threads may share a workspace. A thread never receives a result with another key.
+    A key identifies the inputs of each result. Several threads may share a workspace. A thread
+    never receives a result for another key.
 
     Examples
     --------
@@ -32,10 +33,10 @@ class Workspace:
         self._entries: dict[str, tuple[Any, Any]] = {}
 
     def get_or_compute(self, kind: str, key: Any, compute: Callable[[], T]) -> T:
-        """Return the stored result of ``key``, or compute it if the key has changed.
+        """Return the stored result for ``key``, or compute a new result.
 
-        The previous result is deleted before the computation, because two results would need twice
-        the memory.
+        A new result is computed if the key has changed. The previous result is deleted before the
+        computation, because two results would need twice the memory.
         """
         entry = self._entries.get(kind)
         if entry is None or entry[0] != key:
@@ -46,5 +47,5 @@ class Workspace:
         return result
 
     def __reduce__(self) -> tuple[type[Workspace], tuple[()]]:
-        """Return an empty workspace, because an unpickled workspace has no results."""
+        """Pickle an empty workspace, because results are not pickled."""
         return Workspace, ()

@@ -1,8 +1,8 @@
 """Names and descriptions of the estimated mesh errors of a model.
 
 For example, ``mesh_error_resonance`` is the estimated relative error of the first resonance. Parts
-that solve a field on a mesh or on rings compute these error estimates. Results, netlist headers and
-the command ``explain`` print them.
+compute these error estimates if their model is a mesh or a set of rings. The estimates are printed
+in results and netlist headers, and by the command ``explain``.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
-# number of plane-mesh unknowns that take as much computing time as one solid-mesh unknown
+# this many unknowns of a plane mesh take as much computing time as one unknown of a solid mesh
 PLANE_UNKNOWN_RATIO = 4.0
 MESH_ERROR_PREFIX = "mesh_error_"  # prefix of the names of relative mesh errors
 NOT_ESTIMATED = "error not estimated, because the matrices state no mesh"
@@ -19,9 +19,9 @@ NOT_ESTIMATED = "error not estimated, because the matrices state no mesh"
 class MeshQuantity(NamedTuple):
     """Quantity of a model whose value depends on the mesh.
 
-    ``value_names`` is a pattern of the names of the quantity's values. If the relative mesh error
-    exceeds ``warning_limit``, a run prints a warning and ``verify`` fails. The limits are usual
-    tolerances of data sheets.
+    ``value_names`` is a pattern, such as ``free_stroke_*``, for the names of values of this
+    quantity. If the relative mesh error exceeds ``warning_limit``, a run prints a warning and
+    ``verify`` fails. The limits equal the usual tolerances in data sheets.
     """
 
     description: str
@@ -29,7 +29,7 @@ class MeshQuantity(NamedTuple):
     warning_limit: float | None = None
 
 
-MESH_QUANTITIES = {  # keyed by the name of the mesh error without prefix
+MESH_QUANTITIES = {  # keyed by the name of the mesh error without ``mesh_error_``
     "resonance": MeshQuantity("first resonance", "resonance_short_hz", 0.03),
     "capacitance": MeshQuantity("capacitance", "capacitance_free_f", 0.05),
     "stroke": MeshQuantity("stroke", "free_stroke_*", 0.1),
@@ -43,19 +43,19 @@ MESH_QUANTITIES = {  # keyed by the name of the mesh error without prefix
 
 
 def list_mesh_errors(facts: Mapping[str, float]) -> dict[str, float]:
-    """Return the estimated relative mesh errors, keyed by a description of the quantity."""
+    """Return the estimated relative mesh errors, keyed by the quantity's description."""
     return {item.description: error for item, error in _list_estimated_errors(facts)}
 
 
 def list_limited_errors(facts: Mapping[str, float]) -> Iterator[tuple[str, float, float]]:
-    """Yield description, estimated mesh error and limit of each quantity that has a limit."""
+    """Yield description, mesh error and limit of each quantity with a warning limit."""
     for item, error in _list_estimated_errors(facts):
         if item.warning_limit is not None:
             yield item.description, error, item.warning_limit
 
 
 def select_mesh_values(facts: Mapping[str, float]) -> dict[str, float]:
-    """Select the mesh errors among the values of a model, for :func:`list_mesh_errors`."""
+    """Select the estimated mesh errors among the values of a model."""
     names = filter(facts.__contains__, map(MESH_ERROR_PREFIX.__add__, MESH_QUANTITIES))
     return {name: float(facts[name]) for name in names}
 
@@ -68,11 +68,11 @@ def _list_estimated_errors(facts: Mapping[str, float]) -> Iterator[tuple[MeshQua
 
 
 def describe_mesh_errors(facts: Mapping[str, float]) -> str:
-    """Describe the estimated mesh errors; the text is empty without an estimate.
+    """Describe the estimated mesh errors; return an empty text if there are none.
 
     Parameters
     ----------
-    facts : values of a model by name, including its mesh errors.
+    facts : values of a model, including its mesh errors, keyed by name.
 
     Returns
     -------

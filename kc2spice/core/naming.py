@@ -15,5 +15,5 @@ class NamedObject(Protocol):
 
 
 def list_names(items: Iterable[NamedObject]) -> list[str]:
-    """Return the names of ``items`` in their order."""
+    """Return the names of all ``items`` in the same order."""
     return [item.name for item in items]

@@ -1,8 +1,8 @@
-"""Commands that install programs on the operating system of this machine.
+"""Shell commands that install programs on the operating system in use.
 
-The arguments of :func:`make_install_command` are names of Debian packages. The result is a shell
-command, or a sentence if the package manager of the system is unknown. Commands for Fedora, macOS
-and Windows are not tested.
+The arguments of :func:`make_install_command` are names of Debian packages. The function returns a
+shell command, or an instruction in words if the package manager is unknown. Commands for Fedora,
+macOS and Windows are not tested.
 """
 
 from __future__ import annotations
@@ -11,7 +11,8 @@ import sys
 from pathlib import Path
 
 _OS_RELEASE = Path("/etc/os-release")
-# First words of the install command, keyed by the fields ID or ID_LIKE of /etc/os-release(5).
+# First words of the install command, keyed by the field ID or ID_LIKE of /etc/os-release, or by
+# sys.platform.
 _INSTALL_COMMANDS = {
     "debian": "apt-get install",
     "ubuntu": "apt-get install",
@@ -21,7 +22,7 @@ _INSTALL_COMMANDS = {
     "darwin": "brew install",
     "win32": "scoop bucket add extras; scoop install",  # the bucket "extras" contains ngspice
 }
-# Package names on other systems, keyed by the name of the Debian package.
+# Package names on other systems, keyed by install command and by name of the Debian package.
 # On macOS and Windows, the gmsh wheel contains all libraries that gmsh loads.
 _PACKAGE_NAMES = {
     _INSTALL_COMMANDS["fedora"]: {
@@ -45,7 +46,7 @@ _PACKAGE_NAMES = {
 
 
 def make_install_command(*packages: str) -> str:
-    """Return the command that installs Debian ``packages`` on this system.
+    """Return the command that installs the given ``packages`` on this system.
 
     Parameters
     ----------
@@ -55,8 +56,8 @@ def make_install_command(*packages: str) -> str:
     Returns
     -------
     str
-        A command of apt-get, dnf, brew or scoop. On a system without known package names, the
-        result is a sentence with the Debian names.
+        Command for apt-get, dnf, brew or scoop. If the package names on this system are unknown,
+        the result is a sentence with the Debian names.
 
     Examples
     --------
@@ -73,7 +74,7 @@ def make_install_command(*packages: str) -> str:
 
 
 def _find_command(platform: str, release: str) -> str:
-    """Return the first words of the install command; empty for an unknown system."""
+    """Return the first words of the install command; empty on an unknown system."""
     systems = [platform]
     if platform == "linux":
         fields = dict(line.split("=", 1) for line in release.splitlines() if "=" in line)
@@ -82,7 +83,7 @@ def _find_command(platform: str, release: str) -> str:
 
 
 def _read_os_release() -> str:
-    """Return the text of /etc/os-release; empty on systems without this file."""
+    """Return the text of /etc/os-release; empty if the file does not exist."""
     try:
         return _OS_RELEASE.read_text(encoding="utf-8")
     except OSError:

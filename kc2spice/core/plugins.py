@@ -1,7 +1,8 @@
-"""Discovery of part types, dialects and reductors of other installed packages.
+"""Discovery of part types, dialects and reductors in other installed packages.
 
-Another package declares such objects as entry points of a group. The name of an entry point is the
-name of its object (Python Packaging User Guide, "Entry points specification").
+Other packages declare part types, dialects and reductors as entry points of a group (Python
+Packaging User Guide, "Entry points specification"). The name of an entry point is the name of the
+part type, dialect or reductor.
 """
 
 from __future__ import annotations
@@ -15,12 +16,12 @@ from kc2spice.core.errors import UsageError
 
 @cache
 def _list_entry_points(group: str) -> tuple[EntryPoint, ...]:
-    """Return the entry points of a group from the metadata of all installed packages."""
+    """Return the entry points that all installed packages declare in a group."""
     return tuple(entry_points(group=group))
 
 
 def list_entry_points(group: str) -> tuple[str, ...]:
-    """Return the names of the entry points of a group; no module is imported.
+    """Return the names of the entry points of a group, without importing any module.
 
     Examples
     --------
@@ -31,7 +32,7 @@ def list_entry_points(group: str) -> tuple[str, ...]:
 
 
 def load_plugin(group: str, name: str) -> object:
-    """Import the object of an entry point; None if the group lacks this name.
+    """Import the object of the entry point ``name``; return None if there is none.
 
     Raises
     ------
@@ -47,7 +48,7 @@ def load_plugin(group: str, name: str) -> object:
         return None
     try:
         return entry.load()
-    except Exception as error:  # the import of another package may raise any error
+    except Exception as error:  # importing another package may raise any error
         package = "the package" if entry.dist is None else entry.dist.name
         raise UsageError(
             "an installed package cannot be imported",

@@ -1,7 +1,7 @@
-"""Values that probes compute from a wave: extremes, means, crossings and sound levels.
+"""Computation of probe values: extremes, means, crossings and sound levels.
 
-:func:`compute_probe_value` computes one number from the arrays of a wave and of its scale, such as
-times. For a complex response over frequency, the magnitude is used.
+:func:`compute_probe_value` computes one number from two arrays: the values of a wave, and its
+scale, such as times. Complex frequency responses are replaced by their magnitude.
 """
 
 from __future__ import annotations
@@ -15,10 +15,11 @@ from kc2spice.core.errors import UsageError
 from kc2spice.core.sound_level import GAS_REFERENCE, compute_level
 from kc2spice.core.waveforms import interpolate
 
-# Largest permitted excess of an interpolated maximum over the largest point, as a fraction.
-# The excess is 3 % if the points are half a half-width away from the resonance.
+# Largest fraction by which an interpolated maximum may exceed the largest point.
+# If the distance between the points is a quarter of the 3 dB width of a resonance, this fraction is
+# at most 3 %.
 MAX_CORRECTION = 0.05
-SCALE_ROUNDING = 1e-9  # relative rounding error of the first and last point in the simulator
+SCALE_ROUNDING = 1e-9  # rounding error of the first and last point, relative to the range
 
 
 def compute_probe_value(
@@ -32,27 +33,27 @@ def compute_probe_value(
     window: tuple[float, float] | None = None,
     reference: float = GAS_REFERENCE,
 ) -> float | None:
-    """Compute the value that a probe takes from a wave.
+    """Compute the value of a probe from a wave.
 
     Parameters
     ----------
     take : str
-        Name of the value, as in the key ``take`` of a probe.
+        Name of the value, as in the scene key ``take`` of a probe.
     scale : ndarray
         Times, frequencies or swept values (n,) of the points, in SI units.
     values : ndarray
-        Wave (n,) in SI units, complex for a response.
+        Wave (n,) in SI units; complex for a frequency response.
     where : str
-        Key of the probe in a scene, for error messages.
+        Scene key of the probe, for error messages.
     at : float, optional
-        Position on the scale (time, frequency or swept value) at which the wave is read. By default
-        all points are used.
+        Position on the scale (time, frequency or swept value) at which the wave is evaluated. By
+        default, all points are used.
     level : float, default 0
-        Level of a crossing, in the SI unit of the wave.
+        Value that the wave crosses, in the SI unit of the wave, for the probe value ``crossing``.
     window : tuple of float, optional
-        First and last position on the scale. Only the points between them are used.
+        First and last position on the scale. Only points between these positions are used.
     reference : float, default 20 uPa
-        Rms pressure [Pa] at 0 dB of a sound pressure level.
+        Rms pressure [Pa] that corresponds to a sound pressure level of 0 dB.
 
     Returns
     -------
@@ -86,7 +87,11 @@ def _compute_rms(
     at: float | None,
     window: tuple[float, float] | None,
 ) -> float:
-    """Return the rms value of a wave, or of a response at one frequency or at its maximum."""
+    """Return the rms value of a wave or of a frequency response.
+
+    The result for a response is the rms value of the oscillation at one frequency, by default at
+    the frequency of the largest magnitude.
+    """
     response = np.iscomplexobj(values)
     take = "max" if response else "rms"
     size = compute_probe_value(take, scale, values, where, at=at, window=window) or 0.0
@@ -97,11 +102,11 @@ def _compute_rms(
 def _clip_to_window(
     scale: np.ndarray, values: np.ndarray, window: tuple[float, float], where: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the points within a window, and interpolated points at both ends of the window.
+    """Return the points within a window, with interpolated points at its two ends.
 
     Raises
     ------
-    UsageError : an end of the window is not on the scale.
+    UsageError : an end of the window is outside of the scale.
     """
     direction = -1 if scale[0] > scale[-1] else 1
     scale, values = scale[::direction], values[::direction]
@@ -129,16 +134,17 @@ def _evaluate_range(take: str, scale: np.ndarray, values: np.ndarray, level: flo
 
 
 def find_response_maximum(frequency: np.ndarray, size: np.ndarray) -> tuple[float, float]:
-    """Return frequency and value of the largest magnitude of a response.
+    """Return frequency and value of the largest magnitude of a frequency response.
 
-    The maximum may lie between two points. Near the pole ``a + j w0`` a response is ``R / (j w - a
-    - j w0)``. Then ``1 / |y|^2`` is a parabola in ``w``, which three points determine:
+    The maximum may lie between two points. Near a pole ``a + j w0``, the response is approximately
+    ``y = R / (j w - a - j w0)``. Then ``1 / |y|^2`` is a parabola in ``w``, which three points
+    determine:
 
         1 / |y|^2 = ((w - w0)^2 + a^2) / |R|^2
 
-    The largest point is returned without interpolation if it is the first or last point. The
-    largest point is also returned if the interpolated maximum exceeds it by more than
-    :data:`MAX_CORRECTION`, because the points are then too far apart.
+    If the largest point is the first or the last point, this point is returned without
+    interpolation. If the interpolated maximum exceeds the largest point by more than
+    :data:`MAX_CORRECTION`, the points are too far apart, and the largest point is also returned.
 
     >>> w = np.array([9.0, 10.1, 11.2])
     >>> place, value = find_response_maximum(w, np.abs(1 / (1j * (w - 10) + 1)))
@@ -161,18 +167,19 @@ def find_response_maximum(frequency: np.ndarray, size: np.ndarray) -> tuple[floa
 
 
 def find_response_minimum(frequency: np.ndarray, size: np.ndarray) -> float:
-    """Return the smallest magnitude of a response.
+    """Return the smallest magnitude of a frequency response.
 
-    The minimum may lie between two points. It is the maximum of the reciprocal response.
+    The minimum may lie between two points. The function computes the maximum of the reciprocal
+    response.
     """
     return 1 / find_response_maximum(frequency, 1 / size)[1] if size.all() else 0.0
 
 
 def compute_mean_frequency(scale: np.ndarray, values: np.ndarray) -> float | None:
-    """Return the mean frequency of a wave over the last half of its scale.
+    """Return the mean frequency of a wave in the second half of its scale.
 
     A cycle is the interval between two points at which the wave rises through its mean. The result
-    is None without a complete cycle.
+    is None if the wave has no complete cycle.
     """
     late = np.abs(scale - scale[0]) >= np.ptp(scale) / 2
     x, y = scale[late], values[late]
@@ -185,7 +192,7 @@ def compute_mean_frequency(scale: np.ndarray, values: np.ndarray) -> float | Non
 
 
 def find_first_crossing(scale: np.ndarray, values: np.ndarray, level: float) -> float | None:
-    """Return the first position on the scale where the interpolated values cross ``level``."""
+    """Return the first position on the scale at which the wave crosses ``level``."""
     above = values >= level
     changes = np.flatnonzero(above[1:] != above[:-1])
     if changes.size == 0:
@@ -197,13 +204,13 @@ def find_first_crossing(scale: np.ndarray, values: np.ndarray, level: float) -> 
 
 def _compute_time_average(scale: np.ndarray, values: np.ndarray) -> float:
     """Return the mean of the values over the scale by the trapezoidal rule."""
-    span = scale[-1] - scale[0]  # for a descending scale, span and integral are negative
+    span = scale[-1] - scale[0]  # if the scale descends, span and integral are both negative
     return float(
         np.trapezoid(values, scale) / span if span else values[0]
-    )  # the mean of a single point is its value
+    )  # the mean of a single point is the value at this point
 
 
-# Functions that compute a probe's value from the scale, the wave and a level, keyed by value name.
+# Functions that compute a probe value from scale, wave and level, keyed by the name of the value.
 _PROBE_FUNCTIONS: dict[str, Callable[[np.ndarray, np.ndarray, float], float | None]] = {
     "argmax": lambda scale, values, _: scale[values.argmax()],
     "max": lambda scale, values, _: values.max(),
@@ -218,7 +225,7 @@ _PROBE_FUNCTIONS: dict[str, Callable[[np.ndarray, np.ndarray, float], float | No
 
 
 def _is_on_scale(scale: np.ndarray, place: float) -> bool:
-    """Return whether a position is within the scale, except for rounding errors."""
+    """Return whether a position is within the scale, with a tolerance for rounding."""
     slack = SCALE_ROUNDING * float(np.ptp(scale))
     return bool(scale.min() - slack <= place <= scale.max() + slack)
 
@@ -236,7 +243,7 @@ def _make_outside_error(where: str, place: float, scale: np.ndarray) -> UsageErr
 
 
 def _interpolate_value(scale: np.ndarray, values: np.ndarray, place: float, where: str) -> float:
-    """Return the interpolated value at the position ``place``; its magnitude if complex."""
+    """Return the interpolated value, or its magnitude if complex, at ``place``."""
     if not _is_on_scale(scale, place):
         raise _make_outside_error(f"{where}.at", place, scale)
     result = interpolate(place, scale, values)

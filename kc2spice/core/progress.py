@@ -1,12 +1,10 @@
-"""Reports of progress, remaining time and wall time of the stages of a run.
+"""Progress, remaining time and wall time of the stages of a run.
 
-``logging.getLogger("kc2spice")`` logs the start of every stage at the level INFO, and the wall time
-and remaining time of the stage at the level DEBUG. Without a log handler of the caller, nothing is
-printed.
+``logging.getLogger("kc2spice")`` logs the start of each stage at the level INFO, and its remaining
+time and wall time at the level DEBUG. Nothing is printed unless the caller installs a log handler.
 
-:class:`StepTimer` and :class:`ConvergenceTimer` estimate the remaining time of a computation, and
-call :func:`report_remaining_time`. The estimate is reported for the stage that contains the
-computation.
+:class:`StepTimer` and :class:`ConvergenceTimer` estimate the remaining time of a computation. The
+estimate is reported for the stage that contains the computation.
 """
 
 from __future__ import annotations
@@ -21,7 +19,7 @@ from dataclasses import dataclass, field
 
 Progress = Callable[[str, float | None, str], None]
 
-ERROR_BUDGET = "error budget"  # name of the stage that logs the errors of refined settings
+ERROR_BUDGET = "error budget"  # stage name in the log messages about errors of refined settings
 LOGGER = logging.getLogger("kc2spice")
 LOGGER.addHandler(logging.NullHandler())
 STAGES = ("mesh", "assemble", "reduce", "magnetics", "export", "simulate", "report")
@@ -29,15 +27,15 @@ _report: ContextVar[Callable[[float, str], None] | None] = ContextVar("report", 
 
 
 def ignore_progress(stage: str, done: float | None, text: str) -> None:
-    """Ignore a report of progress."""
+    """Ignore a progress report."""
 
 
 @contextmanager
 def follow_stage(progress: Progress, name: str, text: str) -> Iterator[Callable[[float], None]]:
-    """Report the start of a stage, and yield a function that reports its completed fraction.
+    """Report the start of a stage; yield a function that reports progress.
 
-    Within the ``with`` block, :func:`report_remaining_time` also reports a completed fraction: the
-    elapsed fraction of the estimated time.
+    Within the ``with`` block, :func:`report_remaining_time` also reports the completed fraction,
+    which is the elapsed time divided by the estimated total time.
 
     Examples
     --------
@@ -51,7 +49,7 @@ def follow_stage(progress: Progress, name: str, text: str) -> Iterator[Callable[
     start = time.perf_counter()
 
     def report(remaining: float, step: str) -> None:
-        """Report the completed fraction of the stage, estimated from the remaining time [s]."""
+        """Report the completed fraction of the stage, given the remaining time [s]."""
         elapsed = time.perf_counter() - start
         LOGGER.debug("%s: %s, about %.3g s remain", name, step, remaining)
         progress(name, elapsed / (elapsed + remaining), f"{text}, {step}")
@@ -64,14 +62,14 @@ def follow_stage(progress: Progress, name: str, text: str) -> Iterator[Callable[
 
 
 def report_remaining_time(seconds: float, step: str) -> None:
-    """Report the remaining time [s] of the current stage, and the name of its current step."""
+    """Report the remaining time [s] and the current step of the current stage."""
     report = _report.get()
     if report is not None:
         report(seconds, step)
 
 
 class StepTimer:
-    """Estimate of the remaining time of steps whose relative durations are known."""
+    """Estimator of the remaining time of steps with known relative durations."""
 
     def __init__(self) -> None:
         self._start = time.perf_counter()
@@ -89,18 +87,18 @@ class StepTimer:
 
 
 class ConvergenceTimer:
-    """Estimate of the remaining time of an iteration whose error declines geometrically.
+    """Estimator of the remaining time of an iteration that converges geometrically.
 
     Parameters
     ----------
     target : float
-        Error at which the iteration ends.
+        Error below which the iteration ends.
     confirmations : int
-        Number of consecutive steps whose error must be within the target.
+        Number of consecutive steps whose errors must not exceed the target.
     usual : int
-        Number of steps that is assumed while the rate of convergence is unknown.
+        Assumed number of steps while the rate of convergence is unknown.
     step : str
-        Name of a step.
+        Name of each step in the progress report.
     """
 
     def __init__(self, target: float, confirmations: int, usual: int, step: str) -> None:
@@ -109,7 +107,7 @@ class ConvergenceTimer:
         self._start = time.perf_counter()
 
     def end_step(self, error: float) -> None:
-        """Report the remaining time after a step whose error is ``error``."""
+        """Report the remaining time after a step that ended with the error ``error``."""
         self._errors.append(error)
         count, remaining = len(self._errors), self.remaining_steps()
         per_step = (time.perf_counter() - self._start) / count
@@ -120,8 +118,8 @@ class ConvergenceTimer:
     def remaining_steps(self) -> int:
         """Return the number of remaining steps, extrapolated from the latest errors.
 
-        Only the second half of the errors is used, because the convergence of many iterations
-        accelerates.
+        Only the later half of the errors is used, because many iterations converge faster towards
+        the end.
         """
         errors = [error for error in self._errors if math.isfinite(error) and error > 0]
         errors = errors[(len(errors) - 1) // 2 :]
@@ -129,21 +127,21 @@ class ConvergenceTimer:
         if len(errors) > 1 and errors[-1] < errors[0]:
             rate = math.log(errors[0] / errors[-1]) / (len(errors) - 1)
             steps = math.ceil(max(math.log(errors[-1] / self._target) / rate, 0.0))
-            # the first step within the target counts as a confirmation
+            # the first step whose error does not exceed the target counts as a confirmation
             return max(steps + self._confirmations - (1 if steps else met), 0)
         return max(self._usual - len(self._errors), 1)
 
 
 @dataclass
 class StageTimer:
-    """Timer of the stages of a run, with the wall time [s] of each stage."""
+    """Timer that records the wall time [s] of each stage of a run."""
 
     progress: Progress = ignore_progress
     wall_s: dict[str, float] = field(default_factory=lambda: dict.fromkeys(STAGES, 0.0))
 
     @contextmanager
     def time_stage(self, name: str, text: str) -> Iterator[Callable[[float], None]]:
-        """Log and time a stage, and yield a function that reports the completed fraction."""
+        """Log and time a stage; yield a function that reports the completed fraction."""
         LOGGER.info("%s: %s", name, text)
         start = time.perf_counter()
         with follow_stage(self.progress, name, text) as report:

@@ -1,10 +1,10 @@
-"""Types of the keys of a scene: numbers with units, and tables with a schema.
+"""Types of scene keys: numbers with units, and tables with a schema.
 
-Errors contain the name of the key in the user's spelling.
+Error messages contain the name of the key in the user's spelling.
 
-The string ``"0.5 mm"`` becomes the number ``5e-4``. All factors of units are powers of ten, so the
-program only shifts the decimal exponent. The number is rounded once, when it becomes a float:
-``"50 um"`` equals ``50e-6`` exactly.
+For example, the string ``"0.5 mm"`` becomes the number ``5e-4``. The factors of all units are
+powers of ten, so a conversion only shifts the decimal exponent. The number is rounded only once, on
+conversion to a float. For example, ``"50 um"`` equals ``50e-6`` exactly.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ ELEMENTARY_CHARGE = 1.602176634e-19  # C, exact (SI, 2019)
 
 
 def convert_quantity(value: object, si: str, *, where: str | None = None) -> float:
-    """Convert ``value`` to the SI unit ``si``, which is ``""`` for a plain number.
+    """Convert ``value`` to a number in the SI unit ``si``.
 
-    A number is returned unchanged. A string is a number with a unit (``"100 V"``, ``"25 us"``);
-    plain numbers may have the unit ``%``.
+    A number is returned unchanged. A string must contain a number with a unit, such as ``"100 V"``.
+    For plain numbers, ``si`` is ``""``, and the only permitted unit in a string is ``%``.
 
     Raises
     ------
-    UsageError : the value is not a finite number, or its unit has a wrong dimension.
+    UsageError : the value is not a finite number, or its unit has a wrong physical dimension.
     """
     expected = f'a number in {si}, or a string with a unit such as "1 {si}"'
     try:
@@ -70,13 +70,13 @@ def convert_quantity(value: object, si: str, *, where: str | None = None) -> flo
 def make_invalid_value_error(
     reason: str, expected: str | None, key: str | None = None, hint: str | None = None
 ) -> PydanticCustomError:
-    """Make the error that a validator raises for an invalid value, or for an invalid ``key``."""
+    """Make the error that a validator raises for an invalid value or ``key``."""
     context = {"reason": reason, "expected": expected, "key": key, "hint": hint}
     return PydanticCustomError("quantity", "{reason}", context)
 
 
 def _parse_number(si: str, value: object) -> float:
-    """Convert a number or a quantity with a unit to the unit ``si``."""
+    """Convert a number, or a string with a unit, to a number in the unit ``si``."""
     try:
         return convert_quantity(value, si)
     except UsageError as error:
@@ -84,7 +84,7 @@ def _parse_number(si: str, value: object) -> float:
 
 
 def _parse_number_with_unit(si: str, value: object) -> float:
-    """Convert a quantity to the unit ``si``; a number without a unit causes an error."""
+    """Convert a string with a unit to the unit ``si``, and reject plain numbers."""
     if not isinstance(value, str):
         hint = f'write for example  "{value} {si}"'
         expected = f'a string such as "1 {si}"'
@@ -93,7 +93,10 @@ def _parse_number_with_unit(si: str, value: object) -> float:
 
 
 def _require_ring_radii(value: object) -> object:
-    """Return ``value`` if it is a valid choice of contact rings; otherwise raise an error."""
+    """Return ``value`` if this value is a valid choice of contact rings.
+
+    Any other value raises an error.
+    """
     if value in ("needed", "all") or (type(value) is int and value >= 1):
         return value
     raise make_invalid_value_error(
@@ -104,12 +107,15 @@ def _require_ring_radii(value: object) -> object:
 
 
 class ScalePosition(float):
-    """Position on the scale of an analysis; ``unit`` is empty for a number without a unit."""
+    """Position on the scale of an analysis, in the SI unit ``unit``.
+
+    ``unit`` is empty for a number without a unit.
+    """
 
     unit: str = ""
 
 
-# Units of positions on the scale of an analysis: of frequency, of time, and of swept quantities.
+# Units of positions on the scale of an analysis: frequency, time, or a swept quantity.
 # A dc sweep can vary every quantity that a source can prescribe.
 SCALE_UNITS = (
     "Hz",
@@ -119,7 +125,7 @@ SCALE_UNITS = (
 
 
 def _parse_scale_position(value: object) -> ScalePosition:
-    """Parse a position on the scale of an analysis."""
+    """Parse a position on the scale of an analysis, such as a time or frequency."""
     if isinstance(value, ScalePosition):
         return value
     for unit in SCALE_UNITS:
@@ -139,7 +145,7 @@ def _parse_scale_position(value: object) -> ScalePosition:
 
 
 def _parse_mounting(value: object) -> object:
-    """Parse the mounting of a body: a name or a stiffness."""
+    """Parse the mounting of a body, which is a name or a stiffness per area."""
     known = ("roller", "glued", "free")
     try:
         if value in known or 0 < convert_quantity(value, "N/m3") < float("inf"):
@@ -153,11 +159,11 @@ def _parse_mounting(value: object) -> object:
 
 
 def si(unit: str) -> BeforeValidator:
-    """Return the validator of a key whose value is a number in ``unit``.
+    """Return the validator of a scene key whose value is a number in ``unit``.
 
     Raises
     ------
-    UsageError : ``unit`` is not a product or a quotient of SI units.
+    UsageError : ``unit`` is not a product or quotient of SI units.
     """
     if parse_unit(unit) is None:
         raise UsageError(
@@ -171,10 +177,10 @@ def si(unit: str) -> BeforeValidator:
 
 @dataclass(frozen=True)
 class PlausibleRange:
-    """Range of plausible values of a key, as metadata of its type.
+    """Range of plausible values of a scene key, as metadata of the key's type.
 
-    Plausible values are between ``low`` and ``high`` in ``unit``. ``why`` is the reason for
-    these limits. Zero is accepted, for example for a tip without mass.
+    Plausible values are between ``low`` and ``high`` in ``unit``. ``why`` is the reason for these
+    limits. Zero is also accepted, for example for a tip without mass.
     """
 
     unit: str
@@ -184,7 +190,7 @@ class PlausibleRange:
 
 
 Length = Annotated[float, si("m")]
-# Plausible dimensions of manufactured parts: thickness of layers and plates, width and length.
+# Plausible dimensions of manufactured parts: thickness of layers and plates, width, and length.
 Thickness = Annotated[
     Length, PlausibleRange("m", 1e-7, 0.03, "films begin at 0.1 um, plates end at 3 cm")
 ]
@@ -231,13 +237,14 @@ GateTime = Annotated[float, BeforeValidator(partial(_parse_number_with_unit, "s"
 
 @dataclass(frozen=True)
 class RefinementRule:
-    """Refinement rule of a numerical setting that trades computing time for accuracy.
+    """Rule that refines a numerical setting, for higher accuracy in more time.
 
     One refinement step multiplies the value of the key by ``factor``. If ``spaces`` is true, the
-    key is a number of points, and the number of intervals between the points is multiplied. Below
-    the value ``finest``, rounding errors dominate. ``model`` marks a key that does not change the
-    time of the simulator. ``mesh`` marks a key for the fineness of a mesh or of rings, whose error
-    the part estimates. The rule applies only if each key in ``when`` has the paired value.
+    key is a number of points, and ``factor`` multiplies the number of intervals between the points.
+    Below the value ``finest``, rounding errors dominate. If ``model`` is true, the key affects the
+    time to build a model, but not the time of the simulator. If ``mesh`` is true, the key sets the
+    fineness of a mesh or of rings, and the part estimates the resulting error. The rule applies
+    only if each key in ``when`` has the stated value.
     """
 
     factor: float
@@ -250,7 +257,7 @@ class RefinementRule:
     def refine(self, value: float, steps: float) -> float:
         """Return ``value`` after a number of refinement ``steps``.
 
-        The result is rounded to six digits or to an integer.
+        A real number is rounded to six digits, and a number of points or parts to an integer.
         """
         factor = self.factor**steps
         if not isinstance(value, int):
@@ -259,8 +266,8 @@ class RefinementRule:
 
 
 class Section(BaseModel):
-    """Base class of tables of a scene file; instances reject unknown keys and changes."""
+    """Base class of tables in a scene file, which reject unknown keys and changes."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True, defer_build=True)
-    help_command: ClassVar[str] = "kc2spice scenes --keys"  # command that lists all keys
+    help_command: ClassVar[str] = "kc2spice scenes --keys"  # command that prints all keys
     unsupported_key_hints: ClassVar[Mapping[str, str]] = {}  # keyed by name of key

@@ -1,4 +1,4 @@
-"""Keys in the schema of a table: their paths, units and ranges of plausible values."""
+"""Paths, units and ranges of plausible values of the keys in a table's schema."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ KeyPath = tuple[str | int, ...]
 
 
 def list_keys(schema: type[BaseModel]) -> Iterator[tuple[tuple[str, ...], FieldInfo]]:
-    """Yield path and field of each key of a schema, including the keys of its subtables."""
+    """Yield the path and the field of each key of a schema and of its subtables."""
     for name, field in schema.model_fields.items():
         section, path = find_section(field.annotation), (field.alias or name,)
         if section is None:
@@ -26,9 +26,9 @@ def list_keys(schema: type[BaseModel]) -> Iterator[tuple[tuple[str, ...], FieldI
 
 
 def find_section(annotation: Any) -> type[BaseModel] | None:
-    """Return the section class in a field's annotation: ``Kick`` for ``Kick | None``.
+    """Return the section class in a type annotation: ``Kick`` for ``Kick | None``.
 
-    The result is None if the annotation contains no section class.
+    The result is None if the type annotation contains no section class.
     """
     for candidate in (annotation, *get_args(annotation)):
         if isinstance(candidate, type) and issubclass(candidate, BaseModel):
@@ -37,7 +37,7 @@ def find_section(annotation: Any) -> type[BaseModel] | None:
 
 
 def _list_field_metadata(field: FieldInfo) -> Iterator[Any]:
-    """Yield the metadata of a field and, for a list, of the type of its elements."""
+    """Yield the metadata of a field, and for a list the metadata of its element type."""
     yield from field.metadata
     for argument in get_args(field.annotation):
         yield from get_args(argument)[1:]
@@ -46,7 +46,7 @@ def _list_field_metadata(field: FieldInfo) -> Iterator[Any]:
 def find_unit(field: FieldInfo) -> str | None:
     """Return the SI unit of a numeric field; None for a field without a unit.
 
-    In a list of numbers, all numbers have this unit.
+    All numbers of a list have the same unit.
     """
     for meta in _list_field_metadata(field):
         if isinstance(meta, BeforeValidator) and isinstance(meta.func, partial):
@@ -55,13 +55,13 @@ def find_unit(field: FieldInfo) -> str | None:
 
 
 def get_plausible_range(field: FieldInfo) -> PlausibleRange | None:
-    """Return the range of plausible values of a key; None for a key without such a range."""
+    """Return the range of plausible values of a key, or None."""
     return next(
         (meta for meta in _list_field_metadata(field) if isinstance(meta, PlausibleRange)), None
     )
 
 
 def join_path(path: KeyPath) -> str:
-    """Join keys and list indices of a path to text, such as ``layers[0].thickness``."""
+    """Join a path of keys and list indices to a text such as ``layers[0].thickness``."""
     text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in path)
     return text.removeprefix(".")

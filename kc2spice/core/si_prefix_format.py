@@ -1,26 +1,30 @@
-"""Formatting of numbers with SI prefixes or in percent, with 0 in place of rounding errors."""
+"""Formatting of numbers with SI prefixes or in percent.
+
+Rounding errors are printed as 0.
+"""
 
 from __future__ import annotations
 
 import math
 
 PREFIXES = {-18: "a", -15: "f", -12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
-# Units that contain a prefix: the unit without the prefix, and the factor of the prefix.
+# Units that contain a prefix, with the unit without prefix and the conversion factor.
 _PREFIXED_UNITS = {"kg": ("g", 1e3), "mm": ("m", 1e-3), "um": ("m", 1e-6)}
 _SHOWN_UNITS = {"Ohm": "Ω", "kg s2": "kg·s²"}
-# Units of areas and volumes, with their size in m2 or m3.
+# Units of area and volume, with the equivalent of 1 unit in m2 or m3.
 _AREAS = {"m²": 1.0, "cm²": 1e-4, "mm²": 1e-6, "µm²": 1e-12}
 _VOLUMES = {"m³": 1.0, "dm³": 1e-3, "cm³": 1e-6, "mm³": 1e-9, "µm³": 1e-18}
 _POWERS_OF_LENGTH = {"m2": _AREAS, "m3": _VOLUMES}
-# Smallest number that is printed in a unit of area or volume; otherwise a smaller unit is used.
+# Smallest number that is printed in a unit of area or volume; below this limit, a smaller unit is
+# used.
 MIN_SHARE_OF_UNIT = 0.1
-LARGEST_MASS = 1e3  # kg; larger masses are printed without a further prefix
-_RATIO_WORDS = "of ", "relative"  # first words of the units of ratios, such as "of the peak"
-ROUNDING_NOISE = 1e-12  # largest rounding error, relative to the scale of a number
+LARGEST_MASS = 1e3  # kg; masses from this value on are printed in kg, without another prefix
+_RATIO_WORDS = "of ", "relative"  # beginnings of the units of ratios, such as "of the peak"
+ROUNDING_NOISE = 1e-12  # numbers below this fraction of their scale are rounding errors
 
 
 def get_prefix_exponent(value: float) -> int:
-    """Return the exponent of ten of the SI prefix of a number; 0 for no prefix.
+    """Return the power of ten of the SI prefix for a number; 0 for no prefix.
 
     Examples
     --------
@@ -32,7 +36,7 @@ def get_prefix_exponent(value: float) -> int:
 
 
 def format_quantity(value: float | None, unit: str, digits: int = 4) -> str:
-    """Return the text of a number with an SI prefix, such as ``505.7 µs`` for 5.0573e-4 s.
+    """Format a number with an SI prefix, such as ``505.7 µs`` for 5.0573e-4 s.
 
     Examples
     --------
@@ -48,7 +52,7 @@ def format_quantity(value: float | None, unit: str, digits: int = 4) -> str:
     if unit in _PREFIXED_UNITS:
         base_unit, factor = _PREFIXED_UNITS[unit]
         if unit == "kg" and abs(value) >= LARGEST_MASS:
-            return f"{value:.{digits}g} kg"  # a prefix such as in Gg is not usual
+            return f"{value:.{digits}g} kg"  # a prefix as in Gg is unusual
         return format_quantity(factor * value, base_unit, digits)
     if _is_power_of_length(unit):
         return _format_power_of_length(value, unit, digits)
@@ -56,12 +60,12 @@ def format_quantity(value: float | None, unit: str, digits: int = 4) -> str:
 
 
 def _is_power_of_length(unit: str) -> bool:
-    """Return whether a unit begins with m2 or m3, so that its prefix is squared or cubed."""
+    """Return whether a unit is m2 or m3, or a quotient such as m3/s."""
     return unit.partition("/")[0] in _POWERS_OF_LENGTH
 
 
 def _format_power_of_length(value: float, unit: str, digits: int) -> str:
-    """Format an area or a volume in the largest unit in which its number is at least 0.1."""
+    """Format an area or a volume in the largest unit that gives at least 0.1."""
     base, slash, divisor = unit.partition("/")
     units = _POWERS_OF_LENGTH[base]
     large = [name for name, size in units.items() if abs(value) >= MIN_SHARE_OF_UNIT * size]
@@ -71,7 +75,7 @@ def _format_power_of_length(value: float, unit: str, digits: int) -> str:
 
 
 def _accepts_prefix(unit: str) -> bool:
-    """Return whether a unit takes a prefix; a phrase such as ``of the peak`` does not."""
+    """Return whether a unit may have a prefix; not a phrase such as ``of the peak``."""
     return bool(unit) and (" " not in unit or " per " in unit)
 
 
@@ -83,7 +87,7 @@ def _format_with_prefix(value: float, unit: str, digits: int, power: int) -> str
 
 
 def format_ratio(value: float | None) -> str:
-    """Return the text of a ratio with two digits; ``0`` for a rounding error.
+    """Format a ratio with two digits; a rounding error gives ``0``.
 
     Examples
     --------
@@ -95,11 +99,11 @@ def format_ratio(value: float | None) -> str:
 
 
 def format_value_and_limit(value: float, limit: float, unit: str) -> tuple[str, str]:
-    """Return the texts of a value and its limit with one prefix, such as 406 and 500 kHz.
+    """Format a value and its limit with one prefix, such as 406 kHz and 500 kHz.
 
-    If value and limit differ by orders of magnitude, each has a separate prefix. Values that are
-    rounding errors relative to the limit, or relative to 1 for ratios, are printed as 0. Ratios,
-    whose unit is ``of …`` or ``relative …``, are printed in percent.
+    If value and limit differ by several orders of magnitude, their prefixes may differ. A value
+    that is a rounding error relative to the limit, or to 1 for ratios, is printed as 0. Ratios,
+    whose unit begins with ``of`` or ``relative``, are printed in percent.
 
     Examples
     --------

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-# Pa, reference pressures of ISO 1683
+# reference pressures of ISO 1683 [Pa]
 GAS_REFERENCE = 20e-6
 LIQUID_REFERENCE = 1e-6
 SMALLEST_RATIO = 1e-15  # smallest ratio of pressures, because the level of silence is infinite
@@ -15,7 +15,7 @@ LEVEL_UNIT = "dB"
 
 
 class SoundLevel(NamedTuple):
-    """Sound pressure level and its reference.
+    """Sound pressure level with its reference pressure.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ class SoundLevel(NamedTuple):
 
     @property
     def reference_text(self) -> str:
-        """Reference pressure as text, such as ``re 20 µPa``."""
+        """Text that states the reference pressure, such as ``re 20 µPa``."""
         return f"re {1e6 * self.reference:g} µPa"
 
     @property

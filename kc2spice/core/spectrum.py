@@ -1,4 +1,4 @@
-"""Frequency below which a waveform has nearly all of its spectral energy."""
+"""Frequency limit below which a waveform has nearly all of its energy."""
 
 from __future__ import annotations
 
@@ -11,28 +11,29 @@ from kc2spice.core.waveforms import Waveform
 ENERGY_SHARE = 0.999  # share of a signal's energy below the computed frequency
 SIGNAL_SAMPLES = (
     2**16
-)  # number of samples of a signal, 5 for each pulse of a train of 13 000 pulses
-FIRST_CORNERS = 400  # corners at the start of a long train that are also sampled separately
-# Duration, in time constants, for which a filter's output is sampled after the end of the signal.
+)  # number of samples of a signal, or 5 samples per pulse in a train of 13 000 pulses
+FIRST_CORNERS = 400  # corners at the start of a long pulse train that are also evaluated separately
+# Number of time constants for which the filter output is sampled after the end of the signal.
 DECAY_TIME_CONSTANTS = 20.0
-MIN_SIGNAL_SAMPLES = 20  # smallest number of samples within the signal
+MIN_SIGNAL_SAMPLES = 20  # smallest number of samples between the start and the end of the signal
 
 
 def find_energy_frequency(
     time: np.ndarray, values: np.ndarray, constant: float = 0.0, share: float = ENERGY_SHARE
 ) -> float:
-    """Return the frequency [Hz] below which a signal has a fraction of its energy.
+    """Return the frequency [Hz] below which a signal has a ``share`` of its energy.
 
     The energy is the integral of the squared difference ``x(t) - x(0)``, so a constant signal has
-    no energy. Between the points, the signal x is linear. A signal whose last value differs from
-    its first value is continued by its mirror image in time, so that it ends without a jump.
+    no energy. Between the points, the signal x is linear. If the last value of a signal differs
+    from the first value, the mirror image of the signal in time is appended. The extended signal
+    ends without a jump.
 
     Parameters
     ----------
     time : increasing times (n,) [s].
-    values : values (n,) of the signal at these times.
-    constant : time constant [s] of a first-order low-pass filter through which the signal passes.
-    share : share of the energy, below 1.
+    values : values (n,) of the signal at the times ``time``.
+    constant : time constant [s] of a first-order low-pass filter that is applied to the signal.
+    share : share of the energy below the returned frequency, less than 1.
     """
     span = time[-1] - time[0]
     if not span > 0 or not np.ptp(values):
@@ -48,7 +49,7 @@ def find_energy_frequency(
     spectrum = np.fft.rfft(x, 4 * SIGNAL_SAMPLES)
     f = np.fft.rfftfreq(4 * SIGNAL_SAMPLES, step)
     power = np.abs(spectrum) ** 2 / (1 + (2 * np.pi * f * constant) ** 2)
-    power[0] /= 2  # 0 Hz counts once, all other frequencies f also as -f
+    power[0] /= 2  # every frequency f except 0 Hz also occurs as -f
     risen = np.cumsum(power)
     return float(f[np.searchsorted(risen, share * risen[-1])])
 
@@ -58,8 +59,9 @@ def find_waveform_frequency(wave: Waveform, stop: float, constant: float = 0.0) 
     """Return the frequency [Hz] below which a waveform has nearly all of its energy.
 
     For a sine, the result is the frequency of the sine. The waveform is evaluated until ``stop``
-    [s]. Only one period of an endless pulse train is evaluated. The first :data:`FIRST_CORNERS`
-    corners of a long train are also evaluated alone, and the higher frequency is returned.
+    [s]. Only one period of an endless pulse train is evaluated. For a long pulse train, the
+    frequency is computed twice: from the complete waveform, and from its first
+    :data:`FIRST_CORNERS` corners. The higher frequency is returned.
     """
     if not wave.is_piecewise_linear:
         return wave.frequency

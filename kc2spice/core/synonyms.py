@@ -1,9 +1,9 @@
-"""Names that other programs use, and the corresponding names of kc2spice, for hints in errors.
+"""Names of other programs and their kc2spice equivalents, for hints in errors.
 
-All names of other programs are in lower case, without blanks and punctuation.
+All names of other programs are in lower case, without spaces or punctuation.
 """
 
-# Part types of this program, keyed by the names of devices in other programs.
+# kc2spice part types, keyed by the device names that other programs use.
 PART_TYPE_SYNONYMS = {
     "r": "resistor", "res": "resistor", "c": "capacitor", "cap": "capacitor", "l": "inductor",
     "ind": "inductor", "coil": "inductor", "v": "source", "i": "source", "vsource": "source",
@@ -14,7 +14,7 @@ PART_TYPE_SYNONYMS = {
     "mesh": "body", "fem": "body", "solid": "body", "pipe": "tube", "volume": "cavity",
 }  # fmt: skip
 
-# Choices of a key, keyed by the words of other programs for these choices.
+# Accepted values of scene keys, keyed by the equivalent words of other programs.
 CHOICE_SYNONYMS = {
     "average": "mean",
     "avg": "mean",
@@ -70,7 +70,7 @@ CHOICE_SYNONYMS = {
     "unsupported": "free",
 }
 
-# Common names of quantities, the keys that scenes use in their place, and the relation of both.
+# For each common quantity name: the scene key to use instead, and a hint for the user.
 REPLACED_KEYS = {
     "radius": ("diameter", "use the key diameter, which is twice the radius"),
     "diameter": ("radius", "use the key radius, which is half the diameter"),
@@ -80,7 +80,7 @@ REPLACED_KEYS = {
     "zeta": ("ratio", "did you mean 'ratio'?"),
 }
 
-# Keys of other programs, and keys of this program with the same meaning.
+# kc2spice keys with the same meaning, keyed by the names that other programs use.
 KEY_SYNONYMS = {
     "peak": ("amplitude", "high", "voltage"),
     "amp": ("amplitude",),

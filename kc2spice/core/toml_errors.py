@@ -1,8 +1,8 @@
-"""Errors of TOML files with the faulty line, and a correction that the parser accepts.
+"""Errors of TOML files that quote the faulty line and suggest a correction.
 
-The parser reports the position at which it stopped. This position is seldom the position of the
-mistake. Each function of this module proposes repaired lines for one kind of mistake.
-:func:`make_toml_error` suggests the first repair with which the parser stops at a later position.
+The parser reports the position at which the parser stopped, which is seldom the position of the
+mistake. Each function ``_repair_…`` proposes repaired lines for one kind of mistake.
+:func:`make_toml_error` suggests the first repair that makes the parser stop at a later position.
 """
 
 from __future__ import annotations
@@ -23,24 +23,24 @@ from kc2spice.core.untrusted_files import (
     split_lines,
 )
 
-# Largest number of lines from an opening bracket to the line at which the parser stops.
+# Largest number of lines between an opening bracket and the line at which the parser stops.
 MAX_BRACKET_LINES = 40
-MAX_LINE_LENGTH = 500  # characters of a line that are searched for mistakes
+MAX_LINE_LENGTH = 500  # number of characters of a line that are searched for mistakes
 _STRING = re.compile(r"\"(?:[^\"\\]|\\.)*\"|'[^']*'")
 _BARE_VALUE = re.compile(r"(?<=[=,\[])\s*([^\"'\[\]{},=#\s][^\"'\[\]{},=#]*?)\s*(?=[,\]}#]|$)")
 _WRONG_ASSIGNMENT = re.compile(r"(\s*[\w.\-]+)\s*(==|:=|:)\s*")  # groups: key, wrong sign
-# Each double or single typographic quote is replaced by a double quote.
+# Each typographic quotation mark, double or single, is replaced by ``"``.
 _PLAIN_QUOTES = str.maketrans(
     dict.fromkeys("\u201c\u201d\u201e\u201f\u00ab\u00bb\u2018\u2019\u201a", '"')
 )
-# absolute path of a file on Windows between double quotes
+# absolute Windows path of a file between double quotes
 _WINDOWS_PATH = re.compile(r'"([A-Za-z]:\\|\\\\)[^"]*?([^"\\/]+\.\w+)"')
 _HEADER = re.compile(r"\s*(\[+)([\w.\-\"' ]+)\]*\s*(?:#.*)?")
 
 
 @dataclass(frozen=True)
 class _Repair:
-    """Repair of a line: the fault, and the text that replaces the line ``number``."""
+    """Repair of a line: the problem, and the new text of the line ``number``."""
 
     problem: str
     number: int
@@ -49,7 +49,9 @@ class _Repair:
 
 
 def parse_toml_file(text: str, label: str) -> dict[str, Any]:
-    """Parse ``text`` as TOML and return its tables; errors name the file ``label``.
+    """Parse ``text`` as TOML.
+
+    Return the tables of the text. Error messages state ``label`` as the name of the file.
 
     Raises
     ------
@@ -62,7 +64,7 @@ def parse_toml_file(text: str, label: str) -> dict[str, Any]:
 
 
 def make_toml_error(text: str, error: ValueError, label: str) -> UsageError:
-    """Make the error for a ``text`` that the parser rejected with ``error``.
+    """Make the error for a ``text`` that the parser rejected with an ``error``.
 
     Parameters
     ----------
@@ -71,7 +73,7 @@ def make_toml_error(text: str, error: ValueError, label: str) -> UsageError:
     label : name of the file.
     """
     number = _find_line_number(text, str(error))
-    if number is None:  # the error "too long" or "nested too deeply" has no line
+    if number is None:  # the errors "too long" and "nested too deeply" have no line number
         return UsageError(
             "this text is not valid TOML",
             where=label,
@@ -82,7 +84,8 @@ def make_toml_error(text: str, error: ValueError, label: str) -> UsageError:
         )
     if (format_error := _make_other_format_error(text, label)) is not None:
         return format_error
-    # Only the beginning of a long line is searched: the time grows with the square of the length.
+    # Only the beginning of a long line is searched, because the time grows with the square of the
+    # length.
     lines = [line[:MAX_LINE_LENGTH] for line in split_lines(text)] or [""]
     number = min(number, len(lines))
     error_by_pattern = _make_duplicate_error(
@@ -121,7 +124,7 @@ _OTHER_FORMATS = {
 
 
 def _make_other_format_error(text: str, label: str) -> UsageError | None:
-    """Return the error for a netlist or a file in another format; None for all other files."""
+    """Return the error for a netlist or a file in another known format, or None."""
     name, action = _OTHER_FORMATS.get(Path(label).suffix.lower(), ("", ""))
     if not name and not label.endswith(".toml") and _NETLIST_CARD.search(text):
         name = "a SPICE netlist"
@@ -140,26 +143,29 @@ def _make_other_format_error(text: str, label: str) -> UsageError | None:
 
 
 def _parse_header(line: str) -> tuple[str, str]:
-    """Return the opening brackets and the name in a table header; empty for other lines."""
+    """Return the opening brackets and the name of a table header.
+
+    For a line that is no table header, both returned texts are empty.
+    """
     header = _HEADER.fullmatch(line) if len(line) <= MAX_LINE_LENGTH else None
     return ("", "") if header is None else (header[1], header[2].strip())
 
 
 def _quote_line(lines: Sequence[str], number: int) -> str:
-    """Return the text of line ``number`` for an error message, cut after 120 characters."""
+    """Return line ``number`` for an error message, cut after 120 characters."""
     line = lines[number - 1].strip() if number <= len(lines) else ""
     return line if len(line) <= 120 else line[:120] + " …"
 
 
 def _find_error_position(text: str, message: str) -> tuple[float, float]:
-    """Return the line and column at which the parser stopped."""
+    """Return the line and column at which the parser stopped, from its message."""
     if match := re.search(r"at line (\d+), column (\d+)\)", message):
         return float(match[1]), float(match[2])
     return math.inf, 0.0
 
 
 def _find_line_number(text: str, message: str) -> int | None:
-    """Return the line number in the parser's message; None if the message has none."""
+    """Return the line number in the parser's message, or None."""
     if match := re.search(r"at line (\d+), column", message):
         return int(match[1])
     if "end of document" in message:
@@ -168,7 +174,7 @@ def _find_line_number(text: str, message: str) -> int | None:
 
 
 def _measure_parser_position(lines: Sequence[str], repair: _Repair) -> tuple[float, float]:
-    """Return the position at which the parser stops after a repair of the text."""
+    """Return the position at which the parser stops after a ``repair``."""
     changed = [*lines[: repair.number - 1], repair.line, *lines[repair.number :]]
     text = "\n".join(changed) + "\n"
     try:
@@ -181,7 +187,7 @@ def _measure_parser_position(lines: Sequence[str], repair: _Repair) -> tuple[flo
 
 
 def _mask_strings(line: str) -> str:
-    """Mask the strings and the comment of a line without changing the line's length."""
+    """Mask the strings and the comment of a line, without changing its length."""
     masked = _STRING.sub(lambda found: '"' + "_" * (len(found[0]) - 2) + '"', line)
     comment = masked.find("#")
     return masked if comment < 0 else masked[:comment] + " " * (len(masked) - comment)
@@ -206,7 +212,7 @@ def _is_value(text: str) -> bool:
 
 
 def _suggest_line(line: str) -> str:
-    """Return the hint to write the corrected ``line``."""
+    """Return a hint that suggests the corrected ``line``."""
     return f"write  {line.strip()}"
 
 
@@ -225,15 +231,19 @@ def _repair_quotes(lines: Sequence[str], number: int) -> Iterator[_Repair]:
 
 
 def _find_unmatched_quote(line: str) -> str:
-    """Return the unpaired quotation mark of a line; empty if no or both marks are unpaired."""
+    """Return the unpaired quotation mark of a line, either ``"`` or ``'``.
+
+    The result is empty if no mark is unpaired, or if both kinds of marks are unpaired.
+    """
     masked = _STRING.sub(lambda found: "_" * len(found[0]), line)
     lone = [mark for mark in "\"'" if masked.count(mark) == 1]
     return lone[0] if len(lone) == 1 else ""
 
 
 def _repair_unmatched_quote(lines: Sequence[str], number: int) -> Iterator[_Repair]:
-    """Yield repairs of a quote without a matching second quote."""
-    # If a closing quote is missing, the parser stops at the next apostrophe or at the file's end.
+    """Yield repairs of a missing opening or closing quotation mark."""
+    # If a closing quote is missing, the parser stops at the next apostrophe or at the end of the
+    # file.
     above = (at for at, line in enumerate(lines[:number], start=1) if _find_unmatched_quote(line))
     for at in (number, next(above, number)):
         line = lines[at - 1]
@@ -254,7 +264,7 @@ def _repair_header(lines: Sequence[str], number: int) -> Iterator[_Repair]:
     brackets, name = _parse_header(lines[number - 1])
     if not name:
         return
-    # no key at the top level of a scene is a list of tables
+    # at the top level of a scene, no key is a list of tables
     header = f"[[{name}]]" if brackets == "[[" and "." in name else f"[{name}]"
     yield _Repair("the brackets of a table do not match", number, header, _suggest_line(header))
 
@@ -276,7 +286,7 @@ def _repair_brackets(lines: Sequence[str], number: int) -> Iterator[_Repair]:
 
 
 def _repair_backslash(lines: Sequence[str], number: int) -> Iterator[_Repair]:
-    """Yield repairs of a backslash that begins no escape sequence, as in a Windows path."""
+    """Yield repairs of backslashes that begin no escape sequence, as in Windows paths."""
     line = lines[number - 1]
     plain = re.sub(r'"([^"\']*)"', r"'\1'", line)
     if found := _WINDOWS_PATH.search(line):
@@ -358,7 +368,7 @@ _ASSIGNMENT_START = re.compile(r"\s*([\w.-]+)\s*=\s*(\{?)\s*(#.*)?$")
 
 
 def _make_incomplete_error(lines: Sequence[str], number: int, label: str) -> UsageError | None:
-    """Return the error for a key without a value, or for a list of tables in braces."""
+    """Return the error for a key without value, or a list of tables without brackets."""
     for place in (number, number - 1):
         start = _ASSIGNMENT_START.match(lines[place - 1]) if 0 < place <= len(lines) else None
         if start is None:
@@ -423,9 +433,9 @@ def _make_duplicate_error(
 
 
 def _find_first_line(lines: Sequence[str], number: int, name: str) -> int | None:
-    """Find the line above ``number`` with the first occurrence of ``name``.
+    """Find the line above line ``number`` on which ``name`` is already defined.
 
-    ``name`` is the name of a table, or of a key within one table.
+    ``name`` is a table header, or a key in the same table.
     """
     for at in range(number - 1, 0, -1):
         line = lines[at - 1].strip()

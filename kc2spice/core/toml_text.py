@@ -8,7 +8,7 @@ from typing import Any
 
 
 def format_toml(value: Any) -> str:
-    """Return a value as TOML text with all digits, as in a scene file.
+    """Format a value as TOML text with all digits, as in a scene file.
 
     >>> format_toml([[0, 0], ["1 ms", 5]])
     '[[0, 0], ["1 ms", 5]]'
@@ -24,7 +24,10 @@ def format_toml(value: Any) -> str:
 
 
 def display_text(value: Any) -> str:
-    """Format a value as TOML; a number with too many digits is described in words."""
+    """Format a value as short TOML text.
+
+    A number with too many digits is described in words.
+    """
     try:
         return clip_text(quote_value(value))
     except ValueError:
@@ -32,7 +35,10 @@ def display_text(value: Any) -> str:
 
 
 def quote_value(value: Any) -> str:
-    """Format a value for an error: tables and lists as in a scene file, others by ``repr``."""
+    """Format a value for an error message.
+
+    Tables and lists are written as in a scene file, and all other values as by ``repr``.
+    """
     if isinstance(value, Mapping):
         return (
             "{ " + ", ".join(f"{key} = {quote_value(item)}" for key, item in value.items()) + " }"
@@ -43,5 +49,5 @@ def quote_value(value: Any) -> str:
 
 
 def clip_text(text: str) -> str:
-    """Cut a text after 120 characters."""
+    """Return a text, cut after 120 characters."""
     return text if len(text) <= 120 else text[:120] + " …"

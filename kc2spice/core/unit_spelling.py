@@ -1,4 +1,4 @@
-"""Suggestions for quantities with wrong units: decimal commas, other units, and misspelt units."""
+"""Suggested corrections of quantities with decimal commas or with wrong units."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from kc2spice.core.units import (
     parse_unit,
 )
 
-# Symbols of units, keyed by the name of the unit in the singular.
+# Unit symbols, keyed by the unit name in the singular.
 _UNIT_WORDS = {
     "gram": "g", "kilogram": "kg", "metre": "m", "meter": "m", "millimetre": "mm",
     "millimeter": "mm", "micrometer": "um", "micron": "um", "second": "s", "sec": "s", "volt": "V",
@@ -27,7 +27,7 @@ _UNIT_WORDS = {
     "picofarad": "pF", "kilohertz": "kHz", "megahertz": "MHz", "millisecond": "ms",
     "microsecond": "us", "millivolt": "mV", "kilovolt": "kV", "milliampere": "mA",
 }  # fmt: skip
-# Units outside of the SI, with their value and SI unit. Values of NIST SP 811, appendix B.
+# Value and SI unit of each non-SI unit. The values are from NIST SP 811, appendix B.
 _FOREIGN_UNITS = {
     "in": (0.0254, "m"), "inch": (0.0254, "m"), '"': (0.0254, "m"), "mil": (2.54e-5, "m"),
     "thou": (2.54e-5, "m"), "ft": (0.3048, "m"), "Å": (1e-10, "m"), "micron": (1e-6, "m"),
@@ -57,7 +57,7 @@ class _TypedQuantity(NamedTuple):
 
 
 def suggest_spelling(value: object, si: str) -> str | None:
-    """Suggest a correction of a decimal comma, or of a missing or misspelt unit.
+    """Suggest a correction of a decimal comma, or of a missing or wrong unit.
 
     >>> suggest_spelling("1,5 mm", "m")
     'write  "1.5 mm"'
@@ -84,12 +84,12 @@ def suggest_spelling(value: object, si: str) -> str | None:
 
 
 def _make_form_hint(si: str) -> str:
-    """Return a hint that shows the form of a quantity in the unit ``si``."""
+    """Return a hint with an example of a quantity in the unit ``si``."""
     return f'write a number with its unit, such as "1 {si}"' if si else "write a number"
 
 
 def _suggest_if_valid(text: str, si: str) -> str | None:
-    """Suggest ``text`` if it is a quantity in the unit ``si``."""
+    """Suggest ``text`` if this text is a valid quantity in the unit ``si``."""
     with contextlib.suppress(ValueError):
         parse_quantity(text, si)
         return f'write  "{text}"'
@@ -97,14 +97,14 @@ def _suggest_if_valid(text: str, si: str) -> str | None:
 
 
 def _replace_name(typed: _TypedQuantity, si: str) -> str | None:
-    """Suggest the symbol of a unit whose name was typed: ``5 volts``."""
+    """Suggest the symbol of a unit whose name was typed, as in ``5 volts``."""
     word = "" if parse_unit(typed.unit) else typed.unit.lower().removesuffix("s")
     symbol = _UNIT_WORDS.get(word)
     return symbol and _suggest_if_valid(f"{typed.number} {symbol}", si)
 
 
 def _replace_celsius(typed: _TypedQuantity, si: str) -> str | None:
-    """Suggest kelvin for a difference of temperatures in degrees Celsius."""
+    """Suggest kelvin for a temperature difference in degrees Celsius."""
     celsius = re.search("°C|℃|degC", typed.unit)
     if celsius is None:
         return None
@@ -116,7 +116,7 @@ def _replace_celsius(typed: _TypedQuantity, si: str) -> str | None:
 
 
 def _replace_prefix_in_number(typed: _TypedQuantity, si: str) -> str | None:
-    """Suggest a decimal point for a quantity such as ``4k7``, with the prefix in its place."""
+    """Suggest a decimal point in place of the prefix of a quantity such as ``4k7``."""
     split = re.fullmatch(r"(\d+)([pnumkMGRΩ])(\d+)", typed.text)
     if split is None:
         return None
@@ -125,7 +125,7 @@ def _replace_prefix_in_number(typed: _TypedQuantity, si: str) -> str | None:
 
 
 def _correct_letter_case(typed: _TypedQuantity, si: str) -> str | None:
-    """Suggest the unit ``si`` for the same letters in another case, with the typed prefix."""
+    """Suggest the unit ``si`` with the typed prefix if only the letter case is wrong."""
     if not si or not typed.unit.lower().endswith(si.lower()):
         return None
     prefix = typed.unit[: -len(si)]
@@ -134,7 +134,7 @@ def _correct_letter_case(typed: _TypedQuantity, si: str) -> str | None:
 
 
 def _add_exponent(typed: _TypedQuantity, si: str) -> str | None:
-    """Suggest the missing exponent of an area or a volume, such as ``mm2`` for ``mm``."""
+    """Suggest the missing exponent in a unit of area or volume: ``mm2`` for ``mm``."""
     power, length = re.fullmatch(r"(m)([23])", si), parse_unit(typed.unit)
     if power and length and length == parse_unit(f"{typed.unit[:-1]}m"):
         return f'write  "{typed.number} {typed.unit}{power[2]}"'
@@ -142,7 +142,7 @@ def _add_exponent(typed: _TypedQuantity, si: str) -> str | None:
 
 
 def _convert_foreign_unit(typed: _TypedQuantity, si: str) -> str | None:
-    """Suggest the value in SI units of a quantity in another unit, such as inches."""
+    """Suggest the SI value of a quantity in another unit, such as inches."""
     factor, unit = _FOREIGN_UNITS.get(typed.unit, (0.0, ""))
     if not factor or unit != si:
         return None
@@ -151,13 +151,13 @@ def _convert_foreign_unit(typed: _TypedQuantity, si: str) -> str | None:
 
 
 def _complete_unit(typed: _TypedQuantity, si: str) -> str | None:
-    """Suggest a compound unit of which only the first unit was typed: ``3 N`` for N/m."""
+    """Suggest a compound unit if only its first unit was typed: ``3 N`` for N/m."""
     if typed.unit and si.startswith((f"{typed.unit}/", f"{typed.unit} ")):
         return f'write  "{typed.number} {si}"'
     return None
 
 
-# Corrections of a text that begins with a number, in the order in which they are tried.
+# Functions that suggest corrections of a text that begins with a number, in the order of trials.
 _CORRECTIONS = (
     _replace_name,
     _replace_celsius,
@@ -170,7 +170,7 @@ _CORRECTIONS = (
 
 
 def _complete_text(value: str, typed: _TypedQuantity | None, si: str) -> str | None:
-    """Suggest a decimal point for a comma, or the unit ``si`` behind the typed text."""
+    """Suggest a decimal point instead of a comma, or append the unit ``si``."""
     for text in (value.replace(",", ".", 1), f"{value.rstrip()}{si}", f"{value.rstrip()} {si}"):
         with contextlib.suppress(ValueError):
             if not math.isfinite(parse_quantity(text, si)):
@@ -184,8 +184,8 @@ def _complete_text(value: str, typed: _TypedQuantity | None, si: str) -> str | N
 
 
 def _suggest_unit(typed: _TypedQuantity | None, si: str) -> str:
-    """Suggest the unit ``si`` with the prefix that is most similar to the typed unit."""
-    from difflib import get_close_matches  # imported here, because most values need no correction
+    """Suggest the unit ``si`` with the prefix that matches the typed unit best."""
+    from difflib import get_close_matches  # imported here, because few values need a correction
 
     if typed is None:
         return _make_form_hint(si)
@@ -195,10 +195,10 @@ def _suggest_unit(typed: _TypedQuantity | None, si: str) -> str:
         return as_typed if si else f"write {number}"
     units = [f"{prefix}{si}" for prefix in ("", *UNIT_PREFIXES)]
     lower = {item.lower(): item for item in reversed(units)}
-    # a prefix in words or in another letter case: 1 micro F, 1 KOhm
+    # a prefix as a word or in the wrong letter case: 1 micro F, 1 KOhm
     word = re.sub(r"^(micro|milli|kilo|nano|pico)\s*", _abbreviate_prefix, unit).lower()
     similar = [lower[word]] if word in lower else get_close_matches(unit, units, 1, 0.7)
-    if not similar:  # another letter case: kh for kHz
+    if not similar:  # wrong letter case: kh for kHz
         similar = [lower[item] for item in get_close_matches(unit.lower(), lower, 1, 0.7)]
     if similar or not si:
         return f'write  "{number} {similar[0]}"' if similar else f"write {number}"

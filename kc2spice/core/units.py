@@ -1,6 +1,7 @@
-"""Units of quantities: prefixes, exponents of base units, and conversion of strings to SI units.
+"""Units of quantities, and conversion of strings such as "5 mm" to SI units.
 
-All factors of units are powers of ten, so a conversion only shifts the decimal exponent.
+The factors of all units are powers of ten, so a conversion only shifts the decimal exponent of a
+number.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ UNIT_PREFIXES = {
     "f": -15, "p": -12, "n": -9, "u": -6, "µ": -6, "μ": -6, "m": -3, "c": -2,
     "k": 3, "M": 6, "G": 9, "T": 12,
 }  # fmt: skip
-# Power of ten of each unit, and the exponents of the base units kg, m, s, A, K in the unit.
+# Power of ten of each unit, followed by the exponents of the base units kg, m, s, A and K.
 UNITS = {
     "g": (-3, 1, 0, 0, 0, 0), "m": (0, 0, 1, 0, 0, 0), "s": (0, 0, 0, 1, 0, 0),
     "A": (0, 0, 0, 0, 1, 0), "K": (0, 0, 0, 0, 0, 1), "1": (0, 0, 0, 0, 0, 0),
@@ -30,14 +31,14 @@ _FACTOR = re.compile(r"([A-Za-zµμ%]+|1)\^?([1-9]?)")
 _UNIT_SPELLINGS = str.maketrans(
     {"\u2126": "Ohm", "Ω": "Ohm", "²": "2", "³": "3", "·": " ", "*": " "}
 )
-# largest number of characters of a quantity with its unit
+# largest number of characters in a quantity, including the unit
 MAX_QUANTITY_LENGTH = 200
 
 
 def _look_up_unit(text: str) -> tuple[int, ...] | None:
     """Look up a unit with or without prefix.
 
-    A unit without prefix has precedence: ``m`` means metre, ``T`` tesla.
+    Units take precedence over prefixes: ``m`` means metre, and ``T`` means tesla.
     """
     if text in UNITS:
         return UNITS[text]
@@ -46,7 +47,7 @@ def _look_up_unit(text: str) -> tuple[int, ...] | None:
 
 
 def parse_unit(text: str) -> tuple[int, ...] | None:
-    """Parse a unit such as ``"A/(m s)"``; return None for other text.
+    """Parse a unit such as ``"A/(m s)"``; return None if the text is not a unit.
 
     A unit is a product of factors, or a quotient of two products. Blanks separate the factors. Each
     factor may have a one-digit exponent.
@@ -68,7 +69,10 @@ def parse_unit(text: str) -> tuple[int, ...] | None:
 
 
 def parse_quantity(text: str, si: str) -> float:
-    """Convert a string with a number and a unit to the unit ``si``, or raise ValueError."""
+    """Convert a string with a number and a unit to a number in the unit ``si``.
+
+    Any other string raises ValueError.
+    """
     match = NUMBER_WITH_UNIT.fullmatch(text) if len(text) <= MAX_QUANTITY_LENGTH else None
     if match is not None and match[2].startswith(","):
         raise ValueError("a comma in a number")

@@ -1,13 +1,13 @@
-"""Safe reading of untrusted files: checks of size, names and types before use.
+"""Safe reading of untrusted files, whose sizes, names and types are checked.
 
-The time of the standard TOML parser grows with the square of the length of a dotted key, and the
-parser calls itself for every bracket. An archive may be much larger after unpacking. The sizes that
-a file declares are therefore compared with limits before the file is parsed or unpacked.
+The time of Python's TOML parser is proportional to the square of the length of a dotted key. For
+every bracket, the parser calls itself. An archive may be much larger after unpacking. Therefore the
+sizes in a file are compared with limits before the file is parsed or unpacked.
 
-Parsers written in C can crash, fill the memory, or execute commands that a file contains. These
-parsers therefore run in a child process with limited memory and a separate folder, without output
-and without permission to start programs. If the child process does not return
-arrays, the calling process raises an error.
+Parsers written in C can crash, fill the memory, or execute commands in a file. Therefore these
+parsers run in a child process with limited memory in a separate folder. The child process cannot
+print, and on POSIX systems cannot start programs. If the child process returns no arrays, the
+calling process raises an error.
 """
 
 from __future__ import annotations
@@ -37,16 +37,17 @@ import numpy as np
 from kc2spice.core import errors
 from kc2spice.core.errors import Kc2spiceError, UsageError
 
-# Pattern of one part of a path.
-# The pattern rejects hidden files, parent directories, shell expansions and line breaks.
+# Pattern of one part of a safe path.
+# The pattern rejects hidden files, parent folders, shell expansions and line breaks.
 _PATH_PART = re.compile(r"\w[\w .+-]{0,127}(?<![ .])")
 _UNSAFE_CHARACTER = re.compile(r"[^A-Za-z0-9_.+-]")
-_MAX_ITEM_BYTES = 1_000_000  # largest size of one array element (number or text)
-# Largest size of a text file in bytes. A scene is a page of text; larger files may be an attack.
+_MAX_ITEM_BYTES = 1_000_000  # largest size of one array element in bytes (number or text)
+# Largest size of a text file in bytes. A scene has a few kilobytes, and larger files may be an
+# attack.
 MAX_TEXT_BYTES = 1_000_000
-MAX_NESTING = 32  # largest depth of nested tables and arrays
-LONGEST_KEY = 200  # largest number of characters of one part of a key
-# Alternatives of the pattern, in this order: strings and comments, brackets, dotted keys.
+MAX_NESTING = 32  # largest nesting depth of tables and arrays
+LONGEST_KEY = 200  # largest number of characters in one part of a dotted key
+# Pattern of a TOML token: strings, comments, bare keys, brackets, dots, blanks, other characters.
 _TOML_TOKEN = re.compile(
     r'"""(?:[^"\\]|\\.|"(?!""))*"*|\'\'\'(?:[^\']|\'(?!\'\'))*\'*'
     r'|"(?:[^"\\\n]|\\.)*"?|\'[^\'\n]*\'?|#[^\n]*|[\w-]+|[\[{]|[\]}]|\.|[ \t]+'
@@ -59,12 +60,12 @@ _AFTER_KEY = re.compile(r"[ \t]{0,200}[.=\]]")
 def read_bounded(path: Path, limit: int) -> bytes:
     """Read the regular file ``path`` if it has at most ``limit`` bytes.
 
-    Pipes and devices are rejected, because reading them may never end.
+    Pipes and devices are rejected, because a read from a pipe or device may never end.
 
     Raises
     ------
     OSError : the file is missing, not regular, too long or unreadable.
-    ValueError : the path contains a zero byte.
+    ValueError : the path contains a null byte.
     """
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     handle = os.open(path, flags)
@@ -89,7 +90,10 @@ def decode_text(data: bytes) -> str:
 
 
 def make_encoding_error(data: bytes, where: str) -> UsageError:
-    """Make the error for a file that is not UTF-8 text, with its line and likely encoding."""
+    """Make the error for a file that is not UTF-8 text.
+
+    The error states the line and the likely encoding of the text.
+    """
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         encoding, got = "UTF-16", "a text in UTF-16"
     elif b"\0" in data:
@@ -120,10 +124,10 @@ def make_encoding_error(data: bytes, where: str) -> UsageError:
 
 
 def split_lines(text: str) -> list[str]:
-    r"""Split a text into lines, which end with ``\n``, ``\r\n`` or ``\r``.
+    r"""Split a text into lines that end with ``\n``, ``\r\n`` or ``\r``.
 
-    ``str.splitlines`` also breaks lines at form feeds and at U+0085, U+2028 and U+2029. With these
-    line breaks, the second half of a comment would become a statement.
+    ``str.splitlines`` also breaks lines at form feeds and at U+0085, U+2028 and U+2029. With
+    additional line breaks, a part of a netlist comment could become a statement.
 
     >>> split_lines("* a comment\u2028that goes on\nR1 a b 1k\n")
     ['* a comment\u2028that goes on', 'R1 a b 1k']
@@ -133,11 +137,11 @@ def split_lines(text: str) -> list[str]:
 
 
 def explain_unsafe_name(name: str) -> str | None:
-    """Explain why ``name`` is unsafe as the name of a file; None for a safe path.
+    """Explain why ``name`` is unsafe as a file path; None for a safe path.
 
-    A safe path consists of parts separated by slashes. A part contains letters, digits, blanks and
-    ``_ . + -``. Its first character is a letter, a digit or ``_``, and its last character is no
-    blank.
+    A safe path consists of parts that are separated by slashes. Each part contains letters, digits,
+    spaces and ``_ . + -``. A part begins with a letter, a digit or ``_``, and does not end with a
+    space or a dot.
     """
     if not name:
         return "an empty name"
@@ -152,9 +156,10 @@ def explain_unsafe_name(name: str) -> str | None:
 
 
 def locate_file_in_folder(home: Path, name: str, where: str) -> Path:
-    """Return the path of the file ``name`` in the folder ``home`` of a scene or below.
+    """Return the path of the file ``name`` in the scene's folder or a subfolder.
 
-    For tables from a Python program, ``home`` is ``Path()``, and any file is accepted.
+    ``home`` is the folder of the scene. If the scene consists of tables from a Python program,
+    ``home`` is ``Path()``, and any file is accepted.
 
     Raises
     ------
@@ -166,7 +171,7 @@ def locate_file_in_folder(home: Path, name: str, where: str) -> Path:
     relative = Path(name)
     try:
         outside = not path.resolve().is_relative_to(home.resolve())
-    # the path contains a zero byte or circular links, or is too long
+    # the path contains a null byte or circular links, or is too long
     except (OSError, ValueError, RuntimeError):
         outside = True
     if relative.is_absolute() or ".." in relative.parts or outside:
@@ -181,18 +186,18 @@ def locate_file_in_folder(home: Path, name: str, where: str) -> Path:
 
 
 def make_identifier(name: str, otherwise: str) -> str:
-    """Replace all characters of ``name`` except letters, digits and ``_``.
+    """Replace all characters of ``name`` except letters and digits by ``_``.
 
-    If the first character is not a letter, the result begins with the text ``otherwise`` and ``_``.
+    If the first character is not a letter, the prefix ``otherwise`` and ``_`` are added.
     """
     plain = re.sub(r"[^A-Za-z0-9_]", "_", name)[:48]
     return plain if plain[:1].isalpha() else f"{otherwise}_{plain}"
 
 
 def make_plain_name(name: str) -> str:
-    """Replace the unusual characters in a file name for use in a netlist.
+    """Return the last part of a path, with unusual characters replaced by ``_``.
 
-    Only the last part of the path is returned. Letters, digits and ``_ . + -`` remain.
+    The result is suitable for netlists. Letters, digits and ``_ . + -`` remain unchanged.
     """
     plain = _UNSAFE_CHARACTER.sub("_", name.replace("\\", "/").rpartition("/")[2])
     return plain if plain[:1].isalnum() or plain[:1] == "_" else f"_{plain}"
@@ -215,7 +220,7 @@ def parse_toml(text: str) -> dict[str, Any]:
 
 
 def _require_simple_syntax(text: str) -> None:
-    """Reject TOML text with deep nesting, keys with many dots, or long keys."""
+    """Reject TOML text with deeply nested tables, long keys or many dots in a key."""
     depth = dots = 0
     for token in _TOML_TOKEN.finditer(text):
         first = token[0][0]
@@ -236,15 +241,16 @@ def _require_simple_syntax(text: str) -> None:
 def read_archive(
     path: Path, select: Callable[[str], bool], *, entries: Callable[[str], int], total: int
 ) -> dict[str, np.ndarray]:
-    """Read those arrays of an ``.npz`` file whose names the function ``select`` accepts.
+    """Read the arrays of an ``.npz`` file whose names are accepted by ``select``.
 
-    No object is unpickled. Before the arrays are read, their declared sizes are checked: each array
-    must have at most ``entries(name)`` elements, and no more bytes than its member of the archive.
-    All arrays together must have at most ``total`` bytes.
+    No object is unpickled. Before any array is read, its declared size is checked. An array must
+    have at most ``entries(name)`` elements, and no more bytes than its unpacked file in the
+    archive. All arrays together must have at most ``total`` bytes.
 
     Raises
     ------
-    ValueError : the arrays are too large, or a member of the archive is not a plain array.
+    ValueError : the arrays are too large, or a file in the archive is not an array of numbers or
+        text.
     """
     with zipfile.ZipFile(path) as archive:
         members = {item.filename.removesuffix(".npy"): item for item in archive.infolist()}
@@ -272,7 +278,7 @@ def read_archive(
 
 
 def _read_header(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype]:
-    """Return the shape and the element type from the header of an array."""
+    """Read the shape and the element type of an array from its header."""
     version = np.lib.format.read_magic(stream)
     readers = {
         (1, 0): np.lib.format.read_array_header_1_0,
@@ -288,9 +294,9 @@ def _read_header(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype]:
 
 RESULT_ARRAYS_FILE = "answer.npz"
 ERROR_FILE = "reason.json"
-MAX_CHILD_BYTES = 8_000_000_000  # bytes of memory of the child process, including its libraries
-MAX_RESULT_BYTES = 4_000_000_000  # largest size of all returned arrays together
-MAX_RESULT_ENTRIES = 200_000_000  # largest number of entries of one returned array
+MAX_CHILD_BYTES = 8_000_000_000  # memory limit [B] of the child process, including its libraries
+MAX_RESULT_BYTES = 4_000_000_000  # largest total size [B] of all returned arrays
+MAX_RESULT_ENTRIES = 200_000_000  # largest number of entries in one returned array
 
 
 def call_in_child(
@@ -302,16 +308,17 @@ def call_in_child(
 ) -> dict[str, np.ndarray]:
     """Call ``function`` (``"package.module:name"``) in a separate process.
 
-    The arguments of the function are the keywords in ``request``, as JSON. The function returns a
-    mapping of arrays. The working directory of the child process is a new folder, into which
-    ``prepare`` may write files first. The child process ends when the calling process ends.
+    ``request`` contains the keyword arguments of the function, which must be JSON values. The
+    function must return a mapping of names to arrays. The child process runs in a new folder.
+    Before the start, ``prepare`` may write files to this folder. The child process ends when the
+    calling process ends.
 
     Raises
     ------
     Kc2spiceError : the function raised this error.
     NotImplementedError : the function raised this error.
     ValueError : the function raised another error, crashed, or exceeded ``memory`` bytes or
-        ``seconds`` of processor time (0: no limit).
+        ``seconds`` of processor time. With 0 seconds, the time is unlimited.
     """
     threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     paths = (str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH"))
@@ -363,7 +370,7 @@ def _explain_exit(path: Path, code: int, memory: int) -> Exception:
 
 
 def _run_in_child(function: str, memory: str, seconds: str) -> None:
-    """Call the function in the child process, and write its arrays or its error to a file."""
+    """Call the function in the child process; write its arrays or error to a file."""
     line = b""
     while not line.endswith(b"\n"):
         more = os.read(0, 1 << 16)
@@ -382,7 +389,7 @@ def _run_in_child(function: str, memory: str, seconds: str) -> None:
         record = (type(error).__name__, attributes)
         Path(ERROR_FILE).write_text(json.dumps(record, default=str), encoding="utf-8")
         os._exit(1)
-    os._exit(0)  # without calling the destructors of libraries
+    os._exit(0)  # exits without calling the destructors of libraries
 
 
 def _end_with_parent() -> None:
@@ -393,8 +400,8 @@ def _end_with_parent() -> None:
 
 
 def _limit_resources(memory: int, seconds: int) -> None:
-    """Limit the memory and the processor time of this process."""
-    with contextlib.suppress(ImportError):  # exists on POSIX systems only
+    """Limit the memory and processor time of this process; forbid child processes."""
+    with contextlib.suppress(ImportError):  # the module exists on POSIX systems only
         import resource
 
         limits = {"RLIMIT_AS": memory, "RLIMIT_NPROC": 0, "RLIMIT_CORE": 0}

@@ -1,6 +1,7 @@
 """Waveforms of sources and of results.
 
-Netlists, the reference solver and the checks use the same definition of a source's waveform.
+Netlists, the reference solver and the checks of a run all use the waveform of a source from this
+module.
 """
 
 from __future__ import annotations
@@ -29,12 +30,12 @@ MAX_PULSES = 25_000
 
 @dataclass(frozen=True, eq=False)
 class Waveforms(EqualByContent):
-    """Arrays of results with a common scale, in SI units, keyed by names as in waveforms.npz.
+    """Result arrays in SI units with a common scale, named as in waveforms.npz.
 
-    The scale is ``time``, ``frequency`` or the swept value.
+    The common scale is ``time``, ``frequency`` or the swept value.
 
-    ``stats`` are statistics of the simulator: ``accepted`` and ``rejected`` time points,
-    ``iterations``, ``cpu_s``.
+    ``stats`` contains statistics of the simulator: the numbers of ``accepted`` and ``rejected``
+    time points and of ``iterations``, and the CPU time ``cpu_s`` [s].
     """
 
     data: dict[str, np.ndarray]
@@ -65,7 +66,7 @@ def quote_csv_cell(text: str) -> str:
     """Return a text as a CSV cell that no spreadsheet evaluates as a formula.
 
     Spreadsheets evaluate cells that begin with ``=``, ``+``, ``-``, ``@``, a tab or a carriage
-    return (OWASP, CSV injection). An apostrophe before this character prevents the evaluation.
+    return (OWASP, CSV injection). An apostrophe at the beginning of a cell prevents the evaluation.
 
     >>> quote_csv_cell("=1+1")
     "'=1+1"
@@ -74,7 +75,7 @@ def quote_csv_cell(text: str) -> str:
 
 
 def write_waveforms(waves: Waveforms, units: Mapping[str, str], directory: Path) -> list[str]:
-    """Write the arrays to ``waveforms.npz`` and ``waveforms.csv``; the CSV titles contain units."""
+    """Write the arrays to ``waveforms.npz`` and, with units, to ``waveforms.csv``."""
     save_arrays(waves, directory / "waveforms.npz")
     columns = dict[str, np.ndarray]()
     for name, values in waves.data.items():
@@ -90,9 +91,9 @@ def save_arrays(waves: Waveforms, path: Path) -> None:
 
 
 def _split_columns(name: str, values: np.ndarray, unit: str) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield title and values of each CSV column of one array.
+    """Yield the title and the values of each CSV column for one array.
 
-    A complex array has a column for the real part and a column for the imaginary part.
+    A complex array has two columns: the real part and the imaginary part.
     """
     if np.iscomplexobj(values):
         yield f"{name} real", values.real
@@ -102,10 +103,10 @@ def _split_columns(name: str, values: np.ndarray, unit: str) -> Iterator[tuple[s
 
 
 def integrate_cumulatively(values: np.ndarray, over: np.ndarray) -> np.ndarray:
-    """Compute the cumulative integral of ``values`` over ``over`` by the trapezoidal rule.
+    """Compute the cumulative integral of ``values`` by the trapezoidal rule.
 
-    ``values`` has the shape (..., n), and ``over`` the shape (n,). The integral is zero at the
-    first point.
+    ``values`` has the shape (..., n). The variable of integration is ``over`` with the shape (n,).
+    The integral is zero at the first point.
     """
     steps = (values[..., 1:] + values[..., :-1]) / 2 * np.diff(over)
     start = np.zeros((*np.shape(steps)[:-1], 1))
@@ -117,7 +118,7 @@ def differentiate(values: np.ndarray, over: np.ndarray) -> np.ndarray:
 
     Both arguments and the result are arrays of shape (n,). The result is the derivative of the
     parabola through three neighbouring points. The error of the derivative is proportional to the
-    square of the distance between the points. Values of ``over`` may be repeated.
+    square of the distance between the points. Consecutive values of ``over`` may be equal.
     """
     first = np.r_[True, np.diff(over) > 0]
     if first.sum() < 3:
@@ -127,7 +128,7 @@ def differentiate(values: np.ndarray, over: np.ndarray) -> np.ndarray:
 
 
 def interpolate(at: Any, scale: np.ndarray, values: np.ndarray) -> Any:
-    """Interpolate ``values`` linearly at the positions ``at`` on a monotonic ``scale``.
+    """Interpolate ``values`` linearly at the points ``at`` of a monotonic ``scale``.
 
     ``values`` and ``scale`` are arrays of shape (n,).
     """
@@ -135,16 +136,17 @@ def interpolate(at: Any, scale: np.ndarray, values: np.ndarray) -> Any:
     return np.interp(at, scale[::direction], values[::direction])
 
 
-FLAT_TOP_RATIO = 1e-6  # duration of the flat top of a repeated triangle, relative to its rise time
-# Period [s] of a single pulse, which is longer than any run.
-# Newer versions of ngspice repeat a pulse that has no period.
+FLAT_TOP_RATIO = 1e-6  # duration of the flat top of a periodic triangle, relative to the rise time
+# Period [s] that is written for a single pulse; every run is shorter.
+# Newer versions of ngspice repeat a ``PULSE`` without a period.
 ENDLESS_PERIOD = 1e4
 
 
 class PulseKeys(Section):
-    """Keys of a pulse from ``low`` to ``high`` that begins at ``start``.
+    """Scene keys of a pulse from ``low`` to ``high`` that begins at ``start``.
 
-    ``edge`` is the rise time and the fall time. ``width`` is the width of the pulse at half height.
+    ``edge`` is both the rise time and the fall time. ``width`` is the width of the pulse at half
+    height.
     """
 
     high: float | str = Field(
@@ -165,7 +167,10 @@ class PulseKeys(Section):
 
 
 class SineKeys(Section):
-    """Keys of a sine ``amplitude sin(2 pi frequency (t - start))``, zero before ``start``."""
+    """Scene keys of a sine ``amplitude sin(2 pi frequency (t - start))``.
+
+    Before the time ``start``, the waveform is zero.
+    """
 
     amplitude: float | str = Field(
         1.0, description="Amplitude of the sine, in the unit of the source"
@@ -178,14 +183,15 @@ class SineKeys(Section):
 
 @dataclass(frozen=True)
 class Waveform:
-    """Function of time in SI units: linear between points, or a sine from ``start`` on.
+    """Piecewise linear or sinusoidal function of time, in SI units.
 
-    A waveform with a ``frequency`` is a sine. Otherwise ``points`` is an array of shape (n, 2) with
-    times [s] and values. This waveform is constant before the first point and after the last point.
-    If ``period`` [s] is given, the waveform from the first point on is repeated. In a netlist, the
-    waveform is written as a ``PULSE`` if possible.
+    A waveform with a ``frequency`` is a sine that begins at ``start``. Any other waveform is linear
+    between ``points``, an array of shape (n, 2) with times [s] and values. The value is constant
+    before the first point and after the last point. If ``period`` [s] is given, the waveform
+    repeats with this period from the first point on. In a netlist, the waveform is written as a
+    ``PULSE`` if possible.
 
-    Raises UsageError unless the times increase strictly: an edge must have a duration.
+    Raises UsageError unless the times increase strictly, because an edge must have a duration.
     """
 
     points: tuple[tuple[float, float], ...]
@@ -212,18 +218,18 @@ class Waveform:
 
     @property
     def step_limit(self) -> float:
-        """Largest time step [s]; a longer step could skip two zeros of a guard function."""
+        """Largest time step [s]; longer steps could miss two zeros of a guard function."""
         return np.inf if self.is_piecewise_linear else 0.05 / self.frequency
 
     @cached_property
     def _corner_points(self) -> tuple[np.ndarray, np.ndarray]:
-        """Times and values of the corners, two arrays."""
+        """Two arrays: the times and the values of the corners."""
         times, values = np.array(self.points, dtype=float).T
         return times, values
 
     @cached_property
     def _slopes_between_corners(self) -> np.ndarray:
-        """Time derivatives before the first corner, between corners, after the last corner."""
+        """Slopes before the first corner, between all corners, and after the last corner."""
         times, values = self._corner_points
         return np.concatenate(([0.0], np.diff(values) / np.diff(times), [0.0]))
 
@@ -241,16 +247,16 @@ class Waveform:
         return self._evaluate_sine(t, t, 0)
 
     def _evaluate_sine(self, t: Any, within: Any, order: int) -> Any:
-        """Return the time derivative of order ``order`` of the sine; order 0 is the sine itself."""
+        """Return the time derivative of the given ``order`` of the sine."""
         w = 2 * np.pi * self.frequency
         turned = np.sin(w * (np.asarray(t) - self.start) + 0.5 * np.pi * order)
         return (np.asarray(within) > self.start) * self.amplitude * w**order * turned
 
     def compute_derivative(self, t: Any, within: Any, order: int = 1) -> Any:
-        """Compute the time derivative of order ``order`` at the times ``t``.
+        """Compute the time derivative of the given ``order`` at the times ``t``.
 
-        At a corner, the derivative jumps. The times ``within`` select the smooth piece on one side
-        of the corner.
+        The derivative jumps at each corner. The times ``within`` are on the side of the corner for
+        which the derivative is computed.
         """
         if not self.is_piecewise_linear:
             return self._evaluate_sine(t, within, order)
@@ -258,7 +264,7 @@ class Waveform:
         return self._slopes_between_corners[piece] * (order == 1) + 0.0 * np.asarray(t)
 
     def list_points(self, stop: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return times [s] and values of all points in all periods.
+        """Return the times [s] and the values of all points in all periods.
 
         The result contains all periods that begin before ``stop``.
         """
@@ -270,15 +276,15 @@ class Waveform:
         return times, values
 
     def find_corner_times(self, stop: float) -> np.ndarray:
-        """Return the times [s] up to ``stop`` at which the time derivative jumps."""
+        """Return the times [s] before ``stop`` at which the time derivative jumps."""
         result = self.list_points(stop)[0] if self.is_piecewise_linear else np.array([self.start])
         return result[(result > 0) & (result < stop)]
 
     def format_spice(self, scale: float = 1.0) -> str:
         """Format the waveform, multiplied by ``scale``, as a source value in SPICE syntax.
 
-        A pulse whose flat top has no duration is written as corners, because ngspice continues a
-        ``PULSE`` of zero width until the end.
+        A pulse without a flat top is written as ``PWL``, because ngspice never ends a ``PULSE`` of
+        zero width.
         """
         if not self.is_piecewise_linear:
             numbers = (0.0, scale * self.amplitude, self.frequency, self.start)
@@ -293,13 +299,13 @@ class Waveform:
         return f"PWL({' '.join(map(_format_number, corners))})"
 
     def _format_pulse(self, scale: float) -> str | None:
-        """Format a trapezoid or an endless triangle as a ``PULSE``."""
+        """Format a trapezoid or periodic triangle as ``PULSE``; None for other waveforms."""
         if len(self.points) not in (3, 4):
             return None
         (t0, v0), (t1, v1), *_, (t2, v2), (last, end) = self.points[:2] + self.points[-2:]
         if len(self.points) == 3 and self.period is not None:
             rise = _format_difference(t0, t1)
-            top = FLAT_TOP_RATIO * rise  # ngspice continues a pulse of zero width until the end
+            top = FLAT_TOP_RATIO * rise  # ngspice does not end a pulse of zero width
             fall = _format_difference(t1, last) - top
         elif len(self.points) == 4 and v0 == end and v1 == v2:
             rise, fall, top = (
@@ -320,7 +326,7 @@ def make_constant_waveform(value: float) -> Waveform:
 
 
 def make_sine_waveform(amplitude: float, frequency: float, start: float = 0.0) -> Waveform:
-    """Make a sine that begins at ``start`` [s]."""
+    """Make a sine waveform that begins at ``start`` [s]."""
     return Waveform(((start, 0.0),), None, amplitude, frequency, start)
 
 
@@ -344,7 +350,7 @@ def make_pulse_waveform(
 
     Raises
     ------
-    UsageError : a count without a period, or a count that is too large for a netlist.
+    UsageError : ``count`` is given without ``period``, or exceeds ``MAX_PULSES``.
     """
     if count is not None and period is None:
         hint = "add the key period, or delete count"
@@ -370,13 +376,14 @@ def make_pulse_waveform(
 
 @dataclass(frozen=True, eq=False)
 class RecordedWave(EqualByContent):
-    """Smooth curve through ``values`` at ``times``, constant before and after these times.
+    """Smooth curve through recorded ``values`` at the ``times`` of samples.
 
-    Both arrays have the shape (n,). Between two samples, the curve is a cubic polynomial (Akima, J.
-    ACM 17, 589, 1970).
+    Both arrays have the shape (n,). The curve is constant before the first sample and after the
+    last sample. Between two samples, the curve is the cubic polynomial of Akima's method (J. ACM
+    17, 589, 1970).
 
-    Every 16th sample is a corner, so no step of an integrator is longer than 16 samples. Without
-    this limit, an integrator could miss an event after a long interval without changes.
+    Every 16th sample is a corner, at which an integrator must end a step. Without these corners, an
+    integrator could miss an event after a long interval without changes.
     """
 
     times: np.ndarray
@@ -387,7 +394,7 @@ class RecordedWave(EqualByContent):
     @cached_property
     def _spline(self) -> Any:
         """Spline that interpolates the values."""
-        # imported here, because the import of scipy takes long
+        # imported here, because importing scipy is slow
         from scipy.interpolate import Akima1DInterpolator
 
         return Akima1DInterpolator(self.times, self.values)
@@ -397,11 +404,11 @@ class RecordedWave(EqualByContent):
         return self.compute_derivative(t, t, 0)
 
     def compute_derivative(self, t: Any, within: Any, order: int = 1) -> Any:
-        """Return the time derivative of order ``order`` at the times ``t``."""
+        """Return the time derivative of the given ``order`` at the times ``t``."""
         return self._spline(np.clip(t, self.times[0], self.times[-1]), order)
 
     def find_corner_times(self, stop: float) -> np.ndarray:
-        """Return the times [s] of the corners up to the time ``stop``."""
+        """Return the times [s] of the corners before ``stop``."""
         times = self.times[::16]
         return times[(times > 0.0) & (times < stop)]
 
@@ -410,7 +417,7 @@ Function = Waveform | RecordedWave
 
 
 def _format_difference(first: float, last: float) -> float:
-    """Compute ``last - first``, rounded to the fewest digits within the rounding error."""
+    """Compute ``last - first`` with as few digits as the rounding error permits."""
     exact = last - first
     slack = 2 * np.spacing(max(abs(first), abs(last)))
     rounded = (float(f"{exact:.{digits}g}") for digits in range(1, 17))
@@ -418,7 +425,7 @@ def _format_difference(first: float, last: float) -> float:
 
 
 def _format_number(value: float) -> str:
-    """Format a number with 15 digits if this changes the number only by rounding."""
+    """Format a number with 15 digits, or with all digits if 15 are too inaccurate."""
     short = float(f"{value:.15g}")
     return repr(short if abs(short - value) <= 4 * np.spacing(abs(value)) else float(value))
 
@@ -426,7 +433,10 @@ def _format_number(value: float) -> str:
 def write_record(
     record: Mapping[str, Any], directory: Path, name: str = "result.json"
 ) -> dict[str, Any]:
-    """Write a JSON file with non-finite numbers as null, and return its content."""
+    """Write ``record`` to a JSON file, with null for non-finite numbers.
+
+    Return the written content.
+    """
     result: dict[str, Any] = _convert_to_json_types(record)
     (directory / name).write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
     return result

@@ -1,7 +1,7 @@
-"""Networks of laws that share no nets apart from ground, and the results of these networks.
+"""Networks of laws that share no nets apart from ground.
 
-The functions need laws and groups of joined pins, but no scene. A pin of a law is written
-``LAW.PIN``.
+Laws are the equations of parts. The functions of this module need laws and groups of joined pins,
+but no scene. The notation for a pin of a law is ``LAW.PIN``.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from kc2spice.core.laws import (
     make_sensor_block,
 )
 
-# SI value of the across quantity that 1 V on a node represents, keyed by the kind of pin.
+# SI value of the across quantity that 1 V on a node represents, keyed by the kind of the pin.
 NODE_UNITS = {domain.law_pin_kind: domain.across.factor for domain in TABLE}
 
 
 @dataclass(frozen=True)
 class Network:
-    """Network of laws that are connected to each other, directly or through other laws.
+    """Network of laws that are connected directly or through other laws.
 
     ``joins`` maps the name of each net to its pins. ``results`` maps the name of each result to a
     linear combination of waves. ``sweeps`` maps each pair ``(part, key)`` to the name of the source
@@ -42,7 +42,7 @@ class Network:
 
     @property
     def has_sources_only(self) -> bool:
-        """Whether each law is a source, so that there are no unknowns."""
+        """Whether all laws are sources, so that the network has no unknowns."""
         return all(isinstance(law, IdealSource) for law in self.laws)
 
     @property
@@ -53,7 +53,7 @@ class Network:
     def is_fully_driven_by(self, driven: set[str]) -> bool:
         """Return whether each net except ground has a pin in the set ``driven``.
 
-        The result is false for a network with a body, and for an empty set ``driven``.
+        The result is also false if the network contains a body, or if ``driven`` is empty.
         """
         if not driven or any(isinstance(law, SecondOrderBody | PortBody) for law in self.laws):
             return False
@@ -62,7 +62,7 @@ class Network:
         return not any(map(driven.isdisjoint, ungrounded.values()))
 
     def select(self, names: set[str]) -> Network:
-        """Return the part of the network that contains only the laws with these names."""
+        """Return the part of the network with only the laws ``names``."""
         joins, results, sweeps = dict[str, tuple[str, ...]](), {}, {}
         for net, pins in self.joins.items():
             selected_pins = tuple(pin for pin in pins if get_law_name(pin) in names)
@@ -99,8 +99,8 @@ def connect_sensors(
 ) -> tuple[list[Law], dict[str, tuple[str, ...]]]:
     """Insert a sensor where a signal input is joined to a voltage or a displacement.
 
-    The output of the sensor equals the node voltage of the netlist. This node voltage is the value
-    of the voltage in volts, or the value of the displacement in micrometres.
+    The output of the sensor equals the node voltage in the netlist. 1 V on the node represents a
+    voltage of 1 V or a displacement of 1 um.
     """
     kinds, sensors, result = list_pin_kinds(laws), [], dict(joins)
     for net, pins in joins.items():
@@ -118,12 +118,12 @@ def connect_sensors(
 
 
 def get_law_name(pin: str) -> str:
-    """Return the name of the law of a pin or wave ``LAW.NAME``."""
+    """Return the name of the law to which a pin or wave ``LAW.NAME`` belongs."""
     return pin.partition(".")[0]
 
 
 def list_pin_kinds(laws: Iterable[Law]) -> dict[str, str]:
-    """Return the kind of each pin ``LAW.PIN`` of the laws."""
+    """Return the kind of each pin of the laws, keyed by ``LAW.PIN``."""
     result: dict[str, str] = {}
     for law in laws:
         for pin in law.pins:
@@ -132,9 +132,9 @@ def list_pin_kinds(laws: Iterable[Law]) -> dict[str, str]:
 
 
 def prescribes_value(laws: Mapping[str, Law], pin: str) -> bool:
-    """Return whether the law of a pin ``LAW.PIN`` sets the across quantity of this pin.
+    """Return whether the law of a pin ``LAW.PIN`` sets the pin's across quantity.
 
-    For example, a voltage source sets the voltage of the pin.
+    For example, a voltage source sets the voltage of its pin.
     """
     name, _, end = pin.partition(".")
     law = laws[name]
@@ -144,7 +144,7 @@ def prescribes_value(laws: Mapping[str, Law], pin: str) -> bool:
 
 
 def merge_groups(groups: Iterable[set[str]]) -> list[set[str]]:
-    """Merge the groups that have an element in common, and return disjoint groups."""
+    """Merge groups that have an element in common; return disjoint groups."""
     result: list[set[str]] = []
     for group in groups:
         separate = []

@@ -1,4 +1,4 @@
-"""Sources that replay the recorded values of nets, in place of the parts without equations.
+"""Sources with recorded net values, which replace the parts without equations.
 
 With these sources, the reference solver can integrate a scene that contains, for example, a user's
 netlist.
@@ -18,21 +18,21 @@ from kc2spice.equations.networks import NODE_UNITS, Network, prescribes_value
 from kc2spice.equations.scene_laws import SceneLaws
 from kc2spice.scene.model import BuiltScene
 
-# Kind of the source that prescribes the values of a net, keyed by the kind of its pins.
+# Kind of the source that prescribes the value on a net, keyed by the kind of the net's pins.
 SOURCE_KINDS = {d.name: d.across.name for d in TABLE if d.law_pin_kind == d.name}
-# shortest permitted interval between samples, relative to the duration of the run
-# The difference between two closer times would be a rounding error.
+# Shortest permitted interval between samples, relative to the duration of the run.
+# In shorter intervals, the difference between two times would be mostly rounding error.
 SHORTEST_INTERVAL = 1e-6
 
 
 def find_replayed_nets(laws: SceneLaws) -> dict[str, str] | None:
-    """Return the kind of each net that joins a part without a law to parts with laws.
+    """Return the kind of each net that joins parts without a law to parts with laws.
 
-    Sources on these nets replace the parts without a law: they reproduce the voltage, displacement
-    or signal that ngspice computed. If a law prescribes the value of a net, the net needs no source
-    and is not in the result.
+    Sources on these nets replace the parts without a law. Each source reproduces the voltage,
+    displacement or signal of the net that ngspice computed. A net is not in the result if a law
+    already prescribes the value of the net.
 
-    The result is None if no part has a law, or if there is no kind of source for one of the nets.
+    The result is None if no part has a law, or if one of the nets has a kind without a source.
     """
     result: dict[str, str] = {}
     pins_joined: dict[str, tuple[str, ...]] = {}
@@ -49,7 +49,7 @@ def find_replayed_nets(laws: SceneLaws) -> dict[str, str] | None:
 
 
 def _joins_part_without_law(laws: SceneLaws, name: str, pin: str) -> bool:
-    """Return whether a part without a law, on the net of a pin, may change the net's value."""
+    """Return whether a part without a law may change the value on the net of a pin."""
     for part, end in laws.build.scene.list_joined_pins(name, pin):
         if part in laws.parts_without_law and _may_change_net(laws.build, part, end):
             return True
@@ -57,7 +57,7 @@ def _joins_part_without_law(laws: SceneLaws, name: str, pin: str) -> bool:
 
 
 def _may_change_net(build: BuiltScene, name: str, pin: str) -> bool:
-    """Return whether a part may change the value on the net of a pin.
+    """Return whether the part ``name`` may change the value on the net of its pin.
 
     A signal input of a built-in part does not change the net, because the input draws no current.
     """
@@ -71,8 +71,9 @@ def select_networks_to_solve(
     """Return the networks whose unknowns are not all determined by recorded sources.
 
     ``replayed`` maps nets to the kind of their pins. A source on each of these nets reproduces the
-    result of ngspice in ``waves``. If every net of a network has such a source, the network
-    contains no unknown. An example of such a network is a capacitor behind a rectifier.
+    result of ngspice in ``waves``. If every net of a network has a recorded source, the network
+    contains no unknown and is omitted. An example is a network that consists of a capacitor behind
+    a rectifier.
     """
     sources, driven = {}, set()
     for net, kind in replayed.items():
@@ -88,7 +89,7 @@ def select_networks_to_solve(
 
 
 def list_recorded_vectors(nets: Mapping[str, str]) -> dict[str, tuple[str, float]]:
-    """Return the result vectors of ngspice that record the values on these nets.
+    """Return the ngspice vectors that record the values on the given nets.
 
     Each item is a pair: the vector as an expression of ngspice, and the factor that converts the
     vector to SI units.
@@ -100,7 +101,7 @@ def _make_recorded_source(net: str, kind: str, waves: Waveforms) -> IdealSource:
     """Return a source that reproduces the recorded values on a net."""
     times, values = waves["time"], waves[f"net {net}"]
     # When a contact closes, time points are only picoseconds apart.
-    # Differences between such close time points are rounding errors.
+    # Differences between time points as close as this are mostly rounding errors.
     shortest = SHORTEST_INTERVAL * float(np.ptp(times))
     sample_indices = [0]
     for k in range(1, times.size):

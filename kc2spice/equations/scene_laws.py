@@ -1,7 +1,7 @@
-"""Laws of all parts of a scene, and the nets that join their pins.
+"""Laws (equations) of all parts of a scene, and the nets that join their pins.
 
-:func:`get_scene_laws` is the entry point. Other modules use the laws to choose and check the time
-step of a run, to find resonances, and to verify scenes.
+:func:`get_scene_laws` returns the laws of a scene. Other modules use the laws to choose and check
+the time step of a run, to find resonances, and to verify scenes.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from kc2spice.scene.model import BuiltScene
 
 
 class PinLink(NamedTuple):
-    """Pin of a part on a net of the scene, and the corresponding pin ``LAW.PIN`` of a law."""
+    """Pin of a part on a net, and the corresponding pin ``LAW.PIN`` of a law."""
 
     net: str
     part: str
@@ -44,11 +44,11 @@ class PinLink(NamedTuple):
 
 @dataclass(frozen=True)
 class SceneLaws:
-    """Laws of the parts of a build. The laws are created at first use.
+    """Laws of the parts of a built scene, created at first use.
 
-    A part without cards (netlist statements) has no law, because another part copies the part or
-    prescribes its motion. A part whose signal drives a load has no law either, because a signal
-    carries no current.
+    A part without cards (netlist statements) has no law, because another part copies this part or
+    prescribes its motion. A part whose signal drives a load has no law either, because signals of
+    laws carry no current.
     """
 
     build: BuiltScene
@@ -61,19 +61,22 @@ class SceneLaws:
 
     @cached_property
     def available_equations(self) -> Mapping[str, Equations]:
-        """Equations of the parts that have netlist statements and a type with equations."""
+        """Equations of parts with netlist statements whose type has equations."""
         stated = self._equations_by_part.items()
         return {name: item for name, item in stated if isinstance(item, Equations)}
 
     @cached_property
     def _equations_by_part(self) -> Mapping[str, Equations | MissingEquations | None]:
-        """Equations of each part with netlist statements, or the reason why there are none."""
+        """Equations of each part with netlist statements, or the reason for their absence."""
         parts = map(self.build.scene.parts.__getitem__, self.parts_with_cards)
         return {part.name: part.type.law(part, self.build) for part in parts}
 
     @cached_property
     def reasons_without_law(self) -> Mapping[str, str]:
-        """Reason why a part has no law, keyed by part; empty if the part type gives no reason."""
+        """Reason why a part has no law, keyed by part.
+
+        The reason is empty if the part type states no reason.
+        """
         result = dict.fromkeys(self.parts_without_law, "")
         for name in self.parts_without_law:
             match self._equations_by_part[name]:
@@ -96,14 +99,17 @@ class SceneLaws:
 
     @cached_property
     def parts_without_law(self) -> tuple[str, ...]:
-        """Names of the parts without a law, which prevent the integration of the whole scene."""
+        """Names of the parts with netlist statements, but without a law.
+
+        A part without a law prevents the integration of the whole scene.
+        """
         return tuple(filterfalse(self.equations.__contains__, self.parts_with_cards))
 
     @cached_property
     def linear(self) -> bool:
         """Whether the equations of all parts are known and linear.
 
-        Parts without netlist statements are ignored, because other parts copy such parts or
+        Parts without netlist statements are ignored, because other parts copy these parts or
         prescribe their motion.
         """
         parts = self.build.scene.parts
@@ -120,7 +126,7 @@ class SceneLaws:
 
     @cached_property
     def pin_kinds(self) -> dict[str, str]:
-        """Kind of each pin of a law, keyed by the pin ``LAW.PIN``."""
+        """Kind of each pin of all laws, keyed by ``LAW.PIN``."""
         return list_pin_kinds(self.laws.values())
 
     @cached_property
@@ -130,7 +136,7 @@ class SceneLaws:
 
     @cached_property
     def networks(self) -> tuple[Network, ...]:
-        """Networks of the scene's laws that have no net in common apart from ground.
+        """Networks of laws that have no net in common apart from ground.
 
         Raises
         ------
@@ -139,7 +145,7 @@ class SceneLaws:
         return self.build_networks({})
 
     def build_networks(self, sources: Mapping[str, IdealSource]) -> tuple[Network, ...]:
-        """Return the networks of the laws and of additional ``sources``, a mapping keyed by net."""
+        """Return the networks of the laws and of additional ``sources``, keyed by net."""
         results: dict[str, WaveCombination] = {}
         sweeps: dict[tuple[str, str], tuple[str, float]] = {}
         for name, item in self.equations.items():
@@ -154,7 +160,7 @@ class SceneLaws:
     ) -> dict[str, tuple[str, ...]]:
         """Return the pins of the laws and of ``sources`` on each net, keyed by net.
 
-        Nets of the scene that share a pin of a law become one net.
+        If several nets of the scene contain the same pin of a law, these nets become one net.
         """
         inside = chain.from_iterable(map(attrgetter("nets"), self.equations.values()))
         by_net: dict[str, set[str]] = {}
@@ -174,7 +180,7 @@ class SceneLaws:
 
     @cached_property
     def _parts_with_loaded_signals(self) -> frozenset[str]:
-        """Names of the parts that set a signal on a net where a current or a force acts."""
+        """Names of the parts that set the signal of a net with a current or a force."""
         laws = _index_laws(self.available_equations)
         kinds = list_pin_kinds(laws.values())
         loaded, drivers = set[str](), list[PinLink]()
@@ -189,7 +195,10 @@ class SceneLaws:
 def _add_quantity_names(
     part: str, results: Mapping[str, WaveCombination]
 ) -> dict[str, WaveCombination]:
-    """Return the results of a part; each flow such as ``r.i`` is also named ``r.current``."""
+    """Return the results of a part, with a second name for each flow.
+
+    For example, the current ``r.i`` is also named ``r.current``.
+    """
     names = dict(results)
     for quantity_name, symbol in FLOW_SYMBOLS.items():
         if f"{part}.{symbol}" in results:
@@ -212,10 +221,10 @@ def _list_pin_links(build: BuiltScene, equations: Mapping[str, Equations]) -> It
 
 
 def get_scene_laws(build: BuiltScene) -> SceneLaws:
-    """Return the laws of the scene with the models of its parts.
+    """Return the laws of a built scene.
 
-    The laws stored in the build (:func:`store_laws`) are returned if they are valid. If the scene
-    or the models of the build have changed, the laws are created again.
+    Laws that :func:`store_laws` has stored in the build are returned if they are still valid. If
+    the scene or a model has changed, new laws are created.
     """
     laws = build.laws
     if isinstance(laws, SceneLaws) and _have_same_models(laws.build, build):
@@ -224,10 +233,10 @@ def get_scene_laws(build: BuiltScene) -> SceneLaws:
 
 
 def store_laws(build: BuiltScene) -> BuiltScene:
-    """Return a copy of a build that stores its laws, which are then created only once."""
+    """Return a copy of a built scene that stores the laws for later calls."""
     return replace(build, laws=get_scene_laws(build))
 
 
 def _have_same_models(a: BuiltScene, b: BuiltScene) -> bool:
-    """Return whether two builds have the same scene and the same models."""
+    """Return whether two built scenes have the same scene and the same models."""
     return a.scene is b.scene and a.models is b.models

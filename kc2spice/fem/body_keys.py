@@ -1,4 +1,4 @@
-"""Scene keys of the damping and of the mesh that all parametric bodies share."""
+"""Scene keys for damping and mesh that are common to all parametric bodies."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from kc2spice.core.quantities import (
 
 
 class BodyMeshKeys(Section):
-    """Keys of a mesh; ``refine`` is the number of cells into which each cell edge is divided."""
+    """Scene keys of a mesh; ``refine`` divides each cell edge into equal parts."""
 
     refine: Annotated[Count, RefinementRule(2.0, model=True, mesh=True)] = Field(
         1,
@@ -34,19 +34,20 @@ class BodyMeshKeys(Section):
 
 
 class DampingKeys(Section):
-    """Keys of the mechanical and dielectric losses of a body.
+    """Scene keys of the mechanical and dielectric losses of a body.
 
     ``model = "rayleigh"`` selects viscous damping with the matrix ``E = alpha M + beta K``, where M
-    is the mass matrix and K the stiffness matrix. The damping ratio ``zeta`` applies at the
+    is the mass matrix and K the stiffness matrix. The body has the damping ratio ``zeta`` at the
     frequency ``at``, by default the first resonance of the body. Instead of ``zeta``, a Q factor
     ``1/(2 zeta)`` or a loss factor ``2 zeta`` may be given. If one damping ratio is given, ``beta``
-    is ``2 zeta / omega``. Two damping ratios at two frequencies determine ``alpha`` and ``beta`` by
-    the equation ``zeta = alpha/(2 omega) + beta omega/2``. With ``per_material``, E is the sum of
-    ``K_i/(Q_i omega)`` over the materials i.
+    is ``2 zeta / omega`` with ``omega = 2 pi at``. Two damping ratios at two frequencies determine
+    ``alpha`` and ``beta`` by the equation ``zeta = alpha/(2 omega) + beta omega/2``. With
+    ``per_material``, E is the sum of ``K_i/(Q_i omega)`` over all materials i. Q_i is the Q factor
+    of material i, and K_i the stiffness matrix of its elements.
 
     ``model = "ieee176"`` selects the complex material constants of IEEE Std 176. The Q factor is
-    then the same for all modes. The material constants of the scene are those at the frequency
-    ``at``, by default the first resonance of the body.
+    then the same for all modes. The scene states the material constants at the frequency ``at``, by
+    default the first resonance of the body.
     """
 
     ratio: Ratio | tuple[Ratio, Ratio] | None = Field(
@@ -123,7 +124,7 @@ class DampingKeys(Section):
 
     @model_validator(mode="after")
     def _require_consistent_damping(self) -> DampingKeys:
-        """Require at most one of the alternative damping keys, with a valid value."""
+        """Require a valid value of at most one of the alternative damping keys."""
         choices = [self.ratio, self.quality, self.loss_factor]
         if sum(item is not None for item in choices) + self.per_material > 1:
             names = "ratio", "quality", "loss_factor", "per_material"
@@ -166,7 +167,7 @@ class DampingKeys(Section):
         return self
 
     def _solve_two_ratios(self) -> tuple[float, float]:
-        """Solve for the Rayleigh coefficients alpha and beta from two damping ratios."""
+        """Compute the Rayleigh coefficients alpha and beta from two damping ratios."""
         omega = 2 * math.pi * np.asarray(self.at, dtype=float)
         ratios = np.asarray(self.ratio, dtype=float)
         alpha, beta = np.linalg.solve(np.column_stack([0.5 / omega, 0.5 * omega]), ratios)
@@ -188,7 +189,7 @@ class DampingKeys(Section):
         return resonance_hz if self.at is None else float(np.min(self.at))
 
     def compute_rayleigh_factors(self, resonance_hz: float) -> tuple[float, float]:
-        """Return ``alpha`` [1/s] and ``beta`` [s] of the matrix ``E = alpha M + beta K``."""
+        """Return ``alpha`` [1/s] and ``beta`` [s] of the damping ``E = alpha M + beta K``."""
         if isinstance(self.ratio, tuple):
             return self._solve_two_ratios()
         at = self.find_ratio_frequency(resonance_hz)

@@ -1,7 +1,8 @@
-"""Poling directions of single elements of a mesh, read from a CSV file.
+"""Poling directions of individual mesh elements, read from a CSV file.
 
 The first line of the file contains the column names ``element, px, py, pz`` or ``x, y, z, px, py,
-pz``. Lines that begin with ``#`` are comments. The poling vectors have any length except zero.
+pz``. Lines that begin with ``#`` are comments. Each following line contains a poling vector ``px,
+py, pz``, which may have any length except zero.
 """
 
 from __future__ import annotations
@@ -27,14 +28,14 @@ LISTED_ELEMENTS = 5  # largest number of elements that an error message lists
 
 @dataclass(frozen=True, eq=False)
 class PolingTable(EqualByContent):
-    """Rows of a poling file.
+    """Content of a poling file.
 
     Attributes
     ----------
     where : scene key that contains the name of the poling file.
-    rows : line number of each row in the poling file.
+    rows : line number in the poling file for each row of this table.
     directions : poling vectors, an array of shape (rows, 3).
-    numbers : element numbers of the mesh file, an array of shape (rows,); None if the rows contain
+    numbers : element numbers in the mesh file, an array of shape (rows,); None if the rows contain
         coordinates.
     points : coordinates in the unit of the mesh, an array of shape (rows, 2 or 3); None if the rows
         contain element numbers.
@@ -49,18 +50,18 @@ class PolingTable(EqualByContent):
     def select_rows(
         self, numbers: np.ndarray, middles: np.ndarray, members: np.ndarray
     ) -> np.ndarray:
-        """Return the row index in the poling file for each of the elements ``members``.
+        """Return the row index in this table for each of the elements ``members``.
 
-        ``numbers`` (elements,) are the numbers of all elements in the mesh file. ``middles``
-        (elements, d) are the centres of all elements, in the unit of the mesh.
+        ``numbers`` (elements,) contains the numbers of all elements in the mesh file. ``middles``
+        (elements, d) contains the centres of all elements, in the unit of the mesh.
 
         Raises
         ------
-        UsageError : an element has no row, or a row contains the number of an element that does not
+        UsageError : an element has no row, or a row states the number of an element that does not
             exist.
         """
         if self.numbers is None:
-            from scipy.spatial import cKDTree  # cKDTree is imported here: few meshes need it
+            from scipy.spatial import cKDTree  # imported here, because few meshes need cKDTree
 
             return np.asarray(cKDTree(self.points).query(middles[members])[1])
         strange = np.flatnonzero(~np.isin(self.numbers, numbers))
@@ -150,7 +151,7 @@ def compute_centres(mesh: Mesh) -> np.ndarray:
 
 
 def find_coarse_elements(coarse: Mesh, fine: Mesh) -> np.ndarray:
-    """Find the element of the mesh ``coarse`` that contains the centre of each ``fine`` element."""
+    """Find the ``coarse`` element that contains the centre of each ``fine`` element."""
     kinds = ((MeshHex, MeshHex1), (MeshTet, MeshTet1), (MeshQuad, MeshQuad1))
     kind = next((first for base, first in kinds if isinstance(coarse, base)), MeshTri1)
     straight = kind(coarse.doflocs[:, : coarse.nvertices].copy(), coarse.t)
@@ -158,7 +159,7 @@ def find_coarse_elements(coarse: Mesh, fine: Mesh) -> np.ndarray:
 
 
 def _read_rows(text: str, where: str) -> Iterator[tuple[int, list[str]]]:
-    """Yield the line number and the cells of each line that is neither empty nor a comment."""
+    """Yield line number and cells of each line that is neither empty nor a comment."""
     for row, line in enumerate(split_lines(text), 1):
         if line.strip() and not line.lstrip().startswith("#"):
             try:

@@ -1,21 +1,21 @@
 """Cubic shape functions that extend the quadratic shape functions of a solid.
 
-The cubic functions are hierarchical. Together with the quadratic functions of the solid, they span
-the cubic polynomials on triangles and tetrahedra, and the products of cubic polynomials on
-quadrilaterals. Each cubic function belongs to an edge, a face or the interior of an element, and is
-zero at all nodes of the solid:
+The cubic functions are hierarchical: the quadratic and cubic functions together span all cubic
+polynomials on triangles and tetrahedra. On quadrilaterals, the quadratic and cubic functions span
+all products of cubic polynomials in x and in y. Each cubic function belongs to an edge, a face or
+the interior of an element. All cubic functions are zero at the nodes of the solid:
 
     l_i l_j (l_j - l_i)   on edges of simplices, with barycentric coordinates l
     l_i l_j l_k           on faces of tetrahedra and in triangles
     b_3(x) l(y)           on edges of quadrilaterals, with l(y) = y or 1 - y
     b_3(x) b_2(y), b_2(x) b_3(y), b_3(x) b_3(y)    in quadrilaterals,
 
-with ``b_2 = x (1 - x)`` and ``b_3 = x (1 - x) (2 x - 1)``. The function of an edge changes its sign
-if the direction of the edge is reversed.
+with ``b_2 = x (1 - x)`` and ``b_3 = x (1 - x) (2 x - 1)``. The function of an edge changes sign if
+the direction of the edge is reversed.
 
-:func:`assemble_enrichment` integrates the matrix entries of the cubic functions;
-:mod:`kc2spice.fem.solid` integrates the matrix entries of the quadratic functions only. Source: B.
-Szabo and I. Babuska, Finite Element Analysis (1991).
+:func:`assemble_enrichment` integrates all matrix entries that belong to cubic functions. The matrix
+entries between quadratic functions are integrated by :mod:`kc2spice.fem.solid`. Source: B. Szabo
+and I. Babuska, Finite Element Analysis (1991).
 """
 
 from __future__ import annotations
@@ -34,20 +34,20 @@ from skfem.mesh import MeshQuad, MeshTet
 from kc2spice.fem.materials import Material
 from kc2spice.fem.solid import VOIGT_ROWS, Solid, list_tensors
 
-# Polynomial degree to which integration is exact.
-# The mass matrix of axisymmetric cubic elements with straight edges needs this degree.
+# Highest polynomial degree that is integrated exactly.
+# For axisymmetric cubic elements with straight edges, the mass matrix needs this degree.
 INTEGRATION_ORDER = 7
-CHUNK_BYTES = 64e6  # bytes of the element matrices that are computed at once
-# changes of a mapping's derivatives in an element up to this relative size are rounding errors
+CHUNK_BYTES = 64e6  # largest size [B] of the element matrices that are computed at once
+# relative change of a mapping's derivatives within an element that counts as a rounding error
 AFFINE_TOLERANCE = 1e-9
 
 
 class ShapeFunction(NamedTuple):
-    """Values and gradients of a function on the reference element.
+    """Values and gradients of a shape function on the reference element.
 
-    The values have the shape (points,), and the gradients the shape (d, points). ``corners`` are
-    the corners of the edge, triangle or quadrilateral to which the function belongs. The two
-    corners of an edge are ordered in the direction of the edge.
+    The values have the shape (points,), and the gradients the shape (d, points). ``corners`` lists
+    the corners of the edge, triangle or quadrilateral to which the function belongs. For an edge,
+    the order of the two corners states the direction of the edge.
     """
 
     corners: tuple[int, ...]
@@ -57,14 +57,14 @@ class ShapeFunction(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Enrichment:
-    """Cubic shape functions of a solid, numbered over the whole mesh.
+    """Cubic shape functions of a solid, with their numbers in the whole mesh.
 
     Attributes
     ----------
     functions : cubic shape functions of the reference element, evaluated at the integration points.
-    nodes : for each function, the local numbers of the nodes on its edge, face or interior.
-    numbers, signs : numbers and signs of the local functions in the whole mesh, two arrays of shape
-        (functions, elements).
+    nodes : for each function, the local numbers of the nodes in its edge, face or element.
+    numbers, signs : number and sign of each function of each element in the whole mesh, two arrays
+        of shape (functions, elements).
     """
 
     solid: Solid
@@ -79,7 +79,7 @@ class Enrichment:
         return int(self.numbers.max()) + 1
 
     def mask_dielectric_functions(self) -> np.ndarray:
-        """Return a mask that selects functions in piezoelectrics and dielectrics."""
+        """Return a mask of the functions in piezoelectric and dielectric materials."""
         field = np.array([m.is_piezoelectric or m.dielectric for m in self.solid.materials])
         result = np.zeros(self.function_count, bool)
         result[self.numbers[:, field[self.solid.owner]]] = True
@@ -88,13 +88,12 @@ class Enrichment:
 
 @dataclass(frozen=True, eq=False)
 class EnrichedOperators:
-    """Finite-element matrices of selected cubic functions, and their coupling to all nodes.
+    """Matrices of selected cubic functions, and of their coupling to all nodes.
 
     The unknowns of the cubic functions are displacements and potentials. ``K`` is the stiffness
     matrix of the displacements, ``C`` the coupling matrix of displacements and potentials, ``P``
-    the permittivity matrix of the potentials, and ``M`` the mass matrix. The matrices named
-    ``…_dofs`` have a row for each unknown of a cubic function and a column for each unknown of a
-    node:
+    the permittivity matrix of the potentials, and ``M`` the mass matrix. Matrices named ``…_nodes``
+    have a row for each unknown of a cubic function and a column for each unknown of a node:
 
     - rows of ``K_nodes``, ``C_nodes`` and ``M_nodes``: displacements of the cubic functions
     - rows of ``D_nodes`` and ``P_nodes``: potentials of the cubic functions
@@ -113,7 +112,7 @@ class EnrichedOperators:
     M_nodes: sparse.csr_array
 
     def scale(self, factor: float) -> EnrichedOperators:
-        """Return a copy in which each matrix is multiplied by a factor."""
+        """Return a copy with each matrix multiplied by ``factor``."""
         return EnrichedOperators(*(factor * getattr(self, field.name) for field in fields(self)))
 
 
@@ -127,10 +126,10 @@ def make_enrichment(solid: Solid) -> Enrichment:
 def assemble_enrichment(
     enrichment: Enrichment, free: np.ndarray, live: np.ndarray
 ) -> EnrichedOperators:
-    """Integrate the finite-element matrices of selected unknowns of the cubic functions.
+    """Integrate the finite-element matrices for selected unknowns of cubic functions.
 
-    The mask ``free`` (count, d) selects displacements. The mask ``live`` (count,) selects
-    potentials.
+    The masks ``free`` (count, d) and ``live`` (count,) select the displacements and the potentials
+    of the cubic functions.
     """
     solid, d = enrichment.solid, enrichment.solid.component_count
     nodes, size = solid.basis(1).element_dofs, solid.node_positions.shape[1]
@@ -182,18 +181,18 @@ def assemble_enrichment(
 
 
 def _make_basis(solid: Solid, cells: np.ndarray) -> skfem.Basis:
-    """Return a finite-element basis on the elements ``cells`` of a solid."""
+    """Return a finite-element basis on the elements ``cells`` that integrates exactly."""
     if isinstance(solid.mesh, MeshTet):
         return solid.basis(quadrature=_make_tetrahedron_rule(INTEGRATION_ORDER), elements=cells)
     return solid.basis(INTEGRATION_ORDER, elements=cells)
 
 
 def _make_tetrahedron_rule(order: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return integration points and weights on a tetrahedron.
+    """Return integration points and weights on the reference tetrahedron.
 
-    The points have the shape (3, points), and the weights the shape (points,). The rule is a
-    product of Gauss-Jacobi rules. The rules of scikit-fem for tetrahedra are exact only for
-    polynomials of degree up to 4. Source: A. H. Stroud, Approximate Calculation of Multiple
+    The points have the shape (3, points), and the weights the shape (points,). The integration rule
+    is a product of three Gauss-Jacobi rules. For comparison, scikit-fem's rules for tetrahedra are
+    exact only up to polynomial degree 4. Source: A. H. Stroud, Approximate Calculation of Multiple
     Integrals (1971), section 2.5.
     """
     count = order // 2 + 1
@@ -205,7 +204,10 @@ def _make_tetrahedron_rule(order: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def evaluate_shape_functions(solid: Solid, X: np.ndarray) -> list[ShapeFunction]:
-    """Evaluate the cubic functions at the points ``X`` (d, points) of the reference element."""
+    """Evaluate the cubic functions at points ``X`` on the reference element.
+
+    ``X`` has the shape (d, points).
+    """
     on_element = (
         _evaluate_quadrilateral_functions
         if isinstance(solid.mesh, MeshQuad)
@@ -253,10 +255,10 @@ def _evaluate_quadrilateral_functions(corners: np.ndarray, X: np.ndarray) -> lis
 def _number_functions(
     solid: Solid, functions: Sequence[ShapeFunction]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the numbers and the signs of the cubic functions of all elements.
+    """Return the numbers and the signs of the cubic functions in all elements.
 
-    Both arrays have the shape (local functions, elements). On an edge or face between two elements,
-    the functions of both elements have the same number.
+    Both arrays have the shape (local functions, elements). The function on an edge or face between
+    two elements has the same number in both elements.
     """
     corners = solid.basis(1).element_dofs[: solid.mesh.t.shape[0]]
     element = np.arange(corners.shape[1])
@@ -272,7 +274,10 @@ def _number_functions(
 
 
 def _find_entity_nodes(solid: Solid, functions: Sequence[ShapeFunction]) -> list[np.ndarray]:
-    """Return, for each function, the local numbers of nodes on its edge, face or interior."""
+    """Return the local numbers of the nodes on the edge or face of each function.
+
+    For an interior function, all nodes of the element are returned.
+    """
     places, corners = np.asarray(solid.element.doflocs).T, solid.element.refdom.p
     result = []
     for function in functions:
@@ -289,11 +294,11 @@ def _find_entity_nodes(solid: Solid, functions: Sequence[ShapeFunction]) -> list
 def _tabulate_functions(
     solid: Solid, X: np.ndarray, functions: Sequence[ShapeFunction]
 ) -> np.ndarray:
-    """Return the gradients and values of all local functions on the reference element.
+    """Return gradients and values of all shape functions on the reference element.
 
-    The array has the shape (local functions, d + 1, points). The shape functions of the nodes
-    precede the cubic functions. Along the second axis, the d components of the gradient precede the
-    value.
+    The array has the shape (functions, d + 1, points). Along the first axis, the shape functions of
+    the nodes precede the cubic functions. Along the second axis, the d components of the gradient
+    precede the value.
     """
     element, rows = solid.element, []
     for i in range(len(element.doflocs)):
@@ -306,9 +311,9 @@ def _tabulate_functions(
 def _split_by_material(
     solid: Solid, local: int, more: int
 ) -> Iterator[tuple[Material, np.ndarray]]:
-    """Yield pairs of a material and a group of its elements.
+    """Yield each material with a limited number of its elements at a time.
 
-    The element matrices of a group need at most ``CHUNK_BYTES`` bytes.
+    The element matrices of these elements need at most ``CHUNK_BYTES`` bytes.
     """
     count = max(1, int(CHUNK_BYTES / (8 * local * more * (solid.component_count + 1) ** 2)))
     for number, material in enumerate(solid.materials):
@@ -320,12 +325,13 @@ def _split_by_material(
 def _compute_element_matrices(
     solid: Solid, material: Material, cells: np.ndarray, table: np.ndarray, n: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the element stiffness matrices S and mass matrices M of elements of one material.
+    """Compute the stiffness matrices S and mass matrices M of elements.
 
-    S has the shape (elements, cubic functions, fields, functions, fields). M has the shape
-    (elements, cubic functions, functions). The shape functions of the ``n`` nodes precede the cubic
-    functions. The fields are the displacement components and, in piezoelectric and dielectric
-    materials, the potential. S is computed from products of gradients on the reference element.
+    All elements have the same material. S has the shape (elements, cubic functions, fields,
+    functions, fields). M has the shape (elements, cubic functions, functions). The shape functions
+    of the ``n`` nodes precede the cubic functions. The fields are the displacement components, and
+    also the potential in piezoelectric and dielectric materials. S is computed from products of
+    gradients on the reference element.
     """
     rule = _make_basis(solid, cells)
     weights, radius = rule.dx, np.asarray(rule.global_coordinates())[0]
@@ -340,7 +346,7 @@ def _compute_element_matrices(
     M = material.density * (weights @ pairs.T).reshape(len(cells), -1, len(table))
     gradients = table if solid.axisymmetric else table[:, :-1]
     pairs = np.einsum("amq,bpq->qmpab", gradients[n:], gradients)
-    if even and not solid.axisymmetric:  # the gradient products of all points are summed first
+    if even and not solid.axisymmetric:  # the products are first summed over all points
         pairs = np.tensordot(weights[0] / weights[0].sum(), pairs, 1)[None]
         weights, inverse, constants = weights.sum(axis=1)[:, None], inverse[:, :1], constants[:1]
     D = _compute_reference_tensor(solid, material, weights, inverse, constants, radius)
@@ -358,11 +364,11 @@ def _compute_reference_tensor(
     constants: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]],
     radius: np.ndarray,
 ) -> np.ndarray:
-    """Compute second derivatives of the energy with respect to gradients on the reference element.
+    """Compute second derivatives of the energy by gradients on the reference element.
 
     The array has the shape (elements, points, fields, m, fields, m), where m is the number of
-    gradient components of each field. In axisymmetric solids, the value of the field is appended as
-    the last gradient component.
+    gradient components of each field. In axisymmetric solids, the value of the field counts as an
+    additional gradient component.
     """
     d = solid.component_count
     field = material.is_piezoelectric or material.dielectric
@@ -386,8 +392,8 @@ def _compute_reference_tensor(
     result = strain.transpose(0, 1, 3, 2) @ (H @ strain) * weights[:, :, None, None]
     result = result.reshape(*weights.shape, d + field, kinds, d + field, kinds)
     sigma = np.array(material.residual_stress)
-    # Prestress sigma contributes grad v . sigma grad u for each displacement component.
-    # In axisymmetric solids, prestress also contributes a hoop term.
+    # The prestress sigma contributes grad v . sigma grad u for each displacement component u.
+    # In axisymmetric solids, the prestress also contributes a hoop term.
     if sigma.any():
         stress = np.einsum("eqmi,eqpi,i->eqmp", inverse, inverse, sigma[axes])
         for k in range(d):
@@ -398,15 +404,15 @@ def _compute_reference_tensor(
 
 
 def _number_selected_entries(mask: np.ndarray) -> np.ndarray:
-    """Return consecutive numbers for the selected entries of a mask, and -1 for all others."""
+    """Number the true entries of a mask consecutively; other entries become -1."""
     return np.where(mask, np.cumsum(mask).reshape(mask.shape) - 1, -1)
 
 
 def _look_up_unknowns(unknowns: np.ndarray, numbers: np.ndarray) -> np.ndarray:
-    """Look up the numbers of the unknowns of the functions ``numbers`` (elements, functions).
+    """Look up the numbers of the unknowns of the functions ``numbers``.
 
-    The array has the shape (elements, local functions times components). An unknown that is not
-    selected has the number -1.
+    ``numbers`` has the shape (elements, functions), and the returned array the shape (elements,
+    functions times components). An unknown that is not selected has the number -1.
     """
     return unknowns[numbers].reshape(len(numbers), -1).astype(np.int32)
 
@@ -418,9 +424,9 @@ class _SparseSum:
         self.matrix = sparse.csr_array(shape)
 
     def add(self, values: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> None:
-        """Add the entries ``values`` (elements, rows, columns) of element matrices.
+        """Add the element matrices ``values`` (elements, rows, columns).
 
-        Entries whose row or column number is -1 are omitted.
+        Entries with the row or column number -1 are omitted.
         """
         i = np.broadcast_to(rows[:, :, None], values.shape)
         j = np.broadcast_to(columns[:, None, :], values.shape)

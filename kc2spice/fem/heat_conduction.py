@@ -2,13 +2,14 @@
 
 The equation of heat conduction is ``rho c T' = div(k grad T) + p``, where p is the heat source
 density [W/m^3]. The heat flux through a face with the film coefficient h is ``h (T - T_film)``
-[W/m^2]. The weak form has these matrices for the nodal temperatures T, with test functions v:
+[W/m^2]. With the nodal temperatures T and the test functions v, the weak form has these matrices:
 
     E   = int rho c v T          K = int grad v . k grad T          H = int v T over faces
 
-Axisymmetric integrals extend over the full turn. In one dimension, ``areas`` are the cross-sections
-of the elements. A thermal interface with the resistance r [m^2 K/W] has nodes on both of its sides.
-The heat flux from side a to side b is ``(T_a - T_b) / r``.
+Integrals over axisymmetric meshes cover the full revolution. In one dimension, ``areas`` contains
+the cross-sectional areas of the elements. A thermal interface with the resistance r [m^2 K/W] has
+separate nodes on its two sides a and b. The heat flux through the interface from side a to side b
+is ``(T_a - T_b) / r``.
 
 Source: J. N. Reddy, D. K. Gartling, The Finite Element Method in Heat Transfer and Fluid Dynamics,
 3rd ed., CRC Press 2010, chapter 3.
@@ -27,19 +28,19 @@ from scipy.sparse.csgraph import connected_components
 from kc2spice.fem.solid import CHUNK_SIZE, Solid, sum_matrices, symmetrise
 from kc2spice.fem.thermal_materials import ThermalMaterial
 
-MAX_CANDIDATES = 50  # number of nearest elements in which a point is searched
+MAX_CANDIDATES = 50  # number of elements near a point that may contain the point
 # a point outside of an element counts as inside up to this distance in local coordinates
 INSIDE_TOLERANCE = 1e-6
-NEWTON_STEPS = 20  # number of Newton steps, more than a point inside an element needs
-FACE_TOLERANCE = 1e-9  # largest value of a shape function on a face that does not contain its node
+NEWTON_STEPS = 20  # largest number of Newton steps; points inside an element need fewer
+FACE_TOLERANCE = 1e-9  # largest value on a face of a shape function that is zero on the face
 
 
 @dataclass(frozen=True, eq=False)
 class HeatSolid:
-    """Mesh with thermal materials; element ``k`` consists of ``materials[geometry.owner[k]]``.
+    """Mesh whose element ``k`` has the material ``materials[geometry.owner[k]]``.
 
-    ``areas`` (elements,) [m^2] are the cross-sections of line elements, and None for other
-    elements.
+    ``areas`` (elements,) [m^2] contains the cross-sectional areas of line elements. For other
+    elements, ``areas`` is None.
     """
 
     geometry: Solid
@@ -69,8 +70,8 @@ class HeatSolid:
 def list_local_functions(basis: skfem.Basis) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Yield the shape functions of all elements at each integration point of a basis.
 
-    For each integration point, the values have the shape (cells, l) and the gradients (cells, d,
-    l), where l is the number of local functions.
+    Each item contains the values (cells, l) and the gradients (cells, d, l) of the l shape
+    functions of each element in d dimensions.
     """
     local = [function[0] for function in basis.basis]
     for q in range(basis.X.shape[-1]):
@@ -79,7 +80,7 @@ def list_local_functions(basis: skfem.Basis) -> Iterator[tuple[np.ndarray, np.nd
 
 
 def _split_by_material(solid: HeatSolid) -> Iterator[tuple[ThermalMaterial, np.ndarray]]:
-    """Yield pairs of a material and a group of at most ``CHUNK_SIZE`` of its elements."""
+    """Yield each material with at most ``CHUNK_SIZE`` of its elements at a time."""
     for number, material in enumerate(solid.materials):
         cells = np.flatnonzero(solid.geometry.owner == number)
         for start in range(0, len(cells), CHUNK_SIZE):
@@ -127,8 +128,8 @@ def assemble_faces(solid: HeatSolid, facets: np.ndarray) -> sparse.csc_array:
 def _find_local_coordinates(mesh: skfem.Mesh, cell: int, point: np.ndarray) -> np.ndarray:
     """Compute the local coordinates (axes, 1) of a point in a cell by Newton's method.
 
-    The iteration starts in the middle of the cell. For a point far outside of a distorted cell, the
-    iteration does not converge, and the last iterate is returned.
+    Newton's iteration starts in the middle of the cell. If the iteration does not converge for a
+    point far outside of a distorted cell, the last iterate is returned.
     """
     mapping, which = mesh.mapping(), np.array([cell])
     places = np.asarray(point, float)[:, None, None]
@@ -166,10 +167,10 @@ def evaluate_functions_at_point(solid: HeatSolid, point: np.ndarray) -> np.ndarr
 
 
 def duplicate_face_nodes(geometry: Solid, facets: np.ndarray) -> Solid:
-    """Return the mesh with each node on inner ``facets`` duplicated, one node per side.
+    """Return the mesh with duplicated nodes on inner ``facets``, one for each side.
 
-    Two elements keep a common node if they are connected by faces that are not in ``facets``, for
-    example around the tip of a crack.
+    Two elements still share a node if faces outside of ``facets`` connect the elements, for example
+    around the tip of a crack.
     """
     numbers = np.array(geometry.basis(1).element_dofs)
     count, sides = int(numbers.max()) + 1, geometry.mesh.f2t
@@ -196,9 +197,10 @@ def duplicate_face_nodes(geometry: Solid, facets: np.ndarray) -> Solid:
 
 
 def assemble_interface(solid: HeatSolid, facets: np.ndarray) -> sparse.csc_array:
-    """Return the matrix [m^2] of ``int (v_a - v_b) (T_a - T_b)`` over inner ``facets``.
+    """Return the matrix [m^2] of ``int (v_a - v_b) (T_a - T_b)`` over ``facets``.
 
-    T_a and T_b are the temperatures on both sides of the facets, v_a and v_b the test functions.
+    The facets are inside of the mesh. T_a and T_b are the temperatures on the two sides of the
+    facets, and v_a and v_b are the test functions on these sides.
     """
     geometry = solid.geometry
     first, second = (

@@ -1,29 +1,31 @@
-"""Force, flux and inductance of the electromagnetic catch versus the height of the sphere.
+"""Force, flux and inductance of the electromagnetic catch.
 
-The model is axisymmetric magnetostatics (scikit-fem). The unknown is ``a = A_phi / r``, where A_phi
-is the vector potential. The unknown a is smooth and even in r, so no boundary condition is
-necessary on the axis. With ``b(a) = 2 a + r da/dr``, the field is ``B_y = b(a)``, ``B_r = -r
-da/dy``. The potential energy is ::
+Force, flux and inductance depend on the height y of the sphere. The axisymmetric magnetostatic
+field is computed with scikit-fem. The unknown is ``a = A_phi / r``, where A_phi is the vector
+potential. Since a is smooth and even in r, no boundary condition is necessary on the axis. The
+magnetic field is ``B_y = b(a)``, ``B_r = -r da/dy`` with ``b(a) = 2 a + r da/dr``. The potential
+energy is ::
 
     P(a) = 1/2 int nu (B_r^2 + B_y^2) dV - int nu B_rem b(a) dV - int J r a dV,   dV = 2 pi r dr dy
 
 where nu is the reluctivity, B_rem the remanence and J the current density. The solution minimises P
-with ``a = 0`` on the surface of the air cylinder (section 2.2.1 of the paper). The force on the
-sphere is ``-dP/dy``. In this derivative, the air around the sphere moves by g dy, where the weight
-g is 1 on the sphere and 0 on the mover's outline. The virtual work of the discrete energy equals
-the Maxwell stress averaged over a thick shell (Henrotte, Deliege, Hameyer: The eggshell approach,
-COMPEL 23(4), 2004).
+with ``a = 0`` on the surface of the air cylinder (Schütz, Maeter and Bechtold, Actuators 10 (2021)
+279, section 2.2.1). The force on the sphere is ``-dP/dy``. In this derivative, each point of the
+air around the sphere moves by g dy. The weight g decreases from 1 on the sphere to 0 on the outline
+of the *mover*. The force from this derivative equals the force from the Maxwell stress, averaged
+over a thick shell (Henrotte, Deliege, Hameyer: The eggshell approach, COMPEL 23(4), 2004).
 
-The materials are linear, so the fields of four sources superpose at each height: ring magnet,
-sphere magnet, and a current in each coil. One factorisation with four right-hand sides gives the
-force and flux for all currents; section 2.2.1 of the paper solves 369 cases instead. All element
-matrices are assembled once.
+The materials are linear, so the field at each height is a superposition of four fields. The sources
+of these fields are the ring magnet, the sphere magnet, and the currents in two coils. One
+factorisation with four right-hand sides therefore gives force and flux for all currents. Schütz et
+al. solve 369 separate cases for the same purpose. All element matrices are assembled once.
 
-A new mesh for each position of the sphere would cost time and add noise to the force. Therefore the
-box around the sphere (the *mover*) is meshed only once, symmetric about the sphere's equator. The
-region outside of this box (the *stator*) is also meshed once, with a regular lattice in the bore.
-The nodes on the mover's outline are nodes of the lattice. At each height of the sphere, the mover
-replaces cells of the lattice.
+A new mesh for each height of the sphere would cost time and add numerical noise to the force.
+Therefore the *mover*, which is a box around the sphere, is meshed only once, symmetrically about
+the equator of the sphere. The *stator*, which is the air cylinder with the ring magnet and the
+coils, is also meshed once, with a regular lattice in the bore. At each height of the sphere, the
+mover replaces cells of this lattice. The nodes on the outline of the mover coincide with nodes of
+the lattice.
 """
 
 from __future__ import annotations
@@ -49,13 +51,13 @@ from kc2spice.core.quantities import MU_0
 from kc2spice.fem.magnet_keys import CatchKeys, RingKeys
 from kc2spice.linalg.factor import Factor, factorise_supernodal
 
-# smallest number of heights that are also solved on a mesh with elements of twice the size
+# smallest number of heights for which the field is also computed with elements of twice the size
 MIN_COMPARED_HEIGHTS = 5
 RING, SPHERE, LOWER, UPPER = range(4)  # column numbers of the load vectors and of the fields
-# Element sizes at refine = 1, relative to the sphere's radius, and growth of size with distance.
+# Element sizes for refine = 1, relative to the sphere's radius, and increase of size per distance.
 # With these element sizes, the force error is at most 1e-5 of the largest force.
-# The mesh around magnets and coils affects the force error most.
-# An uneven mesh in the far field of the sphere causes a spurious force.
+# Most of the force error is due to the mesh around the magnets and coils.
+# An irregular mesh in the far field of the sphere would cause a spurious force.
 _LATTICE_SIZE, _SPHERE_SIZE, _PART_SIZE, _CORNER_SIZE, _SIZE_GROWTH = (
     1 / 8,
     1 / 8,
@@ -68,27 +70,29 @@ _LATTICE_SIZE, _SPHERE_SIZE, _PART_SIZE, _CORNER_SIZE, _SIZE_GROWTH = (
 def compute_catch_table(
     catch: CatchKeys, radius: float, progress: Callable[[float], None] = lambda share: None
 ) -> MagnetostaticTable:
-    """Compute force, flux and inductance at ``catch.positions`` heights of the sphere.
+    """Compute force, flux and inductance at several heights of the sphere.
 
-    The heights extend from ``y_min`` to ``y_max``. ``progress`` receives the completed share after
-    each height. Some heights are also solved on a mesh with elements of twice the size.
+    The table contains ``catch.positions`` heights from ``catch.y_min`` to ``catch.y_max``.
+    ``progress`` is called with the completed fraction after each height. For some heights, the
+    field is also computed on a mesh with elements of twice the size.
 
     Raises
     ------
-    UsageError : the sphere leaves the air cylinder, or magnet and coils are together higher than
-        the air cylinder.
+    UsageError : the sphere leaves the air cylinder, or the air cylinder is not higher than the
+        magnet and the coils together.
     SimulationError : a computed field does not satisfy the field equations.
     """
     positions = choose_compared_count(catch.positions)
     settings = {"refine": catch.refine / 2, "positions": positions}
-    rough = catch.model_copy(update=settings)  # a scene cannot set refine below 1
+    rough = catch.model_copy(update=settings)  # refine may be below 1, unlike in a scene
     return replace(_sweep_heights(catch, radius, progress), coarser=_sweep_heights(rough, radius))
 
 
 def choose_compared_count(count: int) -> int:
-    """Choose at how many heights the field is also solved on a coarser mesh.
+    """Choose the number of heights at which a coarser mesh is also solved.
 
-    At least five heights are chosen. The chosen heights are equally spaced among ``count`` heights.
+    The number is at least five, or ``count`` if there are fewer heights. The chosen heights are
+    equally spaced among all ``count`` heights.
     """
     return next(
         (n for n in range(MIN_COMPARED_HEIGHTS, count) if (count - 1) % (n - 1) == 0), count
@@ -112,7 +116,7 @@ def _sweep_heights(
     sign = get_ring_direction(catch)
     inductance = fluxes[:, :, [LOWER, UPPER]]
     length = [catch.turns * pi * (c.inner + c.outer) for c in (catch.lower, catch.upper)]
-    magnets = sign * forces[:, RING] + forces[:, SPHERE]  # force between magnets and sources
+    magnets = sign * forces[:, RING] + forces[:, SPHERE]  # force of both magnets on each source
     force = (
         forces[:, RING, RING] + forces[:, SPHERE, SPHERE] + 2 * sign * forces[:, RING, SPHERE],
         2 * magnets[:, LOWER],
@@ -132,12 +136,12 @@ def _sweep_heights(
 
 
 def list_sphere_heights(catch: CatchKeys) -> np.ndarray:
-    """Return the heights of the sphere's centre [m] at which the force is tabulated."""
+    """Return the heights of the sphere's centre [m] for the table of forces."""
     return np.linspace(catch.y_min, catch.y_max, catch.positions)
 
 
 def get_ring_direction(catch: CatchKeys) -> float:
-    """Return 1 if ring and sphere have the same direction of magnetisation, otherwise -1."""
+    """Return 1 if ring and sphere are magnetised in the same direction, otherwise -1."""
     return 1.0 if catch.polarity == "parallel" else -1.0
 
 
@@ -145,35 +149,35 @@ def get_ring_direction(catch: CatchKeys) -> float:
 class FieldEquations:
     """Field equations ``matrix a = loads`` at one height of the sphere.
 
-    The equations apply to the ``free`` unknowns among all n unknowns.
+    The equations determine the ``free`` unknowns. All other unknowns are zero.
     """
 
     matrix: sparse.csc_array
     loads: np.ndarray  # (n, 4)
     free: np.ndarray
-    mover: np.ndarray  # numbers of the mover's unknowns
-    stretch: sparse.csr_array  # force = -1/2 a' stretch a, where a are the mover's unknowns
+    mover: np.ndarray  # numbers of the unknowns in the mover
+    stretch: sparse.csr_array  # force = -1/2 a' stretch a with the unknowns a in the mover
 
     def solve(self, loads: np.ndarray) -> np.ndarray:
         """Return the fields that the loads cause.
 
-        Fields and loads are arrays of shape (n, k).
+        The fields and the loads are arrays of shape (n, k).
 
         Raises
         ------
         SimulationError : the fields do not satisfy the field equations.
         """
         a = np.zeros(loads.shape)
-        # minimum degree ordering, because nested dissection takes longer than the factorisation
+        # minimum degree order, because nested dissection would take longer than the factorisation
         factor = Factor(self.matrix, factorise_supernodal(self.matrix))
         a[self.free] = factor.solve(loads[self.free])
         return a
 
     def compute_force_matrix(self, a: np.ndarray) -> np.ndarray:
-        """Compute the matrix ``Q`` [N] that gives the force for the fields ``a``.
+        """Compute the force matrix ``Q`` [N] of the fields ``a``.
 
-        Q has the shape (k, k), and ``a`` has the shape (n, k). For a superposition of the fields
-        with amplitudes q (k,), the force is ``q' Q q``.
+        Q has the shape (k, k), and ``a`` has the shape (n, k). If the k fields are superposed with
+        the amplitudes q (k,), the force is ``q' Q q``.
         """
         near = a[self.mover]
         return -0.5 * near.T @ (self.stretch @ near)
@@ -184,7 +188,7 @@ def assemble_field_equations(
 ) -> Iterator[tuple[int, FieldEquations]]:
     """Yield the index and the field equations of each height of the sphere.
 
-    Heights that differ by a multiple of the lattice pitch have the same meshes.
+    The same two meshes are used for all heights that differ by a multiple of the lattice pitch.
     """
     y = list_sphere_heights(catch)
     pitch = choose_lattice_pitch(catch, radius, (y[-1] - y[0]) / (y.size - 1))
@@ -199,7 +203,7 @@ def assemble_field_equations(
 
 @dataclass(frozen=True, eq=False)
 class ElementMatrices:
-    """Element matrices of one mesh, and the row and column numbers of their entries.
+    """Element matrices of one mesh, with the row and column numbers of all entries.
 
     The entries ``local[:, e]`` of element e are in the rows ``rows[:, e]`` and columns
     ``cols[:, e]`` of the assembled matrix.
@@ -209,14 +213,15 @@ class ElementMatrices:
     rows: np.ndarray
     cols: np.ndarray
     local: np.ndarray
-    loads: np.ndarray  # (n, 4): loads of ring, sphere, and 1 A in the lower and in the upper coil
+    loads: np.ndarray  # (n, 4): loads of the ring, the sphere, and 1 A in the lower and upper coil
 
 
 def make_field_assembler(catch: CatchKeys, bore: BoreLattice) -> Callable[[float], FieldEquations]:
-    """Return a function that assembles the field equations at a height of the sphere.
+    """Return a function that assembles the field equations for a height of the sphere.
 
     Stator and mover are meshed once, for the lattice ``bore``. The argument of the returned
-    function is the height [m] of the sphere's centre, which must be the height of a lattice point.
+    function is the height [m] of the sphere's centre, which must be equal to the height of a
+    lattice point.
     """
     mesh, sphere = mesh_mover(bore)
     coercivity = catch.remanence / (catch.mu_r * MU_0)
@@ -224,8 +229,8 @@ def make_field_assembler(catch: CatchKeys, bore: BoreLattice) -> Callable[[float
     r, y = moved.points
     edge = 1e-6 * bore.pitch
     rim = np.flatnonzero((r > bore.wall - edge) | (np.abs(y) > bore.half - edge))
-    # The force [N] is -1/2 a' stretch a, an integral over the air in which the weight g varies.
-    # The weight g is 1 in the sphere, 0 on the mover's outline, and harmonic in between.
+    # The force [N] is -1/2 a' stretch a, an integral over the air of the mover, in which g varies.
+    # The weight g is 1 in the sphere, 0 on the outline of the mover, and harmonic in between.
     basis = _make_basis(mesh)
     g, core = np.zeros(basis.N), np.unique(basis.element_dofs[:, sphere])
     g[core] = 1.0
@@ -252,7 +257,7 @@ def make_field_assembler(catch: CatchKeys, bore: BoreLattice) -> Callable[[float
     lookup, count, more = cKDTree(stator.points.T), stator.points.shape[1], moved.points.shape[1]
 
     def assemble_equations(height: float) -> FieldEquations:
-        """Return the field equations with the centre of the sphere at ``height`` [m]."""
+        """Return the field equations for the sphere's centre at ``height`` [m]."""
         mover = count + np.arange(more)
         distance, mover[rim] = lookup.query((moved.points[:, rim] + [[0], [height]]).T)
         if not np.max(distance) < 1e-6 * bore.pitch:
@@ -290,8 +295,9 @@ def _assemble_mesh(
 ) -> ElementMatrices:
     """Compute the element matrices of a mesh and the load vectors of ``sources``.
 
-    The elements ``magnet`` have the permeability of the magnets. ``sources`` are keyed by column of
-    the loads. Each source consists of a linear form, its factor, and a mask of elements.
+    The elements ``magnet`` have the permeability of the magnets. Each source consists of a linear
+    form, a factor, and a mask of the elements that contain the source. The keys of ``sources`` are
+    columns of the load vectors.
     """
     basis = _make_basis(mesh)
     loads = np.zeros((basis.N, 4))
@@ -307,7 +313,7 @@ def _assemble_mesh(
 def _make_basis(mesh: MeshTri2, elements: np.ndarray | None = None) -> Basis:
     """Return a finite-element basis with a quadrature rule that is exact to degree 5.
 
-    On straight triangles, the integrands are polynomials of degree 5.
+    On triangles with straight edges, the integrands are polynomials of degree 5.
     """
     return Basis(mesh, ElementTriP2(), intorder=6, elements=elements)
 
@@ -321,9 +327,9 @@ def _stiffness_form(u: Any, v: Any, w: Any) -> np.ndarray:
 
 @BilinearForm
 def _stiffness_derivative(u: Any, v: Any, w: Any) -> np.ndarray:
-    """Return the derivative of the stiffness with respect to a shift of all points.
+    """Return the derivative of the stiffness with respect to a shift along y.
 
-    Each point moves by the weight ``g`` at this point, in the direction y.
+    Each point of the air moves by the shift times the weight ``g`` at this point.
     """
     r, (g_r, g_y) = w.x[0], w.g.grad
     bu, bv = 2 * u + r * u.grad[0], 2 * v + r * v.grad[0]
@@ -333,28 +339,30 @@ def _stiffness_derivative(u: Any, v: Any, w: Any) -> np.ndarray:
 
 @LinearForm
 def _remanence_load(v: Any, w: Any) -> np.ndarray:
-    """Return the integrand of the load that an axial ``nu B_rem`` of 1 A/m causes."""
+    """Return the integrand of the load vector for an axial ``nu B_rem`` of 1 A/m."""
     r = w.x[0]
     return 2 * pi * r * (2 * v + r * v.grad[0])
 
 
 @LinearForm
 def _current_load(v: Any, w: Any) -> np.ndarray:
-    """Return the integrand of the load that a current density of 1 A/m^2 causes.
+    """Return the integrand of the load vector for a current density of 1 A/m^2.
 
-    The product of this load and a field is the flux linkage for one turn per square metre.
+    The scalar product of the load vector and a field ``a`` is the flux linkage of a coil with one
+    turn per square metre.
     """
     return 2 * pi * w.x[0] ** 2 * v
 
 
 @dataclass(frozen=True)
 class BoreLattice:
-    """Regular lattice of cells in the bore, in which the sphere moves; lengths in m.
+    """Regular lattice of cells in the bore in which the sphere moves.
 
-    ``bottom`` is the height of the lowest line of the lattice. The lattice consists of ``rows``
-    rows of cells with the height ``pitch``. In each row, ``columns`` cells extend from the axis to
-    the radius ``wall``. The mover extends by ``half`` above and below the sphere's centre. All
-    element sizes are fractions of ``size``. ``radius`` is the radius of the sphere.
+    All lengths are in metres. ``bottom`` is the height of the lowest line of the lattice. The
+    lattice consists of ``rows`` rows of cells with the height ``pitch``. Each row consists of
+    ``columns`` cells from the axis to the radius ``wall``. The mover extends from ``half`` below to
+    ``half`` above the sphere's centre. All element sizes are proportional to ``size``. ``radius``
+    is the radius of the sphere.
     """
 
     radius: float
@@ -373,14 +381,15 @@ def list_actuator_sections(catch: CatchKeys) -> tuple[RingKeys, RingKeys, RingKe
 
 
 def get_section(part: RingKeys) -> tuple[float, float, float, float]:
-    """Return the limits r_min, y_min, r_max, y_max [m] of a part's rectangular section."""
+    """Return r_min, y_min, r_max and y_max [m] of a rectangular section."""
     return part.inner, part.y - part.height / 2, part.outer, part.y + part.height / 2
 
 
 def get_air_section(catch: CatchKeys) -> tuple[float, float, float, float]:
-    """Return the limits [m] of the air cylinder's section, which is centred on the actuator.
+    """Return r_min, y_min, r_max and y_max [m] of the section of the air cylinder.
 
-    Source: section 2.2.1 of the paper.
+    The air cylinder is centred on the actuator. Source: Schütz, Maeter and Bechtold, Actuators 10
+    (2021) 279, section 2.2.1.
     """
     boxes = list(map(get_section, list_actuator_sections(catch)))
     _, bottoms, _, tops = zip(*boxes, strict=True)
@@ -400,7 +409,7 @@ def get_air_section(catch: CatchKeys) -> tuple[float, float, float, float]:
 
 
 def choose_lattice_pitch(catch: CatchKeys, radius: float, spacing: float) -> float:
-    """Choose the height of lattice cells [m] as a multiple or fraction of ``spacing``.
+    """Choose the height of lattice cells [m], a multiple or a fraction of ``spacing``.
 
     ``spacing`` [m] is the distance between consecutive heights of the sphere.
     """
@@ -412,7 +421,7 @@ def choose_lattice_pitch(catch: CatchKeys, radius: float, spacing: float) -> flo
 def make_bore(
     catch: CatchKeys, radius: float, pitch: float, lowest: float, highest: float
 ) -> BoreLattice:
-    """Return the lattice for heights of the sphere's centre from ``lowest`` to ``highest``.
+    """Return the lattice for sphere centres from ``lowest`` to ``highest`` [m].
 
     Raises
     ------
@@ -440,7 +449,7 @@ def make_bore(
 
 
 def mesh_stator(catch: CatchKeys, bore: BoreLattice) -> MeshTri2:
-    """Mesh the stator, the meridian half-plane with the lattice in its bore, with triangles."""
+    """Mesh the section of the stator with triangles, which form a lattice in the bore."""
     top = bore.bottom + bore.rows * bore.pitch
     boxes = list(map(get_section, list_actuator_sections(catch)))
     shapes = [get_air_section(catch), (0.0, bore.bottom, bore.wall, top), *boxes]
@@ -471,10 +480,10 @@ def mesh_stator(catch: CatchKeys, bore: BoreLattice) -> MeshTri2:
 
 
 def mesh_mover(bore: BoreLattice) -> tuple[MeshTri2, np.ndarray]:
-    """Mesh the mover, a box around a sphere at the origin.
+    """Mesh the section of the mover, which is a box around a sphere at the origin.
 
     The second returned array is a mask of the triangles inside the sphere. Triangle edges on the
-    surface of the sphere are curved: the middle nodes of these edges lie on the circle.
+    surface of the sphere are curved, with middle nodes on the surface.
     """
     outline = [(0, 0), (bore.radius, 0), (bore.wall, 0), (bore.wall, bore.half)]
     outline += [(0, bore.half), (0, bore.radius)]
@@ -507,14 +516,14 @@ def mesh_mover(bore: BoreLattice) -> tuple[MeshTri2, np.ndarray]:
 
 
 def _compute_narrowest_gap(catch: CatchKeys, radius: float) -> float:
-    """Return the radial gap [m] between the sphere and the smallest bore of magnet and coils."""
+    """Return the radial gap [m] between the sphere and the narrowest bore of a part."""
     return min(map(attrgetter("inner"), list_actuator_sections(catch))) - radius
 
 
 def _generate_mesh(
     gmsh: ModuleType, size: Callable[[float, float], float]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Mesh the surfaces of the gmsh model, and return vertices and triangles.
+    """Mesh the surfaces of the current gmsh model; return vertices and triangles.
 
     The vertices have the shape (2, n), and the triangles the shape (3, t). ``size(r, y)`` is the
     element size at the point ``r``, ``y``.

@@ -1,6 +1,6 @@
 """Scene keys of the catch actuator: ring magnet, two coils and air cylinder.
 
-Source: tables 1 and A1 of the paper.
+Source: tables 1 and A1 of Schütz, Maeter and Bechtold, Actuators 10 (2021) 279.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from kc2spice.core.quantities import (
 
 
 class RingKeys(Section):
-    """Keys of a ring with a rectangular section; ``y`` is the height of its centre."""
+    """Scene keys of a ring magnet or coil with a rectangular section."""
 
     height: Length = Field(gt=0, description="Height of the ring magnet or coil along the axis")
     outer: Length = Field(gt=0, description="Outer radius of the ring magnet or coil")
@@ -30,7 +30,7 @@ class RingKeys(Section):
 
 
 class CatchKeys(Section):
-    """Keys of an electromagnetic catch: ring magnet, two coils and air cylinder."""
+    """Scene keys of an electromagnetic catch: ring magnet, two coils and air cylinder."""
 
     polarity: Literal["parallel", "antiparallel"] = Field(
         "parallel",

@@ -1,11 +1,12 @@
 """Eddy currents in a conducting body of revolution between coaxial coils.
 
 The body is divided into rings of rectangular section. If the skin depth is small, the rings below
-the surfaces of the body are thin. For the currents i of the rings and j of the coils, ``L di/dt + R
-i = -d/dt m j``. The inductances L and the resistances R of the rings are constant. Only the mutual
-inductances m of rings and coils depend on the height y of the body. With the modes ``R v = rate L
-v``, ``v' L v = 1``, the body is equivalent to a set of current loops of 1 H and ``rate`` Ohm. The
-mutual inductances of the loops and the coils are ``v' m(y)``.
+the surfaces of the body are thin. The ring currents i and the coil currents j satisfy ``L di/dt + R
+i = -d/dt (m j)``. The inductances L and the resistances R of the rings are constant. Only the
+mutual inductances m between rings and coils depend on the height y of the body. The modes v satisfy
+``R v = rate L v`` and ``v' L v = 1``. Each mode is equivalent to a current loop with the inductance
+1 H and the resistance ``rate`` Ohm. The mutual inductances between this loop and the coils are ``v'
+m(y)``.
 """
 
 from __future__ import annotations
@@ -23,25 +24,25 @@ from kc2spice.core.errors import wrong
 from kc2spice.core.mesh_error import MESH_ERROR_PREFIX
 from kc2spice.core.quantities import MU_0
 
-# number of heights (Chebyshev points) at which the couplings of coils and rings are computed
+# number of heights (Chebyshev points) at which mutual inductances of coils and rings are computed
 HEIGHT_NODES = 40
 SELF_DIVISIONS = 24  # number of cells along the longer side of a coil, for its self-inductance
 MUTUAL_DIVISIONS = 16  # number of Gauss points along the longer side, for mutual inductances
-MIN_FILL = 0.02  # smallest conducting share of a section; a ring below this share is omitted
-# distance from the axis, in cell widths, below which four points of a section are evaluated
+MIN_FILL = 0.02  # smallest conducting fraction of a section; rings below this fraction are omitted
+# distance from the axis, in cell widths, below which a section is evaluated at four points
 AXIS_CELLS = 4
-GAUSS_POINTS = (-0.5 / 3**0.5, 0.5 / 3**0.5)  # Gauss points of a section, relative to its side
-# Smallest distance of distant sections, relative to their longest side.
-# For distant sections, the distance of the centres replaces the mean distance.
+GAUSS_POINTS = (-0.5 / 3**0.5, 0.5 / 3**0.5)  # Gauss points, relative to the side of a section
+# Smallest distance between distant sections, relative to their longest side.
+# For distant sections, the distance between the centres replaces the mean distance.
 FAR_RATIO = 40.0
 DEFAULT_RINGS = 400  # default number of rings per body
-LAYERS_PER_DEPTH = 3.0  # layers of rings per skin depth at the surface, with DEFAULT_RINGS rings
-LAYER_GROWTH = 1.35  # thickness of a layer, relative to the adjacent layer nearer to the surface
-# Largest number of rings of a sphere if 400 rings are requested.
-# A sphere needs more rings, because it has no thin layers below its surface.
+LAYERS_PER_DEPTH = 3.0  # layers of rings per skin depth at a surface, for DEFAULT_RINGS rings
+LAYER_GROWTH = 1.35  # thickness of a layer, relative to the next layer towards the surface
+# Largest number of rings in a sphere if DEFAULT_RINGS rings are requested.
+# A sphere needs more rings, because the sphere has no thin layers below its surface.
 MAX_SPHERE_RINGS = 1500
 MAX_RINGS = 3000  # largest number of rings; each dense matrix then occupies 70 MB
-# number of heights and frequencies at which the loops are compared with loops of finer rings
+# number of heights and of frequencies at which loops are compared with finer rings
 COMPARED_HEIGHTS = 5
 SLOPE_STEP = 1e-4  # height step of finite differences, relative to the range of heights
 
@@ -49,17 +50,17 @@ SLOPE_STEP = 1e-4  # height step of finite differences, relative to the range of
 def compute_mutual_inductance(
     r: np.ndarray, z: np.ndarray, other: np.ndarray, height: np.ndarray
 ) -> np.ndarray:
-    """Compute the mutual inductance [H] of two coaxial circles; arguments broadcast.
+    """Compute the mutual inductance [H] of two coaxial circles.
 
     The circles have the radii ``r`` and ``other`` [m] and the heights ``z`` and ``height`` [m].
-    The mutual inductance is infinite if the circles coincide. Source: Maxwell, A Treatise on
-    Electricity and Magnetism, art. 701.
+    Arrays of different shapes are broadcast. The mutual inductance is infinite if the circles
+    coincide. Source: Maxwell, A Treatise on Electricity and Magnetism, art. 701.
     """
     from scipy.special import ellipe, ellipkm1
 
     apart = (z - height) ** 2
     across = (r + other) ** 2 + apart
-    # The elliptic integral K is computed from 1 - k^2, so that it is accurate for close circles too
+    # For close circles, the elliptic integral K is accurate if it is computed from 1 - k^2
     k2, rest = 4 * r * other / across, ((r - other) ** 2 + apart) / across
     result = (1 - k2 / 2) * ellipkm1(rest) - ellipe(k2)
     return np.asarray(MU_0 * np.sqrt(across) * result)
@@ -67,11 +68,11 @@ def compute_mutual_inductance(
 
 @dataclass(frozen=True, eq=False)
 class RingCells:
-    """Rings with rectangular sections of the size ``wide`` times ``tall`` [m].
+    """Rings with rectangular sections of width ``wide`` and height ``tall`` [m].
 
     ``r``, ``z``, ``wide``, ``tall`` and ``filled`` are arrays of shape (n,). The centres of the
-    sections are at the radii ``r`` [m] and the heights ``z`` [m]. ``filled`` are the shares of the
-    sections that carry current.
+    sections are at the radii ``r`` [m] and the heights ``z`` [m]. ``filled`` contains the fraction
+    of each section that carries current.
     """
 
     r: np.ndarray
@@ -84,10 +85,10 @@ class RingCells:
     def inductance(self) -> np.ndarray:
         """Self- and mutual inductances (n, n) [H] for a uniform current in each section.
 
-        The formula for circles contains a logarithm, which is replaced by its mean over both
-        sections (J. C. Maxwell, Trans. R. Soc. Edinburgh 26 (1872) 729). The other term of the
-        formula is evaluated between the centres of both sections. Near the axis, this other term is
-        less smooth, and it is averaged over four points of each section.
+        In the formula for two circles, the logarithm is replaced by its mean over both sections (J.
+        C. Maxwell, Trans. R. Soc. Edinburgh 26 (1872) 729). The other term of the formula is
+        evaluated between the centres of both sections. Near the axis, the other term is less
+        smooth, and is averaged over four points of each section.
         """
         r, z = self.r, self.z
         logs = self._mean_log_distances
@@ -102,9 +103,9 @@ class RingCells:
 
     @cached_property
     def _mean_log_distances(self) -> np.ndarray:
-        """Mean logarithms of the distance [m] between the points of two sections.
+        """Mean logarithms of the distance [m] between points of two sections.
 
-        The array has the shape (n, n).
+        The array of shape (n, n) contains all pairs of n sections.
         """
         x, y = np.subtract.outer(self.r, self.r), np.subtract.outer(self.z, self.z)
         result = np.hypot(x, y)
@@ -125,10 +126,11 @@ class RingCells:
 def _compute_section_mutuals(
     r: np.ndarray, z: np.ndarray, other: np.ndarray, height: np.ndarray, logs: np.ndarray
 ) -> np.ndarray:
-    """Compute the mutual inductances [H] of sections from the mutual inductances of circles.
+    """Compute the mutual inductances [H] between n and m rectangular sections.
 
-    The mutual inductances have the shape (n, m). ``logs`` of the same shape are the mean logarithms
-    of the distance between points of the sections.
+    The mutual inductances of circles are corrected for the size of the sections. ``logs`` contains
+    the mean logarithms of the distance between points of two sections. Both ``logs`` and the
+    returned array have the shape (n, m).
     """
     r, z = r[:, None], z[:, None]
     same = (r == other) & (z == height)
@@ -143,11 +145,11 @@ def _compute_section_mutuals(
 def _compute_mean_log_distance(
     x: np.ndarray, y: np.ndarray, a: np.ndarray, c: np.ndarray, b: np.ndarray, d: np.ndarray
 ) -> np.ndarray:
-    """Compute the mean logarithm of the distance between points of two rectangles.
+    """Compute the mean logarithm of the distances between points of two rectangles.
 
-    One rectangle has the sides ``a`` along x and ``b`` along y, the other has the sides ``c`` and
-    ``d``. The distance of the two centres is ``x`` along x and ``y`` along y. The mean is the
-    fourth difference of the fourfold integral of ``ln(x^2 + y^2) / 2``.
+    Along x and y, the first rectangle has the sides ``a`` and ``b``, and the second rectangle the
+    sides ``c`` and ``d``. The distance between their centres is ``x`` along x and ``y`` along y.
+    The mean is computed from fourth differences of the fourfold integral of ``ln(x^2 + y^2) / 2``.
     """
     result = np.zeros_like(x)
     ends = ((1, 1, 1), (-1, -1, 1), (1, -1, -1), (-1, 1, -1))
@@ -170,8 +172,8 @@ def divide_section(
 ) -> RingCells:
     """Divide a rectangular section into about ``count`` nearly square cells.
 
-    The cells below the surfaces are thinner unless all cells are small compared with the skin
-    ``depth`` [m]. Only the part of a cell in which ``inside(r, z)`` is true carries current.
+    The cells below the surfaces are thinner if the other cells are not small compared with the skin
+    ``depth`` [m]. Current flows only where ``inside(r, z)`` is true.
     """
     wide, tall = outer - inner, high - low
     thinnest = depth / LAYERS_PER_DEPTH * np.sqrt(DEFAULT_RINGS / count)
@@ -179,7 +181,7 @@ def divide_section(
         most = min(MAX_SPHERE_RINGS * count / DEFAULT_RINGS, MAX_RINGS)
         count, thinnest = int(max(count, min(most, wide * tall / thinnest**2))), np.inf
     side = np.sqrt(wide * tall / count)
-    # _divide_length makes at least three cells, because skin effect occurs across the shortest side
+    # _divide_length makes at least three cells to resolve the skin effect across the shortest side
     across = inner + _divide_length(wide, side, thinnest, 2 if inner else 1)
     along = low + _divide_length(tall, side, thinnest, 2)
     r, z = _make_grid_points(_compute_midpoints(across), _compute_midpoints(along))
@@ -194,7 +196,7 @@ def divide_section(
 
 
 def _make_grid_points(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return the coordinates of all points of a rectangular grid, an array of shape (2, n)."""
+    """Return the coordinates (2, n) of all points of a rectangular grid."""
     return np.reshape(np.meshgrid(x, y), (2, -1))
 
 
@@ -203,12 +205,12 @@ def _compute_midpoints(edges: np.ndarray) -> np.ndarray:
 
 
 def _divide_length(length: float, side: float, thinnest: float, surfaces: int) -> np.ndarray:
-    """Divide a length into cells of about ``side``, with thinner layers below surfaces.
+    """Divide a length into cells of about ``side``, with thin layers below surfaces.
 
-    The edges of the cells and layers are returned. There are layers only if the cells are thicker
-    than ``thinnest``, the thickness of the outermost layer. Each layer is thicker than its outer
-    neighbour. If ``surfaces`` is 1, the layers are at the upper end; if it is 2, they are at both
-    ends.
+    The positions of the edges of cells and layers are returned. Layers are added only if the cells
+    are thicker than ``thinnest``, which is the thickness of the outermost layer. Each layer is
+    thicker than the next layer outwards. If ``surfaces`` is 1, the layers are at the upper end; if
+    ``surfaces`` is 2, the layers are at both ends.
     """
     count = max(3, round(length / side))
     if thinnest >= length / count:
@@ -228,7 +230,7 @@ class Winding:
     """Coaxial winding with uniformly distributed ``turns`` in a rectangular section.
 
     The centre of the section is at ``radius`` [m] and the height ``y`` [m]. The section has the
-    size ``width`` times ``height`` [m].
+    dimensions ``width`` and ``height`` [m].
     """
 
     radius: float
@@ -251,7 +253,7 @@ class Winding:
         return RingCells(r, z, self.width / parts[0] * even, self.height / parts[1] * even, even)
 
     def couple_circles(self, r: np.ndarray, z: np.ndarray) -> np.ndarray:
-        """Compute mutual inductances [H] with circles of radius ``r`` at the heights ``z``."""
+        """Compute mutual inductances [H] with circles of radius ``r`` at height ``z`` [m]."""
         sides = np.array([self.width, self.height])
         counts = np.maximum(3, np.round(MUTUAL_DIVISIONS * sides / sides.max())).astype(int)
         (x, p), (y, q) = map(np.polynomial.legendre.leggauss, counts)
@@ -264,8 +266,9 @@ class Winding:
     def couple_sheet(self, sheet: Winding, heights: np.ndarray) -> np.ndarray:
         """Compute the mutual inductances (n,) [H] with a current sheet at several heights.
 
-        The sheet is a winding of zero width, which is moved up by each of the ``heights`` (n,) [m].
-        The integral along the height of the sheet uses Gauss points.
+        The current sheet is a winding of zero width. For each mutual inductance, the sheet is moved
+        up by one of the ``heights`` (n,) [m]. The integral along the height of the sheet is
+        computed at Gauss points.
         """
         x, p = np.polynomial.legendre.leggauss(MUTUAL_DIVISIONS)
         z = heights[:, None] + sheet.y + sheet.height / 2 * x
@@ -276,8 +279,8 @@ class Winding:
     def compute_coupling_inductance(self, other: Winding) -> float:
         """Compute the mutual inductance [H] with another winding.
 
-        For two equal windings, this is the self-inductance. Source for the self-inductance of a
-        winding of zero width: L. Lorenz, Ann. Phys. 7 (1879) 161.
+        If ``other`` equals this winding, the result is the self-inductance. Source for the
+        self-inductance of a winding of zero width: L. Lorenz, Ann. Phys. 7 (1879) 161.
         """
         if other == self and not self.width:
             from scipy.special import ellipe, ellipkm1
@@ -293,19 +296,20 @@ class Winding:
 
 @dataclass(frozen=True, eq=False)
 class LoopModel(EqualByContent):
-    """Conducting body represented by k current loops, coupled to c coils.
+    """Model of a conducting body: k current loops that are coupled to c coils.
 
-    Each loop has the inductance 1 H. ``rates`` (k,) [Ohm] are the resistances of the loops for a
-    conductivity of 1 S/m. ``inductance`` (c, c) [H] is the inductance matrix of the coils.
+    Each loop has the inductance 1 H. ``rates`` (k,) [Ohm] contains the resistances of the loops for
+    a conductivity of 1 S/m. ``inductance`` (c, c) [H] is the inductance matrix of the coils.
 
-    ``couplings`` (c, k, degree + 1) are the mutual inductances of coils and loops as polynomials in
-    ``2 (y - low) / (high - low) - 1``, with the coefficient of the lowest power first. With
-    magnets, the shape is (c + 1, k, degree + 1), and the last row is the flux of the magnets.
+    ``couplings`` (c, k, degree + 1) contains polynomial coefficients, lowest power first, of the
+    mutual inductances between coils and loops. The polynomials are functions of ``2 (y - low) /
+    (high - low) - 1``. With magnets, the shape is (c + 1, k, degree + 1), and the last row is the
+    magnet flux in the loops.
 
-    ``error`` is the effect of additional loops on the coils' flux and on the force, up to
-    ``frequency`` [Hz] and relative to the largest flux and force. ``rings`` is the number of rings
-    of the body. ``ring_error`` estimates the error of flux, force and loss that the division into
-    rings causes.
+    ``error`` estimates the error due to the small number of loops. The error is the effect of all
+    omitted loops on flux and force up to ``frequency`` [Hz], relative to the largest flux and
+    force. ``rings`` is the number of rings of the body. ``ring_error`` estimates the error of flux,
+    force and loss due to the division into rings.
     """
 
     rates: np.ndarray
@@ -327,10 +331,10 @@ class LoopModel(EqualByContent):
         return known | {f"{MESH_ERROR_PREFIX}rings": self.ring_error, "loop_error": self.error}
 
     def compute_effect(self, heights: np.ndarray, s: complex, conductivity: float) -> CurrentEffect:
-        """Compute the effect of the body's currents on the coils at ``heights`` [m] of the body.
+        """Compute the effect of the body's currents on the coils.
 
-        ``s`` [1/s] is the Laplace variable, and ``conductivity`` [S/m] is the conductivity of the
-        body.
+        ``heights`` [m] are the heights of the body, ``s`` [1/s] is the Laplace variable, and
+        ``conductivity`` [S/m] is the conductivity of the body.
         """
         x = (2 * heights - self.low - self.high) / (self.high - self.low)
         powers = x[:, None] ** np.arange(self.couplings.shape[2])
@@ -347,16 +351,16 @@ class CurrentEffect(EqualByContent):
     """Effect of the body's currents on the coils, per ampere in a coil.
 
     The last axis of both arrays is the height of the body. ``flux`` (c, c, heights) [H] is the
-    reduction of the flux in the first coil per ampere in the second coil. ``slope`` (c, c, heights)
-    [H/m] is the derivative of ``flux`` for a body whose height changes relative to the first coil
-    only.
+    reduction of the flux in the first coil for each ampere in the second coil. ``slope`` (c, c,
+    heights) [H/m] is the derivative of ``flux`` with respect to the height of the body for constant
+    currents in the body.
     """
 
     flux: np.ndarray
     slope: np.ndarray
 
     def find_largest_difference(self, exact: CurrentEffect) -> float:
-        """Return the largest relative difference in flux, slope and loss between two effects."""
+        """Return the largest relative difference of flux, slope and loss from ``exact``."""
         pairs = [(self.flux, exact.flux), (self.slope, exact.slope)]
         coils = np.arange(len(self.flux))
         pairs.append((self.flux[coils, coils].imag, exact.flux[coils, coils].imag))
@@ -370,11 +374,11 @@ def compare_rings(
     magnets: Sequence[Winding],
     conductivity: float,
 ) -> float:
-    """Return the largest relative difference between the loops and the rings of ``body``.
+    """Return the largest relative difference between loops and rings of a ``body``.
 
-    The currents in the rings are solved for directly, at several heights and frequencies up to the
-    frequency of the loops. :meth:`CurrentEffect.find_largest_difference` defines the relative
-    difference.
+    The ring currents are computed without modes, at several heights and at frequencies up to the
+    largest frequency of the loop model. :meth:`CurrentEffect.find_largest_difference` defines the
+    relative difference.
     """
     half, middle = (ladder.high - ladder.low) / 2, (ladder.high + ladder.low) / 2
     heights = middle + half * chebyshev.chebpts1(COMPARED_HEIGHTS)
@@ -398,9 +402,11 @@ def compare_rings(
 def _compute_couplings(
     body: RingCells, coils: Sequence[Winding], magnets: Sequence[Winding], heights: np.ndarray
 ) -> np.ndarray:
-    """Compute mutual inductances (c, heights, n) [H] of coils and rings at the ``heights`` [m].
+    """Compute the mutual inductances [H] between coils and rings.
 
-    If there are magnets, the sum of their mutual inductances is appended as a last row.
+    ``heights`` [m] are the heights of the body. The returned array has the shape (c, heights, n).
+    If there are magnets, the sum of the mutual inductances between magnets and rings is appended as
+    a last row.
     """
     at = body.r, body.z + heights[:, None]
     m = [coil.couple_circles(*at) for coil in coils]
@@ -421,17 +427,17 @@ def reduce_to_loops(
 ) -> LoopModel:
     """Reduce the rings of a ``body`` to a few current loops.
 
-    The loops are accurate at heights of the body from ``low`` to ``high`` [m] and up to a
-    ``frequency`` [Hz]. The number of loops is the smallest that satisfies the ``tolerance``. The
-    loops are modes in a subspace of the body's currents. This subspace contains the currents that
-    each coil and the magnets cause, at several heights and frequencies. A magnet is represented by
-    a winding whose ``turns`` are its surface current [A]. The coupling of a magnet to a loop is a
-    flux [Wb].
+    The loops are valid for heights of the body from ``low`` to ``high`` [m] and up to a
+    ``frequency`` [Hz]. The number of loops is the smallest number that satisfies the ``tolerance``.
+    The loops are modes in a subspace of the body's currents. The subspace contains the currents
+    that coils and magnets cause at several heights and frequencies. A magnet is represented by a
+    winding, with the surface current [A] of the magnet as number of ``turns``. The coupling of a
+    magnet to a loop is a flux [Wb].
 
     Raises
     ------
-    UsageError : the couplings of coils and loops are not smooth functions of the height, for
-        example if body and coil touch.
+    UsageError : the mutual inductances between coils and loops are not smooth functions of the
+        height, for example because body and coil touch.
     """
     nodes, heights = _list_chebyshev_heights(low, high)
     inductance = _compute_coil_inductance(coils)
@@ -457,20 +463,20 @@ def make_current_loop(
     high: float,
     tolerance: float,
 ) -> LoopModel:
-    """Return the loop model of a body with a constant current distribution.
+    """Return the loop model of a body whose current distribution is constant.
 
-    ``sheets`` are the current sheets of this distribution, which is one loop. See
-    :func:`reduce_to_loops` for the other arguments.
+    The current distribution consists of the current ``sheets`` and forms one loop.
+    :func:`reduce_to_loops` describes the other arguments.
 
     Raises
     ------
-    UsageError : the couplings of coils and loop are not smooth functions of the height, for example
-        if body and coil touch.
+    UsageError : the mutual inductances between coils and loop are not smooth functions of the
+        height, for example because body and coil touch.
     """
     nodes, heights = _list_chebyshev_heights(low, high)
 
     def compute_flux_linkage(windings: Sequence[Winding]) -> np.ndarray:
-        """Return the flux linkage of all sheets and ``windings`` at each height."""
+        """Return the flux linkage between all sheets and ``windings`` at each height."""
         return sum(
             starmap(Winding.couple_sheet, product(windings, sheets, (heights,))),
             np.zeros(HEIGHT_NODES),
@@ -490,22 +496,22 @@ def _list_chebyshev_heights(low: float, high: float) -> tuple[np.ndarray, np.nda
 
 
 def _compute_coil_inductance(coils: Sequence[Winding]) -> np.ndarray:
-    """Compute the matrix of self- and mutual inductances [H] of the coils."""
+    """Compute the inductance matrix [H] of the coils."""
     return np.array([list(map(a.compute_coupling_inductance, coils)) for a in coils])
 
 
 def _compute_current_basis(
     rates: np.ndarray, mutual: np.ndarray, speeds: np.ndarray, nodes: np.ndarray, tolerance: float
 ) -> tuple[np.ndarray, float]:
-    """Compute an orthonormal basis of the body's currents, and its largest relative error.
+    """Compute an orthonormal basis of the body's currents, and its largest error.
 
-    The basis approximates the currents that coils with the couplings ``mutual`` (c, heights, n)
-    cause at every second frequency of ``speeds``. The error of flux and force is evaluated at all
-    frequencies.
+    The returned error is the largest relative error of flux and force at all frequencies in
+    ``speeds``. The basis approximates the currents that coils with the couplings ``mutual`` (c,
+    heights, n) cause at every second frequency in ``speeds``.
     """
 
     def compute_currents(speeds: np.ndarray, couplings: np.ndarray) -> np.ndarray:
-        """Return the currents of the body in its modes at the frequencies ``speeds``."""
+        """Return the currents in the modes of the body at the frequencies ``speeds``."""
         return couplings[:, :, None, :] * (1j * speeds / (rates[:, None] + 1j * speeds)).T
 
     sampled = compute_currents(speeds[::2], mutual[:, ::3]).reshape(-1, rates.size)
@@ -517,7 +523,7 @@ def _compute_current_basis(
     def compute_flux_and_force(
         rate: np.ndarray, at: np.ndarray, slope: np.ndarray
     ) -> list[np.ndarray]:
-        """Return the frequency responses of flux and force to the body's currents."""
+        """Return the frequency responses of flux and force due to the body's currents."""
         share = 1j * speeds / (rate[:, None] + 1j * speeds)
         return [np.einsum("iyn,jyn,nf->ijyf", at, other, share) for other in (at, slope)]
 
@@ -534,7 +540,7 @@ def _compute_current_basis(
 
 
 def _fit_chebyshev(nodes: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Compute the Chebyshev coefficients of ``values`` at m points.
+    """Compute Chebyshev coefficients of functions with given ``values`` at m points.
 
     The coefficients have the shape (m, c, k), and the values the shape (c, m, k).
     """
@@ -546,11 +552,11 @@ def _fit_chebyshev(nodes: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def _fit_power_series(nodes: np.ndarray, values: np.ndarray, tolerance: float) -> np.ndarray:
-    """Fit power series to ``values`` at m Chebyshev points.
+    """Fit polynomials to ``values`` at m Chebyshev points; return power coefficients.
 
     The coefficients have the shape (c, k, degree + 1), and the values the shape (c, m, k). The
-    degree is the smallest that keeps the error of the slopes below a tenth of the ``tolerance`` for
-    each coil.
+    degree is the smallest degree for which the relative error of the slopes is below ``tolerance /
+    10`` for each coil.
     """
     c = _fit_chebyshev(nodes, values)
     order = np.arange(nodes.size)[:, None, None] ** 2  # largest slope of a Chebyshev polynomial

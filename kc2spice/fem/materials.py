@@ -1,22 +1,22 @@
-"""Piezoelectric and elastic materials from the library or from tables of a scene.
+"""Piezoelectric and elastic materials from the built-in library or a scene.
 
 Interface::
 
-    material("PZT-5A")                       # Material from the library
-    material({"density": 8530, "youngs_modulus": "100 GPa", "poisson_ratio": 0.35})
-    material({"like": "PZT-5A", "quality": 90})
-    pzt.poled((0, 0, -1))                    # material poled along -z of the body
+    pzt = find_material("PZT-5A")            # Material from the library
+    find_material({"density": 8530, "youngs_modulus": "100 GPa", "poisson_ratio": 0.35})
+    find_material({"like": "PZT-5A", "quality": 90})
+    pzt.rotate_z_axis((0, 0, -1))            # material poled along -z of the body
     pzt.C, pzt.e, pzt.eps_S                  # (6, 6) Pa, (3, 6) C/m^2, (3, 3) F/m
 
 The tensor components are in Voigt order xx yy zz yz xz xy, with engineering shear strains. Every
 :class:`Material` has constants in the stress-charge form of IEEE Std 176-1987: stiffness at
-constant electric field, and permittivity at constant strain. With the stress T, the strain S, the
-electric field E and the electric displacement D:
+constant electric field, and permittivity at constant strain. The stress T and the electric
+displacement D depend on the strain S and the electric field E:
 
     T = C S - e' E,   D = e S + eps_S E.
 
 A table in strain-charge form contains the compliance s, the coupling d and the permittivity eps_T
-at constant stress. A table in strain-charge form is converted by
+at constant stress. The stress-charge form follows from the strain-charge form by
 
     C = s^-1,   e = d C,   eps_S = eps_T - e C^-1 e'.
 """
@@ -57,9 +57,10 @@ from kc2spice.core.quantities import (
 
 TENSOR_ROUNDING = 1e-12  # largest rounding error of a tensor, relative to its largest component
 
-# Symmetry classes of _FREE_COMPONENTS, keyed by point groups with the same free components.
-# Data sheets state point groups, such as "32" for quartz and "6mm" for poled ceramics.
-# The point group 3m is missing, because it has other piezoelectric components.
+# Symmetry classes in _FREE_COMPONENTS, keyed by the point groups with the same free components.
+# Data sheets state a point group, such as "32" for quartz and "6mm" for poled ceramics.
+# The point group 3m is not in this table, because its piezoelectric components differ from point
+# group 32.
 _POINT_GROUPS = {
     "6mm": "hexagonal", "∞m": "hexagonal", "∞mm": "hexagonal", "inf m": "hexagonal",
     "32": "trigonal", "mm2": "orthotropic", "mmm": "orthotropic", "m3m": "cubic", "-43m": "cubic",
@@ -71,7 +72,8 @@ Symmetry: TypeAlias = Annotated[
 ]
 
 # Free components of stiffness and coupling in each symmetry class.
-# In "14=-24=56", the free component 14 is equal to component 56 and to minus component 24.
+# The text "14=-24=56" means that component 56 equals component 14, and that component 24 is the
+# negative of component 14.
 _FREE_COMPONENTS = {
     "cubic": ("11=22=33 12=13=23 44=55=66", "14=25=36"),
     "hexagonal": ("11=22 12 13=23 33 44=55 66", "31=32 33 15=24"),
@@ -79,8 +81,8 @@ _FREE_COMPONENTS = {
     "orthotropic": ("11 12 13 22 23 33 44 55 66", "31 32 33 15 24"),
 }
 _SYMMETRIES_WITH_DERIVED_66 = ("hexagonal", "trigonal")  # c66 = (c11 - c12)/2, s66 = 2 (s11 - s12)
-# Alternative forms of the elasticity and of the coupling; each form consists of one or more keys.
-# A table with a key of one form inherits no key of the other forms.
+# Alternative forms of the elasticity and of the coupling. Each form consists of one or more keys.
+# A table that contains a key of one form inherits no keys of the alternative forms.
 _ALTERNATIVE_KEYS = (
     (("youngs_modulus", "poisson_ratio", "shear_modulus"), ("stiffness",), ("compliance",)),
     (("stress_coupling",), ("strain_coupling",)),
@@ -89,22 +91,22 @@ _ALTERNATIVE_KEYS = (
 
 @dataclass(frozen=True)
 class CylindricalAxes:
-    """Cylindrical coordinates with the direction of their ``axis`` and a ``point`` [m] on it."""
+    """Cylindrical coordinates about an ``axis`` through a ``point`` [m]."""
 
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
     point: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def compute_rotations(self, places: np.ndarray, elements: np.ndarray) -> np.ndarray:
-        """Return rotation matrices to the cylindrical axes at ``places`` [m].
+        """Return the rotation matrices to the cylindrical axes at points ``places`` [m].
 
-        The matrices have the shape (n, 3, 3), and the places the shape (n, 3). The columns of each
-        matrix are the radial, hoop and axial unit vectors.
+        The matrices have the shape (n, 3, 3), and ``places`` has the shape (n, 3). The columns of
+        each matrix are the radial, hoop and axial unit vectors.
         """
         axial = np.asarray(self.axis, float) / np.linalg.norm(self.axis)
         arm = places - np.asarray(self.point)
         arm = arm - np.outer(arm @ axial, axial)
         size = np.linalg.norm(arm, axis=1, keepdims=True)
-        # for places on the axis, any direction perpendicular to the axis is radial
+        # for points on the axis, any direction perpendicular to the axis counts as radial
         other = np.cross(axial, np.eye(3)[np.abs(axial).argmin()])
         radial = np.where(size > 0, arm, other / np.linalg.norm(other))
         radial = radial / np.where(size > 0, size, 1.0)
@@ -116,13 +118,14 @@ class CylindricalAxes:
 class ElementAxes(EqualByContent):
     """Material axes of each element of a mesh.
 
-    The columns of the matrices ``rotations`` (elements, 3, 3) are the material axes.
+    For each element, the columns of a matrix in ``rotations`` (elements, 3, 3) are the material
+    axes.
     """
 
     rotations: np.ndarray
 
     def compute_rotations(self, places: np.ndarray, elements: np.ndarray) -> np.ndarray:
-        """Return rotation matrices to the material axes of n ``elements``.
+        """Return the rotation matrices to the material axes of n ``elements``.
 
         The returned array has the shape (n, 3, 3).
         """
@@ -147,13 +150,13 @@ class Material(EqualByContent):
         insulators are then electrodes.
     quality, loss_tangent : mechanical Q factor and dielectric loss tangent, None if unknown.
     tensile_strength : largest principal stress [Pa] that the material withstands, None if unknown.
-    depoling_field, breakdown_field : largest electric field [V/m] opposite to the poling, and in
-        any direction; None if unknown.
-    residual_stress : (3,) normal stresses [Pa] along x, y and z in the body at rest, in equilibrium
-        with the forces of the supports.
-    axis : (3,) unit vector along the material's z axis (the poling of a ceramic), in the axes of
-        the body.
-    dielectric : whether the model includes the electric field between electrodes, with or without
+    depoling_field, breakdown_field : largest permitted electric field [V/m] opposite to the poling,
+        and in any direction; None if unknown.
+    residual_stress : (3,) normal stresses [Pa] along x, y and z in the body at rest. The residual
+        stresses are in equilibrium with the forces of the supports.
+    axis : (3,) unit vector along the z axis of the material, in the axes of the body. In ceramics,
+        z is the direction of poling.
+    dielectric : whether the model includes the electric field in the material, even without
         piezoelectricity.
     local_axes : material axes that depend on the position, for example radial, hoop and axial
         directions; None for the axes of the body.
@@ -188,8 +191,8 @@ class Material(EqualByContent):
     def is_isotropic_about_z(self) -> bool:
         """Whether the material is isotropic about z.
 
-        Rotations by 30 and 45 degrees about z must change all tensors by at most 2 % of their
-        largest components.
+        A material counts as isotropic if rotations by 30 and 45 degrees about z change each tensor
+        by at most 2 % of its largest component.
         """
         for angle in (np.pi / 6, np.pi / 4):
             c, s = np.cos(angle), np.sin(angle)
@@ -203,10 +206,10 @@ class Material(EqualByContent):
 
     @property
     def has_out_of_plane_coupling(self) -> bool:
-        """Whether motion in a plane through z causes motion or polarisation out of the plane.
+        """Whether motion in the x-z plane causes motion or polarisation out of this plane.
 
-        This coupling exists if a nonzero tensor component changes its sign under reflection in the
-        plane.
+        Coupling out of the plane exists if reflection in the x-z plane changes the sign of a
+        nonzero tensor component.
         """
         out, within, C, e = [3, 5], [0, 1, 2, 4], np.abs(self.C), np.abs(self.e)
         elastic = C[np.ix_(out, within)].max() > TENSOR_ROUNDING * C.max()
@@ -217,9 +220,10 @@ class Material(EqualByContent):
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Compute stiffness, coupling and permittivity at n places.
 
-        The stiffness has the shape (n, 6, 6), the coupling (n, 3, 6), and the permittivity (n, 3,
-        3). The tensors at ``places`` (n, 3) [m] in the ``elements`` (n,) are returned in the axes
-        of the body. Without :attr:`local_axes`, the tensors are the same everywhere, and n = 1.
+        The returned tensors are in the axes of the body. The stiffness has the shape (n, 6, 6), the
+        coupling (n, 3, 6), and the permittivity (n, 3, 3). Each point in ``places`` (n, 3) [m] is
+        in one of the ``elements`` (n,). Without :attr:`local_axes`, the tensors are the same
+        everywhere, and n = 1.
         """
         if self.local_axes is None:
             return self.C[None], self.e[None], self.eps_S[None]
@@ -235,7 +239,7 @@ class Material(EqualByContent):
 
     @property
     def indentation_modulus(self) -> float:
-        """Indentation modulus [Pa] along z of a half-space, without electric fields.
+        """Indentation modulus [Pa] of a half-space along z, for zero electric field.
 
         The material must be isotropic about z. For a fully isotropic material with Young's modulus
         E and Poisson's ratio nu, the indentation modulus is E / (1 - nu^2). Source: Delafargue and
@@ -252,10 +256,11 @@ class Material(EqualByContent):
         return np.linalg.solve(self.C, self.e.T).T
 
     def rotate(self, R: np.ndarray) -> Material:
-        """Return the material rotated by ``R`` (3, 3): axis i then points along ``R[:, i]``.
+        """Return the material rotated by ``R`` (3, 3).
 
-        With Bond's matrix M(R) for stress, the rotated tensors are ``M C M'``, ``R e M'`` and ``R
-        eps R'`` (B. A. Auld, Acoustic Fields and Waves in Solids, 1973, section 3.D).
+        After the rotation, axis i of the material points along ``R[:, i]``. With Bond's matrix M(R)
+        for stress, the rotated tensors are ``M C M'``, ``R e M'`` and ``R eps R'`` (B. A. Auld,
+        Acoustic Fields and Waves in Solids, 1973, section 3.D).
         """
         M = compute_bond_matrix(R)
         return replace(
@@ -267,18 +272,18 @@ class Material(EqualByContent):
         )
 
     def rotate_z_axis(self, direction: Sequence[float]) -> Material:
-        """Return the material with its z axis (the poling of a ceramic) along ``direction``.
+        """Return the material with its z axis rotated to ``direction``.
 
-        The material is rotated by the smallest possible angle. If the direction is -z, it is
-        rotated by half a turn about x.
+        In ceramics, z is the direction of poling. The material is rotated by the smallest possible
+        angle. If the direction is -z, the material is rotated by 180 degrees about x.
         """
         return self.rotate(compute_poling_rotation(direction))
 
 
 def compute_poling_rotation(direction: Sequence[float] | np.ndarray) -> np.ndarray:
-    """Compute the matrix that rotates z to a ``direction`` by the smallest angle.
+    """Compute the matrix that rotates z to ``direction`` by the smallest angle.
 
-    The matrix has the shape (3, 3). If the direction is -z, the rotation is half a turn about x.
+    The matrix has the shape (3, 3). If the direction is -z, the rotation is 180 degrees about x.
     """
     n = np.asarray(direction, float) / np.linalg.norm(direction)
     if n[2] < -1 + 1e-14:
@@ -291,11 +296,11 @@ _VOIGT_PAIRS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 
 
 def compute_bond_matrix(R: np.ndarray) -> np.ndarray:
-    """Return the Bond matrices M of rotation matrices R.
+    """Return the Bond matrices M for rotation matrices R.
 
-    M has the shape (…, 6, 6), and R has the shape (…, 3, 3). M rotates the Voigt vector of a
-    stress. Column J of M is the Voigt vector of ``R T_J R'``, where T_J is the symmetric tensor
-    whose Voigt vector is the unit vector J.
+    M has the shape (…, 6, 6), and R has the shape (…, 3, 3). The matrix M rotates the Voigt vector
+    of a stress. Column J of M is the Voigt vector of ``R T_J R'``, where T_J is the symmetric
+    tensor whose Voigt vector is the unit vector J.
     """
     M = np.empty((*R.shape[:-2], 6, 6))
     for J, (k, l) in enumerate(_VOIGT_PAIRS):
@@ -308,15 +313,15 @@ def compute_bond_matrix(R: np.ndarray) -> np.ndarray:
 
 
 def _make_component_validator(unit: str) -> BeforeValidator:
-    """Return a validator for a tensor that is written as named components or nested lists.
+    """Return a validator for a tensor of named components or nested lists.
 
-    Each component may have a unit, and is converted to ``unit``.
+    The validator converts each component to a number in ``unit``.
     """
     return BeforeValidator(partial(_convert_to_unit, unit))
 
 
 def _convert_to_unit(unit: str, value: object) -> object:
-    """Return a nested mapping or list with all quantities converted to numbers in ``unit``."""
+    """Convert all quantities in a nested mapping or list to numbers in ``unit``."""
     if isinstance(value, Mapping):
         return {str(key): _convert_to_unit(unit, item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
@@ -335,28 +340,29 @@ _ELASTIC_KEYS = ("youngs_modulus", "stiffness", "compliance")
 
 
 def make_unknown_base_error(name: str, known: Sequence[str]) -> PydanticCustomError:
-    """Make the error for a key ``like`` with the ``name`` of an unknown material."""
+    """Make the error for a key ``like`` that states an unknown material ``name``."""
     expected = f"one of {list_candidates(name, known, 'docs/reference/materials.md')}"
     hint = did_you_mean(name, known) or f'write for example  like = "{known[0]}"'
     return make_invalid_value_error("this material does not exist", expected, "like", hint)
 
 
 class MaterialTable(Section):
-    """Constants of a material in a scene or in the library.
+    """Table of constants of a material, in a scene or in the library.
 
-    :meth:`build` makes the tensors from the constants. The elasticity has one of these forms:
+    :meth:`build_material` makes the tensors from the constants. The elasticity is stated in one of
+    these forms: * ``youngs_modulus`` and ``poisson_ratio`` for an isotropic material. For an
+    orthotropic material, ``youngs_modulus`` contains three values, ``poisson_ratio`` contains
+    ``nu_xy``, ``nu_yz`` and ``nu_xz``, and ``shear_modulus`` is also stated.
+    * ``stiffness``: components such as ``c11`` with a ``symmetry``, or a 6 by 6 list.
+    * ``compliance``: components such as ``s11`` with a ``symmetry``, or a 6 by 6 list.
 
-    * ``youngs_modulus`` and ``poisson_ratio`` of an isotropic material. An orthotropic material has
-      three Young's moduli, the ratios ``nu_xy``, ``nu_yz`` and ``nu_xz``, and ``shear_modulus``.
-    * ``stiffness``: components ``c11``… with a ``symmetry``, or a 6 by 6 list.
-    * ``compliance``: components ``s11``… with a ``symmetry``, or a 6 by 6 list.
-
-    Either ``stress_coupling`` (``e31``…) or ``strain_coupling`` (``d31``…) contains the
-    piezoelectric components, as names with values or as a 3 by 6 list. The relative
+    Either ``stress_coupling`` (such as ``e31``) or ``strain_coupling`` (such as ``d31``) contains
+    the piezoelectric constants, as named components or as a 3 by 6 list. The relative
     ``permittivity`` has the components ``eps11``, ``eps22`` and ``eps33``, or is a 3 by 3 list. In
     the table of a piezoelectric material, the key ``permittivity_at`` must state whether the
     permittivity was measured at constant ``stress`` or ``strain``. A table with the key ``like``
-    may omit constants. The omitted constants are those of the library material with this name.
+    may omit constants. The omitted constants are taken from the built-in material that ``like``
+    names.
     """
 
     like: str | None = Field(
@@ -469,7 +475,7 @@ class MaterialTable(Section):
     @model_validator(mode="before")
     @classmethod
     def _inherit_constants(cls, data: Any) -> Any:
-        """Add missing properties from the material that the key ``like`` of the table names."""
+        """Add missing constants from the built-in material that the key ``like`` names."""
         if not isinstance(data, Mapping) or "like" not in data:
             return data
         if str(data["like"]) not in _load_tables():
@@ -534,12 +540,12 @@ class MaterialTable(Section):
         return self
 
     def build_material(self, name: str) -> Material:
-        """Build the material ``name`` from the constants, with tensors in stress-charge form.
+        """Build the material ``name`` with tensors in stress-charge form.
 
         Raises
         ------
-        UsageError : components are missing or unknown, values are implausible in their unit, or a
-            tensor is not positive definite.
+        UsageError : components are missing or unknown, a value is implausible and probably in a
+            wrong unit, or a tensor is not positive definite.
         """
         C, e = self._build_stiffness(), np.zeros((3, 6))
         if self.stress_coupling is not None:
@@ -572,7 +578,7 @@ class MaterialTable(Section):
             C = np.linalg.inv(s)
         _require_positive_definite(C, "stiffness")
         largest = float(np.diag(C).max())
-        if not 1e3 <= largest <= 2e12:  # the unit is probably wrong, such as Pa for GPa
+        if not 1e3 <= largest <= 2e12:  # probably a wrong unit, such as Pa for GPa
             hint = 'numbers are in SI: write "121 GPa" or 121e9, "16.4e-12 1/Pa" or 16.4e-12'
             if isinstance(self.youngs_modulus, float) and 1e3 <= 1e9 * largest <= 2e12:
                 hint = f'write  youngs_modulus = "{self.youngs_modulus:g} GPa"'
@@ -584,8 +590,8 @@ class MaterialTable(Section):
     def _compute_engineering_compliance(self) -> np.ndarray:
         """Compute the compliance (6, 6) from the moduli and Poisson's ratios.
 
-        In Poisson's ratio ``nu_ij = -S_jj/S_ii``, S_jj and S_ii are the strains along j and i that
-        a stress along i causes.
+        Poisson's ratio is ``nu_ij = -S_jj/S_ii``, where S_ii and S_jj are the strains along i and j
+        that a stress along i causes.
         """
         E_keys, nu, G = self.youngs_modulus, self.poisson_ratio, self.shear_modulus
         ratios, planes = ("nu_xy", "nu_xz", "nu_yz"), ("g_yz", "g_xz", "g_xy")
@@ -648,10 +654,10 @@ class MaterialTable(Section):
         return np.diag([first, values.get("eps22", first), values.get("eps33", first)])
 
     def _build_tensor(self, key: str, letter: str) -> np.ndarray:
-        """Return the tensor of a ``key`` from lists, or from components of the symmetry class.
+        """Build the tensor of a ``key`` from lists or from named components.
 
-        The ``letter`` of the component names is ``c`` for stiffness (6, 6), ``s`` for compliance
-        (6, 6), and ``e`` or ``d`` for coupling (3, 6).
+        The names of components begin with ``letter``: ``c`` for stiffness (6, 6), ``s`` for
+        compliance (6, 6), and ``e`` or ``d`` for coupling (3, 6).
         """
         values, elastic = getattr(self, key), letter in "cs"
         shape = (6, 6) if elastic else (3, 6)
@@ -699,9 +705,9 @@ class MaterialTable(Section):
 
 
 def _convert_to_matrix(rows: list[list[float]], shape: tuple[int, int], key: str) -> np.ndarray:
-    """Return the matrix of a tensor's ``rows``.
+    """Convert the ``rows`` of a tensor to a matrix of the given ``shape``.
 
-    An error is raised if the matrix has another ``shape``, or is square but not symmetric.
+    A matrix with another shape is rejected, and so is a square matrix that is not symmetric.
     """
     if list(map(len, rows)) != [shape[1]] * shape[0]:
         got = f"rows of {', '.join(map(str, map(len, rows[:8])))} numbers"
@@ -727,14 +733,15 @@ def _convert_to_matrix(rows: list[list[float]], shape: tuple[int, int], key: str
 
 
 MAX_SOLID_DENSITY = 22_600.0  # kg/m3, density of osmium, the densest solid
-MAX_WAVE_SPEED = 30e3  # m/s, above the 18 km/s of diamond, the fastest solid
+MAX_WAVE_SPEED = 30e3  # m/s, above the wave speed of 18 km/s in diamond, the highest of all solids
 
 
 def _reject_implausible_density(density: float, stiffness: float) -> None:
     """Reject a density that is probably in a wrong unit.
 
-    Such a density exceeds the density of every solid, or makes the wave speed in the material too
-    high. The wave speed is the square root of ``stiffness / density``.
+    A density is rejected if it exceeds the density of every solid, or if the wave speed in the
+    material exceeds ``MAX_WAVE_SPEED``. The wave speed is the square root of ``stiffness /
+    density``.
     """
     speed = float(np.sqrt(stiffness / density))
     if density > MAX_SOLID_DENSITY:
@@ -751,7 +758,10 @@ def _reject_implausible_density(density: float, stiffness: float) -> None:
 
 
 def _require_positive_definite(matrix: np.ndarray, key: str, hint: str | None = None) -> None:
-    """Reject a matrix that is not positive definite after its diagonal is scaled to one."""
+    """Reject a matrix that is not positive definite.
+
+    The check scales the diagonal entries of the matrix to one.
+    """
     diagonal = np.diag(matrix)
     smallest = float(diagonal.min())
     if smallest > 0:
@@ -770,22 +780,22 @@ def _load_tables() -> dict[str, dict[str, Any]]:
 
 @cache
 def _list_library_names() -> dict[str, str]:
-    """Return the names of the library's materials, keyed by the name in lower case."""
+    """Return the names of the built-in materials, keyed by the name in lower case."""
     return dict(zip(map(str.lower, _load_tables()), _load_tables(), strict=True))
 
 
 @cache
 def _load_material(name: str) -> Material:
-    """Return the library material with this ``name``."""
+    """Return the built-in material with this ``name``."""
     return MaterialTable.model_validate(_load_tables()[name]).build_material(name)
 
 
 def find_material(
     name_or_table: str | Mapping[str, Any] | Material, where: str = "material"
 ) -> Material:
-    """Return the material with a name in the library, or the material of a table.
+    """Return the built-in material with a name, or build the material of a table.
 
-    Names of the library may be written in upper or lower case.
+    Names of built-in materials may be written in upper or lower case.
 
     Raises
     ------

@@ -1,6 +1,6 @@
-"""Functions that read mesh and CAD files with gmsh, and return arrays.
+"""Readers of mesh and CAD files that use gmsh and return arrays.
 
-:mod:`kc2spice.fem.mesh_file` calls them in a separate process.
+:mod:`kc2spice.fem.mesh_file` calls these readers in a separate process.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from kc2spice.fem.mesh_cells import CellBlock
 from kc2spice.fem.mesh_formats import MESHIO_READERS, merge_file
 
 ENTITY_NAMES = {0: "points", 1: "curves", 2: "faces", 3: "solids"}
-# largest distance of an entity from the point that selects it, relative to the body's size
+# largest distance of an entity from the point that selects the entity, relative to the body's size
 PICK_TOLERANCE = 1e-6
-# Possible numbers of corners of the supported elements, keyed by the elements' dimension.
+# Numbers of corners of the supported elements, keyed by the dimension of the elements.
 CORNER_COUNTS = {0: (1,), 1: (2,), 2: (3, 4), 3: (4, 5, 6, 8)}
 ELEMENT_NAMES = "triangles, quadrilaterals, tetrahedra, pyramids, prisms and hexahedra"
 MAX_ELEMENTS = 50_000_000  # largest number of elements that a mesh size may produce
@@ -35,30 +35,31 @@ def extract_mesh(
 ) -> dict[str, np.ndarray]:
     """Extract nodes, elements and physical groups of a mesh or CAD file.
 
-    ``name`` is the file name that errors contain. ``splits`` is the number of times that every edge
-    is halved.
+    ``name`` is the file name that error messages state. Every edge of the mesh is halved ``splits``
+    times.
 
-    A CAD file is meshed with elements of a ``size``, in the unit of the file. ``picks`` selects the
-    groups of a CAD file, keyed by name. Each pick contains the ``dimension`` of its entities,
-    points ``at`` and two corners of a ``box``.
+    ``size`` is the largest edge length of the elements in a CAD file, in the unit of the file.
+    ``picks`` defines groups of entities (points, curves, faces or solids) of a CAD file, keyed by
+    name. Each pick contains the ``dimension`` of the selected entities, points ``at`` that lie on
+    the entities, and two corners of a ``box`` around the entities.
 
     The returned dictionary contains these arrays:
 
     * ``points`` (n, 3): positions of the nodes,
-    * ``cells<k>`` (elements, nodes): node numbers of the elements of block k, corners first; all
-      elements of a block are of one kind,
+    * ``cells<k>`` (elements, nodes): node numbers of the elements of block k, corners first; a
+      block contains elements of one kind,
     * ``local<k>`` (nodes, d): positions of the nodes of block k on the reference element,
     * ``corners`` (blocks,): number of corners of each element of a block,
-    * ``numbers`` (elements,): numbers of the elements in the file,
-    * ``group<k>``: for a group of the body's dimension, the indices of its elements; for any other
-      group, the corner nodes (elements, corners) of its elements, where triangles repeat their last
-      corner,
+    * ``numbers`` (elements,): numbers that the file states for the elements,
+    * ``group<k>``: for a group with the dimension of the body, the indices of its elements; for a
+      group of lower dimension, the corner nodes (elements, corners) of its elements, where
+      triangles repeat their last corner,
     * ``record``: JSON text with the name and dimension of each group.
 
     Raises
     ------
-    UsageError : there are no solids to mesh, a selection is empty, or elements have an unsupported
-        shape.
+    UsageError : there are no solids to mesh, a pick selects no entity, or elements have an
+        unsupported shape.
     """
     with gmsh_session() as gmsh:
         gmsh.option.setNumber("Geometry.OCCImportLabels", 1)
@@ -69,15 +70,17 @@ def extract_mesh(
         for _ in range(splits):
             gmsh.model.mesh.refine()
         arrays = _collect_arrays(gmsh, dimension, name)
-    if Path(file).suffix in MESHIO_READERS:  # meshio does not read the element numbers
+    if Path(file).suffix in MESHIO_READERS:  # meshio ignores the element numbers
         arrays["numbers"] = np.full(len(arrays["numbers"]), -1)
     return arrays
 
 
 def measure_bounding_box(file: str) -> dict[str, np.ndarray]:
-    """Return the array ``box`` (2, 3): opposite corners of the bounding box of a file's mesh.
+    """Return two opposite corners of the bounding box of a file's mesh or geometry.
 
-    The corners are in the unit of the file, and in mm for a STEP file.
+    The returned mapping contains the corners as the array ``box`` of shape (2, 3).
+
+    The coordinates are in mm for a STEP file, and otherwise in the unit of the file.
     """
     with gmsh_session() as gmsh:
         gmsh.option.setString("Geometry.OCCTargetUnit", "MM")
@@ -104,7 +107,7 @@ def _collect_arrays(gmsh: ModuleType, dimension: int, where: str) -> dict[str, n
     ranked = tags[order]
 
     def list_blocks(d: int, entities: Iterable[int]) -> list[tuple[np.ndarray, CellBlock]]:
-        """Return element numbers and a block for each kind of elements in ``entities``.
+        """Return element numbers and a block for each element type in ``entities``.
 
         The entities have the dimension ``d``.
         """
@@ -168,9 +171,9 @@ def _collect_corner_nodes(blocks: Iterable[CellBlock], width: int) -> np.ndarray
 
 
 def _mesh_cad(gmsh: ModuleType, size: float, dimension: int, picks: Picks) -> None:
-    """Mesh a CAD file with quadratic elements, after its solids are joined and groups are added.
+    """Join the solids of a CAD file, add groups, and mesh with quadratic elements.
 
-    The groups are the labels of the file and the selections ``picks``.
+    The groups consist of the labelled entities of the file and the entities that ``picks`` selects.
     """
     bodies = gmsh.model.getEntities(dimension)
     if not bodies:
@@ -216,9 +219,9 @@ def _select_entities(
     at: Sequence[Sequence[float]],
     box: Sequence[Sequence[float]] | None,
 ) -> list[int]:
-    """Return the entities that contain one of the points ``at``, or lie inside ``box``.
+    """Return the entities that contain a point of ``at``, or lie inside ``box``.
 
-    The entities have the given ``dimension``. ``name`` is the group of the entities.
+    The entities have the given ``dimension`` and form the group ``name``.
     """
     everything = gmsh.model.getBoundingBox(-1, -1)
     near = PICK_TOLERANCE * float(np.linalg.norm(np.subtract(everything[3:], everything[:3])))
@@ -256,9 +259,10 @@ def _select_entities(
 
 
 def _is_entity_near(gmsh: ModuleType, d: int, tag: int, point: np.ndarray, near: float) -> bool:
-    """Return whether the distance of an entity from a point is at most ``near``.
+    """Return whether an entity is at most ``near`` away from a point.
 
-    An entity ends at its boundary, even if its surface or curve extends further.
+    The distance is measured to the entity within its boundary, not to the unbounded surface or
+    curve that contains the entity.
     """
     box = np.array(gmsh.model.getBoundingBox(d, tag))
     if np.any(point < box[:3] - near) or np.any(point > box[3:] + near):

@@ -1,15 +1,15 @@
-"""Elements of mesh files, and their conversion to quadratic meshes.
+"""Elements of mesh files, and conversion of the elements to quadratic meshes.
 
-A file contains blocks of linear or quadratic elements. All elements of a block are of one kind. A
-mesh of hexahedra only, or of quadrilaterals only, is converted to elements with 27 or 9 nodes. If
-the file lacks some of these nodes, the shape functions of the file's elements interpolate their
-positions.
+A file contains blocks of linear or quadratic elements. All elements of a block are of one kind.
+Meshes that consist only of hexahedra are converted to elements with 27 nodes, and meshes of
+quadrilaterals to elements with 9 nodes. The positions of nodes that are not in the file are
+interpolated by the shape functions of the file's elements.
 
-All other meshes are converted to quadratic tetrahedra or triangles. Prisms, pyramids, and hexahedra
-in a mesh with other elements are divided into tetrahedra. The diagonal that divides a face starts
-at the node with the lowest number, so that neighbouring elements match. Source: J. Dompierre et
-al., How to subdivide pyramids, prisms and hexahedra into tetrahedra, 8th International Meshing
-Roundtable (1999).
+All other meshes are converted to quadratic tetrahedra or triangles. In meshes of different
+elements, prisms, pyramids and hexahedra are divided into tetrahedra. The diagonal that divides a
+face starts at the node with the lowest number, so that the tetrahedra on both sides of the face
+match. Source: J. Dompierre et al., How to subdivide pyramids, prisms and hexahedra into tetrahedra,
+8th International Meshing Roundtable (1999).
 """
 
 from __future__ import annotations
@@ -34,15 +34,15 @@ from skfem.mesh import (
 
 from kc2spice.core.errors import wrong
 
-# Local corner numbers of each face of an element, in gmsh's node order.
-# Each key is the number of corners of an element.
+# Local numbers of the corners of each face of an element, in the node order of gmsh.
+# The key is the number of corners of the element.
 ELEMENT_FACES = {
     5: ((0, 3, 2, 1), (0, 1, 4), (1, 2, 4), (2, 3, 4), (3, 0, 4)),
     6: ((0, 2, 1), (3, 4, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5)),
     8: ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)),
 }  # fmt: skip
 # Neighbours of each corner along the edges of an element, in right-handed order.
-# The keys are the dimension of the element and its number of corners.
+# The key consists of the dimension of an element and the number of its corners.
 CORNER_NEIGHBOURS = {
     (2, 4): ((1, 3), (2, 0), (3, 1), (0, 2)),
     (3, 5): ((1, 3, 4), (2, 0, 4), (3, 1, 4), (0, 2, 4)),
@@ -53,8 +53,8 @@ CORNER_NEIGHBOURS = {
 }  # fmt: skip
 SIMPLEX_MESHES = {2: (MeshTri, MeshTri2), 3: (MeshTet, MeshTet2)}
 PRODUCT_MESHES = {2: (MeshQuad, MeshQuad2), 3: (MeshHex, MeshHex2)}
-# scikit-fem elements with the same shape functions as a file's elements.
-# The keys are the dimension and the number of nodes of an element.
+# scikit-fem elements with the same shape functions as the elements in mesh files.
+# The key consists of the dimension of an element and the number of its nodes.
 PRODUCT_ELEMENTS = {
     (2, 4): skfem.ElementQuad1, (2, 8): skfem.ElementQuadS2, (2, 9): skfem.ElementQuad2,
     (3, 8): skfem.ElementHex1, (3, 20): skfem.ElementHexS2, (3, 27): skfem.ElementHex2,
@@ -63,11 +63,11 @@ PRODUCT_ELEMENTS = {
 
 @dataclass(frozen=True, eq=False)
 class CellBlock:
-    """Elements of one kind with l nodes each.
+    """Block of elements of one kind, with l nodes each.
 
-    ``nodes`` (elements, l) are the node numbers of each element. ``corners`` is the number of
-    corner nodes of an element, which precede all other nodes. ``local`` (l, d) are the positions of
-    the nodes on gmsh's reference element.
+    ``nodes`` (elements, l) contains the node numbers of each element, with the corner nodes first.
+    ``corners`` is the number of corner nodes. ``local`` (l, d) contains the positions of the nodes
+    on the reference element of gmsh.
     """
 
     nodes: np.ndarray
@@ -81,7 +81,7 @@ class CellBlock:
 
     @property
     def vertices(self) -> np.ndarray:
-        """Node numbers (elements, corners) at the corners."""
+        """Node numbers (elements, corners) of the corners."""
         return self.nodes[:, : self.corners]
 
     @property
@@ -90,11 +90,11 @@ class CellBlock:
         return self.corners == 2**self.dimension
 
     def renumber_nodes(self, number: np.ndarray) -> CellBlock:
-        """Return the block with each node replaced by its new number in ``number`` (n,)."""
+        """Return the block with each node number k replaced by ``number[k]``."""
         return CellBlock(number[self.nodes], self.corners, self.local)
 
     def find_middle_nodes(self) -> dict[tuple[int, int], int]:
-        """Return the local numbers of mid-edge nodes, keyed by the corners of the edge."""
+        """Return the local numbers of mid-edge nodes, keyed by pairs of corners."""
         result: dict[tuple[int, int], int] = {}
         for edge in combinations(range(self.corners), 2):
             middle = self.local[list(edge)].mean(axis=0)
@@ -107,7 +107,7 @@ class CellBlock:
     def _find_face_nodes(self, middles: dict[tuple[int, int], int]) -> set[int]:
         """Return the local numbers of nodes in the middle of faces.
 
-        A face node is in the middle of more than one line between corners.
+        A node is in the middle of a face if it is in the middle of several lines between corners.
         """
         nodes = list(middles.values())
         return {node for node in nodes if nodes.count(node) > 1}
@@ -144,12 +144,12 @@ def reject_folded_elements(points: np.ndarray, blocks: Sequence[CellBlock], wher
 
 
 def divide_faces(faces: np.ndarray) -> np.ndarray:
-    """Divide quadrilaterals into triangles by a diagonal.
+    """Divide each quadrilateral into two triangles by a diagonal.
 
     The quadrilaterals have the shape (n, 4), and the triangles the shape (k, 3). The diagonal of a
     quadrilateral starts at the node with the lowest number.
 
-    A quadrilateral whose last two nodes are the same becomes one triangle.
+    If the last two nodes of a quadrilateral are the same, the result is one triangle.
     """
     turned = _rotate_to_lowest_node(faces)
     result = np.concatenate([turned[:, [0, 1, 2]], turned[:, [0, 2, 3]]])
@@ -157,7 +157,7 @@ def divide_faces(faces: np.ndarray) -> np.ndarray:
 
 
 def _rotate_to_lowest_node(faces: np.ndarray) -> np.ndarray:
-    """Rotate the node order of each face so that its lowest node comes first."""
+    """Rotate the node order of each face so that the lowest number comes first."""
     order = (faces.argmin(axis=1)[:, None] + np.arange(faces.shape[1])) % faces.shape[1]
     return np.take_along_axis(faces, order, axis=1)
 
@@ -167,9 +167,9 @@ def divide_cells(blocks: Sequence[CellBlock]) -> tuple[np.ndarray, np.ndarray]:
 
     Return two arrays for the k triangles or tetrahedra. The first array has the shape (k, d + 1)
     and contains the node numbers of each triangle or tetrahedron. The second array has the shape
-    (k,) and contains the number of the element from which each triangle or tetrahedron was made. If
-    a solid element is divided, each tetrahedron consists of the node with the lowest number and a
-    triangle of a face that does not contain this node.
+    (k,) and contains the number of the divided element for each triangle or tetrahedron. Each
+    tetrahedron of a divided element consists of the node with the lowest number and a triangle on a
+    face without this node.
     """
     pieces, parents, start = [], [], 0
     for block in blocks:
@@ -188,8 +188,8 @@ def divide_cells(blocks: Sequence[CellBlock]) -> tuple[np.ndarray, np.ndarray]:
 def _divide_block(block: CellBlock) -> list[tuple[np.ndarray, np.ndarray]]:
     """Divide the elements of a block into triangles or tetrahedra.
 
-    Each item of the returned list contains node numbers of simplices, and the number of the element
-    that contains each simplex.
+    Each item of the returned list contains two arrays: the node numbers of triangles or tetrahedra,
+    and the indices of the divided elements.
     """
     cells = block.vertices
     if block.corners == block.dimension + 1:
@@ -211,11 +211,11 @@ def _divide_block(block: CellBlock) -> list[tuple[np.ndarray, np.ndarray]]:
 
 
 def _find_edge_middles(points: np.ndarray, block: CellBlock) -> tuple[np.ndarray, np.ndarray]:
-    """Return the end nodes and the middles [m] of edges and diagonals.
+    """Return the end nodes and the midpoints [m] of edges and diagonals.
 
-    The end nodes have the shape (k, 2), and the middles the shape (k, d). The edges belong to
-    quadratic elements, and may be curved. The diagonals divide these elements into simplices. For
-    linear elements, both arrays are empty.
+    The end nodes have the shape (k, 2), and the midpoints the shape (k, d). The edges belong to
+    quadratic elements and may be curved. The diagonals divide quadratic elements into triangles or
+    tetrahedra. For linear elements, both arrays are empty.
     """
     if len(block.local) == block.corners:
         return np.empty((0, 2), int), np.empty((0, points.shape[1]))
@@ -250,15 +250,15 @@ def make_quadratic_mesh(
 ) -> tuple[Mesh, np.ndarray, np.ndarray]:
     """Make a quadratic mesh from the nodes and elements of a file.
 
-    Edges that have no middle node in the file are straight.
+    Edges without a middle node in the file are straight.
 
     Returns
     -------
     mesh : mesh of quadrilaterals, hexahedra, triangles or tetrahedra.
-    number : number in the mesh of each node of the file, an array of shape (n,); -1 for nodes that
-        are not corners.
-    parent : number of the file's element from which each element of the mesh was made, an array of
-        shape (elements,).
+    number : array of shape (n,) with the mesh number of each node of the file, and -1 for nodes
+        that are not corners.
+    parent : array of shape (elements,) with the number of the original element in the file for each
+        element of the mesh.
     """
     make = _make_product_mesh if is_product_mesh(blocks) else _make_simplex_mesh
     return make(points, blocks)
@@ -267,7 +267,7 @@ def make_quadratic_mesh(
 def _make_simplex_mesh(
     points: np.ndarray, blocks: Sequence[CellBlock]
 ) -> tuple[Mesh, np.ndarray, np.ndarray]:
-    """Make a mesh of the triangles or tetrahedra into which ``blocks`` are divided."""
+    """Divide ``blocks`` into triangles or tetrahedra, and make a mesh of them."""
     corners, parent = divide_cells(blocks)
     vertices, cells = np.unique(corners, return_inverse=True)
     number = _index_vertices(vertices, len(points))
@@ -283,7 +283,7 @@ def _make_simplex_mesh(
 def _make_product_mesh(
     points: np.ndarray, blocks: Sequence[CellBlock]
 ) -> tuple[Mesh, np.ndarray, np.ndarray]:
-    """Make the mesh of the quadrilaterals or hexahedra in ``blocks``."""
+    """Make a mesh of the quadrilaterals or hexahedra in ``blocks``."""
     dimension = points.shape[1]
     kind, curved = PRODUCT_MESHES[dimension]
     corners = np.concatenate([block.vertices for block in blocks])
@@ -312,16 +312,16 @@ def _compute_unit_positions(block: CellBlock) -> np.ndarray:
 
 
 def _match_positions(places: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Return, for each position in ``others``, the index of the nearest position in ``places``."""
+    """Return the index in ``places`` that is nearest to each position in ``others``."""
     distance = np.linalg.norm(places[None] - others[:, None], axis=-1)
     return np.asarray(distance.argmin(axis=1))
 
 
 def _compute_interpolation_weights(block: CellBlock) -> np.ndarray:
-    """Return interpolation weights for the positions of a quadratic element's nodes.
+    """Return interpolation weights for the node positions of a quadratic element.
 
-    The weights are an array of shape (m, l). They interpolate the positions of m nodes from the
-    positions of the l nodes that the element has in the file.
+    The array of weights has the shape (m, l). The product of the weights and the positions of l
+    nodes in the file gives the positions of m nodes of the quadratic element.
     """
     element = PRODUCT_ELEMENTS[block.dimension, len(block.local)]()
     curved = PRODUCT_MESHES[block.dimension][1].elem.doflocs
@@ -333,14 +333,18 @@ def _compute_interpolation_weights(block: CellBlock) -> np.ndarray:
 
 
 def _index_vertices(vertices: np.ndarray, count: int) -> np.ndarray:
-    """Return the index in ``vertices`` of each number below ``count``; -1 if absent."""
+    """Return the index of each node number in ``vertices``, or -1.
+
+    The node numbers are 0 to ``count - 1``. The index is -1 for a node that is not in
+    ``vertices``.
+    """
     number = np.full(count, -1)
     number[vertices] = np.arange(len(vertices))
     return number
 
 
 def find_edge_nodes(mesh: Mesh, pairs: np.ndarray) -> np.ndarray:
-    """Return the mid-edge nodes of the edges between pairs of vertices.
+    """Return the mid-edge nodes between pairs of vertices.
 
     ``pairs`` has the shape (k, 2), and the returned array has the shape (k,).
     """
@@ -349,10 +353,11 @@ def find_edge_nodes(mesh: Mesh, pairs: np.ndarray) -> np.ndarray:
 
 
 def find_columns(entities: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Find the columns of ``entities`` that contain given corners, in any order.
+    """Find the edges or faces with given corners, whose order is arbitrary.
 
-    ``entities`` (c, n) has a column of c corners for each entity, and ``corners`` (k, c) a row for
-    each entity to be found. Return the column numbers (k,), -1 if no column has these corners.
+    Each column of ``entities`` (c, n) contains the c corners of an edge or face. Each row of
+    ``corners`` (k, c) contains the corners of an edge or face to be found. Return the column
+    numbers (k,), with -1 for corners that are not a column of ``entities``.
     """
     columns, rows = np.sort(entities, axis=0), np.sort(corners, axis=1)
     if columns.shape[0] != rows.shape[1]:

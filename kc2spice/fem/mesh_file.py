@@ -1,14 +1,15 @@
 """Readers of mesh files and CAD files that return meshes with named groups.
 
-``.msh`` and ``.unv`` files contain elements and physical groups, and gmsh reads them. meshio reads
-other mesh formats (:mod:`kc2spice.fem.mesh_formats`). ``.step`` and ``.brep`` files are CAD files,
-which gmsh meshes. Before meshing, touching solids of a CAD file are modified so that they share
-faces. The groups of a CAD file are its labels and the selections (``picks``) of :func:`read_mesh`.
+gmsh reads the elements and physical groups in ``.msh`` and ``.unv`` files. meshio reads other mesh
+formats (:mod:`kc2spice.fem.mesh_formats`). gmsh also meshes the CAD files ``.step`` and ``.brep``.
+Before meshing, touching solids of a CAD file are joined so that neighbouring solids share faces.
+The groups of a CAD file are its labelled entities and the entities that the argument ``picks`` of
+:func:`read_mesh` selects.
 
-gmsh detects the format of a file from its extension and content, and runs files of unknown format
-as scripts. No option of gmsh prevents scripts from starting programs. Therefore gmsh runs in a
-separate process (:mod:`kc2spice.core.untrusted_files`), on a copy of the file with a safe name and
-a verified format.
+If gmsh does not recognise the format of a file, gmsh runs the file as a script. No option of gmsh
+prevents scripts from starting programs. Therefore gmsh runs in a separate process
+(:mod:`kc2spice.core.untrusted_files`), on a copy of the file with a safe name and a verified
+format.
 """
 
 from __future__ import annotations
@@ -48,7 +49,8 @@ from kc2spice.fem.mesh_nodes import merge_nodes, reject_unconnected_solids
 STEP_SUFFIXES = (".step", ".stp")
 CAD_SUFFIXES = (*STEP_SUFFIXES, ".brep")
 SURFACE_SUFFIXES = (".stl", ".obj", ".ply", ".off", ".3mf")  # formats that contain surfaces only
-# First bytes of each format, and the name of the copy that gmsh reads, keyed by file extension.
+# First bytes of each format, and the file name of the copy that gmsh reads, keyed by file
+# extension.
 FILE_FORMATS = {
     ".msh": (b"$MeshFormat", "mesh.msh"), ".brep": (b"DBRep_DrawableShape", "mesh.brep"),
     ".step": (b"ISO-10303-21;", "mesh.step"), ".stp": (b"ISO-10303-21;", "mesh.step"),
@@ -57,28 +59,29 @@ FILE_FORMATS = {
     ".exo": (b"", "mesh.exo"), ".e": (b"", "mesh.e"),
 }  # fmt: skip
 MAX_FILE_BYTES = 2_000_000_000  # largest size of a mesh or CAD file
-_HEAD_BYTES = 200  # number of bytes at the beginning of a file that identify its format
+_HEAD_BYTES = 200  # number of bytes at the start of a file that identify its format
 LENGTH_UNITS_ACCEPTED = ("m", "cm", "mm", "um")  # units that a user may state for a file
-MILLIMETRE = 1e-3  # m, unit to which gmsh converts STEP files
-# Header of .msh files with an accepted version.
-# The bytes after the version distinguish text, little-endian numbers and big-endian numbers.
+MILLIMETRE = 1e-3  # m, unit of length after gmsh has read a STEP file
+# Pattern of the header of a .msh file in an accepted version.
+# The bytes after the version show whether numbers are text, little-endian or big-endian.
 _MSH_HEADER = re.compile(
     rb"\$MeshFormat[ \t\r]*\n[ \t]*(2|2\.[012]|4|4\.[01])[ \t]+"
     rb"(0[ \t]+8[ \t\r]*\n\s*\$EndMeshFormat|1[ \t]+8[ \t\r]*\n(\x01\0\0\0|\0\0\0\x01))"
 )
 _UNV_DATASET_MARK = re.compile(
     rb"^    -1[ \t\r]*$", re.MULTILINE
-)  # first and last line of a dataset in a .unv file
+)  # line before and after each dataset in a .unv file
 _STEP_STRING_OR_COMMENT = re.compile(rb"'(?:[^']|'')*'|/\*.*?\*/", re.DOTALL)
 
 
 @dataclass(frozen=True, eq=False)
 class Group(EqualByContent):
-    """Set of elements, facets or nodes of the mesh.
+    """Named set of elements, facets or nodes of the mesh.
 
     ``members`` are the numbers of the elements, facets or nodes. ``codimension`` is 0 for elements,
-    1 for facets, and 2 or 3 for nodes. ``shares`` are weights of the nodes with the sum 1: the
-    share of each node in the length of a curve, or equal weights for points.
+    1 for facets, and 2 or 3 for nodes. ``shares`` contains the weights of the nodes, whose sum is
+    1. On a curve, the weight of a node is its share in the length of the curve. Points have equal
+    weights.
     """
 
     codimension: int
@@ -88,11 +91,11 @@ class Group(EqualByContent):
 
 @dataclass(frozen=True, eq=False)
 class GroupedMesh:
-    """Quadratic mesh with coordinates in metres, and its groups, keyed by name.
+    """Quadratic mesh with coordinates in metres, and groups keyed by name.
 
-    The mesh consists of tetrahedra or hexahedra. A plane mesh consists of triangles or
-    quadrilaterals. ``numbers`` (elements,) contains, for each element of the mesh, the number of
-    the element in the file from which it was made.
+    A solid mesh consists of tetrahedra or hexahedra, and a plane mesh of triangles or
+    quadrilaterals. Each element of the mesh was made from one element of the file, whose number is
+    in ``numbers`` (elements,).
     """
 
     mesh: Mesh
@@ -151,24 +154,24 @@ def read_mesh(
     splits: int = 0,
     merge: float | None = None,
 ) -> GroupedMesh:
-    """Return the mesh of a mesh file, or mesh a CAD file.
+    """Return the mesh of a mesh file, or a new mesh of a CAD file.
 
-    ``unit`` is the file's unit of length [m]. ``size`` is the largest edge length [m] of the
-    elements into which a CAD file is meshed. ``dimension`` is 3 for solids, and 2 for a plane mesh.
-    ``splits`` is the number of times that every edge is halved.
+    ``unit`` is the file's unit of length [m]. ``size`` is the largest edge length [m] of elements
+    in a CAD file. ``dimension`` is 3 for solids, and 2 for a plane mesh. Every edge of the mesh is
+    halved ``splits`` times.
 
-    ``picks`` selects groups of a CAD file, keyed by name. A group consists of entities of one
+    ``picks`` defines groups of a CAD file, keyed by name. A group consists of entities of one
     ``dimension`` (0 to 3: points, curves, faces, solids). Each entity contains one of the points
-    ``at`` (n, 3), or lies inside a ``box``, which is given by two corners. All coordinates are in
-    the unit of the file.
+    ``at`` (n, 3), or lies inside a ``box`` between two opposite corners. The coordinates of ``at``
+    and ``box`` are in the unit of the file.
 
-    Nodes that are at most ``merge`` [m] apart become one node. If ``merge`` is 0, solids may touch
-    without common nodes.
+    Nodes that are at most ``merge`` [m] apart become one node. If ``merge`` is 0, touching solids
+    without common nodes are accepted.
 
     Raises
     ------
-    UsageError : the file is missing, its format does not match its suffix, it contains no solids,
-        or it is a CAD file without ``size``; a selection is empty; or touching solids share no
+    UsageError : the file is missing or contains no solids, or its format does not match its suffix;
+        ``size`` is missing for a CAD file; a pick selects no entity; or touching solids share no
         nodes.
     """
     data = _read_content(path)
@@ -201,12 +204,12 @@ def read_mesh(
 
 
 def find_length_unit(path: Path, unit: str | None) -> float:
-    """Return the unit of length [m] of a file, from its format or from ``unit``.
+    """Return the unit of length [m] of a file, which its format or ``unit`` states.
 
     Raises
     ------
-    UsageError : neither the format nor ``unit`` states the unit. The message contains the size of
-        the body for each possible unit.
+    UsageError : neither the format nor ``unit`` states the unit. The error message states the size
+        of the body for each possible unit.
     """
     if path.suffix.lower() in STEP_SUFFIXES or unit is not None:
         try:
@@ -222,7 +225,7 @@ def find_length_unit(path: Path, unit: str | None) -> float:
     sides = measure_extent(path)
 
     def format_sides(scale: float) -> str:
-        """Return the side lengths, multiplied by ``scale`` to millimetres, as text."""
+        """Return the side lengths times ``scale`` as text."""
         return " x ".join(f"{float(f'{scale * side:.4g}'):.12g}" for side in sides)
 
     sizes = (
@@ -239,9 +242,9 @@ _IMPERIAL_UNITS = ("in", "inch", "inches", "mil", "mils", "thou", "ft", "feet")
 
 
 def measure_extent(path: Path) -> np.ndarray:
-    """Return the three side lengths of the bounding box of a file's body.
+    """Return the three side lengths of the bounding box of the body in a file.
 
-    The side lengths are in the unit of the file. For a STEP file, the side lengths are in mm.
+    The side lengths are in mm for a STEP file, and otherwise in the unit of the file.
 
     Raises
     ------
@@ -254,8 +257,8 @@ def measure_extent(path: Path) -> np.ndarray:
 def _call_gmsh(function: str, path: Path, data: bytes, **request: Any) -> dict[str, np.ndarray]:
     """Call a function of :mod:`kc2spice.fem.mesh_by_gmsh` in a separate process.
 
-    The process reads a copy of the file ``path`` with the content ``data``. ``request`` contains
-    the other arguments of the function.
+    The process reads a copy of the file ``path`` that contains ``data``. ``request`` contains the
+    other arguments of the called function.
     """
     file = FILE_FORMATS[path.suffix.lower()][1]
 
@@ -282,12 +285,12 @@ def require_format(path: Path, head: bytes | None = None) -> None:
     """Reject a file whose content does not match the format of its suffix.
 
     This check is necessary, because gmsh runs files of unknown format as scripts. ``head`` contains
-    the first bytes of the file; by default, they are read from the file. A missing file raises no
+    the first bytes of the file, which are by default read from the file. A missing file raises no
     error.
 
     Raises
     ------
-    UsageError : the suffix is unknown, or the content has another format.
+    UsageError : the suffix is unknown, or the content does not have the format of the suffix.
     """
     known = FILE_FORMATS.get(path.suffix.lower())
     if known is None:
@@ -327,7 +330,7 @@ def require_format(path: Path, head: bytes | None = None) -> None:
 
 
 def _read_content(path: Path) -> bytes:
-    """Return the content of a mesh or CAD file, after its format is checked."""
+    """Check the format of a mesh or CAD file, and return the content of the file."""
     require_format(path)
     try:
         data = read_bounded(path, MAX_FILE_BYTES)
@@ -363,12 +366,12 @@ def _assemble_mesh(
     where: str,
     merge: float | None = None,
 ) -> GroupedMesh:
-    """Return the mesh and its groups, made from the arrays of :func:`extract_mesh`."""
+    """Return the mesh and the groups that the ``arrays`` of gmsh describe."""
     points = unit * arrays["points"]
     if not np.isfinite(points).all():
         problem = "a node has a coordinate that is not a finite number"
         raise UsageError(problem, where=where, hint="export the mesh again")
-    # an axisymmetric mesh is in the plane x-y with the axis y, or in x-z with the axis z
+    # an axisymmetric mesh is in the x-y plane with the axis y, or in the x-z plane with the axis z
     if dimension == 2:
         flat = [axis for axis in (2, 1) if np.ptp(points[:, axis]) <= 1e-9 * np.ptp(points)]
         if not flat:
@@ -413,9 +416,9 @@ def _assemble_mesh(
 
 
 def _make_empty_mesh_error(dimension: int, grouped: int, where: str) -> UsageError:
-    """Make the error for a mesh that contains no elements of the required ``dimension``.
+    """Make the error for a mesh without elements of the required ``dimension``.
 
-    ``grouped`` is the largest dimension of the groups in the file.
+    ``grouped`` is the largest dimension of a group in the file.
     """
     shape, what = ("tetrahedra", "solid") if dimension == 3 else ("triangles", "face")
     problem, hint = f"the mesh has no {shape}", f"mesh the {what} with "
@@ -432,10 +435,10 @@ def _make_empty_mesh_error(dimension: int, grouped: int, where: str) -> UsageErr
 def _compute_node_weights(
     mesh: Mesh, ends: np.ndarray, length: np.ndarray, name: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the nodes of points or line elements, and the weight of each node.
+    """Return the nodes of points or of line elements, and the weight of each node.
 
-    ``ends`` contains the nodes of points (k, 1), or the end nodes of line elements (k, 2). The
-    weights have the sum 1. On line elements, the weight of a node is its share in the total length.
+    ``ends`` contains the nodes of points (k, 1), or the end nodes of line elements (k, 2). The sum
+    of the weights is 1. On line elements, the weight of a node is its share in the total length.
     """
     nodes, weights = ends.ravel(), np.ones(len(ends))
     if ends.shape[1] == 2:
@@ -451,7 +454,7 @@ def _compute_node_weights(
 def _require_entities_on_body(places: np.ndarray, name: str) -> np.ndarray:
     """Return the indices of a group's entities; reject entities outside of the body.
 
-    An entity that is not on the body has the index -1, which raises an error.
+    The index -1 marks an entity that is not on the body, and raises an error.
     """
     if (places < 0).any():
         raise UsageError(

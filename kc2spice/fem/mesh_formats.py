@@ -1,8 +1,8 @@
-"""Conversion of mesh formats that meshio reads to discrete entities of gmsh.
+"""Conversion of mesh files that meshio reads to discrete entities of gmsh.
 
-Element sets, node sets and integer cell data become physical groups. If a node set contains all
-corners of some faces on the surface of the body, it becomes a group of these faces. Any other node
-set becomes a group of points.
+Element sets, node sets and integer cell data become physical groups. A node set that contains all
+corners of some faces on the surface of the body becomes a group of these faces. Any other node set
+becomes a group of points.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.extras import import_optional
 from kc2spice.fem.mesh_cells import ELEMENT_FACES
 
-# Reader module of meshio, and the additional library that it needs, keyed by file suffix.
+# Reader module of meshio, and the additional library that this reader needs, keyed by file suffix.
 MESHIO_READERS = {
     ".inp": ("abaqus", None), ".bdf": ("nastran", None), ".nas": ("nastran", None),
     ".vtu": ("vtu", None), ".med": ("med", "h5py"), ".exo": ("exodus", "netCDF4"),
     ".e": ("exodus", "netCDF4"),
 }  # fmt: skip
 _ELEMENT_ORDER_HINT = "mesh with linear or quadratic elements in the program that made the mesh"
-# Name in gmsh, dimension and number of corners of each element shape.
-# The keys are the beginnings of the element names in meshio.
+# Name in gmsh, dimension, and number of corners of each element shape.
+# The key is the beginning of the name of the element in meshio.
 ELEMENT_SHAPES = {
     "vertex": ("Point", 0, 1), "line": ("Line", 1, 2), "triangle": ("Triangle", 2, 3),
     "quad": ("Quadrangle", 2, 4), "tetra": ("Tetrahedron", 3, 4),
     "pyramid": ("Pyramid", 3, 5), "wedge": ("Prism", 3, 6), "hexahedron": ("Hexahedron", 3, 8),
 }  # fmt: skip
 TETRAHEDRON_FACES = ((0, 2, 1), (0, 1, 3), (1, 2, 3), (2, 0, 3))
-MAX_QUOTE_LENGTH = 60  # largest number of characters of a line that an error quotes
-MAX_GROUPS = 1000  # largest number of groups that are made from one array of integer cell data
-# Largest distance of a node from its position on straight edges, relative to the longest edge.
+MAX_QUOTE_LENGTH = 60  # largest number of characters that an error message quotes of a line
+MAX_GROUPS = 1000  # largest number of groups from one array of integer cell data
+# Largest distance of a node from its position for straight edges, relative to the longest edge.
 # For a semicircular edge, this relative distance is 0.5.
 MAX_BULGE = 0.5
 _INCLUDE_LINE = {
@@ -49,8 +49,8 @@ _INCLUDE_LINE = {
     "nastran": re.compile(rb"^\s*include\b", re.IGNORECASE | re.MULTILINE),
     "vtu": re.compile(rb"<!(DOCTYPE|ENTITY)"),
 }
-# Lines of Abaqus files that meshio ignores although they change the mesh.
-# Each item contains a pattern, the permitted number of matching lines, and the hint of the error.
+# Lines of Abaqus files that change the mesh but that meshio ignores.
+# Each item contains a pattern, the permitted number of matching lines, and the hint for the error.
 IGNORED_LINES = (
     (rb"^[ \t]*\*[ \t]*(NGEN|NFILL|NCOPY|NMAP|ELGEN|ELCOPY|SYSTEM)\b.*", 0,
      "write all nodes and elements in global coordinates"),
@@ -61,9 +61,9 @@ IGNORED_LINES = (
     (rb"^[ \t]*\*[ \t]*PART\b.*", 1, "write one part, or export without parts and assemblies"),
 )  # fmt: skip
 _GRID_LINE = re.compile(rb"^(?:GRID|GRDSET)\b.*", re.MULTILINE)
-# Beginning of a continuation line in a Nastran file: the first field of the line is empty.
+# Beginning of a continuation line in a Nastran file, whose first field is empty.
 _CONTINUATION_LINE = re.compile(rb"^(?:(?=,)| (?=       | *,))(?=.*\S)", re.MULTILINE)
-# Patterns of Abaqus element names, keyed by dimension; the group is the number of nodes.
+# Patterns of Abaqus element names, keyed by dimension. The regex group matches the number of nodes.
 ABAQUS_TYPES = {
     2: re.compile(r"(?:DC|AC|C|CG)(?:AX|PS|PE|2D)(\d+)[A-Z]*"),
     3: re.compile(r"(?:DC|AC|C|QC)3D(\d+)[A-Z]*"),
@@ -75,7 +75,7 @@ MESHIO_NAMES = {
         20: "hexahedron20", 27: "hexahedron27"},
 }  # fmt: skip
 # Number of nodes of UNV elements, keyed by element type.
-# UNV elements of the types UNV_BEAMS have an additional line.
+# UNV elements of the types in UNV_BEAMS have an additional line.
 UNV_NODES = {
     11: 2, 21: 2, 22: 3, 24: 3, 41: 3, 42: 6, 44: 4, 45: 8, 81: 3, 82: 6, 84: 4, 85: 8, 91: 3,
     92: 6, 94: 4, 95: 8, 111: 4, 112: 6, 113: 15, 115: 8, 116: 20, 118: 10,
@@ -88,13 +88,13 @@ _ELEMENT_SET_NAME = re.compile(rb"ELSET\s*=\s*([^,\s]+)", re.IGNORECASE)
 
 
 def reject_unsupported_content(suffix: str, data: bytes, where: str) -> None:
-    """Reject mesh files that include other files or that meshio would read incorrectly.
+    """Reject mesh files that include other files, or that meshio reads incorrectly.
 
     Raises
     ------
-    UsageError : the file refers to another file, or contains lines that meshio ignores although
-        they change the mesh; or an Abaqus file has elements inside and outside of element sets, or
-        one element set for several blocks.
+    UsageError : the file refers to another file, or contains lines that change the mesh but that
+        meshio ignores; or in an Abaqus file, some elements are in no element set, or several blocks
+        have the same element set.
     MissingToolError : the library that meshio needs for this format is not installed.
     """
     reader, library = MESHIO_READERS[suffix]
@@ -125,7 +125,10 @@ def reject_unsupported_content(suffix: str, data: bytes, where: str) -> None:
 
 
 def _list_ignored_lines(reader: str, data: bytes) -> Iterator[tuple[bytes, str]]:
-    """Yield each line that meshio ignores although it changes the mesh, with the error's hint."""
+    """Yield each line that meshio ignores although the line changes the mesh.
+
+    Each item also contains the hint for the error message.
+    """
     if reader == "abaqus":
         for text, plain, hint in IGNORED_LINES:
             lines = re.finditer(text, data, re.IGNORECASE | re.MULTILINE)
@@ -143,8 +146,8 @@ def _list_ignored_lines(reader: str, data: bytes) -> Iterator[tuple[bytes, str]]
 def merge_file(gmsh: ModuleType, file: str, dimension: int) -> None:
     """Add the mesh of a file that meshio reads to the current gmsh model.
 
-    ``dimension`` is the dimension of the body, 2 or 3. Files that gmsh reads need ``gmsh.merge``
-    instead.
+    ``dimension`` is the dimension of the body, 2 or 3. For files that gmsh itself can read, use
+    ``gmsh.merge`` instead.
     """
     reader = MESHIO_READERS[Path(file).suffix][0]
     _extend_meshio(reader, Path(file))
@@ -206,11 +209,11 @@ def merge_file(gmsh: ModuleType, file: str, dimension: int) -> None:
 
 
 def _extend_meshio(reader: str, file: Path) -> None:
-    """Extend meshio so that it reads a ``file`` with features that it does not support.
+    """Extend meshio to read a ``file`` with features that meshio does not support.
 
     The added features are prisms with 15 nodes, some Abaqus elements, and continuation lines in
-    Nastran files. If ``reader`` is "nastran", the continuation lines of the ``file`` are rewritten.
-    The ``file`` must be a copy of the user's file.
+    Nastran files. If ``reader`` is "nastran", continuation lines are rewritten in the ``file``,
+    which must be a copy of the user's file.
     """
     import_module("meshio._mesh").topological_dimension.setdefault("wedge15", 3)
     if reader == "abaqus":
@@ -225,7 +228,7 @@ def _extend_meshio(reader: str, file: Path) -> None:
 
 
 def _find_meshio_name(name: str) -> str | None:
-    """Return meshio's name of an Abaqus solid or plane element, None for other elements."""
+    """Return meshio's name of an Abaqus solid or plane element, or None."""
     for dimension, pattern in ABAQUS_TYPES.items():
         if match := pattern.fullmatch(name.upper()):
             return MESHIO_NAMES[dimension].get(int(match[1]))
@@ -233,10 +236,9 @@ def _find_meshio_name(name: str) -> str | None:
 
 
 def require_unv_elements(data: bytes, where: str) -> None:
-    """Reject a UNV file with elements whose number of nodes does not match their type.
+    """Reject a UNV file whose elements have a wrong number of nodes for their type.
 
-    gmsh writes such elements with 9, 18 and 27 nodes, but it reads only the corners of these
-    elements.
+    gmsh writes such elements with 9, 18 and 27 nodes, but reads only the corners of these elements.
 
     Raises
     ------
@@ -263,10 +265,10 @@ def require_unv_elements(data: bytes, where: str) -> None:
 
 
 def _list_faces(cells: np.ndarray, dimension: int) -> list[np.ndarray]:
-    """Return the corners of the faces of all elements.
+    """Return the corners of all faces of all elements.
 
-    The list contains an array of shape (elements, corners) for each local face of an element. Faces
-    between two elements are included.
+    The list contains one array (elements, corners) for each face of the reference element. Faces
+    between two elements are included twice.
     """
     corners = cells.shape[1]
     if dimension == 2:
@@ -277,7 +279,7 @@ def _list_faces(cells: np.ndarray, dimension: int) -> list[np.ndarray]:
 def _collect_element_sets(
     mesh: Any, file: str, reader: str, dimensions: np.ndarray
 ) -> dict[tuple[str, int], np.ndarray]:
-    """Return the element numbers of each set, keyed by the name and dimension of the set."""
+    """Return the element numbers of each set, keyed by name and dimension of the set."""
     result: dict[tuple[str, int], np.ndarray] = {}
     starts = np.cumsum([0, *(len(cells.data) for cells in mesh.cells)])
     named = list(_list_named_sets(mesh, file, reader, starts))
@@ -293,7 +295,7 @@ def _collect_element_sets(
 def _list_named_sets(
     mesh: Any, file: str, reader: str, starts: np.ndarray
 ) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield the name and the element numbers of each element set and of each cell data value."""
+    """Yield name and element numbers of each element set and each cell data value."""
     for name, parts in mesh.cell_sets.items():
         pieces = [start + np.asarray(p, int) for start, p in zip(starts, parts, strict=False)]
         yield name, np.concatenate([np.empty(0, int), *pieces])
@@ -319,7 +321,7 @@ def _list_named_sets(
 def _list_exodus_blocks(file: str) -> Iterator[tuple[str, int]]:
     """Yield the name and the index of each element block in an Exodus file.
 
-    A block without a name has its number as name.
+    If a block has no name, its number is used as name.
     """
     with import_optional("netCDF4", file).Dataset(file) as data:
         places = [int(key[7:]) - 1 for key in data.variables if re.fullmatch(r"connect\d+", key)]
@@ -353,8 +355,8 @@ def _add_node_set(
 ) -> None:
     """Add a node set to gmsh as a physical group.
 
-    The group consists of faces on the surface of the body if all of their corners are in the set.
-    If there are no such faces, the group consists of points.
+    The group consists of all faces on the surface of the body whose corners are all in the set. If
+    there are no such faces, the group consists of points.
     """
     inside = [face[np.isin(face, nodes).all(axis=1)] for face in faces]
     surface = []
@@ -378,7 +380,7 @@ def _add_node_set(
 
 
 def _find_element_kind(gmsh: ModuleType, shape: str, corners: int, nodes: int) -> int:
-    """Return gmsh's number of the linear or quadratic element type with this many ``nodes``."""
+    """Return gmsh's number of the element type with a ``shape`` and some ``nodes``."""
     if shape == "Point":
         return 15
     if nodes == corners:
@@ -400,11 +402,11 @@ def _find_element_kind(gmsh: ModuleType, shape: str, corners: int, nodes: int) -
 def _order_nodes(
     gmsh: ModuleType, kind: int, shape: str, corners: int, nodes: np.ndarray, points: np.ndarray
 ) -> np.ndarray:
-    """Return the ``nodes`` in gmsh's order of the nodes on edges and faces.
+    """Return the ``nodes`` of elements in gmsh's order.
 
-    ``nodes`` has the shape (elements, l). Programs number nodes on edges and faces in different
-    orders. The returned order minimises the sum of the squared distances between the nodes and
-    their positions on elements with straight edges.
+    ``nodes`` has the shape (elements, l). The order of nodes on edges and faces differs between
+    programs. The returned order minimises the sum of the squared distances between the nodes and
+    the node positions of elements with straight edges.
     """
     extra = nodes[:, corners:]
     if not extra.size:

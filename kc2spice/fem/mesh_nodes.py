@@ -1,4 +1,4 @@
-"""Merging of the nodes of touching solids, and errors for solids whose meshes do not match."""
+"""Merging of nodes of touching solids, and detection of meshes that do not match."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from scipy.sparse.csgraph import connected_components
 from kc2spice.core.errors import wrong
 from kc2spice.fem.mesh_cells import CellBlock, divide_cells
 
-# largest distance of nodes that count as coincident, relative to the shortest edge
+# largest distance between nodes that count as coincident, relative to the shortest edge
 COINCIDENCE_TOLERANCE = 1e-3
 
 
 def merge_nodes(points: np.ndarray, blocks: Sequence[CellBlock], distance: float) -> np.ndarray:
-    """Return node numbers, with equal numbers for nodes at most ``distance`` [m] apart.
+    """Return the same number for all nodes that are at most ``distance`` [m] apart.
 
     Nodes that belong to no element keep their numbers.
 
@@ -25,7 +25,7 @@ def merge_nodes(points: np.ndarray, blocks: Sequence[CellBlock], distance: float
     ------
     UsageError : both ends of an edge would get the same number.
     """
-    from scipy.spatial import cKDTree  # cKDTree is imported here, because few meshes need it
+    from scipy.spatial import cKDTree  # imported here, because few meshes need cKDTree
 
     used = _find_used_nodes(blocks)
     pairs = used[cKDTree(points[used]).query_pairs(distance, output_type="ndarray")]
@@ -64,15 +64,16 @@ def reject_unconnected_solids(
     owners: Mapping[str, np.ndarray],
     where: str,
 ) -> None:
-    """Reject solids that touch but share no nodes, because the mesh would not connect them.
+    """Reject solids that touch but share no nodes.
 
-    ``points`` (n, d) [m] are the positions of the nodes. ``owners`` maps the name of each group to
-    the numbers of its elements.
+    A mesh without common nodes does not connect touching solids. ``points`` (n, d) [m] are the
+    positions of the nodes. ``owners`` maps the name of each group to the numbers of the elements in
+    the group.
 
     Raises
     ------
-    UsageError : two nodes coincide, or a node of one piece of the mesh is on the surface of another
-        piece.
+    UsageError : two nodes are at the same place, or a node of one piece of the mesh is on the
+        surface of another piece.
     """
     # imported here, so that a scene without a mesh file does not load scipy.spatial
     from scipy.spatial import cKDTree
@@ -97,9 +98,10 @@ def reject_unconnected_solids(
 
 
 def _find_nodes_on_other_pieces(points: np.ndarray, cells: np.ndarray, near: float) -> np.ndarray:
-    """Return the numbers of nodes that lie on the surface of another piece of the mesh.
+    """Return the numbers of nodes that lie on another piece of the mesh.
 
-    A piece is a set of connected elements. The ``cells`` (k, d + 1) are triangles or tetrahedra.
+    A piece is a set of connected elements, and only nodes on the surfaces of pieces are considered.
+    The ``cells`` (k, d + 1) are triangles or tetrahedra.
     """
     from scipy.spatial import cKDTree
 
@@ -124,12 +126,12 @@ def _find_nodes_on_other_pieces(points: np.ndarray, cells: np.ndarray, near: flo
 
 
 def _mask_points_on_simplices(places: np.ndarray, simplices: np.ndarray, near: float) -> np.ndarray:
-    """Return a mask of the points that are closer than ``near`` to their simplex.
+    """Return a mask of the points whose distance from a simplex is at most ``near``.
 
-    The mask has the shape (n,). Point ``places[i]`` (d,) is compared with the simplex
-    ``simplices[i]`` (corners, d). The foot of the perpendicular from the point x is ``s_0 + J t``
-    with ``J'J t = J'(x - s_0)``, where ``s_0`` is a corner, and the columns of J are the edges from
-    this corner.
+    The mask has the shape (n,). Each of the n points ``places[i]`` (d,) is compared with one
+    simplex ``simplices[i]`` (corners, d). The foot of the perpendicular from the point x is ``s_0 +
+    J t`` with ``J'J t = J'(x - s_0)``, where ``s_0`` is a corner, and the columns of J are the
+    edges from this corner.
     """
     J = (simplices[:, 1:] - simplices[:, :1]).transpose(0, 2, 1)
     arm = (places - simplices[:, 0])[:, :, None]
@@ -146,7 +148,7 @@ def _describe_nodes(
     blocks: Sequence[CellBlock],
     owners: Mapping[str, np.ndarray],
 ) -> str:
-    """Return a description of nodes: their bounding box [mm] and the groups of their elements."""
+    """Describe nodes by their bounding box [mm] and the groups of their elements."""
     axes = "xyz" if points.shape[1] == 3 else ("radius", "height")
     spans = []
     for axis, values in zip(axes, 1e3 * points[nodes].T, strict=True):
@@ -159,7 +161,7 @@ def _describe_nodes(
 
 
 def _format_length(length: float) -> str:
-    """Return a length as text with one significant digit and an SI prefix."""
+    """Format a length with one significant digit and an SI prefix."""
     for unit, factor in (("mm", 1e-3), ("um", 1e-6)):
         if length >= factor:
             return f"{length / factor:.1g} {unit}"

@@ -1,22 +1,22 @@
-"""Estimates of the discretisation error of strain and electric field in hexahedra.
+"""Estimates of the discretisation error of strain and electric field.
 
-Around every corner of the mesh, a polynomial is fitted to the strain and field of the adjacent
-elements. The least-squares fit uses the points of an element at which strain and field are most
-accurate. A sum of these polynomials, weighted by linear shape functions, is the recovered strain
-and field. The recovered strain and field are more accurate than the strain and field of the
-elements. The difference (dS, dE) between recovered and original strain and field gives the energy
-product of the errors of two solutions 1 and 2:
+The mesh consists of hexahedra. Around every corner of the mesh, polynomials are fitted to the
+strain and the electric field of the adjacent elements by least squares. The fit uses the points of
+an element at which strain and field are most accurate. The recovered strain and field are the sum
+of these polynomials, weighted by linear shape functions. Recovered strain and field are more
+accurate than the original strain and field. The differences (dS, dE) between recovered and original
+values give the energy product of the errors of two solutions 1 and 2:
 
     A(1, 2) = int dS1' C dS2 - dS1' e' dE2 - dE1' e dS2 - dE1' eps dE2
 
 A fit includes only elements of one piece of the mesh. All materials of a piece have the same name,
-so that the strain is continuous. In a stack with alternating poling, the coupling of a layer is s
-times the coupling of the first layer, where s is 1 or -1. The electric field times s is continuous.
-With linear elements, a piece extends over all layers, because the field of such an element is
-constant across a layer. With quadratic elements, each layer is a piece, because strain and field
-are discontinuous at an electrode if the mean strain changes from layer to layer. Sources: O. C.
-Zienkiewicz and J. Z. Zhu, Int. J. Numer. Meth. Eng. 33 (1992) 1331; N.-E. Wiberg and F. Abdulwahab,
-Int. J. Numer. Meth. Eng. 36 (1993) 2703.
+so the strain within a piece is continuous. In a stack with alternating poling, the coupling of each
+layer is s times the coupling of the first layer, where s is 1 or -1. The electric field times s is
+continuous. In a mesh of linear elements, a piece extends over all layers, because the electric
+field of a linear element is constant across a layer. In a mesh of quadratic elements, each layer is
+a piece. Strain and field are discontinuous at an electrode if the mean strain changes from layer to
+layer. Sources: O. C. Zienkiewicz and J. Z. Zhu, Int. J. Numer. Meth. Eng. 33 (1992) 1331; N.-E.
+Wiberg and F. Abdulwahab, Int. J. Numer. Meth. Eng. 36 (1993) 2703.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ from scipy.sparse.csgraph import connected_components
 from kc2spice.fem.solid import Solid, list_strain_operators, list_tensors
 
 CHUNK_SIZE = 1000  # elements or corners processed together, which limits the memory
-# Penalty on squared coefficients of degree 1, relative to the normal matrix's mean diagonal entry.
-# Coefficients of degree p have p^2 times this penalty.
-# The penalty makes the fit of a polynomial unique if there are too few points.
+# Penalty on the squares of coefficients of degree 1, relative to the mean diagonal entry of the
+# normal equations. The penalty on coefficients of degree p is p^2 times as large. The penalty makes
+# the fit of a polynomial unique if there are too few points.
 RIDGE_PENALTY = 1e-6
-# Penalty on choosing a neighbouring patch instead of the patch of the corner itself.
+# Penalty on the choice of a neighbouring patch instead of the patch around a corner.
 # The penalty is added to the squared distance between the corner and the patch's mean point.
-# This squared distance is relative to the spread of the patch's points.
+# The squared distance is measured relative to the spread of the patch's points.
 NEIGHBOUR_PENALTY = 0.5
 
 
@@ -48,8 +48,8 @@ class EnergyProducts:
     """Energy products of k solutions and of their errors.
 
     The energy products are matrices [J] of shape (k, k). ``solution`` contains the energy products
-    of the solutions, and ``error`` contains the energy products of the errors. ``spread`` is the
-    sum of the absolute contributions of all elements to ``error``.
+    of the solutions, and ``error`` the energy products of the errors. ``spread`` is the sum of the
+    absolute values of all element contributions to ``error``.
     """
 
     solution: np.ndarray
@@ -58,9 +58,10 @@ class EnergyProducts:
 
 
 def compute_energy_products(solid: Solid, u: np.ndarray, phi: np.ndarray) -> EnergyProducts:
-    """Compute the energy products of k solutions, and of the errors of the solutions.
+    """Compute the energy products of k solutions and of their errors.
 
-    The solutions are displacements ``u`` (d nodes, k) [m] and potentials ``phi`` (nodes, k) [V].
+    Each of the k solutions consists of displacements, a column of ``u`` (d nodes, k) [m], and
+    potentials, a column of ``phi`` (nodes, k) [V].
     """
     patches = _PatchPolynomials.fit_patches(solid, u, phi)
     k = u.shape[1]
@@ -86,7 +87,7 @@ def compute_energy_products(solid: Solid, u: np.ndarray, phi: np.ndarray) -> Ene
 
 
 def _split_range(count: int) -> Iterator[np.ndarray]:
-    """Yield the numbers from 0 to ``count - 1`` in arrays of at most :data:`CHUNK_SIZE` numbers."""
+    """Yield 0 to ``count - 1`` in arrays of at most :data:`CHUNK_SIZE` numbers."""
     return (
         np.arange(start, min(start + CHUNK_SIZE, count)) for start in range(0, count, CHUNK_SIZE)
     )
@@ -97,9 +98,9 @@ def _evaluate_fields(
 ) -> Iterator[np.ndarray]:
     """Yield strains and electric fields at each integration point of ``basis``.
 
-    Each array has the shape (cells, 9, k). ``cells`` are the elements of the basis. Rows 0 to 5 are
-    the strains, and rows 6 to 8 the electric field, multiplied by the coupling factor of the
-    material.
+    Each array has the shape (cells, 9, k). ``cells`` are the elements of the basis. Rows 0 to 5
+    contain the strains. Rows 6 to 8 contain the electric field, multiplied by the coupling factor
+    of the material.
     """
     d, nodes = solid.component_count, basis.element_dofs.T
     moves = (d * nodes[:, :, None] + np.arange(d)).reshape(len(nodes), -1)
@@ -111,7 +112,8 @@ def _evaluate_fields(
 def _compute_coupling_factors(solid: Solid) -> np.ndarray:
     """Return the coupling factor of each material, an array of shape (materials,).
 
-    The factor is the piezoelectric coupling relative to the first material with the same name.
+    The coupling factor is the piezoelectric coupling of a material, relative to the coupling of the
+    first material with the same name.
     """
     first = {material.name: material.e for material in reversed(solid.materials)}
     pairs = [(material.e, first[material.name]) for material in solid.materials]
@@ -121,11 +123,11 @@ def _compute_coupling_factors(solid: Solid) -> np.ndarray:
 def _list_energy_matrices(
     solid: Solid, basis: skfem.Basis, cells: np.ndarray
 ) -> Iterator[np.ndarray]:
-    """Yield the matrices ``[[C, -e'], [-e, -eps]]`` at each integration point of ``basis``.
+    """Yield the matrices ``[[C, -e'], [-e, -eps]]`` at each integration point.
 
-    Each array has the shape (cells, 9, 9). The matrices apply to the electric field multiplied by
-    the coupling factor of the material. In a material that is neither piezoelectric nor dielectric,
-    the rows and columns of the field are zero.
+    Each array has the shape (cells, 9, 9). The matrices are scaled for an electric field that is
+    multiplied by the coupling factor of the material. In materials that are neither piezoelectric
+    nor dielectric, the rows and columns of the electric field are zero.
     """
     owner, factors = solid.owner[cells], _compute_coupling_factors(solid)
     constants = [list_tensors(solid, basis, material) for material in solid.materials]
@@ -155,7 +157,7 @@ def _evaluate_linear_shape_functions(X: np.ndarray) -> np.ndarray:
 
 
 def _evaluate_monomials(x: np.ndarray, degree: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return all monomials of the coordinates ``x`` up to a degree.
+    """Return all monomials of the coordinates ``x`` up to the given ``degree``.
 
     ``x`` has the shape (…, d), and the array of monomials has the shape (…, terms). The second
     returned array contains the degree (terms,) of each monomial.
@@ -170,12 +172,13 @@ def _evaluate_monomials(x: np.ndarray, degree: int) -> tuple[np.ndarray, np.ndar
 
 @dataclass(frozen=True, eq=False)
 class _PatchPolynomials:
-    """Polynomials that are fitted to strain and electric field in patches of elements.
+    """Polynomials fitted to strain and electric field in patches of elements.
 
     A patch consists of the elements around a corner of the mesh. The position of this corner is the
     ``middle`` of the patch; ``middle`` [m] has the shape (patches, d). ``coefficients`` (patches,
     terms, 9 k) are the coefficients of the polynomials in the coordinates ``(x - middle) / size``.
-    ``number`` (elements, corners) is the number of the patch around each corner of an element.
+    ``number`` (elements, corners) contains the number of the patch around each corner of each
+    element.
     """
 
     number: np.ndarray
@@ -203,9 +206,8 @@ class _PatchPolynomials:
     def evaluate(self, cells: np.ndarray, at: np.ndarray, hats: np.ndarray) -> np.ndarray:
         """Return the recovered strains and electric fields at one point of each element.
 
-        The returned array has the shape (cells, 9, k). The points are ``at`` (cells, d) [m]. At
-        these points, the linear shape functions of the elements have the values ``hats``
-        (corners,).
+        The returned array has the shape (cells, 9, k). ``at`` (cells, d) [m] contains the points,
+        and ``hats`` (corners,) the values of the linear shape functions at these points.
         """
         result = 0.0
         for corner, hat in enumerate(hats):
@@ -219,7 +221,7 @@ class _PatchPolynomials:
 def _sample_fields(
     solid: Solid, u: np.ndarray, phi: np.ndarray, order: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the strains and electric fields that the polynomials are fitted to.
+    """Return the strains and electric fields to which the polynomials are fitted.
 
     The first returned array contains the positions [m] of the integration points and has the shape
     (elements, points, d). The second array contains the values of strain and field and has the
@@ -235,11 +237,11 @@ def _sample_fields(
 
 
 def _number_patches(solid: Solid) -> tuple[np.ndarray, np.ndarray]:
-    """Return the number of the patch around each corner, an array of shape (elements, corners).
+    """Return the number of the patch around each corner of each element.
 
-    A corner on the boundary between pieces of the mesh has one patch in each piece. The second
-    returned array contains the position [m] of the corner of each patch and has the shape (patches,
-    d).
+    The numbers have the shape (elements, corners). A corner on the boundary between pieces of the
+    mesh has one patch in each piece. The second returned array (patches, d) contains the position
+    [m] of the corner in the middle of each patch.
     """
     first, second = solid.mesh.f2t[:, solid.mesh.f2t[1] >= 0]
     names = np.array([material.name for material in solid.materials])
@@ -254,9 +256,9 @@ def _number_patches(solid: Solid) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _assign_patch_elements(number: np.ndarray, count: int) -> sparse.csr_array:
-    """Return a matrix whose entry is 1 if an element belongs to a patch.
+    """Return a matrix that assigns elements to patches.
 
-    The matrix has the shape (patches, elements).
+    The entry of the matrix (patches, elements) is 1 if the element belongs to the patch.
     """
     elements = np.repeat(np.arange(len(number)), number.shape[1])
     ones = np.ones(number.size)
@@ -272,10 +274,10 @@ def _assemble_normal_equations(
     samples: np.ndarray,
     degree: int,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the sizes of the patches, and the normal equations of the least-squares fits.
+    """Return the patch sizes and the normal equations of the least-squares fits.
 
     The sizes have the shape (patches, d). With the monomials p at each point, the normal equations
-    consist of the matrices ``sum p p'`` (patches, terms, terms) and the right-hand sides ``sum p
+    have the matrices ``sum p p'`` (patches, terms, terms). The right-hand sides are ``sum p
     values`` (patches, terms, 9 k).
     """
     sizes, sums, rights = [], [], []
@@ -297,10 +299,9 @@ def _assemble_normal_equations(
 def _widen_patches(
     members: sparse.csr_array, number: np.ndarray, middle: np.ndarray, places: np.ndarray
 ) -> sparse.csr_array:
-    """Add elements to each patch whose corner is not well surrounded by points.
+    """Add elements to each patch whose points do not surround its corner well.
 
-    The added elements belong to the neighbouring patch whose points surround the corner most
-    evenly.
+    The added elements are the elements of the best neighbouring patch.
     """
     use = _choose_patches(number, members, middle, places)
     index = np.arange(len(use))
@@ -317,11 +318,11 @@ def _widen_patches(
 def _choose_patches(
     number: np.ndarray, members: sparse.csr_array, middle: np.ndarray, places: np.ndarray
 ) -> np.ndarray:
-    """Return, for each patch, the number of the best patch among this patch and its neighbours.
+    """Return the number of the best patch among each patch and its neighbours.
 
-    The returned array has the shape (patches,). In the best patch, the points surround the corner
-    of that patch most evenly. At the surface of the body, all points of a patch are on one side of
-    its corner.
+    The returned array has the shape (patches,). The best patch is the patch whose points surround
+    its corner most evenly. At the surface of the body, all points of a patch are on one side of the
+    corner.
     """
     count, d = places.shape[1], places.shape[2]
     total = np.diff(members.indptr) * count

@@ -1,19 +1,20 @@
 """Finite-element matrices of piezoelectric solids on scikit-fem meshes.
 
-The elements are tetrahedra, hexahedra, or axisymmetric triangles and quadrilaterals.
+The elements are tetrahedra, hexahedra, or triangles and quadrilaterals of an axisymmetric mesh.
 
 The equations are ``rho u'' = div T``, ``div D = 0`` with ``T = C S - e' E``, ``D = e S + eps E``
-and ``E = -grad phi``. The weak form of the equations has these matrices for the nodal displacements
-u and potentials phi, with test functions v and psi:
+and ``E = -grad phi``. With nodal displacements u, nodal potentials phi and the test functions v and
+psi, the weak form has these matrices:
 
     M    = int rho v u          K_uu = int S(v)' C S(u)
     K_up = int S(v)' e' grad phi          K_pp = int grad psi' eps grad phi
 
-A displacement has d components: 3, or the two components r and z in an axisymmetric mesh. Component
-``axis`` of the displacement of a node is unknown number ``d node + axis``. The potential of a node
-has the number of the node. Strains are in Voigt order xx yy zz yz xz xy with engineering shear
-strains. In an axisymmetric body, x is the radial and y the hoop direction, and integrals extend
-over the full turn. Source: IEEE Std 176-1987; R. Lerch, IEEE Trans. UFFC 37 (1990) 233.
+A displacement has d components: x, y and z, or r and z in an axisymmetric mesh. The displacement
+component ``axis`` of a node is the unknown with the number ``d node + axis``. The potential of a
+node is the unknown with the number of the node. Strains are in Voigt order xx yy zz yz xz xy with
+engineering shear strains. In an axisymmetric body, x is the radial and y the hoop direction, and
+integrals cover the full revolution. Source: IEEE Std 176-1987; R. Lerch, IEEE Trans. UFFC 37 (1990)
+233.
 """
 
 from __future__ import annotations
@@ -32,48 +33,49 @@ from skfem.mesh import Mesh, MeshHex, MeshLine, MeshQuad, MeshTet
 from kc2spice.core.errors import wrong
 from kc2spice.fem.materials import ElementAxes, Material
 
-# polynomial degree to which integrals over faces are exact
+# highest polynomial degree that integrals over faces reproduce exactly
 FACE_QUADRATURE = 5
 CHUNK_SIZE = 4000  # elements processed together, which limits the memory of the element matrices
-# Voigt row of the derivative of component i with respect to coordinate j.
+# Voigt index of the strain to which the derivative of component i by coordinate j contributes.
 VOIGT_ROWS = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])
-# Indices of the mesh coordinates among x, y and z, keyed by the dimension of the mesh.
+# Indices of the mesh coordinates in the order x, y, z, keyed by the dimension of the mesh.
 # A mesh of dimension 1 is a line along z, and a mesh of dimension 2 is a meridian plane.
 _COORDINATE_AXES = {1: np.array([2]), 2: np.array([0, 2]), 3: np.arange(3)}
 
 
-# Largest permitted change of local coordinates in the last Newton step in thin elements.
-# In thin elements, rounding errors of global coordinates exceed scikit-fem's tolerance.
-# Newton's method converges quadratically: the error after its last step is far below the step.
+# Tolerance for thin elements: largest permitted change of local coordinates in the last Newton
+# step. In thin elements, rounding errors of global coordinates exceed scikit-fem's tolerance.
+# Newton's method converges quadratically, so the error after the last step is far smaller than the
+# step.
 THIN_ELEMENT_TOLERANCE = 1e-8
 
 
 class FacetMapping(MappingIsoparametric):
-    """Isoparametric mapping whose inverse also converges in elements of micrometre thickness."""
+    """Isoparametric mapping with an inverse that also converges in very thin elements."""
 
     def invF(self, x: np.ndarray, tind: Any = None, **options: Any) -> np.ndarray:
         """Return the local coordinates of points ``x`` in the elements ``tind``."""
         try:
             return np.asarray(super().invF(x, tind, **options))
-        except Exception:  # scikit-fem does not raise a more specific exception class
+        except Exception:  # scikit-fem raises the base class Exception
             options["newton_tol"] = THIN_ELEMENT_TOLERANCE
             return np.asarray(super().invF(x, tind, **options))
 
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """Mesh with materials; element ``k`` consists of ``materials[owner[k]]``.
+    """Mesh whose element ``k`` has the material ``materials[owner[k]]``.
 
     The tensors of the materials are already rotated to the poling direction. The shape functions
-    have the degree ``order``: 2, or 1 on hexahedra. Reports list materials with the same name as
-    one material. ``numbers`` (l, elements) are the node numbers of each element, None for the
-    numbers of scikit-fem. If edges or faces are collapsed, the numbers differ from those of
-    scikit-fem, because all nodes of a collapsed edge or face have the same number.
+    have the degree ``order``, which is 2, or optionally 1 on hexahedra. Reports list materials with
+    the same name as one material. ``numbers`` (l, elements) contains the node numbers of each
+    element. If ``numbers`` is None, scikit-fem numbers the nodes. Collapsed edges or faces require
+    ``numbers``, because all nodes of a collapsed edge or face have the same number.
 
     Raises
     ------
-    UsageError : an element has a negative volume, an axisymmetric mesh crosses the axis, or its
-        materials are not isotropic about the axis.
+    UsageError : an element has a negative volume, an axisymmetric mesh crosses the axis, or the
+        materials of an axisymmetric mesh are not isotropic about the axis.
     """
 
     mesh: Mesh
@@ -114,12 +116,12 @@ class Solid:
 
     @property
     def axis_indices(self) -> np.ndarray:
-        """Indices of the mesh coordinates among x, y and z."""
+        """Indices of the mesh coordinates in the order x, y, z."""
         return _COORDINATE_AXES[self.mesh.dim()]
 
     @property
     def element(self) -> Any:
-        """Scalar scikit-fem element with the shape functions of one field component."""
+        """scikit-fem element with the shape functions of one field component."""
         mesh = self.mesh
         if isinstance(mesh, MeshHex):
             return skfem.ElementHex1() if self.order == 1 else skfem.ElementHex2()
@@ -131,14 +133,14 @@ class Solid:
 
     @property
     def quadrature_degree(self) -> int:
-        """Polynomial degree to which integration is exact.
+        """Highest polynomial degree that the quadrature integrates exactly.
 
         This degree is sufficient for the mass matrix of quadratic tetrahedra with straight edges.
         """
         return 2 * self.order
 
     def basis(self, order: int | None = None, **options: Any) -> skfem.Basis:
-        """Return the scalar finite-element basis, whose degrees of freedom are called nodes."""
+        """Return the scalar finite-element basis with one degree of freedom per node."""
         if "quadrature" not in options:
             options["intorder"] = order or self.quadrature_degree
         return skfem.Basis(self.mesh, self.element, dofs=self._dofs, **options)
@@ -146,7 +148,7 @@ class Solid:
     def make_facet_basis(
         self, facets: np.ndarray, order: int, side: Literal[0, 1] = 0
     ) -> skfem.BoundaryFacetBasis:
-        """Return the scalar basis on facets, with shape functions of the element on ``side``."""
+        """Return the scalar basis on facets, evaluated in the elements on one ``side``."""
         options: dict[str, Any] = {"facets": facets, "intorder": order, "dofs": self._dofs}
         if not self.mesh.affine:
             options["mapping"] = FacetMapping(self.mesh, self.mesh.elem(), self.mesh.bndelem)
@@ -161,7 +163,7 @@ class Solid:
 
     @cached_property
     def _dofs(self) -> skfem.Dofs | None:
-        """Degrees of freedom with the node ``numbers`` of the solid; None without them."""
+        """scikit-fem degrees of freedom for the node ``numbers``; None by default."""
         if self.numbers is None:
             return None
         result = skfem.Dofs(self.mesh, self.element)
@@ -175,9 +177,9 @@ class Solid:
 
 @dataclass(frozen=True, eq=False)
 class SolidMatrices:
-    """Finite-element matrices of all nodes of a solid without constraints.
+    """Finite-element matrices of a solid without constraints, for all nodes.
 
-    The module docstring defines the matrices.
+    The docstring of the module :mod:`kc2spice.fem.solid` defines the matrices.
     """
 
     M: sparse.csc_array
@@ -189,10 +191,11 @@ class SolidMatrices:
 def list_strain_operators(
     solid: Solid, basis: skfem.Basis
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Yield shape functions N, strain operators B and gradients G at each point of ``basis``.
+    """Yield shape functions N, strain operators B and gradients G at each point.
 
-    N (elements, l) are the values of the l local shape functions, and G (elements, 3, l) are their
-    gradients. B (elements, 6, l d) maps nodal displacements to strains.
+    At each integration point of ``basis``, N (elements, l) contains the values of the l local shape
+    functions. G (elements, 3, l) contains the gradients of the shape functions. B (elements, 6, l
+    d) maps nodal displacements to strains.
     """
     local = [function[0] for function in basis.basis]
     d, axes = solid.component_count, solid.axis_indices
@@ -216,11 +219,11 @@ def list_strain_operators(
 def list_tensors(
     solid: Solid, basis: skfem.Basis, material: Material
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Yield stiffness, coupling and permittivity of a material at each point of ``basis``.
+    """Yield stiffness, coupling and permittivity of a material at each point.
 
-    The tensors are in the axes of the solid. The length of the tensors' first dimension is the
-    number of elements, or 1 if all elements have the same tensors. In an axisymmetric solid, the
-    axes are cylindrical.
+    The points are the integration points of ``basis``. The tensors are in the axes of the solid,
+    which are cylindrical in an axisymmetric solid. The first dimension of each tensor has the
+    length 1 if all elements have the same tensors, and otherwise the number of elements.
     """
     places = np.moveaxis(np.asarray(basis.global_coordinates()), 0, -1)
     elements = np.arange(len(places)) if basis.tind is None else basis.tind
@@ -233,9 +236,9 @@ def list_tensors(
 
 
 def _split_by_material(solid: Solid, only: int | None) -> Iterator[tuple[Material, np.ndarray]]:
-    """Yield pairs of a material and a group of at most ``CHUNK_SIZE`` of its elements.
+    """Yield each material with at most ``CHUNK_SIZE`` of its elements at a time.
 
-    If ``only`` is the number of a material, only this material is yielded.
+    If ``only`` is the number of a material, the other materials are omitted.
     """
     for number, material in enumerate(solid.materials):
         cells = np.flatnonzero(solid.owner == number)
@@ -247,8 +250,9 @@ def _split_by_material(solid: Solid, only: int | None) -> Iterator[tuple[Materia
 def assemble_solid(solid: Solid, *, only: int | None = None) -> SolidMatrices:
     """Assemble the mass, stiffness, coupling and permittivity matrices of a solid.
 
-    Only piezoelectric and dielectric materials contribute to coupling and permittivity. If ``only``
-    is the number of a material, the matrices include only the elements of this material.
+    Only piezoelectric and dielectric materials contribute to the coupling and permittivity
+    matrices. If ``only`` is the number of a material, the matrices include only the elements of
+    this material.
     """
     d = solid.component_count
     parts: list[list[tuple[np.ndarray, ...]]] = [[], [], [], []]
@@ -289,9 +293,10 @@ def _compute_stress_stiffness(
 ) -> np.ndarray:
     """Return the element stiffness due to prestress at one point.
 
-    The returned array has the shape (elements, l d, l d). The stiffness is ``grad v . sigma0 grad
-    u`` for each displacement component u with its test function v and the prestress sigma0. In
-    axisymmetric solids, the rotation of the hoop direction adds ``sigma0_y v_r u_r / r^2``.
+    The returned array has the shape (elements, l d, l d). Each displacement component u, with its
+    test function v, contributes ``grad v . sigma0 grad u``, where sigma0 is the prestress. In
+    axisymmetric solids, the hoop prestress sigma0_y adds ``sigma0_y v_r u_r / r^2`` to the
+    stiffness.
     """
     d, sigma = solid.component_count, np.array(material.residual_stress)
     item = G.transpose(0, 2, 1) @ (sigma[:, None] * G)
@@ -305,11 +310,11 @@ def _compute_stress_stiffness(
 def compute_node_shares(
     solid: Solid, *, facets: np.ndarray | None = None, elements: np.ndarray | None = None
 ) -> np.ndarray:
-    """Return the share ``int N / int 1`` of each node in facets or elements.
+    """Return the share ``int N / int 1`` of each node in the area or volume.
 
-    The returned array has the shape (nodes,). N is the shape function of a node. In axisymmetric
-    solids, the integrals extend over the full turn. For meshes of lines, the cross-section is
-    assumed to be constant.
+    The returned array has the shape (nodes,). N is the shape function of a node, and the integrals
+    cover the given ``facets`` or ``elements``. In axisymmetric solids, the integrals cover the full
+    revolution. In meshes of lines, the cross-section is assumed to be constant.
     """
     basis = (
         solid.make_facet_basis(facets, 4)
@@ -322,10 +327,11 @@ def compute_node_shares(
 
 
 def compute_volume_gradient(solid: Solid, facets: np.ndarray) -> np.ndarray:
-    """Return the volume that boundary facets displace per unit displacement of each node.
+    """Return the volume displaced by boundary facets per displacement of each node.
 
-    The returned array ``int N n dS`` [m^2] has the shape (d nodes,), with the shape functions N and
-    the outward normal n. In axisymmetric solids, the integrals extend over the full turn.
+    The returned array ``int N n dS`` [m^2] has the shape (d nodes,), where N are the shape
+    functions and n is the outward normal. In axisymmetric solids, the integrals cover the full
+    revolution.
     """
     basis = solid.make_facet_basis(facets, FACE_QUADRATURE)
     radius = np.asarray(basis.global_coordinates())[0]
@@ -336,7 +342,10 @@ def compute_volume_gradient(solid: Solid, facets: np.ndarray) -> np.ndarray:
 
 
 def compute_area(solid: Solid, facets: np.ndarray) -> float:
-    """Return the area [m^2] of boundary facets; in axisymmetric solids, over the full turn."""
+    """Return the area [m^2] of boundary facets.
+
+    In axisymmetric solids, the area covers the full revolution.
+    """
     basis = solid.make_facet_basis(facets, FACE_QUADRATURE)
     around = 2 * np.pi * basis.global_coordinates()[0] if solid.axisymmetric else 1.0
     return float((basis.dx * around).sum())
@@ -345,7 +354,7 @@ def compute_area(solid: Solid, facets: np.ndarray) -> float:
 def sum_matrices(
     parts: Sequence[tuple[np.ndarray, ...]], shape: tuple[int, int]
 ) -> sparse.csc_array:
-    """Add element matrices to a sparse matrix of the given ``shape``.
+    """Assemble element matrices to a sparse matrix of the given ``shape``.
 
     Each item of ``parts`` consists of three arrays: element matrices of shape (elements, l, k),
     their row numbers of shape (elements, l), and their column numbers of shape (elements, k).
@@ -359,5 +368,5 @@ def sum_matrices(
 
 
 def symmetrise(matrix: sparse.csc_array) -> sparse.csc_array:
-    """Return the symmetric part of a matrix, without the asymmetry of rounding errors."""
+    """Return the symmetric part of a matrix, without asymmetric rounding errors."""
     return sparse.csc_array((matrix + matrix.T) * 0.5)

@@ -1,8 +1,8 @@
 """Thermal constants of materials: conductivity, specific heat and density.
 
-``thermal_materials.toml`` contains the constants of the library materials with their sources. A
-material without a density in this file has the density of the mechanical material with the same
-name.
+The file ``thermal_materials.toml`` contains the constants of the built-in materials and their
+sources. If the file states no density for a material, the density of the mechanical material with
+the same name applies.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ class ThermalMaterial(EqualByContent):
 
     Attributes
     ----------
-    name : name in the library, or name of the mesh group.
+    name : name of the built-in material, or name of the mesh group.
     density : mass density [kg/m^3].
     specific_heat : specific heat at constant pressure [J/(kg K)].
     conductivity : (3,) thermal conductivities [W/(m K)] along x, y and z. In a body of revolution,
-        these are the radial, hoop and axial directions.
+        x, y and z are the radial, hoop and axial directions.
     """
 
     name: str
@@ -52,10 +52,10 @@ class ThermalMaterial(EqualByContent):
 
 
 class ThermalMaterialTable(Section):
-    """Thermal constants of a material in a scene or in the library.
+    """Table of thermal constants of a material, in a scene or in the library.
 
-    A table with the key ``like`` may omit constants. The omitted constants are those of the library
-    material with this name.
+    A table with the key ``like`` may omit constants. The omitted constants are taken from the
+    built-in material that ``like`` names.
     """
 
     like: str | None = Field(
@@ -85,7 +85,7 @@ class ThermalMaterialTable(Section):
     @model_validator(mode="before")
     @classmethod
     def _inherit_constants(cls, data: Any) -> Any:
-        """Add missing constants from the material that the key ``like`` of the table names."""
+        """Add missing constants from the built-in material that the key ``like`` names."""
         if not isinstance(data, Mapping) or not isinstance(data.get("like"), str):
             return data
         name = list_thermal_names().get(data["like"].lower())
@@ -111,14 +111,17 @@ class ThermalMaterialTable(Section):
 
 @cache
 def _load_tables() -> Mapping[str, dict[str, Any]]:
-    """Return the material tables of the library file, keyed by name; some lack a density."""
+    """Return the material tables of the library file, keyed by name.
+
+    Some of these tables contain no density.
+    """
     path = Path(__file__).parent / "thermal_materials.toml"
     return tomllib.loads(path.read_text("utf-8"))
 
 
 @cache
 def load_thermal_library() -> Mapping[str, Mapping[str, Any]]:
-    """Return the material tables of the library, keyed by name; each contains a density."""
+    """Return the material tables of the library, including densities, keyed by name."""
     result = {}
     for name, table in _load_tables().items():
         density = {} if "density" in table else {"density": find_material(name).density}
@@ -128,16 +131,16 @@ def load_thermal_library() -> Mapping[str, Mapping[str, Any]]:
 
 @cache
 def list_thermal_names() -> Mapping[str, str]:
-    """Return the names of the library's materials, keyed by the name in lower case."""
+    """Return the names of the built-in materials, keyed by the name in lower case."""
     return {name.lower(): name for name in _load_tables()}
 
 
 def find_thermal_material(
     name_or_table: str | Mapping[str, Any], where: str = "material"
 ) -> ThermalMaterial:
-    """Return the material with a name in the library, or the material of a table.
+    """Return the built-in material with a name, or build the material of a table.
 
-    Names of the library may be written in upper or lower case.
+    Names of built-in materials may be written in upper or lower case.
 
     Raises
     ------
@@ -160,11 +163,11 @@ def find_thermal_material(
 
 
 def find_resistance_coefficient(name: str) -> float:
-    """Return the temperature coefficient [1/K] of the electrical resistance of a library metal.
+    """Return the temperature coefficient [1/K] of a metal's electrical resistance.
 
     Raises
     ------
-    UsageError : the material does not exist, or has no temperature coefficient.
+    UsageError : the library contains no metal ``name`` with a temperature coefficient.
 
     Examples
     --------

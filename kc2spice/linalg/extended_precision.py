@@ -1,7 +1,8 @@
-"""Products of dense matrices in extended precision, and solutions refined with such products.
+"""Matrix products in extended precision, and solutions refined with such products.
 
-In an ill-conditioned matrix, low-frequency modes depend on small differences of large numbers.
-Residuals in extended precision preserve the small differences. All products are computed by BLAS.
+In an ill-conditioned matrix, low-frequency modes depend on small differences between large numbers.
+Residuals in extended precision preserve these small differences. BLAS computes all products of the
+dense matrices.
 
 Sources: matrix products without error, Ozaki, Ogita, Oishi and Rump, Numer. Algorithms 59 (2012)
 95; iterative refinement, Skeel, Math. Comput. 35 (1980) 817.
@@ -18,16 +19,17 @@ from kc2spice.core.errors import SimulationError
 
 SLICE_COUNT = 4  # number of slices with about 21 bits each
 MAX_REFINEMENTS = 5
-# relative correction of a solution below which the next correction is only a rounding error
+# relative correction below which the next correction of a solution is a rounding error
 CONVERGED_CORRECTION = 1e-8
-# relative correction of a solution above which refinement has failed
+# relative correction above which the refinement of a solution has failed
 DIVERGED_CORRECTION = 1e-3
 
 
 class ExactMatrix:
-    """Real matrix whose products have errors of about 1e-18 of the largest term of a product.
+    """Real matrix whose products have a relative error of about 1e-18.
 
-    The errors do not grow if the terms of a product cancel.
+    The error is relative to the largest term in the sum of a matrix product. The error does not
+    increase if the terms of this sum cancel.
     """
 
     def __init__(self, matrix: np.ndarray) -> None:
@@ -50,11 +52,11 @@ class ExactMatrix:
 
 
 def _slice_matrix(P: np.ndarray, bits: int) -> Iterator[np.ndarray]:
-    """Split a matrix into slices of few bits, so that products of slices are exact.
+    """Split a matrix into slices of few bits, whose products are exact.
 
-    The first slice contains the leading ``bits`` bits, counted from the largest entry of each
-    column. Each further slice contains the next ``bits`` bits. The product of two slices is exact
-    in double precision.
+    In each column, the first slice contains the leading ``bits`` bits of all entries, counted from
+    the largest entry. Each further slice contains the next ``bits`` bits. The product of two slices
+    is exact in double precision.
     """
     for _ in range(SLICE_COUNT):
         top = np.abs(P).max(axis=0, initial=0.0).astype(float)
@@ -67,7 +69,7 @@ def _slice_matrix(P: np.ndarray, bits: int) -> Iterator[np.ndarray]:
 
 
 class RefinedSolver:
-    """Solver of ``(A + s E) x = b`` for any complex s, with iterative refinement of x."""
+    """Solver of ``(A + s E) x = b`` for complex s, with iterative refinement of x."""
 
     def __init__(self, A: np.ndarray, E: np.ndarray) -> None:
         self._plain = A, E
@@ -80,7 +82,7 @@ class RefinedSolver:
 
         Raises
         ------
-        SimulationError : s is so near to a pole that refinement fails.
+        SimulationError : s is so close to a pole that the refinement fails.
         """
         A, E = self._plain
         lu, pivots, info = scipy.linalg.lapack.zgetrf(

@@ -1,6 +1,6 @@
-"""Direct solution of sparse symmetric linear equations, with a check of the residual.
+"""Direct solution of sparse linear equations, with a check of the residual.
 
-A model whose factors exceed the memory is rejected before the factorisation begins.
+If the factors of a model would exceed the memory, an error is raised before the factorisation.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ from kc2spice.linalg.solver import (
 )
 
 USABLE_MEMORY_SHARE = 0.9
-# Number of entries of the LU factors of n equations, divided by n sqrt(bandwidth).
-# The number of entries, divided by n sqrt(bandwidth), is 4 for chains, 9 for plates, 34 for solids.
+# Number of entries of the LU factors of n equations, divided by n sqrt(bandwidth), for solids.
+# The corresponding number is 4 for chains and 9 for plates.
 FILL_FACTOR = 34.0
 REAL_BYTES = 12.0  # memory [B] of a real entry of a factor: its value and half of its index
 ENTRY_BYTES = 24.0  # memory [B] of a complex entry of a factor: its value, index and work space
 
 
 def require_memory(need: float, purpose: str, *, where: str, hint: str) -> None:
-    """Raise an error if ``need`` [B] exceeds the memory that is free now.
+    """Raise an error if ``need`` [B] exceeds the free memory.
 
     Raises
     ------
-    UsageError : less than ``need`` is free.
+    UsageError : less memory than ``need`` is free.
     """
     free = USABLE_MEMORY_SHARE * find_available_bytes()
     if need > free:
@@ -55,13 +55,13 @@ def require_memory(need: float, purpose: str, *, where: str, hint: str) -> None:
 def require_memory_for_factors(
     matrix: scipy.sparse.sparray | np.ndarray, *, definite: bool = False, where: str = "reduction"
 ) -> None:
-    """Raise an error if the factors of a reduction exceed the memory that is free now.
+    """Raise an error if the factors of a model reduction exceed the free memory.
 
-    A reduction needs one real and one complex factor. For plates, the estimated memory of both
-    factors is up to five times too large. A ``definite`` or quasi-definite matrix needs only one
-    factor without pivoting, which has half as many entries as an LU factor. If the user supplies a
-    solver, this function does nothing, because the memory of this solver is unknown.
-    The error message states ``where`` as its location.
+    A reduction needs one real and one complex LU factorisation. For plates, the memory estimate is
+    up to five times too large. If ``definite`` is true, the matrix is definite or quasi-definite. A
+    definite or quasi-definite matrix needs only one factor without pivoting, which has half as many
+    entries as LU factors. If the user supplies a solver, this function does nothing, because the
+    memory of this solver is unknown. ``where`` is the location that the error message states.
 
     Raises
     ------
@@ -69,8 +69,8 @@ def require_memory_for_factors(
     """
     rows = matrix.shape[0]
     size = 0.5 * REAL_BYTES if definite else ENTRY_BYTES + REAL_BYTES
-    # The first check uses the number of rows, which is an upper limit of the bandwidth.
-    # The computation of the bandwidth would take as long as an assembly of the matrix.
+    # The first check uses the number of rows as an upper limit of the bandwidth.
+    # Computing the bandwidth would take as long as assembling the matrix.
     if (
         get_supplied_solver() is not None
         or size * FILL_FACTOR * rows**1.5 <= USABLE_MEMORY_SHARE * find_available_bytes()
@@ -92,32 +92,34 @@ def require_memory_for_factors(
 
 Inverse: TypeAlias = Callable[[np.ndarray], np.ndarray]
 
-# largest permitted backward error of a solution: 10^4 times the error of a stable solver
+# largest permitted backward error of a solution: 10^4 times the backward error of a stable solver
 RESIDUAL_LIMIT = 1e-11
-# Largest number of refinement steps of a solution; factors without pivoting lose digits.
+# Largest number of refinement steps of a solution. Factors without pivoting are less accurate.
 # If k digits of a factor are correct, each step makes k more digits of the solution correct.
 MAX_REFINEMENTS = 3
-# Half-bandwidth up to which a banded factor costs less than the search for an elimination order.
+# Half-bandwidth up to which a banded factor takes less time than the search for an elimination
+# order.
 MAX_HALF_BANDWIDTH = 600
 # Smallest number of unknowns for which a multifrontal factor in Python is faster than SuperLU.
 QUASI_DEFINITE_UNKNOWNS = 20_000
 # Smallest number of unknowns for which nested dissection saves more time than it takes.
 DISSECTION_UNKNOWNS = 5000
 _LINE_ELEMENT = 1  # gmsh's number of the element type with two nodes
-# number of stored elimination orders: a reduction uses matrices of one or two sparsity patterns
+# number of stored elimination orders, because a reduction uses one or two sparsity patterns
 _STORED_ORDERS = 2
 _orders: dict[bytes, np.ndarray | None] = {}
 
 
 @dataclass(frozen=True, eq=False)
 class Factor:
-    """Factorised matrix; ``solve`` raises an error instead of returning an inaccurate solution.
+    """Factorised matrix that raises an error instead of an inaccurate solution.
 
-    ``order`` (n,) is the elimination order, None if the solver chose the order. ``negative`` is the
-    number of negative eigenvalues of the matrix, None if this number is unknown.
+    ``order`` (n,) is the elimination order, or None if the solver chose the order. ``negative`` is
+    the number of negative eigenvalues of the matrix, or None if this number is unknown.
 
-    If the backward error of a solution ``x`` exceeds ``RESIDUAL_LIMIT``, the solution is first
-    refined to ``x + A^-1 (rhs - A x)`` (Skeel 1980).
+    While the backward error of a solution ``x`` exceeds ``RESIDUAL_LIMIT``, the solution is refined
+    to ``x + A^-1 (rhs - A x)`` (Skeel 1980). After ``MAX_REFINEMENTS`` steps, :meth:`solve` raises
+    an error.
     """
 
     matrix: scipy.sparse.csc_array
@@ -133,8 +135,8 @@ class Factor:
     def solve(self, rhs: np.ndarray) -> np.ndarray:
         """Solve ``A x = rhs`` for one (n,) or several (n, k) right-hand sides.
 
-        If ``rhs`` has fewer rows than ``A``, the other rows of the right-hand side are zero, and
-        the solution contains only the first ``len(rhs)`` unknowns.
+        If ``rhs`` has fewer rows than ``A``, the right-hand side is extended by zeros, and only the
+        first ``len(rhs)`` unknowns are returned.
 
         Raises
         ------
@@ -174,9 +176,9 @@ Pair: TypeAlias = tuple[Factor, Factor]  # factors of a matrix and of its transp
 def factorise_supernodal(
     matrix: scipy.sparse.csc_array, order: np.ndarray | None = None
 ) -> Inverse:
-    """Factorise ``A[p][:, p] = L L'`` of a real matrix by CHOLMOD in cvxopt.
+    """Factorise a real matrix ``A[p][:, p] = L L'`` with CHOLMOD in cvxopt.
 
-    If the order ``p`` is None, CHOLMOD uses the minimum degree order.
+    ``order`` is the elimination order p. If ``order`` is None, CHOLMOD uses a minimum degree order.
 
     Raises
     ------
@@ -196,7 +198,7 @@ def factorise_supernodal(
         raise RuntimeError("not positive definite") from None
 
     def solve(rhs: np.ndarray) -> np.ndarray:
-        """Solve for right-hand sides with the Cholesky factor."""
+        """Solve for one or several right-hand sides with the Cholesky factor."""
         x = cvxopt.matrix(np.asarray(rhs, dtype=float).reshape(len(rhs), -1))
         cvxopt.cholmod.solve(factor, x)
         return np.array(x).reshape(rhs.shape)
@@ -207,16 +209,16 @@ def factorise_supernodal(
 def factorise(
     matrix: scipy.sparse.csc_array, *, definite: bool, order: np.ndarray | None = None
 ) -> Factor:
-    """Factorise a symmetric matrix, real or complex.
+    """Factorise a real or complex symmetric matrix.
 
-    A positive definite matrix with a small half-bandwidth b gets a banded Cholesky factor. For n
-    unknowns, the banded factor costs n b^2 operations. A positive definite matrix with a larger
-    bandwidth gets a supernodal Cholesky factor. All other matrices get the factor of
+    For a positive definite matrix with a small half-bandwidth b, a banded Cholesky factor is
+    computed, which costs n b^2 operations for n unknowns. For a positive definite matrix with a
+    larger bandwidth, a supernodal Cholesky factor is computed. All other matrices are factorised by
     :func:`factorise_two_sided`.
 
-    If the elimination ``order`` of a matrix with a similar sparsity pattern is given, no search for
-    an order is necessary. A solver that the user supplies factorises a definite matrix only if this
-    solver counts negative eigenvalues.
+    ``order`` is an elimination order, for example of a matrix with a similar sparsity pattern. By
+    default, the function searches for an order. A solver that the user supplies is used for a
+    definite matrix only if the solver counts negative eigenvalues.
 
     Raises
     ------
@@ -260,7 +262,7 @@ def _factorise_definite_with_solver(
 ) -> Factor | None:
     """Factorise a positive definite matrix with the user's solver.
 
-    Return None if the solver does not count the negative eigenvalues of the matrix.
+    The result is None if the solver does not count the negative eigenvalues of the matrix.
     """
     supplied = factorise_with_solver(solver, matrix)
     negative = getattr(supplied, "negative_eigenvalues", None)
@@ -287,9 +289,9 @@ def _factorise_pair_with_solver(
 def factorise_quasi_definite(matrix: scipy.sparse.csc_array) -> Factor:
     """Factorise a large real symmetric matrix that may be quasi-definite.
 
-    A matrix is quasi-definite if the rows with a positive diagonal form a positive definite block,
-    and the other rows a negative definite block. A quasi-definite matrix gets a multifrontal factor
-    without pivoting. All other matrices, and small matrices, get the factor of
+    A matrix is quasi-definite if the rows with a positive diagonal entry form a positive definite
+    block, and the other rows form a negative definite block. For a large quasi-definite matrix, a
+    multifrontal factor is computed without pivoting. Other matrices are factorised by
     :func:`factorise_two_sided`.
 
     Raises
@@ -301,7 +303,7 @@ def factorise_quasi_definite(matrix: scipy.sparse.csc_array) -> Factor:
         minus = matrix.diagonal() < 0
         trial = np.random.default_rng(0).standard_normal(matrix.shape[0])
         try:
-            # imported here, because it loads scipy.linalg
+            # imported here, because the module loads scipy.linalg
             from kc2spice.linalg.quasidefinite import QuasiDefiniteFactor
 
             apply = QuasiDefiniteFactor(matrix, minus, _group_unknowns(matrix)[0], order).solve
@@ -318,7 +320,8 @@ def factorise_two_sided(matrix: scipy.sparse.csc_array, *, symmetric: bool) -> P
     """Factorise a sparse matrix and its transpose.
 
     A symmetric matrix is first factorised without pivoting. If a trial solution with this factor is
-    inaccurate, as for an indefinite matrix, the factorisation is repeated with partial pivoting.
+    inaccurate, for example for an indefinite matrix, the matrix is factorised again with partial
+    pivoting.
 
     Raises
     ------
@@ -354,9 +357,9 @@ def _factorise_banded(coo: scipy.sparse.coo_array, bandwidth: int) -> Inverse:
 
 
 def _factorise_lu(matrix: scipy.sparse.csc_array, symmetric: bool) -> tuple[Inverse, Inverse]:
-    """Return functions that solve equations with a matrix and with its transpose.
+    """Return two functions that solve equations with a matrix and with its transpose.
 
-    If ``symmetric`` is true, the pivots are diagonal entries, even if these entries are small.
+    If ``symmetric`` is true, all pivots are diagonal entries, even if these entries are small.
     """
     from scipy.sparse.linalg import splu
 
@@ -381,16 +384,16 @@ def _factorise_lu(matrix: scipy.sparse.csc_array, symmetric: bool) -> tuple[Inve
 
 
 def find_elimination_order(matrix: scipy.sparse.csc_array) -> np.ndarray | None:
-    """Find an elimination order ``p`` (n,) for which the factors of ``matrix[p][:, p]`` are sparse.
+    """Find an elimination order for which the factors of a matrix are sparse.
 
-    The order is computed by nested dissection (METIS in gmsh). For small matrices, the function
-    returns None, and the solver determines the order. If gmsh is not installed, the function also
-    returns None and issues a warning.
-
-    Unknowns whose columns have the same sparsity pattern, such as the unknowns of one node, become
-    one vertex of the graph for METIS. The graph for METIS therefore equals the graph of the mesh.
-    Time and memory depend on the elimination order, but the accuracy of solutions does not. The
-    elimination orders of the most recent sparsity patterns are stored for later calls.
+    The order ``p`` (n,) is computed by nested dissection (METIS in gmsh) and applied as
+    ``matrix[p][:, p]``. For small matrices, the function returns None, and the solver determines
+    the order. If gmsh is not installed, the function issues a warning and returns None. In the
+    graph for METIS, one vertex represents all unknowns whose columns have the same sparsity
+    pattern, such as the unknowns of one node. Thus the graph for METIS equals the graph of the
+    mesh. The elimination order affects the time and memory of a factorisation, but not the accuracy
+    of solutions. The elimination orders of the most recent sparsity patterns are stored for later
+    calls.
 
     Source: G. Karypis, V. Kumar, SIAM J. Sci. Comput. 20 (1998) 359.
     """
@@ -431,9 +434,9 @@ def _order_by_dissection(matrix: scipy.sparse.csc_array) -> np.ndarray | None:
 
 
 def _group_unknowns(matrix: scipy.sparse.csc_array) -> tuple[np.ndarray, np.ndarray]:
-    """Group unknowns by a hash of the patterns of their columns.
+    """Group unknowns whose columns have the same sparsity pattern, by a hash.
 
-    Return the group number of every unknown, and the first unknown of each group.
+    Return the group number of each unknown, and the first unknown of each group.
     """
     words = np.random.default_rng(0).integers(0, 2**63, matrix.shape[0], dtype=np.uint64)
     total = np.r_[np.uint64(0), np.cumsum(words[matrix.indices], dtype=np.uint64)]
@@ -443,9 +446,10 @@ def _group_unknowns(matrix: scipy.sparse.csc_array) -> tuple[np.ndarray, np.ndar
 
 
 def _order_graph(edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the nodes of a graph with ``edges`` (m, 2), and their places in the elimination order.
+    """Return the nodes of a graph and their positions in an elimination order.
 
-    METIS in gmsh orders only meshes, so each edge of the graph becomes a line element.
+    ``edges`` (m, 2) contains the edges of the graph. METIS in gmsh orders only the nodes of meshes,
+    so each edge of the graph becomes a line element.
     """
     nodes = int(edges.max()) + 1
     with gmsh_session() as gmsh:

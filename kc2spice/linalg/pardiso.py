@@ -1,7 +1,8 @@
-"""Factors of sparse matrices by PARDISO of the Intel Math Kernel Library (package ``mkl``).
+"""Factors of sparse matrices from PARDISO in the Intel Math Kernel Library.
 
-For symmetric indefinite and complex symmetric matrices, PARDISO needs half of the memory of an LU
-factorisation, and much less time. The functions of the library are called through ``ctypes``.
+The package ``mkl`` contains the library, whose functions are called through ``ctypes``. For
+symmetric indefinite and complex symmetric matrices, PARDISO needs half the memory and much less
+time than an LU factorisation.
 
 Source: O. Schenk, K. Gaertner, Future Generation Computer Systems 20 (2004) 475.
 """
@@ -21,17 +22,17 @@ import scipy
 from kc2spice.core.errors import MissingToolError
 from kc2spice.core.extras import OPTIONAL_LIBRARIES
 
-# PARDISO's numbers of symmetric matrix types, keyed by whether the matrix is complex.
+# Codes of PARDISO for symmetric matrices. The key states whether the matrix is complex.
 # PARDISO reads only the upper triangle of a symmetric matrix.
 SYMMETRIC_TYPES = {False: -2, True: 6}
 UNSYMMETRIC_TYPES = {False: 11, True: 13}
-# phases of a PARDISO call
+# codes of PARDISO's phases
 FACTORISE = 12
 SOLVE = 33
 RELEASE = -1
-# largest relative difference between a matrix that counts as symmetric and its transpose
+# largest relative difference from the transpose for which a matrix counts as symmetric
 SYMMETRY_TOLERANCE = 1e-12
-# Exponents k, keyed by whether the matrix is symmetric.
+# Exponent k of the pivot limit. The key states whether the matrix is symmetric.
 # PARDISO replaces pivots that are smaller than 10^-k times the norm of the matrix.
 PIVOT_DIGITS = {True: 8, False: 13}
 # indices in the parameter array ``iparm``, counted from 0
@@ -43,11 +44,11 @@ MATCHING = 12
 REPLACED_PIVOTS = 13
 BUNCH_KAUFMAN = 20
 NEGATIVE = 22
-NESTED_DISSECTION = 2  # value of ``ORDER``: nested dissection by METIS
+NESTED_DISSECTION = 2  # value of ``iparm[ORDER]``: nested dissection by METIS
 
 
 class Pardiso:
-    """Factor of a sparse matrix, symmetric or not, real or complex.
+    """Factor of a real or complex sparse matrix, which may be symmetric.
 
     Parameters
     ----------
@@ -66,7 +67,7 @@ class Pardiso:
     """
 
     def __init__(self, matrix: Any) -> None:
-        _load_library()  # before memory is allocated, which an error would not release
+        _load_library()  # raises an error before memory is allocated
         difference = abs(matrix - matrix.T).max()
         symmetric = bool(difference <= SYMMETRY_TOLERANCE * abs(matrix).max())
         complex_numbers = bool(np.iscomplexobj(matrix))
@@ -94,7 +95,7 @@ class Pardiso:
         return self._run_phase(SOLVE, rhs)
 
     def _run_phase(self, phase: int, rhs: np.ndarray) -> np.ndarray:
-        """Run a phase of PARDISO and return the solution."""
+        """Run one phase of PARDISO for the factor, and return the solution."""
         rhs = np.asfortranarray(rhs, dtype=self._entries.dtype)
         x = np.zeros_like(rhs, order="F")
         matrix = self._entries, self._begin, self._columns
@@ -103,7 +104,7 @@ class Pardiso:
 
 
 def require_library() -> None:
-    """Check that the library of PARDISO can be loaded.
+    """Load the library that contains PARDISO, or raise an error.
 
     Raises
     ------
@@ -136,7 +137,7 @@ def _call_pardiso(
     rhs: np.ndarray | None = None,
     x: np.ndarray | None = None,
 ) -> None:
-    """Run one phase of PARDISO by a call of its library function.
+    """Run one phase of PARDISO.
 
     Raises
     ------
@@ -169,7 +170,7 @@ def _get_address(array: np.ndarray) -> ctypes.c_void_p:
 
 @cache
 def _load_library() -> ctypes.CDLL:
-    """Load the library that contains PARDISO, from the package ``mkl`` or from the system."""
+    """Load the PARDISO library, from the package ``mkl`` or from the system."""
     try:
         files = importlib.metadata.files("mkl") or []
     except importlib.metadata.PackageNotFoundError:

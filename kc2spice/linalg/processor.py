@@ -1,8 +1,8 @@
-"""Choice of OpenBLAS kernels for processors that are newer than the OpenBLAS library.
+"""Choice of OpenBLAS kernels for processors that are newer than OpenBLAS.
 
-The OpenBLAS in cvxopt supports processors up to 2021. On a newer Intel processor, OpenBLAS uses
-kernels from 2004. With the kernels from 2004, a Cholesky factor of 103 000 unknowns took 12.5 s of
-CPU time; with kernels for AVX-512, it took 4.4 s.
+The OpenBLAS in cvxopt supports processors up to 2021. On newer Intel processors, OpenBLAS selects
+kernels from 2004. With the kernels from 2004, the Cholesky factorisation of 103 000 equations took
+12.5 s of CPU time, compared with 4.4 s with the AVX-512 kernels.
 """
 
 from __future__ import annotations
@@ -12,21 +12,22 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-# environment variable that OpenBLAS reads when it is loaded
+# environment variable that OpenBLAS reads at import
 CORE_TYPE_VARIABLE = "OPENBLAS_CORETYPE"
-# kernels of OpenBLAS and the processor instructions that they need, fastest kernels first
+# processor instructions that the OpenBLAS kernels need, keyed by kernel name, fastest kernels first
 KERNELS = {
     "SkylakeX": {"avx512f", "avx512cd", "avx512bw", "avx512dq", "avx512vl", "fma", "avx2"},
     "Haswell": {"fma", "avx2"},
 }
-# File of processor flags, only on Linux. On other systems, OpenBLAS selects the kernels itself.
+# File with the processor flags. The file exists only on Linux, and OpenBLAS selects the kernels on
+# other systems.
 _CPU_INFO = Path("/proc/cpuinfo")
 
 
 def select_kernels(flags: set[str]) -> str | None:
     """Return the name of the fastest kernels for a set of processor instructions.
 
-    Return None if the processor lacks the instructions that the kernels need.
+    Return None if the processor lacks the instructions for all of the kernels.
 
     Examples
     --------
@@ -37,9 +38,10 @@ def select_kernels(flags: set[str]) -> str | None:
 
 
 def read_processor_flags() -> set[str]:
-    """Return the names of the instructions that the processor and the system support.
+    """Return the names of the supported processor instructions.
 
-    The set is empty if the operating system does not list the instructions.
+    Both the processor and the operating system support the returned instructions. The set is empty
+    if the operating system does not list the instructions.
     """
     try:
         lines = _CPU_INFO.read_text(encoding="ascii", errors="replace").splitlines()
@@ -50,10 +52,9 @@ def read_processor_flags() -> set[str]:
 
 @contextmanager
 def use_fast_kernels() -> Iterator[None]:
-    """Make a library that is imported within this context use the fastest OpenBLAS kernels.
+    """Select the fastest OpenBLAS kernels for libraries imported within this context.
 
-    If the user has set the environment variable ``OPENBLAS_CORETYPE``, this variable selects the
-    kernels instead.
+    The environment variable ``OPENBLAS_CORETYPE`` has precedence if the user has set it.
     """
     kernels = None if CORE_TYPE_VARIABLE in os.environ else select_kernels(read_processor_flags())
     if kernels is None:

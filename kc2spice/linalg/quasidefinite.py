@@ -1,15 +1,14 @@
-"""Factors of large sparse quasi-definite matrices, such as matrices of piezoelectric solids.
+"""Factors of large sparse quasi-definite matrices, as of piezoelectric solids.
 
 A quasi-definite matrix ``[A B; B' -C]`` has positive definite blocks A and C. For any order of its
-unknowns, such a matrix has a factor ``L D L'`` without pivoting. The diagonal of D is 1 for
-unknowns of A and -1 for unknowns of C. The signs in D are prescribed, so a successful factorisation
-also proves that A and C are definite.
+unknowns, a quasi-definite matrix has a factorisation ``L D L'`` without pivoting. The diagonal
+matrix D has the entry 1 for unknowns of block A, and -1 for unknowns of block C. The signs in D are
+prescribed, so a successful factorisation proves that A and C are positive definite.
 
-The method is multifrontal. The elimination tree is divided into supernodes. A supernode is a set of
-unknowns, its pivots, whose columns of L have nearly the same sparsity pattern. The front of a
-supernode is a dense matrix. The rows of a front are the pivots and the later unknowns that are
-coupled to the pivots.
-Dense Cholesky factors eliminate the pivots, first the pivots of A and then the pivots of C. The
+The method is multifrontal. The elimination tree is divided into supernodes. The pivots of a
+supernode are unknowns whose columns of L have nearly the same sparsity pattern. The front of a
+supernode is a dense matrix with a row for each pivot and for each later unknown that is coupled to
+the pivots. Dense Cholesky factorisations eliminate the pivots, first in A and then in C. The
 remaining Schur complement is added to the front of the parent supernode.
 
 Sources: R. J. Vanderbei, SIAM J. Optim. 5 (1995) 100; I. S. Duff, J. K. Reid, ACM Trans. Math.
@@ -27,19 +26,20 @@ import scipy
 from scipy.linalg.blas import dsyrk, dtrsm
 from scipy.linalg.lapack import dpotrf
 
-# Pairs: a size, and the largest permitted share of zeros in supernodes of at most this size.
-# The shares were found by trials: zeros cost operations, and small supernodes cost Python time.
+# Pairs of a number of pivots and the largest permitted share of zeros in supernodes up to this
+# size. The shares were chosen by timing. Zeros cost operations, and many small supernodes cost
+# Python time.
 ZERO_SHARES = ((48, 1.0), (160, 0.4), (500, 0.12), (np.inf, 0.05))
-STRIP_WIDTH = 64  # number of columns of a Schur complement that are added to a front at once
+STRIP_WIDTH = 64  # columns of a Schur complement that are added at once
 
 
 @dataclass(frozen=True, eq=False)
 class Supernode:
-    """Supernode of the elimination tree: its pivots, coupled rows and parent.
+    """Supernode of the elimination tree, with pivots, coupled rows and parent.
 
-    The pivots have the positions ``begin`` to ``end - 1`` in the elimination order, and ``rows``
-    (m,) are the positions of the unknowns that are coupled to the pivots. ``parent`` is the index
-    of the parent, -1 if there are no rows.
+    In the elimination order, the pivots have the positions ``begin`` to ``end - 1``. ``rows`` (m,)
+    contains the positions of the later unknowns that are coupled to the pivots. ``parent`` is the
+    index of the parent supernode, or -1 without coupled rows.
     """
 
     begin: int
@@ -50,11 +50,11 @@ class Supernode:
 
 @dataclass(frozen=True, eq=False)
 class ColumnPanel:
-    """Columns of the factor L of one supernode, with k pivots and m coupled rows.
+    """Columns of the factor L for a supernode with k pivots and m coupled rows.
 
-    ``pivot_order`` (k,) is the order of the pivots. The first ``positive`` pivots have the sign 1,
-    the others -1. ``triangle`` (k, k) contains the rows of the pivots, and ``below`` (m, k) the
-    coupled rows.
+    ``pivot_order`` (k,) is the order of the pivots. In D, the first ``positive`` pivots have the
+    entry 1, and the other pivots -1. ``triangle`` (k, k) contains the pivot rows of these columns,
+    and ``below`` (m, k) the coupled rows.
     """
 
     pivot_order: np.ndarray
@@ -75,7 +75,7 @@ class QuasiDefiniteFactor:
     group : (n,) array
         Group number of each unknown; the columns of one group have the same pattern.
     order : (n,) array
-        Elimination order for which L is sparse; the unknowns of each group are consecutive.
+        Elimination order for which L is sparse, with consecutive unknowns in each group.
 
     Raises
     ------
@@ -127,7 +127,7 @@ def _assemble_front(
     updates: Sequence[tuple[np.ndarray, np.ndarray]],
     place: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Assemble the front of a supernode from the matrix and the updates of its children.
+    """Assemble the front of a supernode from the matrix and the children's updates.
 
     Return the columns of the k pivots, an array of shape (k + m, k), and the block of the m coupled
     rows, an array of shape (m, m). Only the lower triangles are assembled. ``place`` (n,) is
@@ -137,7 +137,7 @@ def _assemble_front(
     size = count + rows.size
     place[node.begin : node.end] = np.arange(count)
     place[rows] = np.arange(count, size)
-    # the arrays of the pivots and of the coupled rows are transposed
+    # both arrays are assembled in transposed form
     panel, remainder = np.zeros((count, size)), np.zeros((rows.size,) * 2)
     begin, end = lower.indptr[[node.begin, node.end]]
     column = np.repeat(np.arange(count), np.diff(lower.indptr[node.begin : node.end + 1]))
@@ -149,7 +149,7 @@ def _assemble_front(
             target, skip = (panel, 0) if first < pivots else (remainder, count)
             last = min(first + STRIP_WIDTH, pivots if first < pivots else len(at))
             begins = (at[first:last] - skip) * target.shape[1]
-            # one flat index takes half the time of a row index and a column index
+            # a flat index takes half the time of two indices for row and column
             target.reshape(-1)[begins[:, None] + (at[first:] - skip)] += transposed[
                 first:last, first:
             ]
@@ -157,12 +157,12 @@ def _assemble_front(
 
 
 def _eliminate_pivots(panel: np.ndarray, remainder: np.ndarray, minus: np.ndarray) -> ColumnPanel:
-    """Eliminate the pivots of a front; ``remainder`` becomes the Schur complement.
+    """Eliminate the pivots of a front; make ``remainder`` the Schur complement.
 
-    The pivots in the mask ``minus`` (k,) have the sign -1. The front has the block ``[A b'; b -C]``
-    of the pivots and the block ``[F G]`` of the other rows. The factor contains ``S``, ``T``,
-    ``W = b S'^-1``, ``Y = F S'^-1`` and ``Z = (Y W' - G) T'^-1``, where ``A = S S'`` and
-    ``C + W W' = T T'``.
+    The mask ``minus`` (k,) selects the pivots with the entry -1 in D. The front consists of the
+    block ``[A b'; b -C]`` of the pivot rows and the block ``[F G]`` of the other rows. The factor
+    contains ``S``, ``T``, ``W = b S'^-1``, ``Y = F S'^-1`` and ``Z = (Y W' - G) T'^-1``, where ``A
+    = S S'`` and ``C + W W' = T T'``.
     """
     count, positive = len(minus), int((~minus).sum())
     turn = np.argsort(minus, kind="stable")
@@ -211,15 +211,15 @@ def _subtract_outer_product(matrix: np.ndarray, columns: np.ndarray, sign: float
 def find_supernodes(
     matrix: scipy.sparse.csc_array, group: np.ndarray, order: np.ndarray
 ) -> tuple[np.ndarray, list[Supernode]]:
-    """Find the supernodes of a symmetric pattern, and number the unknowns by supernodes.
+    """Find the supernodes of a matrix, and order the unknowns by supernode.
 
-    Return the new elimination order (n,) and the supernodes. The fill of the new order equals the
-    fill of ``order``, apart from zeros in supernodes.
+    Return the new elimination order (n,) and the supernodes. Except for zeros that are stored in
+    supernodes, the factor has as many entries as for the original ``order``.
     """
     sequence = group[order][np.r_[True, np.diff(group[order]) != 0]]  # groups in elimination order
     rank = np.empty(len(sequence), dtype=np.intp)
     rank[sequence] = np.arange(len(sequence))
-    numbers = rank[group]  # position of each unknown's group in the elimination order
+    numbers = rank[group]  # position of the group of each unknown in the elimination order
     weight = np.bincount(numbers)
     below, above = _find_neighbours(matrix, numbers, order)
     parent = _build_elimination_tree(above)
@@ -230,7 +230,7 @@ def find_supernodes(
 def _find_neighbours(
     matrix: scipy.sparse.csc_array, numbers: np.ndarray, order: np.ndarray
 ) -> tuple[list[np.ndarray], list[list[int]]]:
-    """Return the later and the earlier neighbours of each group, in the order of elimination."""
+    """Return the later and the earlier neighbours of each group in elimination order."""
     count = int(numbers.max()) + 1
     first = np.full(count, -1)
     first[numbers[order[::-1]]] = order[::-1]
@@ -245,9 +245,9 @@ def _find_neighbours(
 
 
 def _build_elimination_tree(above: Sequence[Sequence[int]]) -> list[int]:
-    """Return the parent of each group in the elimination tree, -1 for a root.
+    """Return the parent of each group in the elimination tree, or -1 for a root.
 
-    The method is algorithm 4.2 of J. W. H. Liu.
+    Source: algorithm 4.2 of J. W. H. Liu.
     """
     parent, ancestor = [-1] * len(above), [-1] * len(above)
     for i, earlier in enumerate(above):
@@ -267,7 +267,7 @@ def _form_relaxed_supernodes(
     The key of a supernode is its last pivot group.
     """
     pivots, rows = dict[int, list[int]](), dict[int, np.ndarray]()
-    sizes = dict[int, tuple[int, int, int]]()  # numbers of pivots, rows and zeros of each supernode
+    sizes = dict[int, tuple[int, int, int]]()  # counts of pivots, rows, zeros
     children: list[list[int]] = [[] for _ in below]
     for j, neighbours in enumerate(below):
         behind_j = np.sort(np.concatenate([neighbours, *map(rows.__getitem__, children[j])]))
@@ -297,7 +297,10 @@ def _number_supernodes(
     numbers: np.ndarray,
     order: np.ndarray,
 ) -> tuple[np.ndarray, list[Supernode]]:
-    """Return the elimination order (n,) and the supernodes, children before their parents."""
+    """Return the elimination order (n,) and the supernodes.
+
+    Children precede their parents in the list of supernodes.
+    """
     owner = {group: last for last, groups in pivots.items() for group in groups}
     parents = {last: owner.get(parent[last], -1) for last in pivots}
     children = dict[int, list[int]]()

@@ -1,8 +1,7 @@
 """Direct solvers that users supply instead of the built-in solvers.
 
-A solver is a function or class that factorises one sparse matrix. :func:`use_solver` selects a
-solver for all factorisations within a context. :mod:`kc2spice.linalg.factor` gets the selected
-solver from this module.
+A solver is a function or class that factorises a sparse matrix. :func:`use_solver` selects a solver
+for all factorisations within a context, and :mod:`kc2spice.linalg.factor` uses the selected solver.
 """
 
 from __future__ import annotations
@@ -23,10 +22,10 @@ _SUPPORTED_SOLVERS = (
 
 
 class Factorisation(Protocol):
-    """Interface of a factorised matrix A that a direct solver returns.
+    """Interface of the factorised matrix A that a direct solver returns.
 
-    The optional attribute ``negative_eigenvalues`` is the number of negative eigenvalues of a real
-    symmetric matrix, which equals the number of negative pivots of its LDL' factor.
+    For a real symmetric matrix, the optional attribute ``negative_eigenvalues`` is the number of
+    negative eigenvalues, or of negative pivots in the LDL' factorisation.
     """
 
     def solve(self, rhs: np.ndarray, /) -> np.ndarray:
@@ -44,12 +43,13 @@ _supplied: ContextVar[DirectSolver | None] = ContextVar("solver", default=None)
 def use_solver(solver: DirectSolver | str | None) -> Iterator[None]:
     """Use ``solver`` for all factorisations within the context.
 
-    The name ``"pardiso"`` selects :class:`kc2spice.linalg.pardiso.Pardiso`. With None, the
-    solver of the outer context remains. Without an outer context, None selects the built-in solver.
+    The name ``"pardiso"`` selects :class:`kc2spice.linalg.pardiso.Pardiso`. If ``solver`` is None,
+    the solver of the enclosing context remains selected. Without an enclosing context, this solver
+    is the built-in solver.
 
     Raises
     ------
-    UsageError : ``solver`` is neither a function nor a class nor the name of a solver.
+    UsageError : ``solver`` is not a function, a class or the name of a solver.
     MissingToolError : the library of the solver is not installed.
     """
     if solver is None:
@@ -77,11 +77,12 @@ def use_solver(solver: DirectSolver | str | None) -> Iterator[None]:
 
 
 def require_solver(name: str | None, where: str) -> str | None:
-    """Check that the direct solver ``name`` of a command-line option exists, and return the name.
+    """Check that the direct solver ``name`` exists, and return the name.
 
     Raises
     ------
-    UsageError : the solver does not exist; ``where`` is the option that contains the name.
+    UsageError : the solver does not exist; ``where`` is the command-line option that states the
+        name.
     """
     if name is not None and name not in SOLVERS:
         raise unknown("this direct solver does not exist", name, SOLVERS, where)
@@ -89,12 +90,12 @@ def require_solver(name: str | None, where: str) -> str | None:
 
 
 def get_supplied_solver() -> DirectSolver | None:
-    """Return the solver that :func:`use_solver` selected, None for the built-in solvers."""
+    """Return the selected solver of the user, or None for the built-in solvers."""
     return _supplied.get()
 
 
 def factorise_with_solver(solver: DirectSolver, matrix: Any) -> Factorisation:
-    """Factorise a sparse matrix with the solver of the user.
+    """Factorise a sparse matrix with the user's solver.
 
     Raises
     ------
@@ -134,7 +135,7 @@ def solve_with_factor(factor: Factorisation, matrix: Any, rhs: np.ndarray) -> np
 
 
 def _call_user_function(function: Callable[[Any], Any], argument: Any) -> Any:
-    """Call a function of the user, and convert its exceptions to errors of kc2spice."""
+    """Call a function of the user, and convert exceptions to errors of kc2spice."""
     try:
         return function(argument)
     except Kc2spiceError:

@@ -13,14 +13,14 @@ from kc2spice.netlist.expression import Tree, find_probed_names, parse_expressio
 from kc2spice.netlist.spelling import format_number
 
 SMALLEST_POSITIVE = 1e-30  # smallest accepted value of a parameter that must be positive
-# Number of nodes of each element, keyed by element letter, except X.
-# The number of nodes of an X element depends on its subcircuit.
+# Number of nodes of each element except X, keyed by element letter.
+# The number of nodes of an X element depends on the subcircuit.
 # Behavioural E and G elements have only two nodes.
 NODE_COUNTS = {
     "r": 2, "c": 2, "l": 2, "v": 2, "i": 2, "b": 2, "e": 4, "g": 4, "f": 2, "h": 2,
     "d": 2, "q": 3, "j": 3, "m": 4, "z": 3, "s": 4, "w": 2, "t": 4, "k": 0,
 }  # fmt: skip
-# Letters of elements whose card has the name of a .model after nodes and controlling elements.
+# Letters of elements whose cards state a .model name after the nodes and the controlling elements.
 MODEL_KINDS = frozenset("dqjmzsw")
 # Number of controlling sources or inductors after the nodes, keyed by element letter.
 CONTROL_COUNTS = {"f": 1, "h": 1, "w": 1, "k": 2}
@@ -28,11 +28,11 @@ CONTROL_COUNTS = {"f": 1, "h": 1, "w": 1, "k": 2}
 
 @dataclass(frozen=True, kw_only=True)
 class Card:
-    """Statement of a netlist with the comment and blank lines above it.
+    """Statement of a netlist, with the comment lines and blank lines above it.
 
-    ``notes`` are the comment and blank lines. Error messages quote ``where``, which is
-    ``file:line``, and ``written``, the text of the statement on one line. ``owner`` is the part of
-    the scene that the statement belongs to.
+    ``notes`` contains the comment lines and blank lines. ``where`` is the position as
+    ``file:line``, and ``written`` is the statement on one line. Error messages quote both.
+    ``owner`` is the part of the scene to which the statement belongs.
     """
 
     notes: tuple[str, ...] = ()
@@ -48,20 +48,20 @@ class Card:
     def make_error(
         self, message: str, got: str = "", expected: str | None = None, hint: str | None = None
     ) -> UsageError:
-        """Return an error about this card, which quotes ``got`` or by default the whole card."""
+        """Return an error about this card that quotes ``got``, by default the whole card."""
         got = got or self.written[:80]
         return UsageError(message, where=self.where, got=got, expected=expected, hint=hint)
 
 
 @dataclass(frozen=True)
 class Element(Card):
-    """Element of a netlist with its ``nodes``, controlling ``sources`` and ``model``.
+    """Element of a netlist, with nodes, controlling sources and model.
 
-    ``kind`` is the element letter in lower case. ``values`` are the words after the nodes, and
-    ``parameters`` the assignments after the values. For a behavioural source (B, or E and G with an
-    expression), the ``quantity`` V or I is the result of ``expression``. Names are stored in their
-    original letter case. ``unit`` is the unit of the values if it differs from the unit of the
-    simulator (V, A, Ohm, F, H).
+    ``kind`` is the element letter in lower case. ``sources`` are the controlling sources or
+    inductors. ``values`` are the words after the nodes, and ``parameters`` the assignments after
+    the values. A behavioural source (B, or E and G with an expression) sets the ``quantity`` V or I
+    to the value of ``expression``. Names keep their original letter case. ``unit`` is the unit of
+    the values, and empty for the simulator's own unit (V, A, Ohm, F or H).
     """
 
     kind: str
@@ -77,7 +77,7 @@ class Element(Card):
 
     @classmethod
     def from_words(cls, name: str, *words: str | float, **parameters: str) -> Element:
-        """Make an element from its name and the words and assignments of its card.
+        """Make an element from the name, the words and the assignments on its card.
 
         Parameters
         ----------
@@ -91,7 +91,7 @@ class Element(Card):
 
         Examples
         --------
-        >>> Element.of("Cmass", "v", "base", 1e-5, IC="0").values
+        >>> Element.from_words("Cmass", "v", "base", 1e-5, IC="0").values
         ('1e-05',)
         """
         kind, texts = (
@@ -111,7 +111,7 @@ class Element(Card):
     def behavioural_source(
         cls, name: str, plus: str, minus: str, quantity: str, law: str
     ) -> Element:
-        """Return the behavioural source whose current I or voltage V is an expression."""
+        """Return a behavioural source whose current I or voltage V is an expression."""
         return cls("b", name, (plus, minus), quantity=quantity, expression=law)
 
     def with_unit(self, unit: str) -> Element:
@@ -120,12 +120,12 @@ class Element(Card):
 
     @cached_property
     def key(self) -> str:
-        """Name in lower case, as simulators compare names."""
+        """Name in lower case, because simulators ignore letter case."""
         return self.name.lower()
 
     @cached_property
     def lower_case_nodes(self) -> tuple[str, ...]:
-        """Nodes in lower case, as simulators compare nodes."""
+        """Nodes in lower case, because simulators ignore letter case."""
         return tuple(map(str.lower, self.nodes))
 
     @cached_property
@@ -145,10 +145,10 @@ class Element(Card):
 
     @property
     def sensed_nodes(self) -> frozenset[str]:
-        """Nodes whose voltages occur in the expression; empty if the expression is invalid."""
+        """Nodes whose voltages occur in the expression; empty for an invalid expression."""
         try:
             return find_probed_names(self.law, "v") if self.quantity else frozenset()
-        except UsageError:  # the check of the netlist reports an invalid expression
+        except UsageError:  # a later check of the netlist reports the error
             return frozenset()
 
 
@@ -180,7 +180,7 @@ class FunctionCard(Card):
 
 @dataclass(frozen=True)
 class Directive(Card):
-    """Any other dot statement: its keyword in lower case, and the words after the keyword."""
+    """Any other dot statement: the keyword in lower case, and the following words."""
 
     keyword: str
     words: tuple[str, ...] = ()
@@ -192,16 +192,16 @@ class Directive(Card):
 
     @property
     def argument(self) -> str:
-        """Text after the keyword without quotes around it, such as the path of an include."""
+        """Text after the keyword without enclosing quotes, such as the path of an include."""
         return " ".join(self.words).strip("\"'")
 
 
 @dataclass(frozen=True)
 class Circuit(Card):
-    """Subcircuit, or the content of a file if ``name`` is empty.
+    """Subcircuit, or the content of a file, whose ``name`` is empty.
 
     ``defaults`` are the parameters that an instance may set, with their default values. ``closing``
-    are the comments after the last item.
+    contains the comments after the last item.
     """
 
     name: str = ""
@@ -212,7 +212,7 @@ class Circuit(Card):
 
     @property
     def subcircuits(self) -> tuple[Circuit, ...]:
-        """Subcircuits whose definitions are items of this circuit."""
+        """Subcircuits that are defined directly in this circuit."""
         return select_items(self.items, Circuit)
 
     def map_items(self, change: Callable[[Item], Item]) -> Circuit:
@@ -227,12 +227,15 @@ Value = TypeVar("Value")
 
 
 def key_by_lower_name(values: Mapping[str, Value]) -> dict[str, Value]:
-    """Return the values with all keys in lower case, because simulators ignore letter case."""
+    """Return the values with all keys in lower case.
+
+    Simulators ignore the letter case of names.
+    """
     return dict(zip(map(str.lower, values), values.values(), strict=True))
 
 
 def select_items(items: Iterable[object], kind: type[Kind]) -> tuple[Kind, ...]:
-    """Return the items of one class, such as all elements, in their order."""
+    """Return all items of one class, such as all elements, in the original order."""
     return tuple(item for item in items if isinstance(item, kind))
 
 
@@ -240,8 +243,8 @@ def select_items(items: Iterable[object], kind: type[Kind]) -> tuple[Kind, ...]:
 class Pin:
     """Pin of a subcircuit, with the quantities that 1 V and 1 A represent.
 
-    ``unit`` is what 1 V on the pin represents, and ``flow`` what 1 A represents; ``"-"`` for a
-    signal pin.
+    1 V on the pin represents one ``unit``. 1 A into the pin represents one unit of ``flow``, which
+    is ``"-"`` for a signal pin.
     """
 
     name: str
@@ -250,13 +253,13 @@ class Pin:
 
     @property
     def key(self) -> str:
-        """Name in lower case, as simulators compare names."""
+        """Name in lower case, because simulators ignore letter case."""
         return self.name.lower()
 
 
 @dataclass(frozen=True)
 class Param:
-    """Parameter of a subcircuit, with its default value in ``unit`` and its range."""
+    """Parameter of a subcircuit, with unit, default value and range."""
 
     name: str
     default: float
@@ -267,7 +270,7 @@ class Param:
 
 
 def make_electrical_pins(names: Iterable[str]) -> tuple[Pin, ...]:
-    """Return electrical pins: 1 V represents 1 V, and 1 A represents 1 A."""
+    """Return electrical pins, with the units V and A."""
     return tuple(Pin(name, "V", "A") for name in names)
 
 

@@ -1,4 +1,4 @@
-"""Decks as data structures: instances, options, analysis and results."""
+"""Decks (main netlist files) as data: instances, options, analysis and results."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ ANALYSES = frozenset((".tran", ".ac", ".dc", ".op", ".noise"))
 
 @dataclass(frozen=True)
 class Option:
-    """Entry of ``.options`` with the reason for it; a flag has an empty ``value``."""
+    """Entry of ``.options`` with its reason; a flag has an empty ``value``."""
 
     key: str
     value: str | float
@@ -43,7 +43,7 @@ class Option:
 
     @property
     def card(self) -> Directive:
-        """Card of the option, with the reason as a comment above the card."""
+        """``.options`` card with the reason in a comment above the card."""
         word = f"{self.key}={self.text}" if self.text else self.key
         return Directive(
             ".options", (word,), notes=(f"* {self.key}: {format_comment(self.reason)}",)
@@ -53,14 +53,14 @@ class Option:
 # default options of ngspice
 RELTOL = 1e-3
 CHGTOL = 1e-14
-# V or A, smallest step of a dc sweep; ngspice detects the end of a sweep within 2.2e-13 V or A.
+# V or A, smallest step of a dc sweep; ngspice detects the end of a sweep to within 2.2e-13 V or A
 SMALLEST_SWEEP_STEP = 1e-12
 MAX_POINTS_PER_DECADE = 2**31 - 1  # simulators store the number of points per decade in 32 bits
 
 
 @dataclass(frozen=True)
 class AnalysisCommand:
-    """Analysis command: the kind of the analysis, and the words after it on its card."""
+    """Analysis command: the kind of analysis, and the following words on the card."""
 
     kind: str
     words: tuple[str, ...]
@@ -78,10 +78,10 @@ class AnalysisCommand:
 
 @dataclass(frozen=True)
 class MeasureCard:
-    """Card ``.meas`` of one analysis, with the conversion factor to SI units.
+    """``.meas`` card for one kind of analysis, with a conversion factor to SI units.
 
-    The ``words`` follow the name of the measurement. An ``op`` analysis has no ``.meas`` card: its
-    only word is the name of the vector that the deck prints.
+    The ``words`` follow the name of the measurement. For an ``op`` analysis, no ``.meas`` card is
+    written. The only word of an ``op`` measurement is the name of the vector that the deck prints.
     """
 
     name: str
@@ -91,7 +91,7 @@ class MeasureCard:
 
     @property
     def cards(self) -> Iterator[Directive]:
-        """Card of the measurement, and if needed a card that converts its value to SI units."""
+        """Card of the measurement, and if necessary a card that converts to SI units."""
         if self.kind == "op":
             return
         if self.factor == 1.0:
@@ -104,25 +104,25 @@ class MeasureCard:
 
 
 def make_transient_command(stop: float, max_step: float, *, uic: bool) -> AnalysisCommand:
-    """Return the ``.tran`` analysis up to ``stop`` [s] with steps of at most ``max_step`` [s]."""
+    """Return a ``.tran`` command up to ``stop`` [s] with steps up to ``max_step`` [s]."""
     step = min(max_step, stop / 1000)
     words = (format_rounded(step), format_number(stop), "0", format_rounded(max_step))
     return AnalysisCommand("tran", (*words, "uic") if uic else words)
 
 
 def make_ac_command(start: float, stop: float, points: int, scale: str) -> AnalysisCommand:
-    """Return the ``.ac`` analysis at about ``points`` frequencies, ``start`` to ``stop`` [Hz]."""
+    """Return an ``.ac`` command with about ``points`` frequencies [Hz]."""
     return AnalysisCommand("ac", _format_range(start, stop, points, scale))
 
 
 def make_noise_command(
     output: str, source: str, start: float, stop: float, points: int, scale: str
 ) -> AnalysisCommand:
-    """Return the ``.noise`` analysis of the voltage ``output``.
+    """Return a ``.noise`` command for the voltage ``output``.
 
-    The frequencies are those of :func:`make_ac_command`. At each frequency, the result contains the
-    noise of each device. The equivalent input noise, which the simulator also computes, is
-    relative to the source with the name ``source``.
+    The frequencies are the same as for :func:`make_ac_command`. At each frequency, the simulator
+    computes the noise of each device. The equivalent input noise is referred to the source with the
+    name ``source``.
     """
     return AnalysisCommand(
         "noise", (output, source, *_format_range(start, stop, points, scale), "1")
@@ -130,7 +130,7 @@ def make_noise_command(
 
 
 def _format_range(start: float, stop: float, points: int, scale: str) -> tuple[str, ...]:
-    """Return the words of a frequency range on an analysis card."""
+    """Return the words that state a frequency range on an analysis card."""
     decades = 0.0 if scale == "linear" else math.log10(stop / start)
     if points > MAX_POINTS_PER_DECADE * decades:  # linear spacing in a narrow range
         return "lin", str(points), format_number(start), format_number(stop)
@@ -140,7 +140,7 @@ def _format_range(start: float, stop: float, points: int, scale: str) -> tuple[s
 def with_frequencies(
     command: AnalysisCommand, start: float, stop: float, points: int
 ) -> AnalysisCommand:
-    """Return a small-signal ``command`` with a new range of equally spaced frequencies [Hz]."""
+    """Return a small-signal ``command`` with other, equally spaced frequencies [Hz]."""
     reference = command.words[:2] if command.kind == "noise" else ()
     last = command.words[6:] if command.kind == "noise" else ()
     words = (*reference, *_format_range(start, stop, points, "linear"), *last)
@@ -148,14 +148,15 @@ def with_frequencies(
 
 
 def make_dc_command(source: str, first: float, last: float, points: int) -> AnalysisCommand:
-    """Return the ``.dc`` sweep of a source from ``first`` to ``last``, in the unit of the source.
+    """Return a ``.dc`` command that sweeps a source from ``first`` to ``last``.
 
-    The simulator adds the steps up, with rounding errors. The end of the range is a quarter of a
-    step beyond ``last``, so that the last point is not lost.
+    The limits ``first`` and ``last`` are in the unit of the source (V or A). The command states an
+    end that is a quarter of a step beyond ``last``. Otherwise, accumulated rounding errors of the
+    simulator could omit the last point.
 
     Raises
     ------
-    UsageError : the step is so small that ngspice continues beyond the end of the range.
+    UsageError : the step is so small that ngspice would continue beyond the end of the range.
     """
     step = (last - first) / (points - 1)
     if abs(step) < SMALLEST_SWEEP_STEP:
@@ -174,23 +175,24 @@ def make_dc_command(source: str, first: float, last: float, points: int) -> Anal
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Deck:
-    """Testbench with its libraries.
+    """Deck (main netlist file) of a simulation, with its libraries.
 
     ``parts`` are the subcircuits, each in a library file. ``vectors`` maps the name of each result
-    to an ngspice expression and the factor to SI units. ``units`` contains the SI units of the
-    results, and ``powers`` the terms of each result that is a power.
+    to an ngspice expression and to the factor that converts the expression to SI units. ``units``
+    contains the SI unit of each result. ``powers`` contains the terms of the results that are
+    powers.
 
     In a transient, ``stop`` is the last time point [s] and ``max_step`` the largest time step [s].
-    ``refinements`` are further analyses of the same kind as ``command``. The points of all these
-    analyses are joined. In a dc analysis, ``sweep_scale`` volts or amperes of the source
+    ``refinements`` are further analyses of the same kind as ``command``. The points of ``command``
+    and ``refinements`` are merged. In a dc analysis, ``sweep_scale`` volts or amperes of the source
     correspond to one SI unit of the swept key. ``measures`` are measurements that the simulator
-    evaluates, for runs without a raw file.
+    evaluates and prints, for users who save no raw file.
 
-    A deck that the user has written has a ``text``, the syntax ``tree`` if known, and the texts of
-    included files in ``more``. If ``may_have_loop`` is true, a controller may close a feedback
-    loop, and some simulators then need short time steps. If a simulator ignores or replaces
-    statements of a ``trusted`` deck, the run only prints a warning. Nets in ``free_nets`` need no
-    second connection.
+    If the user has written the deck, ``text`` is the text of the deck, ``tree`` its syntax tree if
+    known, and ``more`` contains the included files. If ``may_have_loop`` is true, a controller may
+    close a feedback loop, for which some simulators need short time steps. If a simulator ignores
+    or replaces statements of a ``trusted`` deck, a run prints a warning instead of an error. Nets
+    in ``free_nets`` may have only one connection.
     """
 
     name: str
@@ -230,7 +232,7 @@ class Deck:
 
     @property
     def saved_vectors(self) -> tuple[str, ...]:
-        """Names of the ngspice vectors of all results, without repetitions."""
+        """Names of the ngspice vectors of all results, without duplicates."""
         result = dict[str, None]()
         for expression, _ in self.vectors.values():
             result |= dict.fromkeys(map(itemgetter(1), split_terms(expression)))
@@ -268,7 +270,7 @@ class Deck:
 
     @cached_property
     def located_trees(self) -> Mapping[str, Circuit]:
-        """Syntax trees in which each card has its position in the written files."""
+        """Syntax trees in which each card has its line number in the written files."""
         libraries = dict(map(attrgetter("filename", "located_tree"), self.parts))
         main = (
             locate_cards(self.circuit, self.main_file_name) if self.text is None else self.circuit
@@ -281,7 +283,8 @@ class Deck:
 
         Raises
         ------
-        UsageError : an invalid card, a missing or circular include, or a name with two definitions.
+        UsageError : a card is invalid, an included file is missing or includes itself, or a name
+            has two definitions.
         """
         return scoped(self.circuit, self.trees, self.main_file_name)
 
@@ -299,7 +302,7 @@ class Deck:
 
     @property
     def _usage_comment(self) -> tuple[str, ...]:
-        """Comment with the command that runs the deck in ngspice."""
+        """Comment with the commands that run the deck in ngspice."""
         raw, plot = f"{self.name}.raw {self.main_file_name}", f"{self.name}_plot.sp"
         return (
             f"* Run it with:  ngspice -b {self.main_file_name}  (prints results)",
@@ -308,9 +311,9 @@ class Deck:
         )
 
     def add_usage_comment(self, *usage: str) -> Circuit:
-        """Return the tree of the main file, with a comment on how to run the file.
+        """Return the syntax tree of the main file with a comment on how to run the file.
 
-        The tree of a deck that the user has written is returned unchanged.
+        For a deck that the user has written, the syntax tree is returned unchanged.
         """
         if self.text is not None:
             return self.circuit
@@ -338,7 +341,7 @@ class Deck:
         for vector in self.saved_vectors:
             yield Directive(".save", (vector,))
         if self.command.kind == "noise":
-            yield Directive(".save", ("onoise_total",))  # a vector of the second ngspice plot
+            yield Directive(".save", ("onoise_total",))  # this vector is in the second ngspice plot
         yield from self._write_measures(
             "" if usage != self._usage_comment else ", which ngspice prints without -r"
         )
@@ -347,12 +350,12 @@ class Deck:
 
     @property
     def _option_cards(self) -> Iterator[Item]:
-        """Cards ``.options`` of the deck."""
+        """``.options`` cards of the deck."""
         return map(attrgetter("card"), self.options)
 
     @property
     def _refinement_cards(self) -> Iterator[Item]:
-        """Cards of the analyses in ``refinements``."""
+        """Analysis cards for ``refinements``."""
         return map(attrgetter("directive"), self.refinements)
 
     @property
@@ -364,11 +367,11 @@ class Deck:
 
     @property
     def _available_measures(self) -> list[MeasureCard]:
-        """Measurements for the kind of the deck's analysis."""
+        """Measurements that apply to the deck's kind of analysis."""
         return [measure for measure in self.measures if measure.kind == self.command.kind]
 
     def _write_measures(self, printed: str) -> Iterator[Line]:
-        """Yield the cards of the measurements, below a comment whose last words are ``printed``."""
+        """Yield the measurement cards below a comment that ends with ``printed``."""
         cards = list(chain.from_iterable(map(attrgetter("cards"), self._available_measures)))
         if cards:
             yield f"* Main metrics in SI units{printed}"
@@ -376,7 +379,7 @@ class Deck:
 
     @property
     def _print_cards(self) -> Iterator[Line]:
-        """Cards that print values: the measurements of an ``op`` analysis, and two vectors."""
+        """Cards that print the measurements of an ``op`` analysis, and two vectors."""
         columns = []
         for row in self._available_measures if self.command.kind == "op" else ():
             yield f"* {row.name} in SI units is {format_number(row.factor)} times {row.words[0]}"
@@ -397,7 +400,7 @@ class Deck:
         return self._replace_tree(tree, command=command, refinements=())
 
     def read_option(self, key: str, default: float) -> float:
-        """Return the value of a numeric option; its text may have a scale factor."""
+        """Return the value of a numeric option, which may be written with a scale factor."""
         text = self.find_option_text(key)
         value = literal_value(text, where=self.main_file_name) if text else None
         return default if value is None else value
@@ -419,11 +422,11 @@ class Deck:
             for word in card.words if card.keyword in OPTION_CARDS else ():
                 name, _, value = word.partition("=")
                 if name.lower() == key and value:
-                    result = value  # if an option is repeated, the last value is effective
+                    result = value  # the last value of a repeated option applies
         return result
 
     def with_results(self, vectors: Mapping[str, tuple[str, float]]) -> Deck:
-        """Return the deck with the results ``vectors`` in addition to its present results."""
+        """Return the deck with additional results ``vectors``."""
         result = replace(self, vectors={**self.vectors, **vectors})
         if self.text is None or ".save" not in map(_get_keyword, self._parse_text.items):
             return result
@@ -431,11 +434,11 @@ class Deck:
         return result._replace_tree(_insert_cards(self._parse_text, [card]))
 
     def _replace_tree(self, tree: Circuit, **changes: Any) -> Deck:
-        """Return the deck with ``tree`` as the tree of its main file."""
+        """Return the deck with ``tree`` as the syntax tree of its main file."""
         return replace(self, tree=tree, text=Printer().format_file(tree), **changes)
 
     def with_options(self, options: Mapping[str, str], reason: str) -> Deck:
-        """Return the deck with new values of ``options``, and the ``reason`` for them."""
+        """Return the deck with new ``options`` and a ``reason`` for their values."""
         unchanged = tuple(option for option in self.options if option.key not in options)
         new = tuple(Option(key, value, reason) for key, value in options.items())
         return replace(self, options=unchanged + new)
@@ -450,7 +453,7 @@ class Deck:
 
 
 def _get_keyword(item: Item) -> str:
-    """Return the keyword of a dot card; empty for other items."""
+    """Return the keyword of a card that begins with a dot; empty for other items."""
     return item.keyword if isinstance(item, Directive) else ""
 
 
@@ -460,7 +463,7 @@ def _find_analysis(items: Sequence[Item]) -> int | None:
 
 
 def _insert_cards(tree: Circuit, cards: Sequence[Item]) -> Circuit:
-    """Return the tree with ``cards`` inserted above its first analysis."""
+    """Return the syntax tree with ``cards`` inserted above its first analysis."""
     at = _find_analysis(tree.items)
     if at is None or not cards:
         return tree

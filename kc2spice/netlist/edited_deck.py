@@ -1,8 +1,8 @@
-"""Decks that the user has edited, and their differences from the deck of a scene.
+"""Decks that a user has edited, and their differences from the deck of a scene.
 
-The input is the deck of a scene and the edited file. The output is a list of parameters, cards and
-options that differ. The module :mod:`kc2spice.workflow.edited_parts` applies these differences to
-the parts.
+The input is the deck of a scene and the edited file. The output is a list of the parameters, cards
+and options that differ. The module :mod:`kc2spice.workflow.edited_parts` applies these differences
+to the parts of the scene.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ from kc2spice.netlist.scope import Scope, has_vector
 
 
 class ParameterEdit(NamedTuple):
-    """Parameter of a subcircuit instance with its old value and its new value.
+    """Parameter of a subcircuit instance, with old and new value.
 
-    If a value is an expression, it is stored as NaN.
+    A value that is an expression is stored as NaN.
     """
 
     name: str
@@ -43,14 +43,14 @@ class ParameterEdit(NamedTuple):
 
 @dataclass(frozen=True)
 class InstanceEdit:
-    """Differences of a subcircuit instance between the original deck and the edited deck.
+    """Differences of a subcircuit instance between original deck and edited deck.
 
     Attributes
     ----------
     subcircuit : str
         Name of the subcircuit in the edited deck.
     has_other_cards : bool
-        Whether cards in the definition of the subcircuit differ, inner subcircuits included.
+        Whether cards in the definition of the subcircuit, or of its inner subcircuits, differ.
     parameters : tuple of ParameterEdit
         Parameters whose values differ.
     """
@@ -69,13 +69,15 @@ class DeckEdits:
     deck : Deck
         The edited deck with the results of the scene.
     options : mapping of str to tuple of two texts or None
-        Old and new value of each accuracy option that differs. None stands for the default value.
+        Old and new value of each accuracy option that differs. The text is None for the default
+        value.
     cards : mapping of str to str
-        Description of each difference, keyed by the name of a part whose cards differ, of a new
-        card, or of an instance with other nodes. The scene keys of these parts no longer describe
-        the deck.
+        Description of each difference. The key is the name of a part whose cards differ, of a new
+        card, or of an instance with other nodes. For a part whose cards differ, the scene keys no
+        longer describe the deck.
     instances : mapping of str to InstanceEdit
-        Differences of each instance that exists in both decks, keyed by its name in lower case.
+        Differences of each instance that exists in both decks, keyed by instance name in lower
+        case.
     """
 
     deck: Deck
@@ -87,8 +89,8 @@ class DeckEdits:
 def read_edited_deck(original: Deck, path: Path) -> DeckEdits:
     """Read a netlist that was edited after the export of its ``original`` deck.
 
-    Each include line is replaced by the content of the included file. A netlist that could execute
-    programs or write files is rejected, unless the original deck is trusted.
+    The content of included files replaces the include lines. Unless the original deck is trusted, a
+    netlist that could execute programs or write files is rejected.
 
     Raises
     ------
@@ -141,7 +143,8 @@ def _require_analysis(original: Deck, cards: Iterable[Statement], path: Path) ->
 
     Raises
     ------
-    UsageError : the analysis differs from the analysis of the ``original``, or there are several.
+    UsageError : the deck contains several analyses, or an analysis that differs from the
+        ``original``.
     """
     analyses = [card for card in cards if card.keyword in ANALYSES]
     if list(map(attrgetter("keyword"), analyses)) != [f".{original.command.kind}"]:
@@ -164,7 +167,7 @@ def _require_saved_vectors(original: Deck, cards: Iterable[Statement], path: Pat
 
     Raises
     ------
-    UsageError : vectors are missing; the message lists them.
+    UsageError : vectors are missing; the message lists the missing vectors.
     """
     saved: set[Trace | None] = set()
     for card in cards:
@@ -190,11 +193,11 @@ def _require_saved_vectors(original: Deck, cards: Iterable[Statement], path: Pat
 
 
 def _read_stop(original: Deck, analysis: Statement) -> float | None:
-    """Return the end of a transient [s] from its card; None for any other analysis.
+    """Return the end time [s] of a transient; None for any other analysis.
 
     Raises
     ------
-    UsageError : the end is not a number.
+    UsageError : the end time is not a number.
     """
     if original.stop is None:
         return None
@@ -207,7 +210,7 @@ def _read_stop(original: Deck, analysis: Statement) -> float | None:
 
 
 def _read_max_step(original: Deck, analysis: Statement) -> float | None:
-    """Return the largest step of a transient [s] from its card; None if the card has none."""
+    """Return the largest step [s] of a transient; None if the card states no step."""
     words = analysis.words[1:]
     if original.stop is None or len(words) < 4:
         return None
@@ -215,12 +218,12 @@ def _read_max_step(original: Deck, analysis: Statement) -> float | None:
 
 
 def _require_results(before: Scope, edited: Deck, path: Path, scene_name: str) -> None:
-    """Reject a deck that lacks nodes or devices to which the results of the scene refer.
+    """Reject a deck without the nodes and devices that the scene's results need.
 
     Raises
     ------
-    UsageError : nodes or devices are missing; the message lists them, and for a missing current the
-        card to restore.
+    UsageError : nodes or devices are missing. The message lists the missing vectors, and for a
+        missing current also the card to restore.
     """
     now = edited.scope
     _require_instances(before, now, path)
@@ -249,15 +252,15 @@ def _require_results(before: Scope, edited: Deck, path: Path, scene_name: str) -
 
 
 def _require_instances(before: Scope, now: Scope, path: Path) -> None:
-    """Reject a deck that lacks the instance of a part, unless the deck contains new cards.
+    """Reject a deck without the instance of a part, unless the deck has new cards.
 
     Raises
     ------
-    UsageError : a card is missing; the message names it.
+    UsageError : a card is missing; the message states its name.
     """
     old, new = before.elements_by_key, now.elements_by_key
     if new.keys() - old.keys():
-        return  # the user may replace a card by new cards
+        return  # new cards may replace a missing card
     for key in old.keys() - new.keys():
         if old[key].kind == "x":
             name = old[key].name
@@ -277,7 +280,7 @@ def _compare_options(
     now = read_accuracy_options(cards)
 
     def parse_value(text: str | None) -> float | str | None:
-        """Return the value of an option as a number, or as text if it is no number."""
+        """Return the value of an option as a number, or otherwise as text."""
         number = literal_value(text) if text else None
         return text if number is None else number
 
@@ -290,9 +293,10 @@ def _compare_options(
 
 
 def _compare_cards(before: Scope, now: Scope) -> dict[str, str]:
-    """Return a description of the difference for each part whose cards differ, keyed by part.
+    """Return a description of the difference for each part whose cards differ.
 
-    Differences in the parameters of an instance, or in its subcircuit, are ignored.
+    The descriptions are keyed by part. Differences in the parameters of an instance, or in its
+    subcircuit, are ignored.
     """
     old, new = before.elements_by_key, now.elements_by_key
     result = {}
@@ -312,19 +316,25 @@ def _compare_cards(before: Scope, now: Scope) -> dict[str, str]:
 
 
 def _format_without_nodes(card: Element) -> str:
-    """Return the text of an element without its nodes; for an instance, also without parameters."""
+    """Return the text of an element without nodes.
+
+    The text of an instance also contains no parameters.
+    """
     plain = replace(card, nodes=())
     return normalise_element(replace(plain, parameters={}) if card.kind == "x" else plain)
 
 
 def normalise_element(card: Element) -> str:
-    """Return the text of an element in normal form, without redundant blanks and brackets."""
+    """Return the text of an element in normal form.
+
+    The normal form contains no redundant blanks and brackets, and names in lower case.
+    """
     plain = replace(card, name=card.key, nodes=card.lower_case_nodes, parameters=card.settings)
     return Printer().format_element(plain)
 
 
 def _compare_instances(before: Scope, now: Scope) -> dict[str, InstanceEdit]:
-    """Return the differences of all instances that exist in both circuits."""
+    """Return the differences of all subcircuit instances that exist in both circuits."""
     result = {}
     edited = now.select_elements("x")
     for key, card in before.select_elements("x").items():
@@ -343,7 +353,7 @@ def _compare_instances(before: Scope, now: Scope) -> dict[str, InstanceEdit]:
 def _compare_parameters(
     before: Mapping[str, str], now: Mapping[str, str]
 ) -> Iterator[ParameterEdit]:
-    """Yield the parameters whose values differ between two instances."""
+    """Yield the parameters whose values differ between two subcircuit instances."""
 
     def parse_number(text: str | None) -> float:
         """Return the numeric value of a parameter; NaN for an expression."""
@@ -358,7 +368,7 @@ def _compare_parameters(
 
 
 def _list_cards(scope: Scope, above: frozenset[str] = frozenset()) -> Any:
-    """Return the content of all cards of a subcircuit, including inner subcircuits."""
+    """Return the content of all cards of a subcircuit and its inner subcircuits."""
     inside = []
     for item in scope.elements:
         called = scope.find_subcircuit(item.model) if item.kind == "x" else None

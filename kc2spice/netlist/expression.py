@@ -17,9 +17,9 @@ _TOKEN = re.compile(
     r"|(?P<name>[A-Za-z_]\w*)"
     r"|(?P<op>\*\*|<=|>=|==|!=|&&|\|\||[-+*/^<>?:(),{}!~%]))"
 )
-# COMMON_FUNCTIONS exist in all simulators. BUILT_IN_NAMES are constants of ngspice.
-# FUNCTIONS are the functions of behavioural sources in ngspice, except the function ``limit``.
-# The statistical function ``limit`` of ngspice returns 0 in a behavioural source.
+# COMMON_FUNCTIONS exist in all simulators. BUILT_IN_NAMES are constants and variables of ngspice.
+# FUNCTIONS are the functions that behavioural sources of ngspice accept.
+# The function ``limit`` is excluded, because it returns 0 in a behavioural source of ngspice.
 COMMON_FUNCTIONS = frozenset((
     "abs", "acos", "asin", "atan", "cos", "cosh", "exp", "floor", "ln", "max", "min", "sin",
     "sinh", "sqrt", "tan", "tanh",
@@ -33,28 +33,31 @@ _OPERATOR_LEVELS = (("||",), ("&&",), ("==", "!=", "<", ">", "<=", ">="), ("+", 
 _PRECEDENCE: dict[str, int] = {}
 for _rank, _operators in enumerate(_OPERATOR_LEVELS):
     _PRECEDENCE |= dict.fromkeys(_operators, _rank)
-# Exponents of ten of the scale factors after a number, such as 6 for ``meg``.
+# Powers of ten of the scale factors that may follow a number, such as 6 for ``meg``.
 PREFIXES = {"meg": 6, "t": 12, "g": 9, "k": 3, "m": -3, "u": -6, "n": -9, "p": -12, "f": -15, "": 0}
 MIL = 25.4e-6  # m, the only scale factor that is not a power of ten
 
 
 @dataclass(frozen=True)
 class Number:
-    """Number as text, without scale factor and unit letters."""
+    """Number as text, without a scale factor or a unit."""
 
     text: str
 
 
 @dataclass(frozen=True)
 class Name:
-    """Name of a parameter, or a keyword such as ``time``."""
+    """Name of a parameter, or a built-in name such as ``time``."""
 
     text: str
 
 
 @dataclass(frozen=True)
 class CircuitVariable:
-    """Circuit variable ``V(a)``, ``V(a,b)`` or ``I(source)``; ``kind`` is ``v`` or ``i``."""
+    """Circuit variable ``V(a)``, ``V(a,b)`` or ``I(source)`` in an expression.
+
+    ``kind`` is ``v`` for a voltage and ``i`` for a current.
+    """
 
     kind: str
     names: tuple[str, ...]
@@ -62,7 +65,7 @@ class CircuitVariable:
 
 @dataclass(frozen=True)
 class FunctionCall:
-    """Function call; the name of the function is in lower case."""
+    """Function call, with the name of the function in lower case."""
 
     function: str
     arguments: tuple[Tree, ...]
@@ -78,7 +81,7 @@ class UnaryOperation:
 
 @dataclass(frozen=True)
 class BinaryOperation:
-    """Binary operation ``left op right``."""
+    """Operation with two operands, ``left op right``."""
 
     op: str
     left: Tree
@@ -106,7 +109,9 @@ Tree = (
 
 
 def parse_expression(text: str, *, where: str = "expression") -> Tree:
-    """Parse ``text`` to an expression tree; braces count as brackets, outer quotes are ignored.
+    """Parse ``text`` to an expression tree.
+
+    Braces have the meaning of parentheses, and outer quotes are ignored.
 
     Raises
     ------
@@ -116,7 +121,9 @@ def parse_expression(text: str, *, where: str = "expression") -> Tree:
 
 
 def literal_value(text: str, *, where: str = "expression") -> float | None:
-    """Return the value of a number with a scale factor; None for other expressions.
+    """Return the value of a number, which may have a scale factor, or None.
+
+    The result is None for any other expression.
 
     Raises
     ------
@@ -155,7 +162,7 @@ def find_probed_names(tree: Tree, kind: str) -> frozenset[str]:
 
 
 def map_operands(tree: Tree, change: Callable[[Tree], Tree]) -> Tree:
-    """Return ``tree`` with ``change`` applied to the operands of its outermost operation."""
+    """Apply ``change`` to each operand of the outermost operation of ``tree``."""
     if isinstance(tree, FunctionCall):
         return FunctionCall(tree.function, tuple(map(change, tree.arguments)))
     kind: Any = type(tree)
@@ -174,11 +181,11 @@ _OPERATORS: dict[str, Callable[[float, float], float]] = {
 
 
 def evaluate_parameter(tree: Tree, names: Mapping[str, float]) -> float:
-    """Return the value of an expression of numbers and parameters.
+    """Return the value of an expression that contains only numbers and parameters.
 
     Parameters
     ----------
-    tree : expression of the value of an element or a parameter.
+    tree : expression for the value of an element or of a parameter.
     names : values of the parameters, keyed by names in lower case.
 
     Raises
@@ -217,14 +224,14 @@ def evaluate_parameter(tree: Tree, names: Mapping[str, float]) -> float:
 
 
 def substitute_names(tree: Tree, values: Mapping[str, Tree]) -> Tree:
-    """Return ``tree`` with each name in ``values`` replaced by its tree in ``values``."""
+    """Replace each name in ``tree`` that is a key of ``values`` by its value."""
     if isinstance(tree, Name):
         return values.get(tree.text, tree)
     return map_operands(tree, lambda node: substitute_names(node, values))
 
 
 class ExpressionWriter:
-    """Writer that converts expression trees to text; dialects override its methods."""
+    """Writer of expression trees as text; the methods can be overridden by dialects."""
 
     def format_name(self, text: str) -> str:
         """Return the spelling of a parameter or keyword."""
@@ -237,8 +244,7 @@ class ExpressionWriter:
     def write_tree(self, tree: Tree, level: int = 0) -> str:
         """Write an expression tree as text.
 
-        The text is in parentheses if the outermost operator has a lower precedence than
-        ``level``.
+        The result is in parentheses if the precedence of the outermost operator is below ``level``.
         """
         match tree:
             case Number(text):
@@ -265,13 +271,13 @@ class ExpressionWriter:
 
 
 class _Parser:
-    """Parser of expressions by recursive descent."""
+    """Recursive-descent parser of expressions."""
 
     def __init__(self, text: str, where: str) -> None:
         self.text, self.where, self.at = text, where, 0
 
     def parse_complete_text(self) -> Tree:
-        """Parse the complete text as one expression; reject additional text after it."""
+        """Parse the complete text as one expression; reject text after the expression."""
         tree = self.parse_choice()
         if self.text[self.at :].strip():
             raise self.make_error("unexpected text")
@@ -287,7 +293,7 @@ class _Parser:
         )
 
     def _advise(self, what: str) -> str:
-        """Advise how to correct the text at the present position."""
+        """Return advice on how to correct the text at the current position."""
         rest = self.text[self.at : self.at + 20].strip()
         if what.startswith(")"):
             return "add the missing ) of this expression"
@@ -296,7 +302,7 @@ class _Parser:
         return f"correct the text from  {rest}  on"
 
     def peek_token(self) -> re.Match[str] | None:
-        """Return the next token, but do not consume the token."""
+        """Return the next token without consuming the token."""
         return _TOKEN.match(self.text, self.at)
 
     def accept_operator(self, *ops: str) -> str | None:
@@ -308,12 +314,12 @@ class _Parser:
         return None
 
     def expect_operator(self, op: str) -> None:
-        """Consume the operator ``op``; raise an error if the next token is another one."""
+        """Consume the operator ``op``; raise an error if the next token is not ``op``."""
         if self.accept_operator(op) is None:
             raise self.make_error(f"{op} expected")
 
     def parse_choice(self) -> Tree:
-        """Parse ``test ? yes : no`` or a simpler expression."""
+        """Parse a conditional expression ``test ? yes : no``, or a simpler expression."""
         test = self.parse_binary(0)
         if self.accept_operator("?") is None:
             return test
@@ -377,7 +383,7 @@ class _Parser:
 
 
 def _remove_scale_factor(literal: str, suffix: str) -> str:
-    """Return a number without scale factor and suffix letters."""
+    """Return the text of a number in which the scale factor is multiplied out."""
     if not suffix:
         return literal
     plain = literal.removesuffix(suffix)
@@ -392,11 +398,12 @@ def _remove_scale_factor(literal: str, suffix: str) -> str:
 
 @dataclass(frozen=True)
 class Trace:
-    """Saved vector: voltage of a node or between two nodes, or current of a device.
+    """Saved vector: node voltage, voltage between two nodes, or device current.
 
     If ``quantity`` is ``v``, ``names`` are the nodes, such as ``xa.xb.node``. If ``quantity`` is
-    ``i``, ``names[0]`` is the device and ``path`` contains the nested instances that contain the
-    device. ``parameter`` is the name of the current among the parameters of the device.
+    ``i``, ``names[0]`` is the device and ``path`` lists the nested subcircuit instances that
+    contain the device, outermost first. ``parameter`` is the device parameter that contains the
+    current.
     """
 
     quantity: str
@@ -405,13 +412,16 @@ class Trace:
     parameter: str = ""
 
     def qualify_with_instance(self, instance: str) -> Trace:
-        """Return the vector of this node or device inside an instance of the circuit."""
+        """Return the same vector inside an ``instance`` of the circuit."""
         if self.quantity == "v":
             return replace(self, names=tuple(f"{instance}.{name}" for name in self.names))
         return replace(self, path=(instance, *self.path))
 
     def __str__(self) -> str:
-        """Return the ngspice name, in which the device letter precedes the path of instances."""
+        """Return the ngspice name of the vector.
+
+        In the name, the device letter precedes the path of instances.
+        """
         device = ".".join([self.names[0][0], *self.path, *self.names] if self.path else self.names)
         if self.parameter:
             return f"@{device}[{self.parameter}]"
@@ -419,7 +429,7 @@ class Trace:
 
 
 def parse_vector(text: str) -> Trace | None:
-    """Return the vector that a text describes; None for any other text.
+    """Return the vector that a text denotes; None if the text denotes no vector.
 
     The text may be ``v(node)``, ``v(a,b)``, the name of a node, ``i(source)`` or
     ``@device[parameter]``.
@@ -438,7 +448,7 @@ def parse_vector(text: str) -> Trace | None:
 
 
 def _parse_device(text: str, parameter: str) -> Trace:
-    """Parse the name of a device, which may be inside nested instances."""
+    """Parse the name of a device, which may be inside nested subcircuit instances."""
     *path, name = text.split(".")
     inner = path[1:] if path and len(path[0]) == 1 else path
     return Trace("i", (name,), tuple(inner), parameter)

@@ -1,9 +1,9 @@
 """Translation of LTspice and PSpice subcircuits to equivalent ngspice subcircuits.
 
-Input and output are trees of :mod:`kc2spice.netlist.read`. Elements, functions and operators that
-ngspice lacks or interprets differently are replaced by equivalents. If a construct has no
-equivalent, an error states the line and the reason. Sources: the help pages of LTspice on
-circuit elements, and for the ideal diode the comparison with LTspice in the documentation of
+Input and output are syntax trees from :mod:`kc2spice.netlist.read`. Each element, function or
+operator that ngspice lacks or interprets differently is replaced by an equivalent. An error states
+the line of each construct without an equivalent, and the reason. Sources: the help pages of LTspice
+on circuit elements, and for the ideal diode the comparison with LTspice in the documentation of
 SpiceSharpParser (article *LTspice-Style Ideal Diode*).
 """
 
@@ -43,35 +43,36 @@ from kc2spice.netlist.expression import (
 from kc2spice.netlist.read import LAPLACE_HINT
 from kc2spice.netlist.spelling import split_infix_unit
 
-# Ohm, series resistance of an uncoupled inductor without ``Rser`` (LTspice help, L).
+# Ohm, series resistance of an uncoupled inductor without the setting ``Rser`` (LTspice help, L)
 INDUCTOR_RESISTANCE = "1m"
 ABSOLUTE_ZERO = -273.15  # degrees Celsius
-MIN_CONDUCTANCE = "1e-12"  # S, conductance of an ideal diode without Roff
+MIN_CONDUCTANCE = "1e-12"  # S, conductance of an ideal diode without the setting ``Roff``
 IDEAL_DIODE_PARAMETERS = frozenset((
     "ron", "roff", "vfwd", "vrev", "rrev", "ilimit", "revilimit", "epsilon", "revepsilon",
 ))  # fmt: skip
-# Parameters of models that LTspice only displays: ratings and manufacturers.
-# VDMOS models have additional parameters that LTspice only displays.
+# Model parameters that LTspice only displays, such as ratings and manufacturers.
+# VDMOS models have further parameters that LTspice only displays.
 DISPLAYED_PARAMETERS = frozenset(("iave", "icrating", "mfg", "type", "vceo", "vpk"))
 VDMOS_DISPLAYED_PARAMETERS = DISPLAYED_PARAMETERS | {"qg", "ron", "vds"}
-# Parameters of elements that LTspice only displays: ratings, manufacturers and part numbers.
-# Source for the displayed parameters of elements: LTspice help, pages R, C and L.
+# Element parameters that LTspice only displays, such as ratings, manufacturers and part numbers.
+# Source for the displayed element parameters: LTspice help, pages R, C and L.
 DISPLAYED_RATINGS = {
     "r": frozenset(("tol", "pwr", "mfg", "pn", "type")),
     "c": frozenset(("v", "irms", "mfg", "pn", "type")),
     "l": frozenset(("ipk", "irms", "mfg", "pn", "type")),
 }
 PSPICE_SWITCHES = {"vswitch": "SW", "iswitch": "CSW"}  # ngspice types of switches with hysteresis
-# Parameters of a behavioural source that affect the time steps, but not the equations.
+# Settings of a behavioural source that affect the time steps, but not its equation.
 STEP_CONTROL_PARAMETERS = frozenset(("tripdv", "tripdt"))
 Syntax = Literal["ngspice", "ltspice", "pspice"]
 _COMPARISONS = ("<", ">", "<=", ">=", "==", "!=")
 _LOGICAL_OPERATORS = ("&&", "||")
-# Parasitics in parallel with an element, which carry a part of the element's current.
+# Parasitics in parallel with an element, which carry a part of its terminal current.
 _PARALLEL_PARASITICS = frozenset(("rpar", "cpar"))
-_METERED_KINDS = frozenset("bcdefghilrv")  # elements whose current enters at the first node
-_MAX_COMMENT = 98  # characters of a comment line
-_MAX_PRODUCT_POWER = 9  # powers with integer exponents up to this value are written as products
+# letters of elements whose measured current flows into the first node
+_METERED_KINDS = frozenset("bcdefghilrv")
+_MAX_COMMENT = 98  # number of characters of a comment line
+_MAX_PRODUCT_POWER = 9  # largest integer exponent of a power that is written as a product
 _SETTING = re.compile(r"\s(\w+)\s*=(?!=)")
 _NUMBER_IN_TABLE = re.compile(r"[^\s,(){}=]+")
 _MICRO = str.maketrans({"\u00b5": "u", "\u03bc": "u"})
@@ -101,7 +102,7 @@ def translate_circuit(circuit: Circuit, syntax: Syntax) -> Circuit:
 
     Raises
     ------
-    UsageError : a construct has no equivalent in ngspice; the error contains file and line.
+    UsageError : ngspice has no equivalent of a construct; the error contains file and line.
 
     Examples
     --------
@@ -119,7 +120,7 @@ def translate_circuit(circuit: Circuit, syntax: Syntax) -> Circuit:
 
 
 class _CircuitTranslator:
-    """Translator of one circuit, with all models and functions that the circuit can use."""
+    """Translator of one circuit, with the models and functions that are defined there."""
 
     def __init__(
         self,
@@ -137,14 +138,14 @@ class _CircuitTranslator:
         coupled = (element.sources for element in elements if element.kind == "k")
         self.coupled = {name.lower() for names in coupled for name in names}
         self.elements = {element.key: element for element in elements}
-        # names of ammeters, keyed by the elements whose current occurs in an expression
+        # names of ammeters, keyed by the elements with a current that occurs in an expression
         self.metered: dict[str, str] = {}
 
     def translate(self) -> Circuit:
         """Return the circuit in the syntax of ngspice."""
         groups = [(item, tuple(self._translate_item(item))) for item in self.circuit.items]
         items: list[Item] = []
-        for item, group in groups:  # all translations have added their entries to self.metered
+        for item, group in groups:  # ``self.metered`` is complete after all translations
             if isinstance(item, Element) and item.key in self.metered:
                 items += _add_meter(item, group, self.metered[item.key])
             else:
@@ -170,7 +171,7 @@ class _CircuitTranslator:
         return _ExpressionTranslator(card, self).translate(text)
 
     def _translate_item(self, item: Item) -> Iterable[Item]:
-        """Translate an item to the corresponding ngspice items."""
+        """Translate an item to one or more ngspice items."""
         match item:
             case Circuit():
                 return (
@@ -191,7 +192,7 @@ class _CircuitTranslator:
     # --- models -----------------------------------------------------------------------------------
 
     def _resolve_model(self, model: ModelCard) -> ModelCard:
-        """Return the model with the parameters of its base model (``ako:``)."""
+        """Return the model, completed with the parameters of its base model (``ako:``)."""
         if not model.type.lower().startswith("ako:"):
             return model
         base = self.models.get(model.type[4:].lower())
@@ -204,11 +205,11 @@ class _CircuitTranslator:
             )
         base = self._resolve_model(base)
         parameters = _get_model_parameters(base) | _get_model_parameters(model)
-        parameters.pop(base.type.lower(), None)  # the type may be repeated after ako:
+        parameters.pop(base.type.lower(), None)  # a model may repeat its type after ``ako:``
         return replace(model, type=base.type, parameters=parameters)
 
     def _translate_model(self, model: ModelCard) -> Iterable[ModelCard]:
-        """Translate a model to ngspice."""
+        """Translate a model to no or one ngspice model."""
         model = self._resolve_model(model)
         kind = model.type.lower()
         if self._is_ideal_diode(model):
@@ -221,7 +222,8 @@ class _CircuitTranslator:
             _require_simple_switch(model)
         displayed = VDMOS_DISPLAYED_PARAMETERS if kind == "vdmos" else DISPLAYED_PARAMETERS
         if self.syntax == "pspice":
-            displayed = displayed | {"t_abs"}  # the elements get the temperature ``T_ABS``
+            # the elements of the model get the temperature ``T_ABS``
+            displayed = displayed | {"t_abs"}
         computed = {k: v for k, v in model.parameters.items() if k.lower() not in displayed}
         return (replace(model, parameters=self._translate_values(computed, model)),)
 
@@ -310,14 +312,14 @@ class _CircuitTranslator:
         return element
 
     def _translate_resistor(self, element: Element) -> Element:
-        """Translate a resistor whose resistance is an expression to a current source."""
+        """Translate a resistor to a current source if an expression is its resistance."""
         law = self._translate_expression(element.settings["r"].strip("{}'"), element)
         plus, minus = element.nodes
         current = f"V({plus},{minus})/({law})"
         return Element.behavioural_source(f"B{element.name}", plus, minus, "I", current)
 
     def _translate_source(self, element: Element) -> Iterable[Item]:
-        """Translate a behavioural source: the expression and the settings after the expression."""
+        """Translate a behavioural source with its expression and its settings."""
         law, settings = _split_settings(element.expression)
         result = [replace(element, expression=self._translate_expression(law, element))]
         for name, value in settings.items():
@@ -351,16 +353,16 @@ class _CircuitTranslator:
 
 
 def _add_meter(element: Element, group: Iterable[Item], meter: str) -> Iterator[Item]:
-    """Insert a 0 V source as ammeter in series with the translated items of an element."""
+    """Insert a 0 V ammeter in series with the translated items of an element."""
     plus, inner = element.nodes[0], f"{element.name}_metered"
     yield _make_parallel_element(element, meter, plus, inner, "0")
     for item in group:
-        assert isinstance(item, Element)  # the translation of an element consists of elements
+        assert isinstance(item, Element)  # an element is translated to elements only
         yield replace(item, nodes=tuple(inner if node == plus else node for node in item.nodes))
 
 
 def _move_ratings(element: Element) -> Element:
-    """Move the ratings of a resistor, capacitor or inductor to a comment above its card."""
+    """Move the ratings of a passive element to a comment above its card."""
     names = DISPLAYED_RATINGS.get(element.kind, frozenset())
     ratings = {name: text for name, text in element.parameters.items() if name.lower() in names}
     if not ratings:
@@ -402,7 +404,7 @@ def _translate_voltage(element: Element) -> Iterable[Item]:
 def _expand_parasitics(
     element: Element, settings: Mapping[str, str], more: tuple[str, ...]
 ) -> Iterator[Element]:
-    """Yield the element without parasitics, then one additional element for each parasitic."""
+    """Yield the element without parasitics, then an element for each parasitic."""
     parasitic = ("rser", "rpar", "cpar", *more)
     values = {name: value for name in parasitic if not _is_zero(value := settings.get(name, "0"))}
     parameters = {k: v for k, v in element.parameters.items() if k.lower() not in parasitic}
@@ -440,9 +442,9 @@ def _translate_ideal_diode(element: Element, model: Mapping[str, str]) -> Elemen
 
     The smooth ramp ``r(x, e)`` is zero for negative x, ``x^2 / (2 e)`` for x below e, and ``x -
     e/2`` for larger x. The current of the diode at the voltage v is ``i = goff v + (gon - goff) r(v
-    - Vfwd, Epsilon) - (grev - goff) r(-v - Vrev, RevEpsilon)``. A positive current is limited to
-    ``Ilimit tanh(i / Ilimit)``, and a negative current likewise with ``RevIlimit``. ``m`` diodes
-    are in parallel, and ``n`` diodes in series.
+    - Vfwd, Epsilon) - (grev - goff) r(-v - Vrev, RevEpsilon)``. A positive current i is limited to
+    ``Ilimit tanh(i / Ilimit)``, and a negative current is limited in the same way with
+    ``RevIlimit``. There are ``m`` diodes in parallel and ``n`` diodes in series.
     """
     unknown = {*element.settings} - {"m", "n", "temp", "l", "w"}
     if unknown:
@@ -452,7 +454,7 @@ def _translate_ideal_diode(element: Element, model: Mapping[str, str]) -> Elemen
         )
 
     def format_parameter(name: str, default: str = "0") -> str:
-        """Return a model parameter or its default, in parentheses."""
+        """Return a parameter of the model or its default, both in parentheses."""
         return f"({model.get(name, default).strip('{}')})"
 
     off, count = format_parameter("roff", f"{{1/{MIN_CONDUCTANCE}}}"), element.settings
@@ -484,7 +486,7 @@ def _translate_ideal_diode(element: Element, model: Mapping[str, str]) -> Elemen
 
 
 def _translate_gradual_switch(element: Element, model: Mapping[str, str]) -> Element:
-    """Translate a PSpice switch, whose conductance is a smooth function of its control.
+    """Translate a PSpice switch with a smooth transition of its resistance.
 
     The resistance is ``R = Roff exp(-ln(Roff / Ron) u^2 (3 - 2 u))``. The variable ``u`` rises
     linearly from 0 at ``Voff`` to 1 at ``Von`` (PSpice reference guide, voltage-controlled switch;
@@ -496,7 +498,7 @@ def _translate_gradual_switch(element: Element, model: Mapping[str, str]) -> Ele
         control, on, off, default = f"I({element.sources[0]})", "ion", "ioff", "1m"
 
     def format_parameter(name: str, default: str) -> str:
-        """Return a parameter of the model or its default."""
+        """Return a parameter of the model or its default, both in parentheses."""
         return f"({model.get(name, default).strip('{}')})"
 
     high, low = format_parameter(on, default), format_parameter(off, "0")
@@ -525,7 +527,7 @@ def _read_table_points(element: Element) -> str:
 
 
 def _write_ramp(excess: str, model: Mapping[str, str], width: str) -> str:
-    """Return the expression of a ramp: 0 below 0, slope 1 above ``width``, a parabola between."""
+    """Return the expression of a smooth ramp: zero, then a parabola, then slope 1."""
     text = model.get(width, "0")
     if _is_zero(text):
         return f"max({excess}, 0)"
@@ -540,7 +542,7 @@ def _get_model_parameters(model: ModelCard) -> dict[str, str]:
 
 
 def _require_simple_switch(model: ModelCard) -> None:
-    """Reject a switch model with a smooth transition, inductance, voltage or limit."""
+    """Reject settings of a switch model that have no equivalent in ngspice."""
     words = _get_model_parameters(model)
     name = "vh" if model.type.lower() == "sw" else "ih"
     width = literal_value(words.get(name, "0"), where=model.where)
@@ -584,7 +586,7 @@ class _ExpressionTranslator:
 
         Raises
         ------
-        UsageError : a function or an operator has no equivalent.
+        UsageError : ngspice has no equivalent of a function or an operator.
         """
         if "^" in text and self.scope.syntax == "ltspice":
             message = "LTspice reads ^ as exclusive or, PSpice and ngspice as a power"
@@ -620,20 +622,21 @@ class _ExpressionTranslator:
         return tree
 
     def _find_meter(self, name: str) -> str:
-        """Return the name of the source that measures the current of an element."""
+        """Return the name of the source whose current is the current of an element."""
         element = self.scope.elements.get(name.lower())
         if element is None or element.kind not in _METERED_KINDS:
             return name
         settings = _split_settings(element.expression)[1] | element.settings
         is_branch = element.kind in "vleh" or element.quantity == "V"
-        # ngspice itself computes the current of this element
+        # ngspice itself provides the current of an element with a branch current
         if is_branch and not settings.keys() & _PARALLEL_PARASITICS:
             return name
         return self.scope.metered.setdefault(element.key, f"V{element.name}_meter")
 
     def _translate_call(self, function: str, arguments: tuple[Tree, ...]) -> Tree:
         """Translate a function call to an ngspice expression tree."""
-        if function in self.scope.functions:  # a user's .func replaces the built-in function
+        # a ``.func`` of the user replaces the built-in function
+        if function in self.scope.functions:
             return FunctionCall(function, arguments)
         if reason := _UNSUPPORTED_FUNCTIONS.get(function):
             got = ExpressionWriter().write_tree(FunctionCall(function, arguments))
@@ -645,7 +648,7 @@ class _ExpressionTranslator:
         return FunctionCall(function, arguments) if rule is None else rule(*arguments)
 
     def _translate_power(self, base: Tree, power: Tree) -> Tree:
-        """Translate ``base ** power``, because ngspice uses the absolute value of the base."""
+        """Translate ``base ** power``; ngspice would use the absolute value of the base."""
         exponent = float(power.text) if isinstance(power, Number) else None
         if (
             exponent is not None
@@ -675,7 +678,7 @@ class _ExpressionTranslator:
 def _is_non_negative(tree: Tree) -> bool:
     """Return whether an expression counts as non-negative.
 
-    Such expressions are numbers, parameters, and functions without negative values.
+    Numbers, parameters, and functions without negative values count as non-negative.
     """
     return isinstance(tree, Number | Name) or (
         isinstance(tree, FunctionCall)
@@ -696,10 +699,10 @@ def _translate_limit(x: Tree, a: Tree, b: Tree) -> Tree:
 
 
 def _translate_table(x: Tree, *points: Tree) -> Tree:
-    """Translate a table to a piecewise linear function, constant outside of the table.
+    """Translate a table to a piecewise linear function with constant ends.
 
     The function is ``y1 + sum((y[k+1] - y[k]) share[k])``, where ``share[k]`` is the fraction of
-    the interval k that is below ``x``.
+    the interval k below ``x``.
     """
     result = points[1]
     ends = list(zip(points[::2], points[1::2], strict=False))
@@ -712,7 +715,7 @@ def _translate_table(x: Tree, *points: Tree) -> Tree:
 
 
 def _translate_signed_power(x: Tree, power: Tree) -> Tree:
-    """Translate ``pwrs``: the power of the absolute value of ``x``, with the sign of ``x``."""
+    """Translate ``pwrs``: the power of the magnitude of ``x``, with the sign of ``x``."""
     return BinaryOperation(
         "*", FunctionCall("sgn", (x,)), BinaryOperation("^", FunctionCall("abs", (x,)), power)
     )
@@ -738,12 +741,12 @@ def _translate_square(x: Tree) -> Tree:
 
 
 def _translate_inverter(x: Tree) -> Tree:
-    """Translate ``inv(x)``, which is 0 if the condition ``x`` is true, and otherwise 1."""
+    """Translate ``inv(x)``: 0 if the condition ``x`` is true, otherwise 1."""
     return ConditionalExpression(_translate_condition(x), Number("0"), Number("1"))
 
 
 def _translate_buffer(x: Tree) -> Tree:
-    """Translate ``buf(x)``, which is 1 if the condition ``x`` is true, and otherwise 0."""
+    """Translate ``buf(x)``: 1 if the condition ``x`` is true, otherwise 0."""
     return ConditionalExpression(_translate_condition(x), Number("1"), Number("0"))
 
 

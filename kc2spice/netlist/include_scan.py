@@ -1,17 +1,17 @@
-"""Security check of a user's netlist, which could execute programs in the simulator.
+"""Security check of a user's netlist for cards that could execute programs.
 
-The included files are merged into one text, which the simulator reads. This module reads names,
-continuation lines and comments by the rules of the simulator. In the merged text, lines end with a
-line feed and all blanks are spaces. Comments begin with ``*`` or ``;``, and continuation lines with
-``+``.
+The included files are merged into one text for the simulator. This module treats names,
+continuation lines and comments in the same way as the simulator. In the merged text, lines end with
+a line feed, and all blanks are spaces. Comments begin with ``*`` or ``;``, and continuation lines
+with ``+``.
 
-Only known commands, element letters, options and file names are allowed. If the user trusts a
-circuit, the text of the circuit is not changed.
+Only known commands, element letters, options and file names are allowed. The text of a circuit that
+the user trusts is not changed.
 
-The file of a part may only define subcircuits, because every other card acts on the whole deck. For
-example, a definition of the function ``max`` changes all other cards that call ``max``. An option
-changes the accuracy of the run. An element outside of a subcircuit is connected to all deck nodes
-with the same names.
+The file of a part may define only subcircuits, because every other card affects the whole deck. For
+example, a definition of the function ``max`` affects all cards that call ``max``. An option affects
+the accuracy of the whole run. An element outside of subcircuits is connected to deck nodes with the
+same names.
 """
 
 from __future__ import annotations
@@ -40,18 +40,19 @@ from kc2spice.netlist.read import (
 )
 from kc2spice.netlist.spelling import format_comment
 
-MAX_CIRCUIT_BYTES = 4_000_000  # limit of a file's bytes, and of the merged text's characters
+# largest number of bytes in a file, and of characters in the merged text
+MAX_CIRCUIT_BYTES = 4_000_000
 MAX_INCLUDED_FILES = 64  # largest number of files of one circuit
-# The simulator treats any word that begins with ".inc" as an include, also after blanks.
+# The simulator treats every word that begins with ".inc" as an include, even after blanks.
 _INCLUDE_LINE = re.compile(r"(?i)\s*\.inc\S*(.*)", re.DOTALL)
 _INCLUDE_TARGET = re.compile(r"\"([^\"]*)\"|'([^']*)'|([^\s\"']+)")
 _END_LINE = re.compile(r"(?i)\.end(?=\s|$)")
-_CONTINUATION_MARK = "\\\\"  # two backslashes at a line's end: the next line continues it
+_CONTINUATION_MARK = "\\\\"  # a line with two backslashes at its end continues on the next line
 
 
 @dataclass(frozen=True)
 class Line:
-    """Line of a file: its normalised ``text``, its position ``file:line``, its original text."""
+    """Line of a file: normalised ``text``, position ``file:line`` and original text."""
 
     text: str
     where: str
@@ -60,7 +61,7 @@ class Line:
 
 @dataclass(frozen=True)
 class FlatCircuit:
-    """Lines of a circuit, with included files in place of include lines."""
+    """Lines of a circuit, with the content of included files inserted."""
 
     file: str
     lines: tuple[Line, ...]
@@ -78,17 +79,17 @@ class FlatCircuit:
 
 
 def flatten_includes(path: Path, home: Path, *, trust: bool, inside: bool = False) -> FlatCircuit:
-    """Return a circuit in which the content of included files replaces the include lines.
+    """Return a circuit with the content of included files in place of include lines.
 
-    The included files must be below the directory ``home``. With ``trust``, lines are copied
-    unchanged, and included files may be in any directory. An include line that this function cannot
-    resolve then remains for the simulator. With ``inside``, only files below ``home`` are opened;
-    this option is for circuits that the user does not trust yet.
+    Included files must be below the directory ``home``. With ``trust``, lines are unchanged, and
+    included files may be in any directory. With ``trust``, an include line also remains if this
+    function cannot resolve it. With ``inside``, only files below ``home`` are opened, as is
+    necessary for a circuit that the user does not trust yet.
 
     Raises
     ------
     UsageError : a file is not text or too large, there are too many files, or an include is
-    circular or leads out of ``home``.
+        circular or leads out of ``home``.
     """
     lines = _Reader(path, home, trust, inside).read_lines(path.name, path, str(path), ())
     return FlatCircuit(make_plain_name(path.name), tuple(lines))
@@ -96,7 +97,7 @@ def flatten_includes(path: Path, home: Path, *, trust: bool, inside: bool = Fals
 
 @dataclass
 class _Reader:
-    """Reader of a circuit and its included files, with limits on their number and size."""
+    """Reader of a circuit and its included files, with limits on number and size."""
 
     main: Path
     home: Path
@@ -108,7 +109,7 @@ class _Reader:
     def read_lines(
         self, name: str, path: Path, where: str, chain: tuple[Path, ...]
     ) -> Iterator[Line]:
-        """Yield the lines of the file ``path``, which the line ``where`` includes as ``name``."""
+        """Yield the lines of ``path``, which the line ``where`` includes as ``name``."""
         real = path.resolve()
         if real in chain:
             got = " -> ".join(map(attrgetter("name"), (*chain, real)))
@@ -148,7 +149,7 @@ class _Reader:
             yield Line(end, position, end)
 
     def _is_outside(self, file: Path) -> bool:
-        """Return whether a file is outside of ``home`` and must therefore not be opened."""
+        """Return whether a file must not be opened, because it is outside of ``home``."""
         outside = not file.resolve().is_relative_to(self.home.resolve())
         return outside and (self.inside or not self.trust)
 
@@ -173,7 +174,7 @@ class _Reader:
         return target
 
     def _read_text(self, name: str, real: Path, where: str) -> str:
-        """Return the text of a file; reject a file that exceeds the limits of the circuit."""
+        """Return the text of a file; reject a file beyond the circuit's size limits."""
         self.files += 1
         if self.files > MAX_INCLUDED_FILES:
             expected = f"at most {MAX_INCLUDED_FILES}"
@@ -218,7 +219,7 @@ class _Reader:
             ) from None
 
 
-# First bytes of files in other formats, with the name of the format and the advised action.
+# First bytes of files in other formats, with the name of the format and the recommended action.
 _OTHER_FORMATS = {
     b"%PDF": ("a PDF document", "give the path of the SPICE model (.lib or .cir) in its place"),
     b"PK\x03\x04": ("an archive", "unpack it, and give the path of the netlist in it"),
@@ -244,7 +245,7 @@ def _require_netlist_format(data: bytes, where: str) -> None:
 
     Raises
     ------
-    UsageError : the file is not a netlist; the message contains its format.
+    UsageError : the file is not a netlist; the message names its format.
     """
     if _ENCRYPTION.search(data):
         raise UsageError(
@@ -275,7 +276,7 @@ def _is_missing(path: Path) -> bool:
 
 
 def make_missing_netlist_error(path: Path) -> UsageError:
-    """Return the error for the netlist ``path`` of a part, which is missing or a directory."""
+    """Return the error for a netlist ``path`` that is missing or a directory."""
     if path.is_dir():
         inside = sorted(item.name for item in path.glob("*.*") if item.suffix in _NETLIST_SUFFIXES)
         return UsageError(
@@ -293,7 +294,7 @@ def make_missing_netlist_error(path: Path) -> UsageError:
 
 
 def make_forbidden_line_error(reason: str, path: Path, where: str, text: str) -> UsageError:
-    """Return the error for a forbidden line ``text`` at ``where`` in the circuit ``path``."""
+    """Return the error for a forbidden line ``text`` in the circuit ``path``."""
     library = re.fullmatch(r"(?i)\s*\.lib\s+\"?([\w.+-]+)\"?\s*", text)
     read = "read the file; if you trust every line, repeat the command with --trust"
     hint = f"write  .include {library[1]}" if library else read
@@ -307,7 +308,7 @@ def make_forbidden_line_error(reason: str, path: Path, where: str, text: str) ->
 
 
 def _normalize_line(raw: str, goes_on: bool) -> tuple[str, bool]:
-    """Return a line in normalised spelling, and whether the next line is a continuation."""
+    """Return the normalised line, and whether the next line continues it."""
     line = raw.replace("\t", " ").strip(" ")
     if not line or line.startswith("*"):
         return line, goes_on
@@ -333,7 +334,7 @@ _FUNCTION_NAMES = FUNCTIONS.union((
     "pwrs", "sign", "sqr", "stp", "table", "ternary_fcn", "unif", "v",
 ))
 _CONSTANT_NAMES = BUILT_IN_NAMES.union(("c", "echarge", "false", "kelvin", "planck", "true"))
-# Options that change only the printed output, and not the computation.
+# Options that affect only the printed output, but not the computation.
 PRINT_OPTIONS = frozenset((
     "acct", "list", "noacct", "node", "nomod", "nopage", "numdgt", "opts", "post", "probe", "warn",
     "width",
@@ -352,19 +353,20 @@ _PART_FILE_CONTENT = "a file of subcircuits with their models, parameters and fu
 
 
 def reject_side_effects(cards: Iterable[Statement], *, part: bool) -> None:
-    """Reject cards that change the deck outside of their own part or line.
+    """Reject cards with effects outside of their part or line.
 
     Raises
     ------
-    UsageError : a global node, or a new definition of a built-in function or constant. In a part
-        file also: an analysis, an output, a temperature, an option that affects results, or an
-        element or initial condition outside of all subcircuits. In a deck also: results at
-        interpolated times. The error contains file and line.
+    UsageError : a card defines a global node, or redefines a built-in function or constant. In a
+        part file, these cards are also rejected: analyses, outputs, temperatures, options that
+        affect results, and elements or initial conditions outside of subcircuits. In a deck,
+        results at interpolated times are also rejected. The error contains file and line of the
+        card.
     """
     depth, commands = 0, False
     for card in cards:
         key = card.keyword
-        if commands or key == ".control":  # only a trusted netlist contains commands
+        if commands or key == ".control":  # only trusted netlists contain control blocks
             commands = key != ".endc"
             continue
         depth += (key == ".subckt") - (key == ".ends")
@@ -375,7 +377,7 @@ def reject_side_effects(cards: Iterable[Statement], *, part: bool) -> None:
 def _find_deck_effects(
     card: Statement, outside: bool, part: bool
 ) -> Iterator[tuple[str, str, str]]:
-    """Yield each effect of a card on the whole deck, with the expected text and a remedy."""
+    """Yield each effect of a card on the whole deck, the expected text and a remedy."""
     key, options = card.keyword, read_accuracy_options((card,))
     if parts := _find_separate_suffix(card):
         hint = f"write {parts[0]}{parts[1]} in place of {parts[0]} {parts[1]}"
@@ -420,9 +422,9 @@ def _find_deck_effects(
 
 
 def _find_separate_suffix(card: Statement) -> tuple[str, str] | None:
-    """Return a number and its scale factor or unit if a blank separates them; otherwise None.
+    """Return a number and its suffix if a blank separates them, otherwise None.
 
-    The simulator reads the scale factor as the name of a model.
+    The simulator reads a separate suffix, such as a scale factor, as the name of a model.
     """
     words = card.words
     if card.keyword[:1] not in ("r", "c", "l") or len(words) < 5:
@@ -433,9 +435,9 @@ def _find_separate_suffix(card: Statement) -> tuple[str, str] | None:
 
 
 def _find_decimal_comma(card: Statement) -> str:
-    """Return a number with a decimal comma on a card; ``""`` if the card has none.
+    """Return a number with a decimal comma on a card; empty without one.
 
-    The simulator reads such a number as two numbers.
+    The simulator reads a number with a decimal comma as two numbers.
     """
     key = card.keyword
     if key in (".param", ".params", ".model") or key.startswith("x"):
@@ -450,7 +452,7 @@ def _find_decimal_comma(card: Statement) -> str:
 def read_accuracy_options(cards: Iterable[Statement]) -> Mapping[str, str]:
     """Return the values of options that affect results; ``""`` for a flag.
 
-    If an option is repeated, the last value is effective.
+    If an option is repeated, the result contains its last value.
     """
     result: dict[str, str] = {}
     for card in cards:
@@ -483,7 +485,7 @@ ALLOWED_OPTIONS = frozenset((
 # Commands of ngspice that run programs or open files.
 _TRUSTED_COMMANDS = frozenset((".control", ".endc", ".exec", ".lib", ".include", ".inc",
                                ".codemodel", ".spiceinit", ".endl"))
-# Commands that only LTspice has, with the advised action for each command.
+# Commands that only LTspice has, with the recommended action for each command.
 _LTSPICE_COMMANDS = {
     ".backanno": "delete this line, which affects only the display of LTspice",
     ".wave": "delete this line, and set a probe in the scene",
@@ -518,7 +520,7 @@ def read_checked_circuit(
 
     Parameters
     ----------
-    trust : whether the user trusts the circuit, so that the check is omitted.
+    trust : whether the user trusts the circuit; the check is then omitted.
     home : directory of the circuit and of its included files, by default the directory of ``path``.
 
     Raises
@@ -529,7 +531,8 @@ def read_checked_circuit(
     result = flatten_includes(path, home or path.parent, trust=trust)
     if trust:
         return result
-    for line in result.lines:  # unchanged lines, because hidden characters change cards
+    # The original lines are checked, because hidden characters can change cards.
+    for line in result.lines:
         text = line.raw.rstrip("\r")
         for reason in _find_line_faults(text):
             quotation = repr(text) if _HIDDEN_CHARACTERS.search(text) else text
@@ -542,12 +545,12 @@ def read_checked_circuit(
 
 
 def read_included_netlist(name: str, home: Path, *, trust: bool = False) -> FlatCircuit:
-    """Return the netlist ``name`` in the scene directory ``home``, with included files.
+    """Return the netlist ``name`` in the directory ``home``, with included files.
 
     Raises
     ------
-    UsageError : the file does not exist, could execute programs or open files (unless ``trust``),
-    or affects the deck outside of the file's subcircuits.
+    UsageError : the file does not exist, affects the deck outside of its subcircuits, or could
+        execute programs or open files (unless ``trust``).
     """
     reason = None if trust else explain_unsafe_name(name)
     if reason:
@@ -569,11 +572,12 @@ def read_included_netlist(name: str, home: Path, *, trust: bool = False) -> Flat
 def read_untrusted_netlist(name: str, home: Path) -> FlatCircuit:
     """Return the netlist ``name`` unchanged, with included files below ``home``.
 
-    This function reads the pins and nodes of a circuit that the user does not trust yet.
+    The function is for reading pins and nodes of a circuit that the user does not trust yet.
 
     Raises
     ------
-    UsageError : see :func:`read_included_netlist`; lines that could execute programs are accepted.
+    UsageError : the errors of :func:`read_included_netlist`, except for lines that could execute
+        programs.
     """
     path = home / name
     if _is_missing(path):
@@ -586,7 +590,7 @@ def read_untrusted_netlist(name: str, home: Path) -> FlatCircuit:
 
 
 def _find_line_faults(text: str) -> Iterator[str]:
-    """Yield the faults of one line of the file, which may be a continuation or a comment."""
+    """Yield the faults of one line of a file, such as a continuation or a comment."""
     if _HIDDEN_CHARACTERS.search(text) or "\r" in text:
         yield "has control characters that can hide text"
     if _COMMAND_COMMENT.match(text):
@@ -602,13 +606,13 @@ def _find_line_faults(text: str) -> Iterator[str]:
 
 
 def _require_known_command(card: Statement) -> None:
-    """Reject commands that are misspelt or that belong to LTspice.
+    """Reject commands that are misspelt or that only LTspice has.
 
-    The caller reports all other unknown commands, because these could run programs.
+    The caller rejects all other unknown commands, because they could run programs.
 
     Raises
     ------
-    UsageError : the command is misspelt or belongs to LTspice.
+    UsageError : the command is misspelt, or only LTspice has the command.
     """
     key = card.keyword
     if not key.startswith(".") or key in ALLOWED_COMMANDS | ANALYSES | _TRUSTED_COMMANDS:
@@ -622,7 +626,7 @@ def _require_known_command(card: Statement) -> None:
 
 
 def _find_card_faults(card: Statement) -> Iterator[str]:
-    """Yield the faults of a card, which includes all its continuation lines."""
+    """Yield the faults of a card, including its continuation lines."""
     key = card.keyword
     if key.startswith(".") or key in _SHELL_WORDS:
         if key not in ALLOWED_COMMANDS:

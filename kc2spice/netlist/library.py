@@ -1,4 +1,4 @@
-"""Library files: subcircuits of parts with pins, units and parameters."""
+"""Library files with the subcircuits of parts, their pins, units and parameters."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ from kc2spice.netlist.read import read_cards
 from kc2spice.netlist.spelling import format_comment, format_number, require_word
 from kc2spice.netlist.spelling import require_name as checked_name
 
-MAX_LIBRARY_BYTES = 100_000_000  # largest permitted size of a library file
+MAX_LIBRARY_BYTES = 100_000_000  # largest permitted size of a library file in bytes
 _PIN_LINE = re.compile(r"\* @pin \d+ (\w+) unit=(\S+) flow=(\S+)")
 _PARAMETER_LINE = re.compile(r"\* @param (\w+)=(\S+) unit=(\S+)(?: range=(\S+)\.\.(\S+))? ?(.*)")
 
 
 @dataclass(frozen=True)
 class Header:
-    """Data for the header of a netlist: name of the scene, and hash of the input data."""
+    """Data for the header of a netlist: name of the scene and hash of the input data."""
 
     scene: str
     scene_hash: str
@@ -54,7 +54,7 @@ class Header:
 
 
 def write_model_comments(plan: Mapping[str, Any], without: Collection[str] = ()) -> tuple[str, ...]:
-    """Return comment lines about the models, neglected effects and settings of a deck."""
+    """Return comments about the models, neglected effects and settings of a deck."""
     error = "not estimated" if plan["error_budget"] is None else f"budget {plan['error_budget']:g}"
     settings = []
     for item in plan["settings"]:
@@ -78,8 +78,8 @@ def write_model_comments(plan: Mapping[str, Any], without: Collection[str] = ())
 class ReductionSummary:
     """Number of states, band and accuracy of the reduced model of a part.
 
-    ``error_estimate`` is the relative error of the response in the ``norm``. It includes
-    ``circuit_error``, the difference between the circuit and its model, which is largest at the
+    ``error_estimate`` is the relative error of the response in the ``norm``. ``error_estimate``
+    includes ``circuit_error``: the difference between circuit and model, which is largest at the
     frequency ``worst_hz``.
     """
 
@@ -92,14 +92,14 @@ class ReductionSummary:
 
     @property
     def summary(self) -> str:
-        """Number of states, band and error estimate in one line; the estimate is rounded up."""
+        """Number of states, band and rounded-up error estimate, as a line of text."""
         low, high = map(format_number, self.band_hz)
         error = format_number(_round_up(self.error_estimate))
         return f"order={self.order} band={low}..{high} Hz norm={self.norm} error={error}"
 
 
 def _round_up(value: float) -> float:
-    """Round a number up to three digits, so that an error bound remains a bound."""
+    """Round a number up to three significant digits, as required for an error bound."""
     mantissa, _, exponent = f"{value:.2e}".partition("e")
     rounded = float(f"{mantissa}e{exponent}")
     return rounded if rounded >= value else float(f"{float(mantissa) + 0.01:.2f}e{exponent}")
@@ -109,11 +109,11 @@ def _round_up(value: float) -> float:
 class Subcircuit:
     """Subcircuit of a part, with its pins and parameters, in a library file.
 
-    ``circuit`` is the tree of the library file, which contains the ``.subckt`` with this ``name``.
+    ``circuit`` is the tree of the library file that contains the ``.subckt`` with this ``name``.
     ``title`` is ``NAME: description``. ``file`` is the name of the library file if it differs from
-    ``NAME.lib``. ``no_module`` is the reason why the part cannot be a Verilog-A module, otherwise
-    empty. ``reduction`` is None if the part has no reduced model. ``source`` is the text of a
-    library that another author has written; the text of all other libraries is printed from
+    ``NAME.lib``. ``no_module`` is the reason why the part cannot be a Verilog-A module; it is empty
+    if a module is possible. ``reduction`` is None if the part has no reduced model. ``source`` is
+    the text of a library by another author; the text of other libraries is printed from
     ``circuit``. The first ``header_lines`` comments above the ``.subckt`` are the header.
     """
 
@@ -140,7 +140,7 @@ class Subcircuit:
 
     @cached_property
     def located_tree(self) -> Circuit:
-        """Tree in which each card has its text and its position in the library file."""
+        """Tree whose cards have their text and their position in the library file."""
         return self.circuit if self.source else locate_cards(self.circuit, self.filename)
 
     def with_circuit(self, circuit: Circuit) -> Subcircuit:
@@ -148,7 +148,7 @@ class Subcircuit:
         return replace(self, circuit=circuit, source="")
 
     def write(self, path: str | Path) -> Path:
-        """Write the library file to a path, or into a directory under the default name."""
+        """Write the library file to a path, or to a directory with the default name."""
         path = Path(path)
         if path.is_dir():
             path = path / self.filename
@@ -166,8 +166,8 @@ def read_lib(path: str | Path) -> list[Subcircuit]:
     """Read the parts of a library file.
 
     The header of a subcircuit declares pins, units and parameters. A subcircuit without a header is
-    a part if no other subcircuit of the file instantiates the subcircuit. The pins of such a part
-    are electrical, and its parameters have no units.
+    also a part if no other subcircuit in the file instantiates it. Without a header, all pins are
+    electrical, and the parameters have no units.
 
     Parameters
     ----------
@@ -235,7 +235,7 @@ def write_instance_comment(name: str, pins: Iterable[str], defaults: Mapping[str
 
 
 def write_parameter_line(param: Param) -> str:
-    """Return the comment line with default, unit, range and explanation of a parameter."""
+    """Return the comment with default, unit, range and meaning of a parameter."""
     bounded = math.isfinite(param.low) or math.isfinite(param.high)
     bounds = f" range={param.low:g}..{param.high:g}" if bounded else ""
     value = f"{checked_name(param.name)}={format_number(param.default)}"
@@ -244,7 +244,7 @@ def write_parameter_line(param: Param) -> str:
 
 
 def parse_subcircuits(text: str, file: str) -> list[Subcircuit]:
-    """Return the parts in the ``text`` of a library file, as :func:`read_lib` does for a path."""
+    """Return the parts of a library file whose content is ``text``."""
     library = read_cards(text, file)
     parts = list(filter(parse_declared_pins, library.subcircuits))
     if not parts:
@@ -263,7 +263,10 @@ def _list_instantiated_names(circuit: Circuit) -> Iterator[str]:
 
 
 def join_comments(notes: Iterable[str]) -> list[str]:
-    """Join continued comments; a continuation line begins with three or more blanks."""
+    """Join comments with their continuation lines.
+
+    A continuation line begins with at least three blanks.
+    """
     return "\n".join(notes).replace("\n*   ", " ").split("\n")
 
 
@@ -273,11 +276,11 @@ def parse_declared_pins(circuit: Circuit) -> list[Pin]:
 
 
 def _make_part(circuit: Circuit, library: Circuit, text: str, file: str) -> Subcircuit:
-    """Return a subcircuit of a library file as a part.
+    """Return a subcircuit of a library file as a part with pins and parameters.
 
     Raises
     ------
-    UsageError : the pins in the header and on the ``.subckt`` card differ.
+    UsageError : the header and the ``.subckt`` card have different pins.
     """
     pins = parse_declared_pins(circuit)
     if pins and list(map(attrgetter("key"), pins)) != list(map(str.lower, circuit.pins)):

@@ -1,4 +1,4 @@
-"""Check of the connections and names in a deck before a simulator reads the deck."""
+"""Check of the connections and names in a deck before a simulation."""
 
 from __future__ import annotations
 
@@ -27,19 +27,20 @@ from kc2spice.netlist.scope import GROUND_NAMES, Scope, build_scope, find_instan
 from kc2spice.netlist.spelling import split_infix_unit
 
 _ODD_NUMBERS = tuple(map(Number, ("1", "3", "5", "7", "9")))
-# Usual model type of each element letter, for hints.
+# Usual model type of each element letter, for the advice in errors.
 _MODEL_TYPES = {"d": "D", "q": "NPN", "j": "NJF", "m": "NMOS", "s": "SW", "w": "CSW", "z": "NMF"}
-# Parasitic settings on element cards of LTspice, and the equivalent separate elements.
+# LTspice settings for parasitics of an element, and the separate elements that replace them.
 _PARASITIC_ELEMENTS = {"rser": "R in series", "lser": "L in series", "rpar": "R across it",
               "rlshunt": "R across it", "cpar": "C across it"}  # fmt: skip
 
 
 def require_valid_wiring(deck: Deck) -> None:
-    """Raise an error that states the first wiring mistake of ``deck`` and counts the others.
+    """Raise an error for the first wiring mistake, with the number of the others.
 
     Raises
     ------
-    UsageError : a wiring mistake; the message contains file, line, mistake and expected text.
+    UsageError : the deck has a wiring mistake; the message contains file, line, mistake and
+        expected text.
     """
     if result := find_wiring_mistakes(deck):
         first = result[0]
@@ -51,18 +52,19 @@ def require_valid_wiring(deck: Deck) -> None:
 def find_wiring_mistakes(deck: Deck) -> list[UsageError]:
     """Return all wiring mistakes of ``deck``.
 
-    Wiring mistakes are unknown subcircuits, models, parameters, nodes and controlling sources, a
-    wrong number of pins, repeated names in one scope, and nodes with only one connection.
+    Wiring mistakes are unknown subcircuits, models, parameters, nodes or controlling sources, wrong
+    numbers of pins, repeated names, and nodes with only one connection.
 
     Raises
     ------
-    UsageError : the deck cannot be parsed (missing include, invalid card, unclosed subcircuit).
+    UsageError : the deck cannot be parsed, for example because of a missing include or an invalid
+        card.
     """
     try:
         if not _find_problems(deck, deck.trees, deck.scope):
             return []
-    except UsageError:  # the second call raises this error again, with the position of the card
-        pass
+    except UsageError:
+        pass  # ``build_scope`` below raises this error again, with the position of the card
     top = build_scope(
         deck.located_trees[deck.main_file_name], deck.located_trees, deck.main_file_name
     )
@@ -82,10 +84,10 @@ def _find_problems(deck: Deck, trees: Mapping[str, Circuit], top: Scope) -> list
 
 
 def _list_saved_nodes(deck: Deck, top: Scope) -> dict[int, set[str]]:
-    """Return the nodes inside subcircuits whose voltages the deck saves, as ``v(x1.p)``.
+    """Return the nodes inside subcircuits with saved voltages, such as ``v(x1.p)``.
 
-    The keys are the identities (``id``) of the scopes that contain the nodes. A saved node needs no
-    second connection.
+    The keys are the ``id`` of each scope that contains saved nodes. A node with a saved voltage
+    needs no second connection.
     """
     result: dict[int, set[str]] = {}
     for text in deck.saved_vectors:
@@ -98,7 +100,7 @@ def _list_saved_nodes(deck: Deck, top: Scope) -> dict[int, set[str]]:
 
 
 def _list_signal_pins(circuits: Iterable[Circuit]) -> Iterator[tuple[str, str]]:
-    """Yield the name of the subcircuit and the name of the pin for each signal pin."""
+    """Yield each signal pin as a pair of subcircuit name and pin name."""
     for item in circuits:
         for pin in parse_declared_pins(item):
             if pin.flow == "-":
@@ -150,7 +152,7 @@ def _check_instance(part: Element, scope: Scope) -> Iterator[UsageError]:
 
 
 def _check_references(part: Element, scope: Scope) -> Iterator[UsageError]:
-    """Yield the mistakes in the model, parameters and controlling sources of an element."""
+    """Yield the mistakes in models, parameters and controlling sources of a card."""
     if part.model and part.model.lower() not in scope.models:
         hint = f"add the line  .model {part.model} {_MODEL_TYPES.get(part.kind, 'TYPE')}"
         yield _make_unknown_name_error(part, "no such model", part.model, scope.models, hint)
@@ -164,7 +166,8 @@ def _check_references(part: Element, scope: Scope) -> Iterator[UsageError]:
                 'syntax = "ltspice" of the netlist part',
             )
     for value in part.values:
-        if number := split_infix_unit(value):  # ngspice ignores all digits after the letter
+        # ngspice ignores the digits behind the letter, such as 7 in 4k7
+        if number := split_infix_unit(value):
             integer, unit, decimals = number
             message = f"ngspice reads {value} as {integer}{unit}"
             plain = f"{integer}.{decimals}{unit}"
@@ -180,7 +183,7 @@ def _check_references(part: Element, scope: Scope) -> Iterator[UsageError]:
 
 
 def _list_expressions(card: Card) -> Iterator[str]:
-    """Yield the expressions of a card; the law of a behavioural source is the last one."""
+    """Yield the expressions of a card; the law of a source is the last one."""
     if isinstance(card, Parameters):
         yield from card.values.values()
     elif isinstance(card, Element):
@@ -198,8 +201,8 @@ def _check_expression(
 ) -> Iterator[UsageError]:
     """Yield the mistakes in an expression: unknown names, nodes and sources.
 
-    ``kinds`` contains the known nodes (``v``) and sources (``i``). In the law of a behavioural
-    source, functions that ngspice lacks and odd powers are also mistakes.
+    ``kinds`` contains the known nodes (``v``) and sources (``i``). In the expression of a
+    behavioural source, functions that ngspice lacks and odd powers are mistakes too.
     """
     law = isinstance(card, Element) and text is card.expression
     try:
@@ -239,8 +242,8 @@ def _check_connections(
 ) -> Iterator[UsageError]:
     """Yield an error for each node with only one connection.
 
-    Nodes of signal outputs, nodes in an output command or in an expression, nodes named ``nc…``,
-    and the saved nodes in ``read`` may have only one connection.
+    One connection is sufficient for signal outputs, for nodes in a command or an expression, for
+    the nodes in ``read``, and for nodes named ``nc…``.
     """
     uses = Counter(chain(scope.pins, *map(attrgetter("lower_case_nodes"), scope.elements)))
     watched = set(read)
@@ -273,9 +276,9 @@ def _card_text(card: Card) -> str:
 def _make_unknown_name_error(
     card: Card, message: str, name: str, known: Collection[str], otherwise: str
 ) -> UsageError:
-    """Make the error about a name that is not defined in the netlist.
+    """Make the error about a name that the netlist does not define.
 
-    ``otherwise`` is the advice if no known name is similar.
+    ``otherwise`` is the advice without a similar known name.
     """
     expected = f"one of {list_candidates(name, sorted(known))}" if known else None
     similar = difflib.get_close_matches(name.lower(), list(known), 1)

@@ -1,8 +1,8 @@
 """Frequency response of the syntax tree of a linear circuit, by nodal analysis.
 
-The equations follow only from the elements of the tree and the parameters of an instance. The
-response is therefore independent of the model that the circuit was made from (C.-W. Ho, A. Ruehli,
-P. Brennan, IEEE Trans. Circuits Syst. 22 (1975) 504).
+The equations follow only from the elements of the tree and from the parameters of an instance. The
+response is therefore independent of the model from which the circuit was generated (C.-W. Ho, A.
+Ruehli, P. Brennan, IEEE Trans. Circuits Syst. 22 (1975) 504).
 """
 
 from __future__ import annotations
@@ -19,20 +19,21 @@ from kc2spice.netlist.circuit import Circuit, Element, Parameters, select_items
 from kc2spice.netlist.expression import Tree, evaluate_parameter, parse_expression
 
 GROUND = "0"
-# Largest number of unknowns for which dense matrices are solved faster than sparse matrices.
-# Dense matrices are solved for all frequencies at once, sparse matrices for one frequency each.
+# Largest number of unknowns for which dense matrices are faster than sparse matrices.
+# Dense matrices are solved for all frequencies at once, and sparse matrices for one frequency at a
+# time.
 MAX_DENSE_UNKNOWNS = 60
 _BRANCH_KINDS = frozenset("vel")  # element letters whose current is an additional unknown
 
 
 @dataclass(frozen=True, eq=False)
 class NodalEquations:
-    """Equations ``(G + s C) x = b`` of node voltages and currents of sources and inductors.
+    """Equations ``(G + s C) x = b`` of the node voltages and some element currents.
 
-    ``rows`` contains the number of each unknown, keyed by the lower-case name of a node or by
-    ``i(NAME)`` for the current of an element. The current flows through the element from its first
-    to its second node. Nodes at ground are no unknowns. ``entries`` are the rows, columns and
-    values of the entries of G and of C.
+    ``rows`` contains the number of each unknown, keyed by the lower-case node name, or by
+    ``i(NAME)`` for the current of an element. An element current flows through the element from its
+    first to its second node. The voltages of nodes at ground are not unknowns. ``entries`` contains
+    the row numbers, column numbers and values of the matrices G and C.
     """
 
     rows: Mapping[str, int]
@@ -43,11 +44,11 @@ class NodalEquations:
     ) -> np.ndarray:
         """Return the values of the unknowns ``answers`` for each of the ``loads``.
 
-        The result has the shape (len(s), len(answers), len(loads)), with the complex frequencies
-        ``s``. A load consists of currents into nodes, and of voltages of sources ``i(NAME)``. The
-        voltage of a grounded node is zero.
+        The result has the shape (len(s), len(answers), len(loads)); ``s`` contains complex
+        frequencies. A load contains currents into nodes, keyed by node, and voltages of sources,
+        keyed by ``i(NAME)``. The voltage of a grounded node is zero.
         """
-        # imported here, because these packages are not needed to write a library
+        # imported here, because a program that only writes a library does not need these packages
         import scipy.sparse as sparse
         from scipy.sparse.linalg import splu
 
@@ -72,7 +73,7 @@ class NodalEquations:
 
 @dataclass(frozen=True)
 class NodalCircuit:
-    """Linear subcircuit of R, C, L, G, E and V, in which all sources are zero.
+    """Linear subcircuit of R, C, L, G, E and V elements with all sources at zero.
 
     Raises
     ------
@@ -92,7 +93,7 @@ class NodalCircuit:
 
     @cached_property
     def element_values(self) -> list[tuple[Element, Tree | float]]:
-        """Each element with the expression of its value; the value is zero for a source."""
+        """Elements with the expressions of their values; the value of a source is 0."""
         items = select_items(self.circuit.items, Element)
         return list(zip(items, map(_parse_value, items), strict=True))
 
@@ -157,7 +158,7 @@ def _split_columns(
 
 
 def _parse_value(item: Element) -> Tree | float:
-    """Return the value of a linear element as a number or an expression."""
+    """Return the value of a linear element, which is a number or an expression."""
     if item.kind == "v":
         return 0.0
     if item.kind not in "rclge" or item.expression or len(item.values) != 1:
@@ -174,13 +175,13 @@ def _parse_value(item: Element) -> Tree | float:
 
 
 def _stamp_entries(item: Element, size: float) -> Iterable[tuple[int, str, str, float]]:
-    """Yield the entries of an element in the matrices G and C of ``G x + C dx/dt``.
+    """Yield the entries of one element in the matrices G and C.
 
     An entry consists of the number of the matrix (0: G, 1: C), the number of the equation, the
     number of the unknown, and the value.
 
-    The equation of a node states that the sum of the currents out of the node is zero. The equation
-    of a current is the constitutive equation of the element with this current.
+    In the equation of a node, the sum of the currents out of the node is zero. In the equation of
+    an element current, the constitutive equation of the element is satisfied.
     """
     a, b = item.lower_case_nodes[:2]
     if item.kind in "rc":

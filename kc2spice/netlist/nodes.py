@@ -1,6 +1,6 @@
-"""Descriptions of the nodes of a deck.
+"""Descriptions of the nodes of a deck, for messages about a node.
 
-A description names the part that contains the node, and the nearest pins.
+The description of a node names the part that contains the node, and the nearest pin.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ from kc2spice.netlist.scope import Scope, find_instance
 
 
 def describe_node(deck: Deck, node: str) -> str | None:
-    """Describe a node of a deck: the part that contains it and the nearest pins.
+    """Describe a node of a deck by the part and the pin next to the node.
 
     ``node`` has the spelling of ngspice: ``x1.x2.name``, ``b.x1.b2`` for a device, ``v1#branch``
-    for the current of a source. The result is None if the deck does not contain this node.
+    for the current of a source. The result is None if the deck does not contain the node.
     """
     *path, name = node.lower().partition("#")[0].split(".")
-    if path and len(path[0]) == 1:  # the letter of a device precedes its instance
+    if path and len(path[0]) == 1:  # ngspice writes the device letter before the instance
         del path[0]
     try:
         scope = find_instance(deck.scope, tuple(path))
@@ -41,9 +41,9 @@ def describe_node(deck: Deck, node: str) -> str | None:
 
 
 def _describe_instance(deck: Deck, scope: Scope, instance: str, name: str) -> str:
-    """Describe an inner node by the title of its instance and by the pin to which it belongs.
+    """Describe a node inside an instance by the instance and the nearest pin.
 
-    The name of an inner node or element ends with the name of a pin: ``fring0`` belongs to
+    An inner node belongs to the pin whose name is the end of the node's name: ``fring0`` belongs to
     ``ring0``.
     """
     part = next((part for part in deck.parts if part.name.lower() == scope.name.lower()), None)

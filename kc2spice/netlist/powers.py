@@ -1,7 +1,7 @@
-"""Powers of parts and pins, which are products of two results.
+"""Powers of parts and pins, each computed from one or two results.
 
-A :class:`PowerTerm` contains the names of both results. :func:`add_powers` computes the powers from
-the waves of a run.
+A :class:`PowerTerm` contains the names of these results, and :func:`add_powers` adds the powers to
+the waveforms of a run.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from kc2spice.core.waveforms import Waveforms, differentiate
 
 
 class PowerTerm(NamedTuple):
-    """Power [W] as the product of two results.
+    """Power [W] as a formula of the results ``across`` and ``through``.
 
     ``across`` is the name of the quantity across the pins, ``through`` the name of the quantity
-    through the pins. The formula ``law`` depends on the domain of the pins.
+    through the pins. ``law`` is the formula, which depends on the physical domain of the pins.
     """
 
     across: str
@@ -29,14 +29,14 @@ class PowerTerm(NamedTuple):
 
     @property
     def result_names(self) -> frozenset[str]:
-        """Names of the results that the power depends on."""
+        """Names of the results from which the power is computed."""
         return frozenset({self.through} if self.law == "through" else {self.across, self.through})
 
 
 def add_powers(waves: Waveforms, powers: Mapping[str, Iterable[PowerTerm]]) -> Waveforms:
-    """Return the waves with the computed powers added.
+    """Return the waveforms ``waves`` with the computed powers added.
 
-    A power is the instantaneous power, or in an ``ac`` analysis the mean over a period.
+    The power is instantaneous; in an ``ac`` analysis, it is the mean over a period.
     """
     result = dict(waves.data)
     for name, terms in powers.items():
@@ -47,8 +47,8 @@ def add_powers(waves: Waveforms, powers: Mapping[str, Iterable[PowerTerm]]) -> W
 def _compute_power(term: PowerTerm, waves: Waveforms) -> np.ndarray:
     """Compute the values of one power term at all points of the waves.
 
-    In an ``ac`` analysis, the mean of a heat flow over a period is zero. In a dc sweep, a
-    mechanical power is zero, because nothing moves at an operating point.
+    In an ``ac`` analysis, the power of a heat flow is zero, because its mean over a period is zero.
+    In a dc sweep, mechanical powers are zero, because nothing moves at an operating point.
     """
     through = waves[term.through]
     if term.law == "through":

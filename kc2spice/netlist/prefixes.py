@@ -1,10 +1,10 @@
-"""Numbers with scale factors, such as ``24.9u``, that ngspice reads without rounding error.
+"""Spelling of numbers with scale factors, such as ``24.9u``, for ngspice.
 
 ngspice reads the digits of a number as one integer, and multiplies the integer by a power of ten.
-Because of rounding, ``100n`` is not the same double as ``1e-07``, but ``100.00n`` is. For the value
-of a parameter, ngspice first multiplies the number by its scale factor, and prints the product with
-16 digits. Tests with 1500 random numbers on ngspice 39 agree with :func:`read_value` and
-:func:`read_parameter` in every bit.
+In ngspice, ``100n`` is not the same double as ``1e-07``, because of rounding, but ``100.00n`` is.
+For the value of a parameter, ngspice prints the product of number and scale factor with 16 digits,
+and then reads the printed text. For 1500 random numbers, :func:`read_value` and
+:func:`read_parameter` returned the same doubles as ngspice 39.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from itertools import chain
 
 from kc2spice.netlist.expression import PREFIXES
 
-# numbers between these limits are written without a scale factor
+# smallest and largest magnitude of a number without a scale factor
 SMALLEST_PLAIN = Decimal("0.1")
 LARGEST_PLAIN = 1000
 _FLOAT = re.compile(r"[-+]?(?:\d+\.\d*|\.\d+|\d+(?=[eE]))(?:[eE][-+]?\d+)?")
@@ -38,7 +38,7 @@ def read_value(text: str) -> float:
 
 
 def read_parameter(text: str) -> float:
-    """Return the double that ngspice reads from a number that is the value of a parameter."""
+    """Return the double that ngspice reads from the value of a parameter."""
     match = _DIGIT_PARTS.fullmatch(text)
     assert match is not None
     plain = float(text.removesuffix(match[5])) * float(f"1e{PREFIXES[match[5]]}")
@@ -48,7 +48,7 @@ def read_parameter(text: str) -> float:
 def format_with_prefix(text: str) -> str:
     """Return a number with a scale factor if ngspice reads the same double.
 
-    Other texts, names and plain integers, such as ``V1`` and ``12``, are returned unchanged.
+    Names, plain integers and other texts, such as ``V1`` and ``12``, are returned unchanged.
 
     Examples
     --------
@@ -89,9 +89,9 @@ def abbreviate_number(value: float, digits: int = 4) -> str:
 
 
 def _spell_number(number: Decimal, power: int) -> Iterator[str]:
-    """Yield spellings of a number with the scale factor of a power of ten.
+    """Yield spellings of a number with the scale factor for ``10**power``.
 
-    The spellings differ in trailing zeros, and ngspice may round them to different doubles.
+    The spellings differ in trailing zeros, and ngspice can read different doubles from them.
     """
     mantissa = number.scaleb(-power).normalize()
     if abs(mantissa) >= SMALLEST_PLAIN:
@@ -103,5 +103,5 @@ def _spell_number(number: Decimal, power: int) -> Iterator[str]:
 
 
 def with_prefixes(text: str) -> str:
-    """Return a word of a card, such as a waveform, with a scale factor after each number."""
+    """Return a word of a card, such as a waveform, with scale factors on its numbers."""
     return _EMBEDDED_FLOAT.sub(lambda match: format_with_prefix(match[0]), text)

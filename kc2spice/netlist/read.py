@@ -1,4 +1,4 @@
-"""Parser that converts netlists of users, templates and libraries to syntax trees."""
+"""Parser that converts netlists to syntax trees."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ from kc2spice.netlist.expression import literal_value
 _LAW_KEYWORDS = ("value", "vol", "cur", "table", "poly", "laplace")
 
 LAPLACE_HINT = "replace this source by R, L, C, E and G elements with the same transfer function"
-THERMAL_FLAG = "thermal"  # flag of a VDMOS with temperature pins (ngspice manual 11.3)
+THERMAL_FLAG = "thermal"  # VDMOS flag that adds temperature pins (ngspice manual 11.3)
 OPTION_CARDS = frozenset((".options", ".option", ".opt"))
 _OPENING_BRACKETS = "({["
 _CLOSING_BRACKETS = ")}]"
-_INLINE_COMMENT = re.compile(r";|(?<=\s)\$(?=\s)|//")  # start of a comment behind a card
+_INLINE_COMMENT = re.compile(r";|(?<=\s)\$(?=\s)|//")  # start of a comment at the end of a card
 
 
 # --- logical lines ---
@@ -49,7 +49,7 @@ _INLINE_COMMENT = re.compile(r";|(?<=\s)\$(?=\s)|//")  # start of a comment behi
 
 @dataclass(frozen=True, kw_only=True)
 class Statement(Card):
-    """Logical line of a netlist: a card, joined with its continuation lines.
+    """Logical line of a netlist: a card including its continuation lines.
 
     ``written`` is the text of the card without comments. ``line`` is the number of the first
     physical line, counted from 1.
@@ -64,22 +64,23 @@ class Statement(Card):
 
     @cached_property
     def words(self) -> list[str]:
-        """Words of the card; a text in brackets or quotes, and ``a = b``, are one word each."""
+        """Words of the card; bracketed or quoted text is one word, and so is ``a = b``."""
         return split_words(self.written)
 
     @property
     def plain_words(self) -> list[str]:
-        """Words of the card without the keyword ``params:`` of some dialects."""
+        """Words of the card without the keyword ``params:``, which some dialects use."""
         return [word for word in self.words if word.lower() != "params:"]
 
 
 def split_statements(text: str, file: str, *, title: bool = False) -> list[Statement]:
-    """Return all statements of a file in order; the last statement may have only comments.
+    """Return all statements of a file; the last one may contain only comments.
 
-    If ``title`` is true, the first line is the title of a deck, which is treated as a comment.
+    If ``title`` is true, the first line is the title of a deck and becomes a comment.
     """
-    result: list[tuple[int, list[str], list[str]]] = []  # line number, comments, parts of the card
-    pending: list[str] = []  # comment lines after the latest statement
+    # line number, comments above the card, lines of the card
+    result: list[tuple[int, list[str], list[str]]] = []
+    pending: list[str] = []  # comment lines below the latest statement
     lines = split_lines(text)
     for number, raw in enumerate(lines, 1):
         line = raw.strip()
@@ -103,12 +104,13 @@ def split_words(text: str) -> list[str]:
 
     Blanks around ``=`` are removed.
     """
-    # A match begins only at the first of several blanks: the time is proportional to the length.
+    # The expression matches only at the first of several blanks, so its time is proportional to the
+    # length of the text.
     return list(_split_at_blanks(re.sub(r"(?<!\s)\s*(?<![=<>!])=(?!=)\s*", "=", text)))
 
 
 def split_comment(line: str) -> tuple[str, str]:
-    """Split a line into the text before its comment and the text of the comment."""
+    """Split a line into the text before a comment and the text of the comment."""
     match = _INLINE_COMMENT.search(line)
     if match is None:
         return line.strip(), ""
@@ -164,10 +166,10 @@ def build_tree(cards: Iterable[Statement]) -> Circuit:
 def _read_items(
     cards: Iterator[Statement], head: Statement | None
 ) -> tuple[tuple[Item, ...], tuple[str, ...]]:
-    """Return the items up to the ``.ends`` of a subcircuit, and the comments above ``.ends``.
+    """Return the items of a subcircuit or file, and the comments above its end.
 
-    ``head`` is the card that begins the subcircuit. Without ``head``, the function reads up to the
-    end of the file.
+    ``head`` is the ``.subckt`` card that begins the subcircuit. Without ``head``, the function
+    reads to the end of the file.
     """
     result: list[Item] = []
     for s in cards:
@@ -239,14 +241,14 @@ def _read_card(s: Statement) -> Item:
 
 
 def _describe_card_origin(s: Statement) -> dict[str, Any]:
-    """Return file and line of a card, the text of the card, and the comments above the card."""
+    """Return file, line and text of a card, and the comments above the card."""
     return {"notes": s.notes, "where": s.where, "written": s.written}
 
 
 def _read_function(s: Statement) -> FunctionCard | None:
     """Read the function on a card ``.func f(x) {law}`` or ``.param f(x) = {law}``.
 
-    The result is None for other cards.
+    The result is None for cards that define no function.
     """
     name, opening, rest = s.written[len(s.keyword) :].strip().partition("(")
     inside, closing, law = rest.partition(")")
@@ -258,7 +260,7 @@ def _read_function(s: Statement) -> FunctionCard | None:
 
 
 def _read_assignments(items: Iterable[str], s: Statement) -> dict[str, str]:
-    """Return the values of assignments ``name=value``, keyed by name, in their order."""
+    """Return the values of assignments ``name=value``, keyed by name."""
     pairs = {}
     for item in items:
         word = item.strip(",")
@@ -284,7 +286,7 @@ def _split_assignment(word: str) -> tuple[str, str]:
 
 
 def parse_element(s: Statement) -> Element:
-    """Parse the card of an element; for an unknown element letter, all words are values."""
+    """Parse an element card; with an unknown element letter, all words are values."""
     kind, origin = s.written[0].lower(), _describe_card_origin(s)
     if kind == "b":
         return _read_behavioural_source(s)
@@ -320,7 +322,7 @@ def parse_element(s: Statement) -> Element:
 
 
 def _count_nodes(kind: str, rest: Sequence[str]) -> int:
-    """Return the number of nodes of an element, from the words after its name."""
+    """Return the number of nodes of an element, given the words after its name."""
     if kind in "eg" and len(rest) > 2 and rest[2].lower().startswith(_LAW_KEYWORDS):
         word = rest[2].lower().partition("=")[0].partition("(")[0]
         return 2 if word in _LAW_KEYWORDS else 4
@@ -329,7 +331,8 @@ def _count_nodes(kind: str, rest: Sequence[str]) -> int:
     if kind == "m":
         words = [*takewhile(lambda w: "=" not in w, rest)]
         if words[-1:] and words[-1].lower() == THERMAL_FLAG:
-            return len(words) - 2  # a VDMOS with pins for the temperatures of junction and case
+            # a VDMOS with pins for the junction temperature and the case temperature
+            return len(words) - 2
         return 3 if len(words) == 4 else 4  # a VDMOS has no bulk
     return NODE_COUNTS[kind]
 
@@ -350,10 +353,10 @@ def _read_behavioural_source(s: Statement) -> Element:
 
 
 def _read_controlled_source(part: Element) -> Element:
-    """Return an E or G source of any syntax as a behavioural source with one expression.
+    """Return an E or G source as a behavioural source with one expression.
 
-    A source with a Laplace transform is returned unchanged, because the transform is not a function
-    of time.
+    A source with a Laplace transform is returned unchanged, because a Laplace transform is not an
+    expression in the time domain.
     """
     text = " ".join(part.values)
     keyword = text.lower().partition("=")[0].split()[0].partition("(")[0]
@@ -377,8 +380,8 @@ def _remove_braces(law: str) -> str:
 def _read_polynomial(text: str, where: str) -> str:
     """Return the polynomial source ``(n) a+ a- b+ b- … p0 p1 …`` as an expression.
 
-    The coefficients ``p0 p1 …`` are sorted by the degree of their terms, and within one degree by
-    the order of the factors.
+    The coefficients ``p0 p1 …`` are sorted by the degree of their terms; terms of the same degree
+    are sorted by the order of their voltages.
     """
     dimension, _, rest = text.removeprefix("(").partition(")")
     tokens = rest.replace("(", " ").replace(")", " ").replace(",", " ").split()
@@ -393,13 +396,14 @@ def _read_polynomial(text: str, where: str) -> str:
     ends, factors = tokens[: 2 * int(dimension)], tokens[2 * int(dimension) :]
     axes = [f"V({a},{b})" for a, b in zip(ends[::2], ends[1::2], strict=True)]
     if len(factors) == 1 and len(axes) == 1:
-        factors = ["0", *factors]  # a single coefficient belongs to the linear term
+        # POLY(1) with a single coefficient: this coefficient belongs to the linear term.
+        factors = ["0", *factors]
     terms = chain.from_iterable(map(partial(combinations_with_replacement, axes), count()))
     return "+".join("*".join((f"({p})", *term)) for p, term in zip(factors, terms, strict=False))
 
 
 def _read_table(text: str, where: str) -> str:
-    """Return the table ``{expression} = (x, y) …`` as a function, constant outside of the table."""
+    """Return the table ``{expression} = (x, y) …`` as a piecewise linear function."""
     control, _, rest = text.lstrip("{").partition("}")
     points = rest.translate(str.maketrans("(),=", "    ")).split()
     ends = [literal_value(points[k], where=where) for k in (0, -2)] if len(points) > 1 else [None]

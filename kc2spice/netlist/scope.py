@@ -1,4 +1,4 @@
-"""Scopes of the names in a circuit and its included files."""
+"""Scopes of names in a circuit, with the names that included files define."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ INCLUDES = (".include", ".inc")
 
 @dataclass
 class Scope:
-    """Names defined in a subcircuit or, if ``name`` is empty, at the top level.
+    """Names defined in a subcircuit, or at the top level if ``name`` is empty.
 
-    All names are in lower case. The first map of each ``ChainMap`` contains the definitions of this
-    scope, the next maps contain the definitions of the enclosing scopes. ``defaults`` contains the
-    parameters that an instance may set. ``params`` contains the parameters in ``defaults`` and the
-    parameters that the subcircuit defines. ``defined`` contains the text and the card of each
-    definition, keyed by its kind and name.
+    All names are in lower case. In each ``ChainMap``, the first map contains the definitions of
+    this scope, and the other maps contain the definitions of the enclosing scopes. ``defaults``
+    contains the parameters that an instance may set. ``params`` contains all parameters of the
+    subcircuit, including the ones in ``defaults``. ``defined`` contains the text and the card of
+    each definition, keyed by its kind and name.
     """
 
     name: str
@@ -52,12 +52,12 @@ class Scope:
 
     @property
     def nodes(self) -> frozenset[str]:
-        """Pins of the subcircuit, and nodes of its elements."""
+        """Names of the subcircuit's pins and of the nodes of its elements."""
         return frozenset(self.pins).union(*map(attrgetter("lower_case_nodes"), self.elements))
 
     @cached_property
     def elements_by_key(self) -> dict[str, Element]:
-        """First element with each name, keyed by the name in lower case."""
+        """Elements keyed by lower-case name; of several elements with one name, the first."""
         result: dict[str, Element] = {}
         for element in self.elements:
             result.setdefault(element.key, element)
@@ -72,7 +72,7 @@ class Scope:
         return self.subcircuits.get(name.lower())
 
     def list_scopes(self) -> Iterator[Scope]:
-        """Yield this scope, and the scopes of all subcircuits that are defined within it."""
+        """Yield this scope and the scopes of all subcircuits defined inside."""
         yield self
         for child in self.subcircuits.maps[0].values():
             yield from child.list_scopes()
@@ -83,12 +83,12 @@ def build_scope(tree: Circuit, files: Mapping[str, Circuit] | None = None, file:
 
     Raises
     ------
-    UsageError : an include is missing or circular, a card is invalid, or a name is defined twice;
-    the message contains file and line.
+    UsageError : an include is missing or circular, a card is invalid, or a name is defined twice.
+        The message contains file and line.
     """
     top, files = Scope(""), files or {}
     for include, chain in _fill_scope(top, tree, (file,), files):
-        others = sorted(set(files) - set(chain))  # an including file would be circular
+        others = sorted(set(files) - set(chain))  # a file must not include a file of its own chain
         got = include.argument or "no file name"
         hint = did_you_mean(include.argument, others) or f"copy {got} beside the netlist"
         expected = f"one of {', '.join(others)}" if others else None
@@ -101,9 +101,9 @@ def _fill_scope(
 ) -> list[tuple[Directive, tuple[str, ...]]]:
     """Add the cards of a circuit, and of its included files, to ``scope``.
 
-    ``chain`` contains the files from the main file to the file of the circuit. Each file in it
-    includes the next file. The result contains each include whose file is not in ``files``,
-    with its chain.
+    ``chain`` contains the file names from the main file to the file of the circuit, in the order in
+    which they include each other. The result contains the includes of files that are not in
+    ``files``, each with its chain.
     """
     missing: list[tuple[Directive, tuple[str, ...]]] = []
     for item in tree.items:
@@ -121,7 +121,7 @@ def _fill_scope(
                 _require_same_definition(scope, f"model {name}", f"{kind} {given}", item)
                 scope.models[name.lower()] = item
             case Directive(keyword) if keyword in INCLUDES:
-                # the path of an included file is relative to the directory of the including file
+                # the path of an included file is relative to the file with the include line
                 target = str(PurePosixPath(chain[-1]).parent / item.argument)
                 if target in chain:
                     raise item.make_error(
@@ -148,7 +148,7 @@ def _fill_scope(
 
 
 def _require_same_definition(scope: Scope, what: str, value: str, card: Card) -> None:
-    """Raise UsageError if another file contains a different definition of the same name."""
+    """Raise an error if the same name has a different definition in another file."""
     what, value = what.lower(), value.lower()
     first, first_card = scope.defined.setdefault(what, (value, card))
     if first_card.file != card.file and first != value:
@@ -179,7 +179,7 @@ def _open_subcircuit(item: Circuit, parent: Scope) -> Scope:
 
 
 def has_vector(top: Scope, text: str) -> bool:
-    """Return whether the circuit contains all nodes, or the device, of a saved vector."""
+    """Return whether the circuit contains the nodes or device of a saved vector."""
     result = parse_vector(text.lower())
     if result is None:
         return False
@@ -196,7 +196,7 @@ def _has_node(top: Scope, *path: str) -> bool:
 
 
 def find_instance(top: Scope, path: tuple[str, ...]) -> Scope | None:
-    """Return the scope of the nested instance ``path``; None if there is no such instance."""
+    """Return the scope of the nested instance ``path``; None if it does not exist."""
     scope: Scope | None = top
     for name in path:
         element = scope.elements_by_key.get(name) if scope else None

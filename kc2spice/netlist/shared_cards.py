@@ -1,4 +1,4 @@
-"""Functions that attach comments to cards, and cards that several parts share."""
+"""Functions that attach comments to cards, and cards that many parts contain."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TypeAlias
 from kc2spice.netlist.circuit import Element, Item
 from kc2spice.netlist.spelling import format_comment
 
-# A card, or a text of one or more comment and blank lines above a card.
+# A card, or text above a card that consists of comment lines and blank lines.
 Line: TypeAlias = Item | str
 
 _PIVOT_COMMENT = (
@@ -35,7 +35,7 @@ def attach_comments(lines: Iterable[Line]) -> tuple[Item, ...]:
 def add_title(title: str, items: Iterable[Item], owner: str = "") -> tuple[Item, ...]:
     """Return the cards of the part ``owner`` below a blank line and a title comment.
 
-    The comment also states the units of element values, except V, A, Ohm, F and H.
+    The comment also states the units of the element values, unless these are V, A, Ohm, F and H.
     """
     first, *others = (replace(item, owner=owner) for item in items)
     units = dict.fromkeys(item.unit for item in (first, *others) if isinstance(item, Element))
@@ -51,8 +51,8 @@ def add_title(title: str, items: Iterable[Item], owner: str = "") -> tuple[Item,
 def write_pivot_cards(base: str) -> Iterator[Line]:
     """Yield cards that make ngspice choose its pivots in a short first step.
 
-    ngspice chooses the pivots of the matrix at its first step. With pivots for a long step,
-    rounding errors become so large in the picosecond steps of an impact that no step converges.
+    In its first time step, ngspice chooses the pivots of its matrix. If ngspice chose the pivots in
+    a long step, rounding errors would prevent convergence in the picosecond steps of an impact.
     """
     yield _PIVOT_COMMENT
     yield Element.from_words("Vtick", "tick", base, "PWL(0 0 1e-12 0 2e-12 0)")

@@ -11,10 +11,10 @@ from typing import Any
 
 from kc2spice.core.errors import MissingToolError, UsageError
 
-# 1/s, decay rate of a floating charge in a netlist.
-# Each node that stores a charge has a leakage current, which is this decay rate times the charge.
+# Decay rate [1/s] of the charge on a floating node of a netlist.
+# Each node that stores a charge has a leakage current, which is ``LEAK_RATE`` times the charge.
 # At an operating point, the leakage currents sum to zero if the stored charges sum to zero.
-# At the frequency f, the leakage current is 1.6e-10 Hz / f times the node's capacitive current.
+# The ratio of leakage current to capacitive current is 1.6e-10 Hz divided by the frequency.
 LEAK_RATE = 1e-9
 _PLAIN_EXPONENTS = str.maketrans("²³", "23")
 # Number with a unit in place of the decimal point, such as 4k7, but not an exponent such as 1e5.
@@ -28,7 +28,7 @@ def format_number(value: float) -> str:
     """Return the shortest decimal text whose value is exactly ``value``.
 
     The text has at most 17 digits and no suffix letters: SPICE reads ``M`` as milli, and simulators
-    interpret further letters differently.
+    differ in other letters.
 
     Raises
     ------
@@ -45,8 +45,8 @@ def format_number(value: float) -> str:
 def split_infix_unit(text: str) -> tuple[str, str, str] | None:
     """Split a number with a unit in place of the decimal point; None for other texts.
 
-    The result consists of the digits before the unit, the unit (empty for ``R``, ohms), and the
-    digits after the unit.
+    The result consists of the digits before the unit, the unit, and the digits after it; for ``R``
+    (ohms), the unit is empty.
 
     Examples
     --------
@@ -61,7 +61,7 @@ def split_infix_unit(text: str) -> tuple[str, str, str] | None:
 
 
 def round_to_digits(value: float) -> float:
-    """Round a value to 12 significant digits, to remove rounding errors."""
+    """Round a value to 12 significant digits, which removes rounding errors."""
     return float(f"{value:.12g}")
 
 
@@ -97,7 +97,7 @@ def _suggest_name(text: str) -> str:
 
 
 def format_voltage(plus: str, minus: str) -> str:
-    """Return the vector of the voltage between two nodes; empty if both are ground."""
+    """Return the expression of the voltage between two nodes; empty for node 0 alone."""
     return f"v({plus})" * (plus != "0") + f"-v({minus})" * (minus != "0")
 
 
@@ -106,7 +106,7 @@ def require_word(text: str) -> str:
 
     Raises
     ------
-    UsageError : the text is not one word; a line break would begin a new card.
+    UsageError : the text is not one word, because a line break in it would begin a new card.
     """
     if not text.isprintable() or len(text.split()) != 1 or len(text) > 64:
         raise UsageError(
@@ -120,13 +120,13 @@ def require_word(text: str) -> str:
 
 
 def require_distinct(names: Sequence[str], inner: str, *, where: str) -> None:
-    """Raise an error if pin names differ only in letter case, or match an internal node.
+    """Require pin names that differ from each other and from internal nodes.
 
-    ``inner`` is the pattern of the internal nodes of the subcircuit.
+    ``inner`` is the regular expression that matches the names of internal nodes.
 
     Raises
     ------
-    UsageError : two nodes would have one name.
+    UsageError : a pin has the name of another pin or of an internal node in any letter case.
     """
     low = [text.lower() for text in names]
     for text, plain in zip(names, low, strict=True):
@@ -141,7 +141,7 @@ def require_distinct(names: Sequence[str], inner: str, *, where: str) -> None:
 
 
 def format_comment(text: str) -> str:
-    """Return ``text`` on one line, because a second line would become a card.
+    """Return ``text`` on one line, because a line break would begin a card.
 
     Superscript exponents of units are replaced by plain digits.
 
@@ -159,7 +159,7 @@ def format_comment(text: str) -> str:
 
 @cache
 def get_template_environment(autoescape: bool = False) -> Any:
-    """Return the jinja2 environment for the templates of the package or of the repository."""
+    """Return the jinja2 environment for the package's templates."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     package = Path(__file__).resolve().parent.parent
@@ -183,7 +183,7 @@ def get_template_environment(autoescape: bool = False) -> Any:
 
 
 def quote_string(text: str) -> str:
-    """Return ``text`` as a quoted string of an S-expression."""
+    """Return ``text`` as a quoted string of an S-expression, as in KiCad files."""
     escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
     return f'"{escaped}"'
 
@@ -191,7 +191,7 @@ def quote_string(text: str) -> str:
 def render_template(template: str, **values: object) -> str:
     """Return the text of a template with ``values`` inserted.
 
-    The template can use the filters ``n`` (format a number), ``name`` (check a name), ``comment``
-    (format a comment) and ``q`` (quote a string of an S-expression).
+    The template can use four filters: ``n`` formats a number, ``name`` checks a name, ``comment``
+    formats a comment, and ``q`` quotes a string of an S-expression.
     """
     return get_template_environment().get_template(template).render(**values)

@@ -1,4 +1,4 @@
-"""Transformations of decks and libraries: merged subcircuits, new parameters, copies."""
+"""Transformations of decks and libraries, such as copies with new parameters."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ DIGITS = "0123456789"
 
 
 def merge_helpers(part: Subcircuit, helpers: Iterable[Subcircuit]) -> Subcircuit:
-    """Return ``part`` with the subcircuits ``helpers`` in the same library file.
+    """Return ``part`` with the subcircuits ``helpers`` in its library file.
 
-    The merged subcircuits are named ``PART_HELPER``. A user then includes only one library file,
-    and two library files never define the same name.
+    The merged subcircuits are named ``PART_HELPER``. As a result, a user includes only one library
+    file, and two library files never define the same name.
     """
     tree = part.circuit
     for helper in helpers:
@@ -55,7 +55,7 @@ def rename_subcircuits(circuit: Circuit, names: Mapping[str, str]) -> Circuit:
     new_names = key_by_lower_name(names)
 
     def rename_item(entry: Item) -> Item:
-        """Return an item in which subcircuits are renamed."""
+        """Return an item in which subcircuits have their new names."""
         if isinstance(entry, Circuit):
             return replace(entry, name=new_names.get(entry.name.lower(), entry.name))
         if isinstance(entry, Element) and entry.kind == "x":
@@ -74,11 +74,10 @@ def make_library_stem(part: Subcircuit) -> str:
 
 
 def list_parameterised_subcircuits(part: Subcircuit) -> Iterator[tuple[str, Circuit]]:
-    """Yield every subcircuit of a library, with its name in keys ``param.NAME.…``.
+    """Yield every subcircuit of a library with its name in the keys ``param.NAME.…``.
 
-    In these keys, the main subcircuit has the name of the library file. A helper has a separate
-    name, which may be the same in several libraries: ``opamp`` is the amplifier in all libraries
-    with an amplifier.
+    The main subcircuit has the name of the library file. A helper subcircuit has the same name in
+    all libraries, such as ``opamp`` for an amplifier.
     """
     for item in part.circuit.subcircuits:
         main = item.name.lower() == part.name.lower()
@@ -86,24 +85,26 @@ def list_parameterised_subcircuits(part: Subcircuit) -> Iterator[tuple[str, Circ
 
 
 def list_parameter_defaults(deck: Deck) -> dict[str, float]:
-    """Return the default value of every numeric parameter, keyed by ``PART.NAME``."""
+    """Return the default value of each numeric parameter, keyed by ``PART.NAME``."""
     result = {}
     for part in deck.parts:
         for library, item in list_parameterised_subcircuits(part):
             for name, text in item.defaults.items():
-                with contextlib.suppress(ValueError):  # the default is an expression
+                with contextlib.suppress(ValueError):  # a default that is an expression is left out
                     result[f"{library}.{name}"] = float(text)
     return result
 
 
 def with_parameters(deck: Deck, values: Iterable[tuple[str, float]]) -> Deck:
-    """Return ``deck`` with new default values of parameters in subcircuits and headers.
+    """Return ``deck`` with new default values of parameters.
 
-    ``values`` are pairs ``("PART.NAME", value)``.
+    ``values`` contains pairs ``("PART.NAME", value)``. The new values are also written into the
+    headers of the libraries.
 
     Raises
     ------
-    UsageError : no part of the deck has this parameter, or the value is not allowed.
+    UsageError : no part of the deck has the parameter, or the value is outside of the parameter's
+        range.
     """
     known, parts = list_parameter_defaults(deck), list(deck.parts)
     for key, value in values:
@@ -116,7 +117,7 @@ def with_parameters(deck: Deck, values: Iterable[tuple[str, float]]) -> Deck:
 
 
 def _change_parameter(part: Subcircuit, library: str, name: str, value: float) -> Subcircuit:
-    """Return a part with a new default value of a parameter of the subcircuit ``library``."""
+    """Return a part with a new default value in the subcircuit ``library``."""
     changed_circuits = dict[int, Circuit]()
     params = list(part.params)
     for k, param in enumerate(params if library == make_library_stem(part) else ()):
@@ -161,14 +162,15 @@ def _require_in_range(param: Param, library: str, value: float) -> None:
 
 
 def make_array_deck(deck: Deck, count: int) -> Deck:
-    """Return a deck with ``count`` copies of ``deck``, the instances ``X1``, ``X2``, ….
+    """Return a deck with ``count`` copies of ``deck`` as subcircuit instances.
 
-    The copies have only node 0 in common. The results of copy k are called ``k.NAME``.
+    The copies ``X1``, ``X2``, … have only node 0 in common. The results of copy k have the names
+    ``k.NAME``.
 
     Raises
     ------
-    UsageError : the number of copies is out of range, or the deck has a dc sweep, which can vary
-        only one source.
+    UsageError : the number of copies is out of range, or the deck has a dc sweep, which varies only
+        one source.
     """
     if not 1 <= count <= MAX_COPIES:
         expected = f"1 to {MAX_COPIES}"
@@ -205,7 +207,7 @@ def _prefix_keys(prefix: str, values: Mapping[str, Value]) -> dict[str, Value]:
 
 
 def _move_into_instance(expression: str, instance: str) -> str:
-    """Return ``expression`` with each vector replaced by the same vector inside ``instance``."""
+    """Return ``expression`` with each vector moved into the subcircuit ``instance``."""
     signed = []
     for sign, text in split_terms(expression):
         item = parse_vector(text)
@@ -218,10 +220,11 @@ def add_noise_results(
 ) -> Deck:
     """Return the deck with the noise density of each noisy resistor as a result.
 
-    The name of a result is ``OUTPUT.OWNER.RESISTOR``. The result ``output`` is the density of the
-    total noise. ``OWNER`` is the part in ``owners`` whose name begins the name of the card.
-    ``noisy`` are the names of physical resistors with noise, keyed by library file. All other
-    resistors of these libraries are auxiliary and become noiseless.
+    Such a result has the name ``OUTPUT.OWNER.RESISTOR``. The result ``output`` itself is the
+    density of the total noise. ``OWNER`` is the part in ``owners`` whose name is the beginning of
+    the card name. For each library file, ``noisy`` contains the names of the physical resistors
+    with noise. All other resistors of these libraries only perform calculations and become
+    noiseless.
     """
     libraries = []
     for library in deck.parts:
@@ -241,15 +244,15 @@ def add_noise_results(
 
 
 def _remove_arithmetic_noise(part: Subcircuit, noisy: Iterable[str]) -> Subcircuit:
-    """Return ``part`` without thermal noise of auxiliary resistors.
+    """Return ``part`` without thermal noise of resistors that only calculate.
 
-    A resistor keeps its noise if its name begins with ``Rnoise``, or if its name without a final
-    number is in ``noisy``.
+    A resistor keeps its noise if its name begins with ``Rnoise``, or if ``noisy`` contains its name
+    without the final number.
     """
     names = set(map(str.lower, noisy))
 
     def silence_resistor(entry: Item) -> Item:
-        """Return an item; an auxiliary resistor becomes noiseless."""
+        """Return an item; a resistor that only calculates becomes noiseless."""
         if not isinstance(entry, Element) or entry.kind != "r" or entry.key.startswith("rnoise"):
             return entry
         if names & {entry.key, entry.key.rstrip(DIGITS)}:
@@ -260,7 +263,7 @@ def _remove_arithmetic_noise(part: Subcircuit, noisy: Iterable[str]) -> Subcircu
 
 
 def _list_noisy_resistors(scope: Scope, path: str = "") -> Iterator[tuple[str, str]]:
-    """Yield the simulator names of noisy resistors, and the paths of their instances."""
+    """Yield the simulator name and the path of each noisy resistor."""
     for item in scope.elements:
         if item.kind == "x" and (inner := scope.find_subcircuit(item.model)) is not None:
             yield from _list_noisy_resistors(inner, f"{path}{item.key}.")

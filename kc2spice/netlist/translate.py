@@ -25,8 +25,8 @@ def translate_deck(deck: Deck, dialect: str) -> Deck:
 
     Raises
     ------
-    UsageError : the dialect is unknown, or the deck contains a construct without an equivalent in
-        the dialect.
+    UsageError : the dialect is unknown, or the dialect has no equivalent of a construct in the
+        deck.
     """
     if dialect == NGSPICE:
         return deck
@@ -54,8 +54,8 @@ def write_dialect_files(deck: Deck, dialect: str) -> dict[str, str]:
 
     Raises
     ------
-    UsageError : the dialect is unknown, the deck contains a construct without an equivalent in the
-        dialect, or no part can be a module.
+    UsageError : the dialect is unknown, the dialect has no equivalent of a construct in the deck,
+        or no part can be a module.
     """
     if dialect != VERILOG_A:
         return translate_deck(deck, dialect).files
@@ -77,16 +77,16 @@ def write_dialect_files(deck: Deck, dialect: str) -> dict[str, str]:
 
 
 def write_symbol_files(deck: Deck, dialect: str = "ngspice") -> dict[str, str]:
-    """Return the files of symbols and libraries of a deck, keyed by file name.
+    """Return the symbol files and libraries of a deck, keyed by file name.
 
-    For ngspice, the files are a KiCad project of the whole deck, the symbols for all other
-    simulators, and the libraries ``NAME.DIALECT.lib`` that these symbols refer to. For another
-    dialect, the files are the symbols for its simulator, which refer to the libraries ``NAME.lib``.
-    A user's part that only ngspice can simulate has no symbols for other simulators.
+    For ngspice, the files are a KiCad project of the deck, symbols for all other simulators, and
+    their libraries ``NAME.DIALECT.lib``. For another dialect, the files are the symbols for its
+    simulator, which use the libraries ``NAME.lib``. A part of the user that only ngspice can
+    simulate has no symbols for other simulators.
 
     Raises
     ------
-    UsageError : a part that the simulator cannot represent, or a card without a KiCad symbol.
+    UsageError : the simulator cannot represent a part, or a card has no KiCad symbol.
     """
     if dialect == VERILOG_A:
         return {}
@@ -101,7 +101,7 @@ def write_symbol_files(deck: Deck, dialect: str = "ngspice") -> dict[str, str]:
             if symbols and dialect == NGSPICE:
                 try:
                     symbols = {**symbols, library: printer.format_file(part.located_tree)}
-                except UsageError:  # the other simulator lacks a card
+                except UsageError:  # the dialect has no equivalent of a card in the library
                     symbols = {}
             files |= symbols
     return files

@@ -1,6 +1,7 @@
-"""Part types that are declared by expressions for their energies, losses and states.
+"""Part types that are declared by their energies, losses and states.
 
-Netlists, laws of the independent integrator, and checks are generated from these expressions.
+From the expressions of energies, losses and states, the program generates netlists, laws of the
+independent integrator, and checks.
 """
 
 from kc2spice.physics.declaration import Declaration as Declaration

@@ -2,8 +2,8 @@
 
 The cards contain a current or voltage source for each branch of the declaration. At the pins, 1 V
 represents the pin unit of the domain, such as 1 um. At inner nodes, 1 V represents the SI unit. To
-differentiate a quantity, a source applies it as voltage to a capacitor, whose current is then the
-time derivative.
+differentiate a quantity, a source applies a voltage equal to the quantity to a capacitor. The
+current of the capacitor is then proportional to the time derivative.
 """
 
 from __future__ import annotations
@@ -174,10 +174,10 @@ def _write_items(
 def _list_inner_voltages(
     declaration: Declaration, linkages: FluxLinkages | None
 ) -> dict[str, Tree]:
-    """Return the voltages to ground of the inner nodes of a part with lookups, keyed by name.
+    """Return the voltages of the inner nodes of a part with lookups, keyed by name.
 
-    The reference pin of a part with lookups is at 0 V. ngspice evaluates the voltage of one node
-    faster than the voltage between two nodes.
+    The voltages are relative to ground, because the reference pin of a part with lookups is at 0 V.
+    ngspice evaluates the voltage of one node faster than the voltage between two nodes.
     """
     inner = list_inner_nodes(declaration)
     for name in linkages.current_names if linkages else ():
@@ -186,7 +186,9 @@ def _list_inner_voltages(
 
 
 def _list_laws(declaration: Declaration, linkages: FluxLinkages | None) -> tuple[Tree, ...]:
-    """Return the expressions that may contain tables: forces, and voltages due to motion.
+    """Return the expressions that may contain tables.
+
+    Tables may occur in forces, and in voltages due to motion.
 
     Raises
     ------
@@ -209,9 +211,9 @@ def _list_laws(declaration: Declaration, linkages: FluxLinkages | None) -> tuple
 
 
 def _write_lookups(lookups: Lookups, nodes: Mapping[str, Tree]) -> Iterator[Line]:
-    """Yield the cards of the common cell number of all lookups, and of repeated lookups.
+    """Yield the cards of the cell number of all lookups, and of shared lookups.
 
-    A repeated lookup occurs in several laws, and has a node.
+    A shared lookup occurs in several laws, and therefore has a node.
     """
     base = lookups.base
     yield from map("* {}".format, wrap(_COMMENT_TEXTS["lookup"].format(points=lookups.points), 96))
@@ -248,9 +250,8 @@ def _write_linkages(
 ) -> Iterator[Line]:
     """Yield the cards of branch currents as functions of the flux linkages.
 
-    The flux linkages are states of the netlist. The inverse inductances are sums of their means and
-    of lookups. The means have separate cards, because every lookup is 0 V before the first
-    solution of the simulator.
+    The flux linkages are states of the netlist. Each inverse inductance is the sum of its mean and
+    a lookup. The means have separate cards, because the simulator starts with 0 V at every lookup.
     """
     henry, inverse = linkages.invert_inductances(lookups)
     mean, count = inverse.mean(axis=0), len(linkages.branches)
@@ -274,16 +275,17 @@ def _write_linkages(
 
 
 def _name_inverse_node(k: int, l: int) -> str:
-    """Return the name of the node for entry (k, l) of the inverse inductance matrix."""
+    """Return the node of the entry (k, l) of the inverse inductance matrix."""
     return f"lookup_g{min(k, l) + 1}{max(k, l) + 1}"
 
 
 def _write_linkage(
     declaration: Declaration, b: Branch, henry: float, motion: str, nodes: Mapping[str, Tree]
 ) -> Iterator[Line]:
-    """Yield the cards of the resistance and of the flux linkage of a current branch.
+    """Yield the cards for the resistance and the flux linkage of a current branch.
 
-    The law ``motion`` is the voltage that motion induces. The flux linkage is scaled by ``henry``.
+    The text ``motion`` is the expression of the voltage that motion induces. The flux linkage is
+    divided by the inductance ``henry`` [H].
     """
     n, base, inner = b.name, reference_pin_name(declaration), f"rest_{b.name}"
     drop = declaration.derive_direct_flow(b)
@@ -319,10 +321,10 @@ def _write_node(name: str, tree: Tree, nodes: Mapping[str, Tree], base: str) -> 
 def _write_current(
     name: str, ends: tuple[str, str], tree: Tree, nodes: Mapping[str, Tree]
 ) -> Iterator[Line]:
-    """Yield the cards of the current ``tree`` from the first to the second of the nodes ``ends``.
+    """Yield the cards of the current ``tree`` between the two nodes ``ends``.
 
-    For an affine expression, the cards are linear sources, so that ngspice need not differentiate
-    the expression.
+    The current flows from the first node to the second node. An affine expression becomes linear
+    sources, which ngspice need not differentiate.
     """
     start, end = ends
     dependencies = sorted(find_names(tree) & set(nodes))
@@ -352,9 +354,9 @@ def _list_circuit_variables(tree: Tree) -> list[CircuitVariable]:
 
 
 def _find_single_voltage(tree: Tree) -> tuple[str, ...]:
-    """Return the two nodes of the voltage that is the only circuit variable in ``tree``.
+    """Return the two nodes of the voltage, if ``tree`` has no other circuit variable.
 
-    If ``tree`` contains another or several circuit variables, return an empty tuple.
+    Otherwise, return an empty tuple.
     """
     variables = _list_circuit_variables(tree)
     if len(variables) == 1 and variables[0].kind == "v":
@@ -365,9 +367,9 @@ def _find_single_voltage(tree: Tree) -> tuple[str, ...]:
 def _write_mass(declaration: Declaration, b: Branch) -> Iterator[Line]:
     """Yield the cards of a mass, whose velocity is the voltage of a capacitor.
 
-    The capacitance represents the mass, and the position is the integral of the velocity. If the
-    velocity has no pin, the cards represent the force at the pins both as a node voltage and as a
-    current, because the simulator's tolerance for the current is tighter.
+    The capacitance represents the mass. The position is the integral of the velocity. If the
+    velocity has no pin, the force at the pins is both a node voltage and a current, because the
+    tolerance of the simulator is tighter for currents.
     """
     n, base, speed = b.name, declaration.base or b.minus, declaration.speeds.get(b.plus)
     v, place = (speed, b.plus) if speed else (f"speed_{n}", f"place_{n}")
@@ -443,13 +445,13 @@ def _list_variable_trees(declaration: Declaration) -> Mapping[str, Tree]:
 
 
 def _find_pin_velocity(declaration: Declaration, pin: str) -> Tree:
-    """Return the voltage of the velocity node of a pin; zero if the pin has no such node."""
+    """Return the voltage of the velocity node of a pin; zero without such a node."""
     speed = declaration.speeds.get(pin)
     return CircuitVariable("v", (speed,)) if speed else ZERO
 
 
 def list_inner_nodes(declaration: Declaration) -> dict[str, str]:
-    """Return the netlist nodes of signals and states, keyed by signal name or state name."""
+    """Return the netlist nodes of signals and states, keyed by signal or state."""
     result = dict(zip(declaration.signals, declaration.signals, strict=True))
     for name in declaration.states:
         result[name] = get_state_node(name)
@@ -473,13 +475,13 @@ def _format_power_of_ten(value: float) -> Number:
 
 
 def _find_coordinate_nodes(declaration: Declaration, b: Branch) -> tuple[str, str]:
-    """Return the two nodes between which the voltage represents the coordinate of a branch."""
+    """Return the two nodes whose voltage represents the coordinate of a branch."""
     separate = b.less or b.name in declaration.lags
     return (f"x_{b.name}", reference_pin_name(declaration)) if separate else (b.plus, b.minus)
 
 
 def reference_pin_name(declaration: Declaration) -> str:
-    """Return the name of the pin to which the voltages of loops and inner nodes refer."""
+    """Return the name of the reference pin for the voltages of loops and inner nodes."""
     pins = (b.minus for b in declaration.branches if b.is_motion)
     return declaration.base or next(pins, "") or declaration.pin_branches[0].minus
 
@@ -500,7 +502,7 @@ def name_force_node(branch: Branch) -> str:
 
 
 def _format_comment(kind: str, branch: Branch, **words: str) -> str:
-    """Return the netlist comment of this ``kind`` about a branch."""
+    """Return the netlist comment of type ``kind`` for a branch."""
     return f"* {_COMMENT_TEXTS[kind].format(plus=branch.plus, minus=branch.minus, **words)}"
 
 
@@ -531,17 +533,17 @@ def _write_law(declaration: Declaration, tree: Tree, nodes: Mapping[str, Tree]) 
 
 
 def _write_differentiator(name: str, node: str, minus: str) -> Iterator[Line]:
-    """Yield the cards of a capacitor and of the source ``Vrate_NAME`` in series with it.
+    """Yield the cards that differentiate a voltage.
 
-    The current of the source is 1e-6 times the time derivative of the voltage between ``node`` and
-    ``minus``.
+    The cards are a capacitor and the source ``Vrate_NAME`` in series. The current of the source is
+    1e-6 times the time derivative of the voltage between ``node`` and ``minus``.
     """
     yield Element.from_words(f"Crate_{name}", node, f"sense_{name}", _UNIT_CAPACITANCE)
     yield Element.from_words(f"Vrate_{name}", f"sense_{name}", minus, "0")
 
 
 def _find_sensed_pins(declaration: Declaration, b: Branch) -> tuple[str, str]:
-    """Return the pins of the displacement that the netlist differentiates.
+    """Return the pins whose displacement the netlist differentiates.
 
     A pin with a velocity node is replaced by the reference pin.
     """
@@ -553,7 +555,7 @@ def _find_sensed_pins(declaration: Declaration, b: Branch) -> tuple[str, str]:
 def _write_velocity(declaration: Declaration, b: Branch) -> Iterator[Line]:
     """Yield the cards that differentiate the displacement of a branch.
 
-    Pins with a velocity node do not contribute to this displacement.
+    Pins with a velocity node do not contribute to the differentiated displacement.
     """
     base = declaration.base or b.minus
     plus, minus = _find_sensed_pins(declaration, b)
@@ -564,12 +566,13 @@ def _write_velocity(declaration: Declaration, b: Branch) -> Iterator[Line]:
 
 
 def _write_coordinate(declaration: Declaration, b: Branch) -> Iterator[Line]:
-    """Yield the cards of the node for a coordinate that is not the voltage between two pins.
+    """Yield the cards of the node for a coordinate with a lag or with three pins.
 
-    For a coordinate x with a lag, the voltage of the node is ``x + lag x'``, up to terms of second
-    order in the lag. The derivative x' is estimated by two RC low-pass filters in series, each with
-    the time constant ``lag / 4``. With the filter outputs ``first`` and ``second``, the voltage is
-    ``x + 4 (2 x - first + second - first)``.
+    A coordinate with a lag or with three pins is not a voltage between two pins. For a coordinate x
+    with a lag, the voltage of the node is ``x + lag x'``, up to terms of second order in the lag.
+    Two RC low-pass filters in series, each with the time constant ``lag / 4``, give an estimate of
+    the derivative x'. With the filter outputs ``first`` and ``second``, the voltage is ``x + 4 (2 x
+    - first + second - first)``.
     """
     n, base, lag = b.name, reference_pin_name(declaration), declaration.lags.get(b.name)
     node = f"in_{n}" if lag else f"x_{n}"
@@ -624,9 +627,9 @@ def _write_force(
 def _write_stored_quantity(
     declaration: Declaration, b: Branch, stored: Tree, node: str, nodes: Mapping[str, Tree]
 ) -> Iterator[Line]:
-    """Yield the cards of the scaled stored quantity of a branch, and of its time derivative.
+    """Yield the cards of the stored quantity of a branch, and of its time derivative.
 
-    The stored quantity is a charge or a flux, for example.
+    The stored quantity is scaled. For example, the stored quantity is a charge or a flux.
     """
     scale = declaration.set_variables_to_zero(differentiate_tree(stored, b.name))
     scale = multiply_trees(_format_power_of_ten(find_coordinate_quantity(b).factor), scale)
@@ -634,8 +637,8 @@ def _write_stored_quantity(
     unit = moved if moved != ZERO else Number("1e-12")
     yield Parameters({f"scale_{b.name}": f"{{{format_tree(unit)}}}"})
     amount = substitute_names(declaration.replace_power_series(stored), nodes)
-    # A charge is multiplied by 1/scale, and not divided by scale.
-    # In derivatives of quotients, ngspice would add 1e-32 to scale^2.
+    # A charge is multiplied by 1/scale, because a division by scale would be inaccurate.
+    # For the derivative of a quotient, ngspice adds 1e-32 to scale^2.
     if not b.is_flow:
         yield Parameters({f"per_{b.name}": f"{{1/scale_{b.name}}}"})
         amount = BinaryOperation("*", Name(f"per_{b.name}"), amount)
@@ -646,10 +649,10 @@ def _write_stored_quantity(
 
 
 def _compute_change_by_motion(declaration: Declaration, stored: Tree) -> Tree:
-    """Return the change of a stored quantity per 1 um of a displacement.
+    """Return the change of a stored quantity for a displacement of 1 um.
 
-    The change is computed with all coordinates at zero, for the first displacement on which the
-    quantity depends.
+    The displacement is the first displacement on which the stored quantity depends. All coordinates
+    are zero.
     """
     for b in declaration.displacement_branches:
         slope = declaration.set_variables_to_zero(differentiate_tree(stored, b.name))
@@ -721,12 +724,13 @@ def _write_current_branch(
 
 
 def _write_kink_switches(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterator[Line]:
-    """Yield a switch for each kink of a law, so that ngspice places a time point at the kink.
+    """Yield a switch for each kink of a law.
 
-    A time step across a kink would change the energy of a spring. ngspice shortens its steps until
-    the control voltage of a switch is within 0.05 V of the threshold. The control voltage is 10 kV
-    per um of displacement, or 100 V per unit of a function of states. These gains are low enough
-    that the steps before a fast crossing of a kink do not become too small.
+    The switch makes ngspice place a time point at the kink. A time step across a kink would change
+    the energy of a spring. ngspice shortens its time steps until the control voltage of a switch is
+    within 0.05 V of the threshold. The control voltage is 10 kV for each um of displacement, or 100
+    V for each unit of a function of states. With larger gains, the time steps before a fast
+    crossing of a kink would become too small.
     """
     moved = {b.name: b for b in declaration.displacement_branches}
     inner = {*declaration.states, *declaration.signals}

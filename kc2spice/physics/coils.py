@@ -1,9 +1,9 @@
-"""Declarations and laws of two coils and fixed magnets around a moving magnet.
+"""Declarations and laws of two coils around a moving magnet.
 
-The coenergy is a function of the height of the moving magnet and of both coil currents. Because the
-magnetic materials are linear, the coenergy at each height is a quadratic polynomial of the currents
-with the exponents in :data:`kc2spice.core.magnets.CURRENT_EXPONENTS`. The derivatives of the
-coenergy are the force and the flux linkages.
+The field of fixed magnets is included. The coenergy is a function of the height of the moving
+magnet and of both coil currents. Because the magnetic materials are linear, the coenergy at each
+height is a quadratic polynomial of the currents. The derivatives of the coenergy are the force and
+the flux linkages.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from kc2spice.physics.symbolic import (
     subtract_trees,
 )
 
-# names of the tables of the coenergy's coefficients versus the height
+# names of the tables: coefficients of the coenergy versus height
 _TABLE_NAMES = tuple(map("w{}".format, range(len(CURRENT_EXPONENTS))))
 _TABLE_UNITS = ("J", "Wb", "Wb", "H", "H", "H")
 _COIL_RESISTANCES = ("resistance_lower", "resistance_upper")
@@ -59,7 +59,7 @@ _HEIGHT_LIMITS = {
 
 
 def _write_coenergy(height: str) -> str:
-    """Return the text of the coenergy [J] as an expression of both currents and a height."""
+    """Return the expression of the coenergy [J] in both currents and the height."""
     terms = []
     for table, (a, b) in zip(_TABLE_NAMES, CURRENT_EXPONENTS.values(), strict=True):
         terms.append(f"{table}({height})*i1^{a}*i2^{b}")
@@ -71,7 +71,7 @@ def declare_coils(height: str = _RAISED_HEIGHT) -> Declaration:
     """Return the declaration of both coils with resistance, inductance and back-EMF.
 
     The pins of the lower coil are ``lp`` and ``ln``, the pins of the upper coil ``up`` and ``un``.
-    In a netlist, the expression ``height`` must be the coordinate ``y``.
+    In a netlist, ``height`` must be the coordinate ``y``.
     """
     return Declaration(
         "coils",
@@ -90,7 +90,7 @@ def declare_coils(height: str = _RAISED_HEIGHT) -> Declaration:
 def declare_resistive_coils(height: str = _RAISED_HEIGHT) -> Declaration:
     """Return the declaration of both coils in series, without inductance and back-EMF.
 
-    The current in the lower coil is reversed.
+    The series connection reverses the current in the lower coil.
     """
     resistance = f"({' + '.join(_COIL_RESISTANCES)})"
     ends = voltage("v", "drive", "ret"), measured(voltage("across", "drive", "ret"))
@@ -99,10 +99,11 @@ def declare_resistive_coils(height: str = _RAISED_HEIGHT) -> Declaration:
 
 
 def add_heat_pin(declared: Declaration, coefficient: float, reference: float) -> Declaration:
-    """Return the declaration of coils with a heat pin, whose temperature sets the resistances.
+    """Return the declaration of coils with a heat pin.
 
-    The declaration may contain current signals, which are computed from a voltage. These signals
-    are then divided by the resistance ratio at the temperature of the heat pin.
+    The temperature of the heat pin sets the resistances of the coils. Signals of the declaration
+    are currents, which are computed from a voltage. Each signal is divided by the resistance ratio
+    at the temperature of the heat pin.
     """
     result = declared.with_heat_pin(coefficient, reference)
     if not declared.signals:
@@ -115,7 +116,10 @@ def add_heat_pin(declared: Declaration, coefficient: float, reference: float) ->
 
 @cache
 def declare_prescribed_currents() -> Declaration:
-    """Return the declaration of coils whose currents are the parameters ``lower`` and ``upper``."""
+    """Return the declaration of coils with prescribed currents.
+
+    The currents are the parameters ``lower`` and ``upper``.
+    """
     return _declare_force("lower", "upper", ("lower", "upper"), _RAISED_HEIGHT)
 
 
@@ -127,7 +131,7 @@ def _declare_force(
     branches: tuple[Branch, ...] = (),
     **physics: Any,
 ) -> Declaration:
-    """Return the declaration of the force on the magnet, without back-EMF in the coils.
+    """Return the declaration of the force on the magnet, without back-EMF.
 
     ``i1`` and ``i2`` are expressions of the coil currents.
     """
@@ -148,10 +152,11 @@ def _declare_force(
 
 
 def _choose_declaration_options(height: str, names: tuple[str, ...]) -> dict[str, Any]:
-    """Return the arguments of a declaration that differ between law and netlist.
+    """Return the arguments of a declaration that depend on its purpose.
 
-    For a law, the arguments are the parameters and limits of the height. For a netlist, the
-    arguments are the velocity pin and the option ``metered``.
+    The purpose is either a law of the integrator or a netlist. For a law, the arguments are the
+    parameters of the height and the limits of the height. For a netlist, the arguments are the
+    velocity pin and the option ``metered``.
     """
     if height == _RAISED_HEIGHT:
         return {
@@ -162,12 +167,15 @@ def _choose_declaration_options(height: str, names: tuple[str, ...]) -> dict[str
 
 
 def _make_unset_parameters(*names: str) -> tuple[Param, ...]:
-    """Return netlist parameters with these names and without values or units."""
+    """Return netlist parameters with the passed names, without values or units."""
     return tuple(Param(name, 0.0, "-", "") for name in names)
 
 
 def tabulate_coenergy(table: MagnetostaticTable, points: int) -> dict[str, TableFunction]:
-    """Return the tables of the coenergy and of its slopes at ``points`` heights, keyed by name."""
+    """Return tables of the coenergy and of its slopes, keyed by name.
+
+    Each table has ``points`` heights.
+    """
     result = {}
     low, high = float(table.y[0]), float(table.y[-1])
     for order, end in enumerate(("", SLOPE_SUFFIX)):
@@ -192,8 +200,8 @@ def make_law(
 ) -> DeclaredLaw:
     """Return the law of the coils, with a ``table`` of finite-element solutions.
 
-    The height of the magnet is its coordinate plus ``raised`` [m]. ``given`` are values of further
-    parameters.
+    The height of the magnet is its displacement plus ``raised`` [m]. ``given`` contains the values
+    of further parameters.
     """
     known = dict(declaration.defaults)
     known |= dict(zip(_COIL_RESISTANCES, table.resistance.tolist(), strict=True)) | given
@@ -203,9 +211,9 @@ def make_law(
 
 
 def _make_table_functions(coenergy: Coenergy) -> Mapping[str, Callable[[float], float]]:
-    """Return the table functions that the declarations call, keyed by table name.
+    """Return the functions of the tables in the declarations, keyed by table name.
 
-    The tables have a common cache, so that each height is evaluated only once.
+    The functions have a common cache, so that each height is evaluated only once.
     """
     result: dict[str, Callable[[float], float]] = {}
     for order, end in enumerate(_TABLE_SUFFIXES):

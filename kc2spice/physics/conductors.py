@@ -1,8 +1,8 @@
-"""Scene keys of conductors whose resistance depends on the temperature of the pin ``heat``.
+"""Keys of conductors whose resistance depends on the temperature.
 
-The resistance is ``R0 (1 + alpha (T - T0))``. Here ``alpha`` is the temperature coefficient, ``T``
-the temperature of the pin ``heat`` relative to the pin ``ambient``, and ``T0`` the reference
-temperature. The field ``conductors`` of a declaration contains the names of the conductors.
+The resistance is ``R0 (1 + alpha (T - T0))``. ``alpha`` is the temperature coefficient, ``T`` is
+the temperature of the pin ``heat`` relative to the pin ``ambient``, and ``T0`` is the reference
+temperature. The field ``conductors`` of a declaration contains the names of these conductors.
 """
 
 from __future__ import annotations
@@ -22,7 +22,10 @@ HEAT_TERMINALS = Terminal.from_domain(HEAT, THERMAL), Terminal.from_domain(AMBIE
 
 
 class ConductorKeys(Section):
-    """Keys of the temperature-dependent resistance ``R0 (1 + alpha (T - T0))`` of a conductor."""
+    """Keys of the temperature-dependent resistance of a conductor.
+
+    The resistance is ``R0 (1 + alpha (T - T0))``.
+    """
 
     temperature_coefficient: Annotated[float, si("1/K")] | None = Field(
         None,
@@ -48,9 +51,9 @@ class ConductorKeys(Section):
 
 
 def get_conductor_values(keys: Section) -> tuple[float | None, float]:
-    """Return the temperature coefficient [1/K] and the reference temperature [K] of a part.
+    """Return temperature coefficient [1/K] and reference temperature [K] of a part.
 
-    The temperature coefficient is None if no key of the part states it.
+    The temperature coefficient is None if no key of the part states this coefficient.
     """
     if not isinstance(keys, ConductorKeys):
         return None, 0.0
@@ -63,7 +66,10 @@ def is_heated(part: Part, scene: DeclaredScene) -> bool:
 
 
 def list_useless_key_errors(part: Part, scene: DeclaredScene) -> Iterator[UsageError]:
-    """Yield an error for each conductor key without effect, if the heat pin is not connected."""
+    """Yield an error for each conductor key without effect.
+
+    Without a connected heat pin, no conductor key has an effect.
+    """
     if is_heated(part, scene):
         return
     for key in (COEFFICIENT, REFERENCE):

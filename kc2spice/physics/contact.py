@@ -1,4 +1,4 @@
-"""Declaration of contacts with a penalty, Hertz or pressure law, damping and friction."""
+"""Contacts between bodies: penalty, Hertz or pressure law, damping and friction."""
 
 from __future__ import annotations
 
@@ -24,31 +24,32 @@ from kc2spice.physics.symbolic import (
 )
 
 CONTACT_RATING = "not known; compare the force with the strength of both surfaces (Hertz)"
-# Note on the mesh error of a pressure law: the error of the compliances that the law is fitted to.
+# Note on the mesh error of a pressure law, which is the error of the fitted compliances.
 SPACING_NOTE = "error not estimated; a run with half the key spacing shows it"
-# Reason for FRICTION_NOTE: in a test with compiled modules, a block slid 35 mm, not 0.2 mm.
-# In the test with compiled modules, the simulator printed no error.
+# Reason for FRICTION_NOTE: in a test with compiled modules, a block slid 35 mm instead of 0.2 mm.
+# In the test with compiled modules, the simulator printed no error message.
 FRICTION_NOTE = "compiled modules lose the digits that friction below its creep speed needs"
 SIGN_NOTE = "um, m/s and N count upwards; 1 A into a pin pushes the part up with 1 N"
 
 
 @dataclass(frozen=True)
 class ContactForce:
-    """Law of the normal force and the friction force in a contact (Hunt and Crossley 1975).
+    """Law of the normal force and of the friction force in a contact.
 
-    For an overlap x above zero, ``F = f(x) max(0, 1 + damping x')`` with
-    ``f(x) = stiffness x^power (curve_0 + curve_1 s + ...)`` and ``s = sqrt(x / depth)``.
+    For an overlap x above zero, the normal force is ``F = f(x) max(0, 1 + damping x')`` (Hunt and
+    Crossley 1975) with ``f(x) = stiffness x^power (curve_0 + curve_1 s + ...)`` and ``s = sqrt(x /
+    depth)``.
 
     ``stiffness`` has the unit N/m^power, and ``power`` is 1 or 1.5. ``curve`` contains the
-    coefficients ``curve_0``, which is 1, ``curve_1``, …. A law with several coefficients is a
-    pressure law, which is valid for overlaps up to ``depth`` [m] under a sphere of ``radius`` [m].
-    ``pace`` [s] is the time constant with which the surfaces follow the force: the law contains ``x
-    + pace x'`` in place of x. The force is never attractive: it is zero if the surfaces separate
-    faster than ``1 / damping`` [m/s].
+    coefficients ``curve_0`` = 1, ``curve_1``, …. A law with several coefficients is a pressure law,
+    which is valid for overlaps up to ``depth`` [m] under a sphere of ``radius`` [m]. ``pace`` [s]
+    is the response time of the surfaces to the force: the law contains ``x + pace x'`` in place of
+    x. The force is never attractive: it is zero if the surfaces separate faster than ``1 /
+    damping`` [m/s].
 
-    ``friction`` is Coulomb's coefficient: the force ``F friction clip(v / creep)`` acts against
-    sliding at the speed v. Below the speed ``creep`` [m/s], the friction is viscous, so that the
-    surfaces do not stick.
+    ``friction`` is Coulomb's friction coefficient: at the sliding speed v, the friction force is
+    ``F friction clip(v / creep)``. Below the speed ``creep`` [m/s], the friction is viscous, so
+    that the surfaces do not stick.
     """
 
     stiffness: float
@@ -73,11 +74,17 @@ class ContactForce:
         return _make_contact_laws(self.power, len(self.curve), bool(self.damping))
 
     def energy(self, x: np.ndarray) -> np.ndarray:
-        """Return the stored energy ``int f dx`` [J] at the overlaps ``x`` [m]; 0 for x < 0."""
+        """Return the stored energy ``int f dx`` [J] at the overlaps ``x`` [m].
+
+        The energy is 0 for x < 0.
+        """
         return np.asarray(evaluate_tree(self._law_expressions[0], self.law_constants | {"x": x}))
 
     def force(self, x: np.ndarray) -> np.ndarray:
-        """Return the elastic force ``f(x)`` [N] at the overlaps ``x`` [m]; 0 for x < 0."""
+        """Return the elastic force ``f(x)`` [N] at the overlaps ``x`` [m].
+
+        The force is 0 for x < 0.
+        """
         return np.asarray(evaluate_tree(self._law_expressions[1], self.law_constants | {"x": x}))
 
 
@@ -85,12 +92,12 @@ class ContactForce:
 def _make_contact_laws(power: float, count: int, damped: bool) -> tuple[Tree, Tree, Tree]:
     """Return expressions of stored energy, elastic force, and force with damping.
 
-    The variables are the overlap ``x`` and its rate ``x_rate``. ``count`` is the number of
-    coefficients of the curve.
+    The stored energy is the integral of the elastic force. The variables are the overlap ``x`` and
+    its rate ``x_rate``. ``count`` is the number of coefficients of the curve.
     """
     terms = []
     # With the arguments in the order (0, x), the derivative of max(0, x) is 1 at x = 0.
-    # Newton's method starts at x = 0.
+    # The derivative must not be 0 at x = 0, because Newton's method starts at x = 0.
     for k in range(count):
         order = power + 1 + k / 2
         closed = f"{f'c{k}*' if k else ''}max(0, x)^{int(order)}"
@@ -116,23 +123,25 @@ def declare_contact(
     carried: str = "",
     groove: float | None = None,
 ) -> Declaration:
-    """Return the declaration of a contact between two bodies, at one or several contact rings.
+    """Return the declaration of a contact between two bodies.
 
-    Each of the ``ports`` is a ring, at which the overlap is the displacement of the port, minus the
-    displacement of the lower side and minus the gap. ``law`` is the law of the force on one ring,
-    and ``gaps`` [m] are the initial gaps of the rings. ``under`` contains the radius R [m] of a
-    sphere above the rings and the radii r [m] of the rings. With ``under``, the gap ``r^2 / (R +
-    sqrt(R^2 - r^2))`` under the sphere is added to ``gaps``, and R is the parameter ``radius``.
+    Each of the ``ports`` is a contact ring. The overlap at a ring is the displacement of the port,
+    minus the displacement of the lower side, minus the gap. ``law`` is the force law of one ring,
+    and ``gaps`` [m] contains the initial gaps of the rings. ``under`` contains the radius R [m] of
+    a sphere above the rings, and the radii r [m] of the rings. With ``under``, the gap ``r^2 / (R +
+    sqrt(R^2 - r^2))`` below the sphere is added to ``gaps``, and R becomes the parameter
+    ``radius``.
 
-    ``rigid`` states whether the first and the second side are rigid. A rigid first side has the
-    pins ``va`` (velocity) and ``a``, and a rigid second side has the pins ``v`` and ``bottom``. An
-    elastic first side has its ports as pins, and an elastic second side has the pin ``b``.
-    ``carried`` is a pin that carries the lower side; its displacement is added to the displacement
-    of the lower side. In a contact with friction, the pin ``slide`` moves relative to the pin
-    ``rail``. ``groove`` is the opening angle of a groove in degrees.
+    ``rigid`` contains two flags, which state whether the first side and the second side are rigid.
+    A rigid first side has the pins ``va`` (velocity) and ``a``, and a rigid second side has the
+    pins ``v`` and ``bottom``. An elastic first side has its ports as pins, and an elastic second
+    side has the pin ``b``. ``carried`` is a pin that carries the lower side. The displacement of
+    this pin is added to the displacement of the lower side. A contact with friction has the pins
+    ``slide`` and ``rail``, whose relative velocity is the sliding speed. ``groove`` is the opening
+    angle of a groove in degrees.
 
-    A pressure law is fitted for one radius of the sphere. For another radius, the overlap is
-    multiplied by ``share`` before the pressure is computed.
+    A pressure law is fitted for one radius of the sphere. For a sphere of another radius, the
+    overlap is multiplied by ``share`` before the pressure is computed.
     """
     high, low = ("a",) if rigid[0] else ports, "bottom" if rigid[1] else "b"
     constants = {name: repr(value) for name, value in law.law_constants.items() if name != "eps"}
@@ -204,7 +213,7 @@ def _list_parameters(
     under: tuple[float, tuple[float, ...]] | None,
     groove: float | None,
 ) -> Iterator[Param]:
-    """Yield the parameters that an instance of the subcircuit may set."""
+    """Yield the parameters that an instance of the subcircuit can set."""
     linear = law.power == 1
     stiffness_text = (
         "contact penalty of a whole ring"

@@ -69,15 +69,15 @@ from kc2spice.physics.symbolic import (
 )
 
 LOOPS = "loops"
-TEMPERATURE = "temperature"  # name of the heat pin's temperature relative to the pin ``ambient``
-HEATING = "heating of the coil"  # name of an effect that only parts without a heat pin neglect
+TEMPERATURE = "temperature"  # temperature of the heat pin, relative to the pin ``ambient``
+HEATING = "heating of the coil"  # effect that is neglected only without a heat pin
 COEFFICIENT = "temperature_coefficient"
 REFERENCE = "reference_temperature"
 _ENERGIES = ("kinetic", "energy", "coenergy", "content")
-RATE = "_rate"  # suffix that makes the name of a velocity from the name of a displacement
+RATE = "_rate"  # a displacement name with this suffix is the name of the velocity
 # Quantities that can be coordinates of a branch.
-# Forces and torques cannot be coordinates, because a force does not determine a displacement.
-# Heat flows cannot be coordinates, because a heat flow stores no energy.
+# Forces and torques are excluded, because a force does not determine a displacement.
+# Heat flows are excluded, because a heat flow stores no energy.
 COORDINATES = tuple(
     kind
     for kind, (domain, side) in QUANTITIES.items()
@@ -88,12 +88,12 @@ COORDINATES = tuple(
 
 @dataclass(frozen=True)
 class Branch:
-    """Branch of a declaration: a coordinate between two pins, and a flow through both pins.
+    """Branch of a declaration: coordinate between two pins, and flow through the pins.
 
-    ``kind`` is the physical quantity of the coordinate, and ``name`` is its name in expressions.
-    ``through`` is the name of the flow into the pin ``plus``; it is empty for a measured branch.
-    ``less`` is a second lower pin of a displacement branch. The coordinate is then the displacement
-    of ``plus`` minus the displacements of ``minus`` and ``less``.
+    ``kind`` is the physical quantity of the coordinate, and ``name`` is the name of the coordinate
+    in expressions. ``through`` is the name of the flow into the pin ``plus``, and is empty for a
+    measured branch. A displacement branch can have a second lower pin ``less``. The coordinate is
+    then the displacement of ``plus`` minus the displacements of ``minus`` and ``less``.
     """
 
     kind: str
@@ -125,7 +125,10 @@ class Branch:
 
     @property
     def lossy_variable(self) -> str:
-        """Name of the variable on which the losses depend: the velocity or the coordinate."""
+        """Name of the variable on which the losses of the branch depend.
+
+        The variable is the rate of a displacement, or the coordinate itself.
+        """
         return self.rate if self.is_motion else self.name
 
     @property
@@ -135,9 +138,9 @@ class Branch:
 
     @property
     def across(self) -> str:
-        """Result name of the quantity across the pins, such as a displacement or a voltage.
+        """Result name of the quantity across the pins, such as a voltage.
 
-        The result name is the name of the coordinate, unless the coordinate is a flow.
+        The result name is the name of the coordinate, if the coordinate is not a flow.
         """
         if not self.is_flow:
             return self.name
@@ -148,10 +151,10 @@ class Branch:
 def branch(
     kind: str, name: str = "", plus: str = "a", minus: str = "b", through: str = ""
 ) -> Branch:
-    """Make a branch of any physical domain, whose coordinate is the quantity ``kind``.
+    """Make a branch of any physical domain, with the quantity ``kind`` as coordinate.
 
-    An example of ``kind`` is ``"pressure"``. By default, the coordinate and the flow have the
-    symbols of both quantities in :mod:`kc2spice.core.domains` as names.
+    An example of ``kind`` is ``"pressure"``. By default, the names of the coordinate and of the
+    flow are the symbols of both quantities in :mod:`kc2spice.core.domains`.
 
     Raises
     ------
@@ -172,46 +175,59 @@ def branch(
 def displacement(
     name: str = "x", plus: str = "a", minus: str = "b", force: str = "force", less: str = ""
 ) -> Branch:
-    """Make a branch whose coordinate is the displacement ``name`` [m] of ``plus``.
+    """Make a branch with the displacement ``name`` [m] of ``plus`` as coordinate.
 
-    The displacements of the pins ``minus`` and ``less`` are subtracted from that of ``plus``.
+    The displacements of the pins ``minus`` and ``less`` are subtracted from the displacement of
+    ``plus``.
     """
     return Branch("displacement", name, plus, minus, force, less)
 
 
 def voltage(name: str = "v", plus: str = "plus", minus: str = "minus", flow: str = "i") -> Branch:
-    """Make a branch whose coordinate is the voltage ``name`` [V] from ``plus`` to ``minus``."""
+    """Make a branch with the voltage ``name`` [V] from ``plus`` to ``minus``.
+
+    The voltage is the coordinate of the branch.
+    """
     return Branch("voltage", name, plus, minus, flow)
 
 
 def current(name: str = "i", plus: str = "plus", minus: str = "minus") -> Branch:
-    """Make a branch whose coordinate is the current ``name`` [A] from ``plus`` to ``minus``."""
+    """Make a branch with the current ``name`` [A] from ``plus`` to ``minus``.
+
+    The current is the coordinate of the branch.
+    """
     return Branch("current", name, plus, minus, name)
 
 
 def make_frame_branch(name: str, pin: str, base: str) -> Branch:
-    """Make a measured branch whose coordinate is the acceleration of a frame of reference.
+    """Make a measured branch with the acceleration of a frame as coordinate.
 
-    The acceleration [m/s2] has the name ``name``. In the netlist, the force that accelerates the
-    masses with the frame acts on ``pin``.
+    The name of the acceleration [m/s2] is ``name``. In the netlist, ``pin`` carries the force that
+    accelerates the masses with the frame.
     """
     return Branch("acceleration", name, pin, base, "")
 
 
 def measured(branch: Branch) -> Branch:
-    """Return a copy of ``branch`` without a flow, for example for the input of a sensor."""
+    """Return a copy of ``branch`` without a flow.
+
+    The input of a sensor is an example of such a branch.
+    """
     return replace(branch, through="")
 
 
 def loop(name: str) -> Branch:
-    """Make a branch whose coordinate is the current ``name`` [A] in a closed loop of a part."""
+    """Make a branch with the current ``name`` [A] in a closed loop of a part.
+
+    The current is the coordinate of the branch.
+    """
     return Branch("current", name, "", "", name)
 
 
 def _make_unknown_name_error(
     part: str, field_name: str, unknown: Sequence[str], known: Iterable[str], hint: str = ""
 ) -> UsageError:
-    """Make the error for ``unknown`` names in the expression ``field_name`` of a part."""
+    """Make the error for ``unknown`` names in the field ``field_name`` of a part."""
     first, choices = unknown[0], sorted(known)
     return UsageError(
         f"the {field_name} contains an unknown name",
@@ -225,9 +241,10 @@ def _make_unknown_name_error(
 
 
 def write_resistance_ratio(temperature: str = TEMPERATURE) -> str:
-    """Return the expression text of the ratio ``R / R0 = 1 + alpha (T - T0)`` of a conductor.
+    """Return the expression of the resistance ratio of a conductor.
 
-    R is the resistance at the ``temperature`` T, and R0 the resistance at the reference T0.
+    The ratio is ``R / R0 = 1 + alpha (T - T0)``. R is the resistance at the ``temperature`` T, and
+    R0 is the resistance at the reference temperature T0.
     """
     return f"1 + {COEFFICIENT}*({temperature} - {REFERENCE})"
 
@@ -239,7 +256,7 @@ ONE_TEMPERATURE = (
     "not estimated",
 )
 
-# Hints that name the correct field for a term that the energy or the coenergy must not contain.
+# Hints for terms that the energy or the coenergy must not contain, with the correct field.
 _FIELD_HINTS = {
     "energy": "state energy that depends on {} in coenergy, and losses in content",
     "coenergy": "state losses that depend on {} in content, and the energy of a mass in kinetic",
@@ -258,41 +275,41 @@ class Declaration:
     - ``tables``, functions of one argument whose values are computed outside of the declaration
     - coordinates, rates, ``states`` and ``signals``
 
-    ``states`` maps the name of each state to the expression of its time derivative. ``signals`` are
-    expressions of measured coordinates, states and earlier signals. ``kinetic`` is the energy of a
-    mass, ``1/2 m x_rate^2``. ``starts`` contains the names of the parameters for the displacement
-    and velocity of the mass at t = 0, keyed by displacement. Only forces at the pins and a constant
-    weight may act on the mass. ``forces`` contains dissipative forces as functions of coordinates
-    and rates, keyed by displacement. ``limits`` maps the description of a limit to an expression
-    that must stay above zero. ``stops`` maps the description of a stop to an expression that is
-    above zero in contact. ``neglected`` contains the name, the reason and the size of each
-    neglected effect. ``validity`` describes the range in which the equations hold. The default text
-    states a constant temperature, or for a part with heat pins, that keys do not depend on
-    temperature.
+    ``states`` maps the name of each state to the expression of its time derivative. ``signals``
+    maps the name of each signal to an expression of measured coordinates, states and earlier
+    signals. ``kinetic`` is the kinetic energy of a mass, ``1/2 m x_rate^2``. ``starts`` contains
+    the names of the parameters for the initial displacement and velocity of the mass, keyed by
+    displacement. Only forces at the pins and a constant weight may act on the mass. ``forces``
+    contains dissipative forces as functions of coordinates and rates, keyed by displacement.
+    ``limits`` maps the description of a limit to an expression that must stay above zero. ``stops``
+    maps the description of a stop to an expression that is above zero during contact. ``neglected``
+    contains the name, the reason and the size of each neglected effect. ``validity`` describes the
+    range in which the equations hold. The default text states a constant temperature. For a part
+    with heat pins, the default text states that keys do not depend on temperature.
 
-    ``conductors`` are the names of current or voltage branches whose resistance rises with the
-    temperature of the heat pin. ``temperature_coefficient`` [1/K] is this rise, relative to the
-    resistance at the reference temperature. If ``ideal_work`` is true, the power of ``forces`` is
-    the work of an ideal source, and not heat. If ``losses_of_model`` is true, the losses are known
-    only after a model is built. ``heated`` is true if the part has a heat pin, which
-    :meth:`with_heat_pin` adds. ``example`` contains the tables of a small scene in TOML. The list
-    of part types shows the pins of the part in this scene. ``rating`` and ``sign`` are lines in the
-    header of the library.
+    ``conductors`` contains the names of current or voltage branches whose resistance depends on the
+    temperature of the heat pin. ``temperature_coefficient`` [1/K] is the rise of the resistance per
+    kelvin, divided by the resistance at the reference temperature. If ``ideal_work`` is true, the
+    power of ``forces`` is work of an ideal source, and does not become heat. If ``losses_of_model``
+    is true, the losses are known only after the model is built. ``heated`` is true if
+    :meth:`with_heat_pin` added a heat pin to the part. ``example`` contains the tables of a small
+    scene in TOML, for the list of part types. ``rating`` and ``sign`` are lines in the header of
+    the library file.
 
     The following fields have an effect only on the netlist:
 
     - ``outputs`` are pins whose displacement is an affine function of a branch displacement.
-    - ``speeds`` contains velocity nodes of rigid bodies, keyed by displacement pin; the force acts
-      on the velocity node.
-    - ``lags`` are delays of forces, keyed by displacement x: the law contains ``x + lag x_rate`` in
-      place of x.
-    - ``base`` is the reference pin of inner nodes.
-    - If ``metered`` is false, forces and currents have no separate nodes and sources.
+    - ``speeds`` contains velocity nodes of rigid bodies, keyed by displacement pin. Forces act on
+      the velocity node.
+    - ``lags`` contains delays [s] of forces, keyed by displacement x. The law contains ``x + lag
+      x_rate`` in place of x.
+    - ``base`` is the reference pin of the voltages of inner nodes.
+    - If ``metered`` is false, the netlist has no nodes and sources that measure forces and
+      currents.
     - ``no_module`` is the reason why the part cannot be a compiled Verilog-A module.
-    - ``inner`` are nodes between branches that are not pins of the part.
-    - ``velocities`` are nodes of the same subcircuit whose voltage is the velocity of a
-      displacement branch, keyed by displacement. Without such a node, the netlist differentiates
-      the displacement.
+    - ``inner`` contains nodes between branches that are not pins of the part.
+    - ``velocities`` contains nodes of the subcircuit with velocities as voltages, keyed by
+      displacement. Without such a node, the netlist differentiates the displacement.
     - ``mesh`` describes the error estimate of the mesh or rings from which parameter values were
       computed.
     """
@@ -359,7 +376,7 @@ class Declaration:
         self._require_loss_in_content()
 
     def _check_branches(self) -> None:
-        """Reject a value of ``branches`` that is not a tuple or list of branches."""
+        """Reject ``branches`` unless it is a tuple or list of branches."""
         value: object = self.branches
         if isinstance(value, tuple | list) and all(isinstance(b, Branch) for b in value):
             return
@@ -372,9 +389,10 @@ class Declaration:
         )
 
     def _make_coordinate_hint(self, unknown: Iterable[str]) -> str:
-        """Return a hint if an unknown name is the quantity of a coordinate, not its name.
+        """Return a hint if an unknown name is the quantity of a coordinate.
 
-        Otherwise, return an empty string.
+        Expressions must contain the name of the coordinate instead. Return an empty string if no
+        unknown name is the quantity of a coordinate.
         """
         for b in self.branches:
             if b.kind in unknown and b.kind != b.name:
@@ -382,7 +400,7 @@ class Declaration:
         return ""
 
     def _check_names(self, field_name: str, tree: Tree, allowed: set[str]) -> None:
-        """Reject variables of the expression ``field_name`` that are not ``allowed``."""
+        """Reject an expression ``field_name`` with variables that are not ``allowed``."""
         strange = sorted(find_names(tree) - allowed - set(self.parameters))
         if strange:
             variables = ", ".join(strange)
@@ -398,9 +416,9 @@ class Declaration:
             )
 
     def _require_loss_in_content(self) -> None:
-        """Reject a content that depends on no variable that causes losses.
+        """Reject a content that does not depend on a rate, voltage or current.
 
-        An example is a content that depends on a displacement and not on its rate.
+        A content that depends only on a displacement is rejected, for example.
         """
         tree = self._parse_field("content")
         variables = {b.lossy_variable for b in self.acting_branches}
@@ -439,8 +457,8 @@ class Declaration:
     def offers_heat_pin(self) -> bool:
         """Whether a heat pin can be added.
 
-        The part must have losses, no pins in the thermal domain, and no names of its own that a
-        heat pin needs.
+        The part must have losses and no thermal pins. The names in the declaration must differ from
+        the names that a heat pin adds.
         """
         names_in_use = {HEAT, TEMPERATURE, COEFFICIENT, REFERENCE} & {
             *self.domains,
@@ -525,7 +543,7 @@ class Declaration:
 
     @cached_property
     def acting_branches(self) -> tuple[Branch, ...]:
-        """Branches with a flow through their pins: all branches except *measured* ones."""
+        """Branches with a flow through their pins, which are not *measured* branches."""
         return tuple(branch for branch in self.branches if branch.through)
 
     @cached_property
@@ -535,7 +553,7 @@ class Declaration:
 
     @cached_property
     def branches_without_motion(self) -> tuple[Branch, ...]:
-        """Acting branches whose coordinate is not a displacement, but a voltage or current."""
+        """Acting branches whose coordinate is not a displacement, such as a voltage."""
         return tuple(b for b in self.acting_branches if not b.is_motion)
 
     @cached_property
@@ -557,8 +575,8 @@ class Declaration:
     def domains(self) -> dict[str, Domain]:
         """Physical domain of each pin, keyed by pin name.
 
-        If a pin belongs to an acting branch and a measured branch, the acting branch determines the
-        domain.
+        If an acting branch and a measured branch have a common pin, the acting branch determines
+        the domain.
         """
         result: dict[str, Domain] = {}
         for b in (*self.acting_branches, *self.branches):
@@ -577,7 +595,7 @@ class Declaration:
 
     @cached_property
     def declaration_with_loop_pin(self) -> Declaration:
-        """Declaration in which each loop begins and ends at the inner pin ``loops``."""
+        """Copy of the declaration in which each loop begins and ends at the pin ``loops``."""
         if self.pin_branches == self.acting_branches:
             return self
         branches = (b if b.plus else replace(b, plus=LOOPS, minus=LOOPS) for b in self.branches)
@@ -585,7 +603,10 @@ class Declaration:
 
     @cached_property
     def branch_laws(self) -> tuple[Tree, ...]:
-        """Direct flow and stored quantity of each acting branch, in the order of the branches."""
+        """Direct flow and stored quantity of each acting branch.
+
+        The order of the branches is preserved.
+        """
         result: list[Tree] = []
         for branch in self.acting_branches:
             result += [self.derive_direct_flow(branch), self.derive_stored_quantity(branch)]
@@ -593,7 +614,7 @@ class Declaration:
 
     @cached_property
     def power_series(self) -> dict[Tree, str]:
-        """Names of all power series that occur in flows and stored quantities of branches."""
+        """Names of all power series in flows and stored quantities, keyed by expression."""
         result: dict[Tree, str] = {}
         for tree in chain.from_iterable(map(walk_tree, self.branch_laws)):
             if isinstance(tree, FunctionCall) and tree.function == "poly":
@@ -601,7 +622,10 @@ class Declaration:
         return result
 
     def replace_power_series(self, tree: Tree) -> Tree:
-        """Return ``tree`` with the names from :attr:`power_series` in place of power series."""
+        """Return ``tree`` with names in place of power series.
+
+        :attr:`power_series` contains the names of the power series.
+        """
         name = self.power_series.get(tree)
         return map_operands(tree, self.replace_power_series) if name is None else Name(name)
 
@@ -633,13 +657,13 @@ class Declaration:
         return parse_simplified(getattr(self, what), f"{what} of {self.name}", self.tables)
 
     def _differentiate_field(self, what: str, name: str) -> Tree:
-        """Return the derivative of the field ``what`` with respect to the variable ``name``."""
+        """Return the derivative of the field ``what`` with respect to ``name``."""
         return differentiate_tree(self._parse_field(what), name)
 
     def _parse_texts(self, what: str, stated: Mapping[str, str]) -> dict[str, Tree]:
-        """Return the expression trees of the texts in ``stated``.
+        """Return the expression trees of the texts in ``stated``, keyed by name.
 
-        Errors contain ``what`` and the name of the part.
+        Error messages contain ``what`` and the name of the part.
         """
         where = f"{what} of {self.name}"
         return {name: parse_simplified(text, where, self.tables) for name, text in stated.items()}
@@ -661,16 +685,16 @@ class Declaration:
 
     @cached_property
     def variables_by_limit(self) -> dict[str, frozenset[str]]:
-        """Names of the variables on which each limit depends, keyed by its description."""
+        """Names of the variables on which each limit depends, keyed by limit description."""
         return {name: self._list_variables(tree) for name, tree in self.limit_trees.items()}
 
     @cached_property
     def stop_variables(self) -> dict[str, frozenset[str]]:
-        """Names of the variables on which a stop depends, keyed by description of the stop."""
+        """Names of the variables on which each stop depends, keyed by stop description."""
         return {name: self._list_variables(tree) for name, tree in self.trees_by_stop.items()}
 
     def _list_variables(self, tree: Tree) -> frozenset[str]:
-        """Return the names in an expression that are not parameters."""
+        """Return the names of the variables in an expression: all names except parameters."""
         return find_names(tree).difference(self.parameters)
 
     @cached_property
@@ -690,7 +714,7 @@ class Declaration:
 
     @cached_property
     def _expanded_signals(self) -> dict[str, Tree]:
-        """Signals as expressions that contain no other signals, keyed by name."""
+        """Expressions of the signals without names of other signals, keyed by signal name."""
         result: dict[str, Tree] = {}
         for name, tree in self.signal_trees.items():
             result[name] = substitute_names(tree, result)
@@ -702,11 +726,11 @@ class Declaration:
 
     @cached_property
     def output_trees(self) -> dict[str, Tree]:
-        """Expression trees of the output pins' displacements, keyed by pin."""
+        """Expression trees of the displacements of output pins, keyed by pin."""
         return self._parse_texts("output", self.outputs)
 
     def derive_direct_flow(self, branch: Branch) -> Tree:
-        """Return the flow of a branch without the rate of its stored quantity.
+        """Return the direct flow of a branch, which excludes rates of stored quantities.
 
         The direct flow is the force without the rate of the momentum, or the current without the
         rate of the charge. For a branch whose coordinate is a current, the direct flow is the
@@ -724,9 +748,10 @@ class Declaration:
         return add_trees(stored, dissipative, self._force_trees.get(branch.name, ZERO))
 
     def _derive_lossy_flow(self, branch: Branch) -> Tree:
-        """Return the expression of the flow that the losses of a branch cause.
+        """Return the flow of a branch that is due to losses.
 
-        For a branch whose coordinate is a current, this part is the voltage across its resistance.
+        For a branch whose coordinate is a current, the lossy flow is the voltage across the
+        resistance.
         """
         slope = self._differentiate_field("content", branch.lossy_variable)
         if not self.heated or branch.name not in self.conductors:
@@ -735,10 +760,10 @@ class Declaration:
         return (multiply_trees if branch.is_flow else divide_trees)(slope, ratio)
 
     def direct_force_with_lags(self, branch: Branch) -> Tree:
-        """Return the direct force of a displacement branch for a netlist with lags.
+        """Return the direct force of a displacement branch in a netlist with lags.
 
-        The rates of coordinates with a lag are replaced by zero, because these coordinates already
-        contain their rates.
+        Coordinates with a lag already contain their rates. Therefore, zero replaces the rates of
+        these coordinates.
         """
         tree = self.derive_direct_flow(branch)
         return add_trees(substitute_names(tree, {f"{name}{RATE}": ZERO for name in self.lags}))
@@ -746,8 +771,8 @@ class Declaration:
     def derive_loss_coefficient(self, branch: Branch) -> Tree:
         """Return the small-signal damping, conductance or resistance of a branch.
 
-        The coefficient determines the thermal noise of the branch. For a heat flow, which has no
-        thermal noise, the coefficient is zero.
+        The loss coefficient determines the thermal noise of the branch. For a heat flow, which has
+        no thermal noise, the coefficient is zero.
         """
         if branch.domain.power == "through":
             return ZERO
@@ -763,10 +788,10 @@ class Declaration:
         return self._differentiate_field("coenergy", branch.name)
 
     def split_motion(self, stored: Tree) -> tuple[Tree, Tree]:
-        """Split a stored quantity into its rate due to motion, and the part without motion.
+        """Split a stored quantity into its rate due to motion and the part at rest.
 
-        Only displacements with a node in ``velocities`` count as motion. The stored quantity must
-        be an affine function of these displacements.
+        Only displacements with a velocity node in ``velocities`` count as motion. The stored
+        quantity must be an affine function of these displacements.
         """
         moving = [b for b in self.displacement_branches if b.name in self.velocities]
         if not moving:
@@ -790,7 +815,7 @@ class Declaration:
 
     @cached_property
     def _powers_of_forces(self) -> tuple[Tree, ...]:
-        """Expressions of the power [W] that each of the ``forces`` takes from the motion."""
+        """Expressions of the power [W] of each of the ``forces``."""
         return tuple(
             multiply_trees(Name(name + RATE), tree) for name, tree in self._force_trees.items()
         )
@@ -799,8 +824,7 @@ class Declaration:
     def dissipation(self) -> Tree:
         """Expression of the power [W] that all branches and ``forces`` dissipate.
 
-        For a branch of the thermal domain, the dissipated power is the product of temperature and
-        heat flow.
+        The power of a branch in the thermal domain is the product of temperature and heat flow.
         """
         moving = (b for b in self.branches if b.is_motion)
         rates = map(self._write_dissipated_power, moving)
@@ -809,7 +833,7 @@ class Declaration:
 
     @cached_property
     def heat_power(self) -> Tree:
-        """Expression of the power [W] of all losses, except losses in the thermal domain."""
+        """Expression of the power [W] of all losses outside the thermal domain."""
         lossy = [b for b in self.acting_branches if not b.domain.is_relaxing]
         forces = () if self.ideal_work else self._powers_of_forces
         return add_trees(*map(self._write_dissipated_power, lossy), *forces)
@@ -820,11 +844,11 @@ class Declaration:
 
     @cached_property
     def network_loss(self) -> Tree:
-        """Expression of the power that enters through the pins and is not stored.
+        """Expression of the power [W] that enters through the pins and is not stored.
 
-        The power at a pin is the product of the across and the through quantity. At a heat pin, the
-        power is the product of temperature and heat flow. The sum of these products over all pins
-        of a network is zero (Tellegen's theorem).
+        The power at a pin is the product of its across quantity and its through quantity, such as
+        voltage and current. At a heat pin, the power is the product of temperature and heat flow.
+        In a network, the sum of the powers at all pins is zero (Tellegen's theorem).
         """
         branch = self.heat_branch
         if branch is None:
@@ -835,7 +859,7 @@ class Declaration:
 
     @cached_property
     def equations(self) -> tuple[str, ...]:
-        """Equations of the part as text: of branch flows, signals and states."""
+        """Equations of the part as text: branch flows, signals and states."""
         result = [*filter(None, map(self._write_equation, self.acting_branches))]
         for name, tree in self.signal_trees.items():
             result.append(f"{name} = {ExpressionWriter().write_tree(tree)}")
@@ -844,7 +868,7 @@ class Declaration:
         return tuple(result)
 
     def _write_equation(self, branch: Branch) -> str:
-        """Return the equation of a branch's flow as text; empty if the flow is zero."""
+        """Return the equation of a branch's flow as text; empty for a zero flow."""
         direct = self.replace_power_series(self.derive_direct_flow(branch))
         storage = self.replace_power_series(self.derive_stored_quantity(branch))
         terms = [f"d/dt ({ExpressionWriter().write_tree(storage)})"] if storage != ZERO else []
@@ -879,7 +903,7 @@ class Declaration:
 
     @cached_property
     def branches_with_rate(self) -> tuple[Branch, ...]:
-        """Displacement branches whose rates occur in an expression of the declaration."""
+        """Branches whose displacement rates occur in an expression of the declaration."""
         trees = [
             self._parse_field("kinetic"),
             self._parse_field("content"),
@@ -890,7 +914,7 @@ class Declaration:
         return tuple(b for b in self.branches if b.rate in occurring)
 
     def values(self, keys: Section) -> dict[str, float]:
-        """Return the values of all parameters for a part with ``keys``, in SI units.
+        """Return the values of all parameters in SI units, for a part with ``keys``.
 
         The values are keyed by parameter name.
         """

@@ -1,7 +1,7 @@
-"""Law of a junction diode, with the equations and constants of ngspice.
+"""Law of a junction diode, with the equations and the constants of ngspice.
 
-The independent integrator solves this law. The netlist does not contain this law, because a diode
-in a netlist is the built-in diode model of the simulator.
+The independent integrator solves this law. The netlist contains the built-in diode model of the
+simulator instead.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from kc2spice.core.laws import AcrossInput, Device, Flow, LawPin
 from kc2spice.core.quantities import DEFAULT_TEMPERATURE
 
 # Boltzmann constant [J/K] and elementary charge [C] of ngspice, from CODATA 2014.
-# The file include/ngspice/const.h of ngspice contains both constants.
+# Source: the file include/ngspice/const.h of ngspice.
 # With the exact constants of the SI, the thermal voltage would be larger by the factor 1 + 3.4e-7.
 # With the exact constants of the SI, the current at 0.6 V would be smaller by the factor 1 - 8e-6.
 SIMULATOR_BOLTZMANN = 1.38064852e-23
@@ -26,24 +26,25 @@ THERMAL_VOLTAGE = SIMULATOR_BOLTZMANN * DEFAULT_TEMPERATURE / SIMULATOR_CHARGE  
 MIN_CONDUCTANCE = 1e-12  # conductance [S] in parallel with each junction in ngspice (option gmin)
 # default parameters of the SPICE diode model; the grading coefficient M is 0.5
 BUILT_IN_VOLTAGE = 1.0  # built-in voltage VJ [V]
-FORWARD_SHARE = 0.5  # FC, fraction of VJ above which the capacitance rises linearly
+FORWARD_SHARE = 0.5  # FC, fraction of VJ; at higher voltages, the capacitance rises linearly
 BREAKDOWN_CURRENT = 1e-3  # current IBV [A] at the breakdown voltage
-# Reverse voltage, in thermal voltages, beyond which ngspice uses a cubic law of the current.
+# Reverse voltage, divided by the thermal voltage, above which ngspice uses a cubic law.
 REVERSE_RANGE = 3.0
-BREAKDOWN_ITERATIONS = 25  # fixed-point iterations; each reduces the error by the factor 1e-5
-# Distance from the breakdown voltage, in thermal voltages, within which Newton steps are limited.
+BREAKDOWN_ITERATIONS = 25  # fixed-point iterations; each iteration multiplies the error by 1e-5
+# Distance from the breakdown voltage, in thermal voltages, below which Newton steps are limited.
 BREAKDOWN_MARGIN = 10.0
-# Largest voltage change in a Newton step, in thermal voltages, that is not limited.
+# Largest voltage change in a Newton step, in thermal voltages, without limitation.
 MAX_UNLIMITED_CHANGE = 2.0
 
 
 def limit_junction_voltage(v: float, last: float, scale: float, critical: float) -> float:
-    """Return the voltage [V] at which Newton's method next evaluates an exponential law.
+    """Return the next voltage [V] at which Newton's method linearises a diode.
 
-    ``v`` is the solution of the equations that are linearised at the voltage ``last``. If ``v``
-    exceeds the ``critical`` voltage, the exponential law at ``v`` would give a far too large
-    current. The next voltage is then the voltage at which the exponential law gives the current of
-    the linearised law (Nagel, SPICE2, Memorandum ERL-M520, Berkeley 1975)::
+    The diode has an exponential law. ``v`` is the solution of the equations, linearised at the
+    voltage ``last``. If ``v`` is above the ``critical`` voltage, the current of the exponential law
+    at ``v`` would be far too large. The next voltage is then the voltage at which the exponential
+    law gives the current of the linearised law (Nagel, SPICE2, Memorandum ERL-M520, Berkeley
+    1975)::
 
         exp(next / scale) = exp(last / scale) (1 + (v - last) / scale)
 
@@ -68,7 +69,7 @@ def _compute_exponential(x: float) -> float:
 
 @dataclass(frozen=True)
 class Junction(Device):
-    """Law of a diode junction in series with a resistance, from ``anode`` to ``cathode``.
+    """Law of a diode from ``anode`` to ``cathode``: junction and series resistance.
 
     At the junction voltage ``v``, the current is ``i(v)`` plus the time derivative of the charge
     ``q(v)``. The equations contain the parameter names of SPICE::
@@ -118,7 +119,7 @@ class Junction(Device):
     def _emission_voltage(self) -> float:
         """Emission coefficient N times thermal voltage VT [V].
 
-        If the forward voltage rises by this value, the current is multiplied by e.
+        If the forward voltage rises by this value, the current rises by the factor e = 2.718.
         """
         return self.emission * THERMAL_VOLTAGE
 
@@ -133,7 +134,7 @@ class Junction(Device):
     def _breakdown_onset(self) -> float:
         """Reverse voltage VB [V] above which the current rises exponentially.
 
-        The current at the breakdown voltage BV is IBV, or ``IS BV / VT`` if this is larger::
+        At the breakdown voltage BV, the current is the larger of IBV and ``IS BV / VT``::
 
             VB = BV - N VT ln(IBV / IS + 1 - VB / VT)
         """
@@ -148,7 +149,10 @@ class Junction(Device):
         return start
 
     def _compute_current(self, v: float) -> tuple[float, float, float]:
-        """Return the current [A] at a voltage, its slope [S], and its integral from 0 V [W]."""
+        """Return the current [A] at a voltage, its slope [S], and its integral [W].
+
+        The integral begins at 0 V.
+        """
         current, slope, content = self._compute_exponential_current(v)
         return (
             current + MIN_CONDUCTANCE * v,
@@ -157,7 +161,10 @@ class Junction(Device):
         )
 
     def _compute_exponential_current(self, v: float) -> tuple[float, float, float]:
-        """Return the current [A] without ``gmin``, its slope [S], and its integral from 0 V [W]."""
+        """Return current [A], slope [S] and integral [W] at a voltage without ``gmin``.
+
+        The integral begins at 0 V.
+        """
         current, scale = self.saturation_current, self._emission_voltage
         first, last = -REVERSE_RANGE * scale, -self._breakdown_onset
         if v >= first:
@@ -177,7 +184,7 @@ class Junction(Device):
         return -rise, rise / scale, integrate_reverse(last) + scale * (rise - current)
 
     def _compute_depletion_charge(self, v: float) -> tuple[float, float, float]:
-        """Return the depletion charge [C] at a voltage, the capacitance [F] and coenergy [J]."""
+        """Return the charge [C], capacitance [F] and coenergy [J] of the depletion layer."""
         volt, below = BUILT_IN_VOLTAGE, min(v, FORWARD_SHARE * BUILT_IN_VOLTAGE)
         root = math.sqrt(1.0 - below / volt)
         charge, farad = 2.0 * self.capacitance * volt * (1.0 - root), self.capacitance / root
@@ -188,7 +195,10 @@ class Junction(Device):
         return charge + over * (farad + over * slope / 2.0), farad + slope * over, coenergy
 
     def _compute_charge(self, v: float) -> tuple[float, float, float]:
-        """Return the depletion plus diffusion charge [C], its capacitance [F] and energy [J]."""
+        """Return the total charge [C] of the junction, its capacitance [F] and energy [J].
+
+        The charge is the sum of depletion charge and diffusion charge.
+        """
         current, slope, content = self._compute_current(v)
         charge, farad, coenergy = self._compute_depletion_charge(v)
         charge += self.transit_time * current
@@ -208,7 +218,10 @@ class Junction(Device):
         return np.array([current, *(e[1:] / (self.series_resistance or 1.0))])
 
     def evaluate_storage(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the charge [C] of the junction and its derivatives [F] with respect to ``e``."""
+        """Return the charge [C] of the junction and its derivatives [F].
+
+        The derivatives are taken with respect to the inputs ``e``.
+        """
         charge, farad, _ = self._compute_charge(float(e[0]))
         return np.array([charge]), np.array([[farad, *np.zeros(len(e) - 1)]])
 
@@ -225,17 +238,20 @@ class Junction(Device):
         return float(e @ self.evaluate(e, mode)[0])
 
     def noise(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the amplitudes of shot noise, with the density ``2 q |i|``, and thermal noise."""
+        """Return the amplitudes of the shot noise and of the thermal noise.
+
+        The shot noise has the spectral density ``2 q |i|``.
+        """
         out, slope = self.evaluate(e, mode)
         powers = np.diagonal(slope).copy()
         powers[0] = abs(out[0]) / (2.0 * THERMAL_VOLTAGE)
         return np.diag(np.sqrt(powers)), np.zeros((1, len(e)))
 
     def limit_change(self, e: np.ndarray, last: np.ndarray) -> np.ndarray:
-        """Return the inputs ``e`` with a limited change of the junction voltage.
+        """Return the inputs ``e`` after limiting the change of the junction voltage.
 
-        ``last`` are the inputs of the last Newton step. The change is limited in the forward
-        direction and in breakdown.
+        ``last`` contains the inputs of the previous Newton step. The change is limited in the
+        forward direction and in breakdown.
         """
         v, before = float(e[0]), float(last[0])
         start, scale, critical = (

@@ -1,4 +1,7 @@
-"""Laws of declared parts, with exact derivatives, for the independent integrator."""
+"""Laws of declared parts for the independent integrator.
+
+The laws are equations with exact derivatives.
+"""
 
 from __future__ import annotations
 
@@ -38,9 +41,9 @@ def _make_number(value: float) -> Number:
 
 
 def _make_input_name(branch: Branch) -> str:
-    """Return the input name of the quantity across a branch.
+    """Return the name of the law's input for the quantity across a branch.
 
-    For a current branch, this quantity is the voltage.
+    For a branch whose coordinate is a current, the quantity across the branch is the voltage.
     """
     return f"{branch.name}_drop" if branch.is_flow else branch.name
 
@@ -49,7 +52,8 @@ def _make_input_name(branch: Branch) -> str:
 class DeclaredLaw(Device):
     """Law of a declared part, with the ``values`` of the part's parameters.
 
-    ``tables`` contains the functions of tables and of their derivatives, keyed by name.
+    ``tables`` contains the functions of the tables and of the derivatives of the tables, keyed by
+    name.
     """
 
     name: str
@@ -65,11 +69,11 @@ class DeclaredLaw(Device):
 
     @property
     def pins(self) -> tuple[LawPin, ...]:
-        """Pins of the law, in the order of the branches; signal pins are last."""
+        """Pins of the law in the order of the branches, followed by the signal pins."""
         result: dict[str, LawPin] = {}
         kinds = self._pin_kinds
         for b in self.declaration.branches:
-            loop = b.plus == LOOPS  # a loop is grounded, so that no current flows into the base pin
+            loop = b.plus == LOOPS  # grounding keeps the current of a loop out of the base pin
             result.setdefault(b.plus, LawPin(b.plus, kinds[b.plus], grounded=loop))
             inner = b.minus in self.declaration.inner
             result.setdefault(b.minus, LawPin(b.minus, kinds[b.minus], grounded=not inner))
@@ -81,33 +85,36 @@ class DeclaredLaw(Device):
 
     @property
     def pin_pairs(self) -> tuple[tuple[str, str], ...]:
-        """Pairs of a pin of the part and the full name of the corresponding law pin."""
+        """Pairs of a pin of the part and the full name of the same pin in the law."""
         inner = {LOOPS, *self.declaration.inner}
         pins = filterfalse(inner.__contains__, list_names(self.pins))
         return tuple((pin, f"{self.name}.{pin}") for pin in pins)
 
     @property
     def prescribed_signals(self) -> tuple[str, ...]:
-        """Names of the output pins, whose signal value the law prescribes."""
+        """Names of the output pins, at which the law prescribes a signal."""
         return tuple(self.declaration.outputs)
 
     @property
     def across_inputs(self) -> tuple[AcrossInput, ...]:
-        """Inputs of the law: quantities across pins, and rates of such quantities."""
+        """Inputs of the law: quantities across pins, and rates of these quantities."""
         d = self.declaration
         rates = map(partial(self._make_across_input, rate=True), d.branches_with_rate)
         return (*map(self._make_across_input, d.branches), *rates)
 
     def _make_across_input(self, b: Branch, rate: bool = False) -> AcrossInput:
-        """Return the coordinate of a branch, or its rate, as an input of the law."""
+        """Return the coordinate of a branch as an input of the law.
+
+        With ``rate``, return the rate of the coordinate.
+        """
         return AcrossInput(b.plus, self._lower_pin(b), rate, b.less)
 
     @cached_property
     def _pin_kinds(self) -> dict[str, str]:
         """Kind of each pin, keyed by pin name.
 
-        The kind is ``signal`` for outputs, and for pins that have only measured branches whose rate
-        is not used.
+        The kind is ``signal`` for outputs, and for pins that only measured branches use, if no
+        expression contains the rate of these branches.
         """
         d = self.declaration
         result = dict.fromkeys(d.domains, "signal")
@@ -117,17 +124,24 @@ class DeclaredLaw(Device):
         return result | dict.fromkeys(d.outputs, "signal")
 
     def _lower_pin(self, b: Branch) -> str:
-        """Return the lower pin of a branch; an empty string if its kind differs from ``plus``."""
+        """Return the lower pin of a branch.
+
+        Return an empty string if the kind of the lower pin differs from the kind of the pin
+        ``plus``.
+        """
         return b.minus if self._pin_kinds[b.minus] == self._pin_kinds[b.plus] else ""
 
     @property
     def flows(self) -> tuple[Flow, ...]:
-        """Pins between which the flow of each acting branch passes."""
+        """Pins between which the flow of each acting branch passes.
+
+        A branch with a flow through its pins is an acting branch.
+        """
         return tuple(Flow(b.plus, b.minus, b.less) for b in self.declaration.acting_branches)
 
     @property
     def storing_flow_indices(self) -> tuple[int, ...]:
-        """Indices, among the acting branches, of branches that store a charge or a momentum."""
+        """Indices of the acting branches that store a charge or a momentum."""
         return tuple(map(self.declaration.acting_branches.index, self._charged_branches))
 
     @cached_property
@@ -181,7 +195,10 @@ class DeclaredLaw(Device):
         return tuple(dict.fromkeys(corners))
 
     def _substitute_inputs(self, tree: Tree) -> Tree:
-        """Return ``tree`` with inputs of the law in place of signals and measured coordinates."""
+        """Return ``tree`` with the law's inputs in place of signals and coordinates.
+
+        Only coordinates of measured branches are replaced.
+        """
         units: dict[str, Tree] = {}
         for b in self.declaration.measured_branches:
             if self._pin_kinds[b.plus] == "signal":
@@ -189,11 +206,11 @@ class DeclaredLaw(Device):
         return add_trees(substitute_names(self.declaration.substitute_signals(tree), units))
 
     def _compile_expressions(self, trees: Iterable[Tree], slopes: bool = False) -> _Compiled:
-        """Return a compiled function of expressions in the variables of the declaration."""
+        """Return a compiled function that evaluates expressions of the declaration."""
         return self._compile(map(self._substitute_inputs, trees), slopes)
 
     def _compile(self, trees: Iterable[Tree], slopes: bool = False) -> _Compiled:
-        """Return a compiled function of ``trees`` in the inputs of the law.
+        """Return a compiled function of the law's inputs that evaluates ``trees``.
 
         With ``slopes``, the function also returns the derivatives with respect to all inputs.
         """
@@ -264,7 +281,7 @@ class DeclaredLaw(Device):
         return self._compile_expressions(self.declaration.limit_trees.values())
 
     def _evaluate(self, compiled: _Compiled, e: np.ndarray, mode: Any) -> np.ndarray:
-        """Return the values of a compiled function for the inputs ``e`` and a mode."""
+        """Return the values of a compiled function for the inputs ``e`` in a mode."""
         try:
             return np.array(compiled(*e.tolist(), *mode, *self.values), dtype=float)
         except (ZeroDivisionError, OverflowError, ValueError) as error:
@@ -286,14 +303,14 @@ class DeclaredLaw(Device):
         return result[:count], result[count:].reshape(count, e.size)
 
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the outputs of the law and their derivatives with respect to the inputs ``e``."""
+        """Return the outputs of the law and their derivatives at the inputs ``e``."""
         return self._evaluate_with_slopes(self._flow_function, e, mode)
 
     def evaluate_storage(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the stored quantities and their derivatives with respect to the inputs ``e``.
+        """Return the stored quantities and their derivatives at the inputs ``e``.
 
-        The stored quantities are fluxes of current branches, states, and charges or momenta of
-        other branches, in this order.
+        The stored quantities are, in this order: the fluxes of current branches, the states, and
+        the charges or momenta of other branches.
         """
         return self._evaluate_with_slopes(self._storage_function, e, mode)
 
@@ -311,22 +328,25 @@ class DeclaredLaw(Device):
         The mode contains 1 for each one-sided function whose argument is positive, otherwise 0.
         """
         flags: tuple[int, ...] = (0,) * len(self._kink_arguments)
-        for k in range(len(flags)):  # an argument may depend on the flags of earlier arguments
+        for k in range(len(flags)):  # an argument may depend on earlier flags
             above = self._evaluate(self._guard_function, e, flags)[k] > 0.0
             flags = (*flags[:k], int(above), *flags[k + 1 :])
         return flags
 
     def evaluate_guards(self, e: np.ndarray, mode: Any) -> np.ndarray:
-        """Return the arguments of one-sided functions, with signs that depend on the mode.
+        """Return the guards of a mode: the signed arguments of all one-sided functions.
 
-        The signs are chosen so that all returned values are positive within the mode.
+        The signs are chosen so that all guards are positive within the mode.
         """
         return self._evaluate(self._guard_function, e, mode) * np.where(
             np.array(mode) > 0, 1.0, -1.0
         )
 
     def find_next_mode(self, mode: Any, guard: int) -> tuple[int, ...]:
-        """Return the mode that follows ``mode`` after the guard with this number falls to zero."""
+        """Return the mode that follows ``mode`` when a guard falls to zero.
+
+        ``guard`` is the number of this guard.
+        """
         return (*mode[:guard], 1 - mode[guard], *mode[guard + 1 :])
 
     @cached_property
@@ -337,7 +357,7 @@ class DeclaredLaw(Device):
         )
 
     def noise(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return the amplitudes of the thermal noise of each branch with losses.
+        """Return the amplitudes of the thermal noise of all branches with losses.
 
         The noise of a branch is a force, a current or a series voltage.
         """
@@ -350,7 +370,7 @@ class DeclaredLaw(Device):
         return out, np.zeros((len(self.states) + len(self.storing_flow_indices), len(branches)))
 
     def require_in_range(self, t: float, e: np.ndarray) -> None:
-        """Raise an error if the inputs violate a limit of the declaration."""
+        """Raise an error if the inputs violate a limit of the declaration at time ``t``."""
         result = self._evaluate(self._limit_function, e, self.find_initial_mode(e))
         for limit_name, value in zip(self.declaration.limit_trees, result, strict=True):
             if value <= 0.0:

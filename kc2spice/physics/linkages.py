@@ -1,13 +1,14 @@
-"""Flux linkages as netlist states, for coil currents in the magnetic field of a moving body.
+"""Flux linkages as netlist states, for coils in the field of a moving body.
 
-With a coenergy that is quadratic in the currents ``i`` of a declaration, the voltages are ::
+The coenergy of a declaration must be a quadratic function of the currents ``i``. The voltages of
+the coils are ::
 
     v_k = dR/di_k + d(psi_k)/dt + phi_k'(x) x_rate,     psi_k = sum_l L_kl(x) i_l
 
-Here ``R`` is the content of the losses. The flux linkages due to the currents, ``psi_k``, are
-states of the netlist. ``phi_k`` is the flux linkage without currents. The inductance matrix ``L``
-is the second derivative of the coenergy with respect to the currents. ``phi_k`` and ``L`` are
-functions of the displacements ``x``.
+Here ``R`` is the content of the losses. ``psi_k`` is the flux linkage that the currents cause,
+which is a state of the netlist. ``phi_k`` is the flux linkage at zero current. The inductance
+matrix ``L`` is the second derivative of the coenergy with respect to the currents. ``phi_k`` and
+``L`` are functions of the displacements ``x``.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ class FluxLinkages:
 
     @cached_property
     def inductances(self) -> tuple[tuple[Tree, ...], ...]:
-        """Expressions of the inductance matrix [H], with one row per branch.
+        """Expressions of the inductance matrix [H], with one row for each branch.
 
         Raises
         ------
@@ -69,7 +70,7 @@ class FluxLinkages:
 
     @cached_property
     def motion_voltages(self) -> tuple[Tree, ...]:
-        """Expression of the voltage [V] that motion induces in each branch without currents."""
+        """Expressions of the voltages [V] that motion induces at zero current."""
         still = dict.fromkeys(self.current_names, ZERO)
         result = []
         for branch in self.branches:
@@ -88,10 +89,10 @@ class FluxLinkages:
         return tuple(result)
 
     def invert_inductances(self, lookups: Lookups) -> tuple[float, np.ndarray]:
-        """Return the mean self-inductance [H], and normalised inverse inductance matrices.
+        """Return the mean self-inductance [H], and scaled inverse inductance matrices.
 
-        The array of shape (points, n, n) contains the mean self-inductance times the inverse of L
-        at each point of the lookups.
+        At each point of the lookups, the array (points, n, n) contains the inverse inductance
+        matrix, multiplied by the mean self-inductance.
         """
         rows = [[lookups.evaluate_tables(tree) for tree in row] for row in self.inductances]
         matrix = np.moveaxis(np.array(rows), 2, 0)
@@ -100,7 +101,10 @@ class FluxLinkages:
 
 
 def find_flux_linkages(declaration: Declaration) -> FluxLinkages | None:
-    """Return the flux linkages of a declaration; None if no flux linkage contains a table."""
+    """Return the flux linkages of a declaration.
+
+    Return None if no flux linkage contains a table.
+    """
     branches = tuple(b for b in declaration.acting_branches if b.is_flow)
     result = FluxLinkages(declaration, branches)
     for branch in branches:

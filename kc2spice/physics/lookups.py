@@ -1,10 +1,10 @@
-"""Smooth interpolation of tables in a netlist, called lookups.
+"""Lookups: smooth interpolation of tables in a netlist.
 
-A lookup interpolates the values of a table at equally spaced arguments. The interval between two
-neighbouring arguments is a cell. The variable ``s`` is the argument, relative to the first argument
-and in units of the cell size. The variable ``t`` is the position within a cell from 0 to 1, and ``w
-= t (1 - t)`` is a weight. Each lookup is ``f(s) - w b(s)`` with two piecewise linear functions
-``f`` and ``b``, see :func:`compute_smooth_lookup`.
+A lookup interpolates a table of values at equally spaced arguments. The interval between two
+neighbouring arguments is called a cell. The variable ``s`` is the distance of the argument from the
+first argument, divided by the cell size. The variable ``t`` from 0 to 1 is the position within a
+cell, and ``w = t (1 - t)`` is a weight. Each lookup is ``f(s) - w b(s)`` with two piecewise linear
+functions ``f`` and ``b``, see :func:`compute_smooth_lookup`.
 """
 
 from __future__ import annotations
@@ -46,10 +46,11 @@ WEIGHT_NODE = "lookup_w"
 
 @dataclass(frozen=True)
 class TableFunction:
-    """Table in a declaration: a function of one argument between ``low`` and ``high``.
+    """Table in a declaration: a function of one argument from ``low`` to ``high``.
 
-    ``function`` returns the values of the table at an array of arguments. The lookup in the netlist
-    has ``points`` equally spaced points. ``unit`` is the unit of the values, for netlist comments.
+    ``function`` returns the values of the table at the arguments in an array. The lookup in the
+    netlist has ``points`` equally spaced points. ``unit`` is the unit of the values, which netlist
+    comments state.
     """
 
     low: float
@@ -72,9 +73,9 @@ class TableFunction:
 class Lookups:
     """Lookups for the tables that occur in the laws of a declaration.
 
-    Each term of a law has at most one table as a factor. The terms of a law that are equal except
-    for the table are combined into one lookup. A lookup that occurs only once is written into the
-    expression of its law. A lookup that occurs in several laws becomes a node.
+    Each term of a law has at most one table as a factor. Terms of a law that differ only in the
+    table are combined into one lookup. A lookup that occurs once is written into the expression of
+    the law. A lookup that occurs in several laws becomes a node of the netlist.
 
     Raises
     ------
@@ -97,7 +98,10 @@ class Lookups:
         self.repeated = tuple(calls for calls, count in uses.items() if count > 1)
 
     def _require_common_argument(self, uses: Iterable[WeightedCalls]) -> None:
-        """Reject tables with different arguments or ranges, because all tables share one cell."""
+        """Reject tables with different arguments or ranges.
+
+        All tables of a part use the same cell.
+        """
         self.argument: Tree | None = None
         ranges = {table.argument_range for table in self.tables.values()}
         arguments = {call.arguments[0] for calls in uses for call, _ in calls}
@@ -113,7 +117,10 @@ class Lookups:
             self.step = (high - self.low) / (self.points - 1)
 
     def evaluate_tables(self, tree: Tree) -> np.ndarray:
-        """Return an array (points,) with the values of an expression that contains only tables."""
+        """Return the values of an expression that contains only tables.
+
+        The returned values are an array of shape (points,).
+        """
         known = {name: table.values for name, table in self.tables.items()}
         return np.asarray(evaluate_tree(_replace_calls_by_names(tree, self.tables), known))
 
@@ -130,7 +137,7 @@ class Lookups:
         return {self.labels[calls]: self.describe_lookup(calls) for calls in once}
 
     def list_lookup_trees(self) -> dict[str, Tree]:
-        """Return each lookup as an expression in node voltages, keyed by label."""
+        """Return each lookup as an expression of node voltages, keyed by label."""
         result: dict[str, Tree] = {}
         for calls, label in self.labels.items():
             result[label] = (
@@ -141,13 +148,13 @@ class Lookups:
         return result
 
     def write_interpolation(self, values: np.ndarray) -> Tree:
-        """Return the expression of node voltages that interpolates ``values`` (points,)."""
+        """Return the expression that interpolates ``values`` (points,) from node voltages."""
         cell, weight = (CircuitVariable("v", (node,)) for node in (CELL_NODE, WEIGHT_NODE))
         f, b = (FunctionCall("pwl", (cell, *points)) for points in compute_smooth_lookup(values))
         return BinaryOperation("-", f, BinaryOperation("*", weight, b))
 
     def split_law(self, law: Tree) -> list[Tree]:
-        """Split a law into terms that contain the labels of lookups in place of tables.
+        """Split a law into terms that contain labels of lookups in place of tables.
 
         One term contains all lookups that are nodes. Each other lookup has a separate term.
         """
@@ -178,35 +185,36 @@ def has_tables(tree: Tree, tables: Iterable[str]) -> bool:
 
 
 def compute_smooth_lookup(values: np.ndarray) -> tuple[tuple[Number, ...], tuple[Number, ...]]:
-    """Return two piecewise linear functions, as points, whose combination is smooth.
+    """Return the points of two piecewise linear functions with a smooth combination.
 
-    ``f`` interpolates the equally spaced ``values``, and ``b`` interpolates half of their second
-    differences. The position within a cell is t from 0 to 1, and ``w = t (1 - t)``. Then ``f - w
-    b`` is the weighted mean of two parabolas, each through three neighbouring values (Overhauser
-    1968). The slope of ``f - w b`` is continuous, and its interpolation error is of the third order
-    in the cell size. One extrapolated value at each end, from a cubic polynomial, preserves this
-    order up to both ends. Beyond the ends, ``f - w b`` is constant.
+    The function ``f`` interpolates the equally spaced ``values``. The function ``b`` interpolates
+    half of the second differences of ``values``. The position within a cell is t from 0 to 1, and
+    ``w = t (1 - t)``. The combination ``f - w b`` is the weighted mean of two parabolas, each
+    through three neighbouring values (Overhauser 1968). The slope of ``f - w b`` is continuous, and
+    its interpolation error is of the third order in the cell size. At each end, a cubic polynomial
+    gives one extrapolated value, which preserves this order up to the ends. Beyond the ends, ``f -
+    w b`` is constant.
 
-    Redundant points of ``b`` are omitted, because the time in which ngspice reads a table is
-    proportional to the square of the number of points. A point is omitted if its omission changes
-    ``f - w b`` by less than a sixteenth of a fourth difference, which is the interpolation error.
+    Redundant points of ``b`` are omitted, because the time that ngspice needs to read a table is
+    proportional to the square of the number of points. A point is omitted if the change of ``f - w
+    b`` is less than the interpolation error, a sixteenth of a fourth difference.
     """
     weights = np.array([4, -6, 4, -1])
     first, last = weights @ values[:4], weights @ values[:-5:-1]
     f = np.concatenate([[first], values, [last]])
     halves = np.diff(f[[0, *range(f.size), -1]], 2) / 2
     # The fourth difference is estimated as (second difference)^2 / value.
-    # The second differences at both ends are excluded, because the function has corners there.
+    # The second differences at both ends, where the function has corners, are excluded.
     largest, second = float(np.abs(values).max()), float(np.abs(2 * halves[2:-2]).max())
     return _list_pwl_points(f), _list_pwl_points(halves, second**2 / 4 / (largest or 1.0))
 
 
 def _list_pwl_points(values: np.ndarray, tolerance: float = 0.0) -> tuple[Number, ...]:
-    """Return the points of a ``pwl()`` function that has the ``values`` at -1, 0, 1, ….
+    """Return the points of a ``pwl()`` function with ``values`` at -1, 0, 1, ….
 
-    ngspice extrapolates the outer segments. Therefore, a second point with the same value at each
-    end makes the function constant beyond its ends. Points that are within ``tolerance`` of the
-    straight line between their neighbours are omitted.
+    ngspice extrapolates the outer segments. Therefore, a second point with the same value follows
+    each end and makes the function constant beyond both ends. Points that are within ``tolerance``
+    of the straight line between their neighbours are omitted.
     """
     f = np.concatenate([values[:1], values, values[-1:]])
     indices, last = [0, 1], f.size - 2

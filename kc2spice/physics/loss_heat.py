@@ -1,4 +1,4 @@
-"""Law and result names of the heat flow from the losses of a linear body or resonator.
+"""Heat flow from the losses of a linear body or resonator: law and result names.
 
 :mod:`kc2spice.synthesis.heat_sources` contains the netlist cards of the same heat flows.
 """
@@ -21,9 +21,10 @@ from kc2spice.scene.part_records import PartResult
 
 @dataclass(frozen=True)
 class LossHeatLaw(laws.Device):
-    """Law of the heat flow ``sum weight rate^2`` [W] out of the pin ``heat``.
+    """Law of the heat flow out of the pin ``heat``.
 
-    The sum extends over the modes with losses, and each rate is the displacement rate of a mode.
+    The heat flow is ``sum weight rate^2`` [W] over all modes with losses. Each rate is the
+    displacement rate of a mode.
     """
 
     name: str
@@ -36,29 +37,32 @@ class LossHeatLaw(laws.Device):
 
     @property
     def pins(self) -> tuple[laws.LawPin, ...]:
-        """The pins in ``rate_pins``, and the pins ``heat`` and ``ambient``."""
+        """Pins of the displacement rates, and the pins ``heat`` and ``ambient``."""
         rates = (laws.LawPin(pin, TRANSLATION.name) for pin in self.rate_pins)
         ends = laws.LawPin(HEAT, THERMAL.name), laws.LawPin(AMBIENT, THERMAL.name, grounded=True)
         return (*rates, *ends)
 
     @property
     def across_inputs(self) -> tuple[laws.AcrossInput, ...]:
-        """Displacement rates of the ``rate_pins``, and the temperature of the pin ``heat``."""
+        """Displacement rates of modes with losses, and temperature of the pin ``heat``."""
         rates = (laws.AcrossInput(pin, rate=True) for pin in self.rate_pins)
         return (*rates, laws.AcrossInput(HEAT, AMBIENT))
 
     @property
     def flows(self) -> tuple[laws.Flow, ...]:
-        """Heat flow into the pin ``heat``, whose value is negative."""
+        """Heat flow into the pin ``heat``; the value is negative."""
         return (laws.Flow(HEAT, AMBIENT),)
 
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the heat flow [W] into ``heat`` and its derivatives with respect to ``e``."""
+        """Return the heat flow [W] into ``heat`` and its derivatives at the inputs ``e``."""
         slope = -2 * np.array([*self.weights, 0.0]) * e
         return np.array([slope @ e / 2]), slope[None]
 
     def loss(self, e: np.ndarray, mode: Any) -> float:
-        """Return temperature times heat flow, the power at the heat pin in Tellegen's theorem."""
+        """Return the product of temperature and heat flow at the pin ``heat``.
+
+        In Tellegen's theorem, the product is the power at the pin.
+        """
         return float(e[-1] * self.evaluate(e, mode)[0][0])
 
 
@@ -81,8 +85,9 @@ def add_loss_heat(equations: laws.Equations, body: laws.SecondOrderBody) -> laws
     model, n = body.model, body.name
     damping = np.diag(model.E)
     lossy = np.flatnonzero(damping > 0)
-    # Each additional port excites one mode, with the largest gain of any original port.
-    # With this gain, the ports do not change the scales of the integrator's error control.
+    # Each additional port excites one mode, with the largest gain that this mode has at any
+    # original port. Therefore, the ports do not change the scales of the integrator's error
+    # control.
     reach = np.abs(model.B).max(axis=1)[lossy]
     reach = np.where(reach > 0, reach, 1.0)
     rows = np.zeros((len(lossy), len(damping)))

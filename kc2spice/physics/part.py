@@ -1,4 +1,4 @@
-"""Part types that are defined by declarations.
+"""Part types that declarations define.
 
 The declaration determines pins, netlist, results, equations and checks of a part.
 """
@@ -84,7 +84,7 @@ class DeclaredPart(PartType[KeysT]):
     source = "closed form"
 
     def __init__(self, declaration: Declaration | None = None) -> None:
-        """Make the part type of a ``declaration``.
+        """Make the part type that a ``declaration`` defines.
 
         Without a declaration, the subclass must override :meth:`make_declaration`.
         """
@@ -99,11 +99,14 @@ class DeclaredPart(PartType[KeysT]):
     # --- pins and netlist -------------------------------------------------------------------------
 
     def make_declaration(self, part: Part[KeysT], scene: GovernedScene) -> Declaration:
-        """Return the declaration of a part, by default the declaration of its type."""
+        """Return the declaration of a part; by default the declaration of the part type."""
         return self.declaration
 
     def declare_after_build(self, part: Part[KeysT], build: BuiltScene) -> Declaration:
-        """Return the declaration of a part, which may depend on the part's built model."""
+        """Return the declaration of a part after its model is built.
+
+        The declaration may depend on the built model.
+        """
         return self.make_declaration(part, build.scene)
 
     def declare_part(self, part: Part[KeysT], scene: GovernedScene) -> Declaration:
@@ -125,7 +128,7 @@ class DeclaredPart(PartType[KeysT]):
     def _with_heat_pin(
         self, declaration: Declaration, part: Part[KeysT], scene: DeclaredScene
     ) -> Declaration:
-        """Add a heat pin to the declaration if the scene connects the pin."""
+        """Add a heat pin to the declaration if the scene connects the pin ``heat``."""
         return _attach_heat_pin(declaration, part) if is_heated(part, scene) else declaration
 
     def problems(self, part: Part[KeysT], scene: GovernedScene) -> Iterator[UsageError]:
@@ -143,15 +146,15 @@ class DeclaredPart(PartType[KeysT]):
         return tuple(result)
 
     def pins_with_mass(self, part: Part[KeysT], scene: JoinedScene) -> tuple[str, ...]:
-        """Return the names of the pins at which a branch has a mass or an inertance."""
+        """Return the names of the pins at which a branch has inertia."""
         d = self.declare_part(part, scene)
         return tuple(d.speeds.get(b.plus, b.plus) for b in d.inertial_branches)
 
     def equilibrium_conditions(self, part: Part[KeysT], scene: WiredScene) -> EquilibriumConditions:
-        """Return the branches that determine the operating point of their pins.
+        """Return the branches that determine the equilibrium of their pins.
 
-        A branch with a stiffness at rest, or with a flow as coordinate, determines the operating
-        point.
+        A branch determines the equilibrium if it has a stiffness at rest, or if its coordinate is a
+        flow.
         """
         d = self.declare_part(part, scene)
         values = d.values(part.keys)
@@ -160,7 +163,7 @@ class DeclaredPart(PartType[KeysT]):
             if b.domain.path_to_reference and b.is_flow:
                 flowing.append((b.plus, b.minus))
             elif b.domain.path_to_reference:
-                # zeros in place of all other variables keep the differentiated expression short
+                # the expression stays short if all other variables are zero
                 slope = differentiate_tree(
                     d.set_variables_to_zero(d.derive_direct_flow(b), b.name), b.name
                 )
@@ -177,7 +180,7 @@ class DeclaredPart(PartType[KeysT]):
         return (make_declared_subcircuit(header, name, d, d.values(part.keys), build.has_noise),)
 
     def numerics(self, part: Part[KeysT], scene: WiredScene) -> Iterator[NumericalRequirements]:
-        """Yield a smaller tolerance for dc sweeps if the declaration is nonlinear."""
+        """Yield a smaller Newton tolerance if the declaration is nonlinear."""
         if not self.declare_part(part, scene).linear:
             yield from list_newton_numerics(part, scene)
 
@@ -201,17 +204,17 @@ class DeclaredPart(PartType[KeysT]):
         return result
 
     def initial_motion(self, part: Part[KeysT], build: BuiltScene) -> tuple[float, float] | None:
-        """Return displacement [m] and velocity [m/s] of the part's mass at t = 0.
+        """Return the displacement [m] and velocity [m/s] of the part's mass at t = 0.
 
         None means that the run starts at an equilibrium.
         """
         return None
 
     def law(self, part: Part[KeysT], build: BuiltScene) -> laws.Equations:
-        """Return the equations of the part for the independent integrator."""
+        """Return the model equations of the part for the independent integrator."""
         n, d = part.name, self.declare_built_part(part, build)
         results = {}
-        for b in d.pin_branches:  # loops are omitted, because the loops of a full model differ
+        for b in d.pin_branches:  # loops are omitted, because a full model has other loops
             if b.plus not in d.inner:
                 results[f"{n}.{b.through}"] = laws.scale_wave(f"{n}.{b.plus}.through")
             elif b.is_flow:
@@ -229,7 +232,7 @@ class DeclaredPart(PartType[KeysT]):
     # --- checks of a run --------------------------------------------------------------------------
 
     def checks(self, part: Part[KeysT], build: BuiltScene, waves: Waveforms) -> Iterator[Any]:
-        """Yield checks of limits and of the number of impacts, and the energy balance."""
+        """Yield the energy balance, and checks of limits and of the number of impacts."""
         d = self.declare_built_part(part, build)
         known = {} if "frequency" in waves else self._list_recorded_waves(part, build, waves)
         yield from _check_limits(d, part, known)
@@ -240,7 +243,7 @@ class DeclaredPart(PartType[KeysT]):
             positions = known.keys() & set(list_names(d.displacement_branches))
             forces = map(d.derive_direct_flow, d.acting_branches)
             for tree in dict.fromkeys(chain.from_iterable(map(find_kinks, forces))):
-                if positions.isdisjoint(find_names(tree)):  # a kink without position is no impact
+                if positions.isdisjoint(find_names(tree)):  # an impact depends on a displacement
                     continue
                 met = evaluate_tree(tree, d.values(part.keys) | known) > 0
                 strikes = float(np.count_nonzero(met[1:] & ~met[:-1]))
@@ -251,7 +254,7 @@ class DeclaredPart(PartType[KeysT]):
     def check_operating_point(
         self, part: Part[KeysT], build: BuiltScene, point: Waveforms
     ) -> Iterator[Check]:
-        """Yield checks that the operating point is not on a stop and is within the limits."""
+        """Yield checks that the operating point is within the limits and not on a stop."""
         d, known = (
             self.declare_built_part(part, build),
             self._list_recorded_waves(part, build, point),
@@ -269,7 +272,7 @@ class DeclaredPart(PartType[KeysT]):
     def _list_recorded_waves(
         self, part: Part[KeysT], build: BuiltScene, waves: Waveforms
     ) -> dict[str, np.ndarray]:
-        """Return the recorded waves of coordinates, states and signals, keyed by name."""
+        """Return the recorded waveforms of coordinates, states and signals, keyed by name."""
         d = self.declare_built_part(part, build)
         result = {}
         for name in (*d.coordinates, *d.states, *d.signals):
@@ -285,12 +288,15 @@ class DeclaredPart(PartType[KeysT]):
         yield from self.list_neglected_effects(part, scene)
 
     def list_neglected_effects(self, part: Part[KeysT], scene: Scene) -> Iterator[NeglectedEffect]:
-        """Yield the effects that the declaration of a part neglects."""
+        """Yield the effects that the model of a part neglects."""
         yield from starmap(NeglectedEffect, self.declare_part(part, scene).neglected)
 
 
 def _attach_heat_pin(declaration: Declaration, part: Part) -> Declaration:
-    """Return a declaration with a heat pin; the same declaration if it offers no heat pin."""
+    """Return a declaration with a heat pin.
+
+    If the declaration cannot have a heat pin, the same declaration is returned.
+    """
     if not declaration.offers_heat_pin:
         return declaration
     coefficient, reference = get_conductor_values(part.keys)
@@ -300,7 +306,7 @@ def _attach_heat_pin(declaration: Declaration, part: Part) -> Declaration:
 def _check_limits(
     d: Declaration, part: Part, known: dict[str, np.ndarray], where: str = ""
 ) -> Iterator[Check]:
-    """Yield a check of each limit that depends only on the ``known`` variables."""
+    """Yield a check of each limit whose variables are all in ``known``."""
     for what, tree in d.limit_trees.items():
         if d.variables_by_limit[what] <= known.keys():
             value = float(np.min(evaluate_tree(tree, d.values(part.keys) | known)))
@@ -310,7 +316,10 @@ def _check_limits(
 
 
 def _get_node_name(build: BuiltScene, part: Part, pin: str) -> str:
-    """Return the ngspice name of the node of a pin; for an inner node, with the instance name."""
+    """Return the ngspice name of the node of a pin.
+
+    The name of an inner node includes the name of the instance.
+    """
     inner = f"x{part.name}.{pin}".lower()
     return build.scene.nets.get((part.name, pin), inner)
 
@@ -324,7 +333,7 @@ def _write_inner_voltage(build: BuiltScene, part: Part, node: str, pin: str) -> 
 def _merge_inner_paths(
     paths: Iterable[tuple[str, str]], inner: Collection[str]
 ) -> tuple[tuple[str, str], ...]:
-    """Return direct paths between pins in place of paths through ``inner`` nodes."""
+    """Return direct paths between pins, in place of paths via ``inner`` nodes."""
     groups: list[set[str]] = []
     for path in paths:
         joined = [group for group in groups if not group.isdisjoint(path)]
@@ -337,8 +346,8 @@ def _merge_inner_paths(
 def make_pins(declaration: Declaration) -> tuple[Pin, ...]:
     """Return the pins of a declared part in the order of its branches.
 
-    If the declaration has a ``base``, all upper pins precede all lower pins. The velocity pin of a
-    rigid body precedes the displacement pin of this body.
+    If the declaration has a ``base``, the upper pins of all branches precede the lower pins. The
+    velocity pin of a rigid body precedes the displacement pin of this body.
     """
     d, result = declaration, dict[str, Pin]()
     ends = [(b.plus, b.minus, b.less) for b in d.branches]
@@ -459,7 +468,10 @@ def get_flow_vector(build: BuiltScene, part: Part, branch: Branch) -> PartResult
 
 
 def branch_voltage(build: BuiltScene, part: Part, branch: Branch) -> str:
-    """Return the ngspice expression of the voltage from ``plus`` to ``minus`` of a branch."""
+    """Return the ngspice expression of the voltage across a branch.
+
+    The voltage is measured from ``plus`` to ``minus``.
+    """
     plus, minus = (_get_node_name(build, part, pin) for pin in (branch.plus, branch.minus))
     return format_voltage(plus, minus) or "v(0)"
 
@@ -467,15 +479,16 @@ def branch_voltage(build: BuiltScene, part: Part, branch: Branch) -> str:
 def balance_energy(
     declaration: Declaration, part: Part, recorded: Mapping[str, np.ndarray], waves: Waveforms
 ) -> Iterator[RunEnergyBalance]:
-    """Yield the energy balance of a part in a transient, if all variables were recorded.
+    """Yield the energy balance of a part in a transient.
 
-    A part that has neither displacement branches nor a heat pin has no energy balance.
+    Without the recorded waveforms of all variables, no energy balance is yielded. Parts with
+    neither displacement branches nor a heat pin have no energy balance.
 
-    The work at the pins is computed from the waves at the pins: ``int F dx`` for forces, ``int v
-    dq`` for voltages with the charge ``q = int i dt``, and ``int i dl`` for currents with the flux
-    ``l = int v dt``. If the charges, fluxes or losses of the netlist differ from the
-    declaration, the energy balance is violated. If the part has a heat pin, all losses leave the
-    part through this pin, and their energy is the integral of the heat flow.
+    The work at the pins is computed from the waveforms at the pins: ``int F dx`` for forces, ``int
+    v dq`` for voltages with the charge ``q = int i dt``, and ``int i dl`` for currents with the
+    flux ``l = int v dt``. If the charges, fluxes or losses of the netlist differ from the
+    declaration, the energy balance is violated. All losses of a part with a heat pin leave the part
+    through this pin. The energy of all losses is then the integral of the heat flow.
     """
     d, time = declaration, waves["time"]
     if not (d.displacement_branches or d.heated) or set(recorded) != {
@@ -495,7 +508,7 @@ def balance_energy(
     known = d.values(part.keys) | dict(recorded) | speeds | slopes
 
     def evaluate_over_time(tree: Tree) -> np.ndarray:
-        """Return the values of ``tree`` at all times, an array of shape (nt,)."""
+        """Return the values of ``tree`` at all times as an array of shape (nt,)."""
         return np.asarray(evaluate_tree(tree, known) * np.ones_like(time))
 
     stored = evaluate_over_time(d.stored_energy)
@@ -528,7 +541,7 @@ def balance_energy(
     if stored[0] != 0.0:
         entries["stored at the start"] = float(stored[0])
     turned = float(np.abs(brought).sum() + np.abs(heat.sum()))
-    if not stored.any() and not heat.any():  # the total work at an ideal transformer's pins is zero
+    if not stored.any() and not heat.any():  # an ideal transformer stores no energy
         turned = converted
     yield RunEnergyBalance(
         entries, float(np.abs(missing).max(initial=0.0)), turned, _MAX_UNEXPLAINED_SHARE
@@ -544,9 +557,9 @@ def _compute_step_heat(
     """Compute an array (nt - 1,) with the heat [J] in each time step.
 
     ``known`` contains the variables as arrays of shape (nt,). The heat is the mean of the power at
-    both ends of a step, times the duration of the step. The velocity of a coordinate without mass
-    jumps at corners of the driving wave. Therefore, the velocities at both ends are replaced by the
-    mean velocities ``means`` (nt - 1,) of the steps.
+    the start and at the end of a step, times the duration of the step. The velocity of a coordinate
+    without mass jumps at corners of the driving waveform. Therefore, the mean velocities ``means``
+    (nt - 1,) of the steps replace the velocities.
     """
     first, last = dict(known), dict(known)
     for name, values in known.items():
@@ -566,7 +579,8 @@ def _compute_step_work(
 
     ``forces`` contains pairs of a force (nt,) and the changes (nt - 1,) of its displacement. The
     work is the mean force in a step times the change of the displacement. With ``jumps``, the force
-    at the end of the step replaces the mean force if the work is then nearer to ``near`` (nt - 1,).
+    at the end of the step may replace the mean force. The value whose work is nearer to ``near``
+    (nt - 1,) is used.
     """
     means, ends = np.zeros_like(near), np.zeros_like(near)
     for force, displacement in forces:
@@ -576,7 +590,7 @@ def _compute_step_work(
 
 
 def _select_nearer(near: np.ndarray, *tried: np.ndarray) -> np.ndarray:
-    """Return an array of elements from two arrays, each the element that is nearer to ``near``."""
+    """Return, for each element, the value in two arrays that is nearer to ``near``."""
     first, second = tried
     return np.where(np.abs(second - near) < np.abs(first - near), second, first)
 
@@ -584,9 +598,9 @@ def _select_nearer(near: np.ndarray, *tried: np.ndarray) -> np.ndarray:
 def _integrate_steps(rate: np.ndarray, time: np.ndarray, near: np.ndarray) -> np.ndarray:
     """Return an array (nt - 1,) with the integral of a rate over each time step.
 
-    The rate is an array of shape (nt,). Simulators use the trapezoidal rule, or after a jump, the
-    rate at the end of the step. In each step, the rule whose integral is nearer to ``near`` (nt -
-    1,) is used.
+    The rate is an array of shape (nt,). Simulators use the trapezoidal rule or, after a jump, the
+    rate at the end of the step. In each step, the rule is used whose integral is nearer to ``near``
+    (nt - 1,).
     """
     step = np.diff(time)
     return _select_nearer(near, step * (rate[1:] + rate[:-1]) / 2, step * rate[1:])

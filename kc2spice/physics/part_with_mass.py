@@ -1,6 +1,6 @@
 """Declared parts that have a mass at one of their displacement pins.
 
-The mass has a separate declaration, whose nodes are in the same subcircuit. The netlist computes
+The mass has a separate declaration, but its nodes are in the same subcircuit. The netlist computes
 the volume velocity or the back-EMF of the part from the velocity node of the mass, so that no
 displacement is differentiated.
 """
@@ -21,7 +21,7 @@ from kc2spice.scene.part_records import EquilibriumConditions
 
 
 class DeclaredPartWithMass(DeclaredPart[KeysT]):
-    """Part type that is defined by a declaration and a mass at one of its displacement pins."""
+    """Part type with a declaration, and with a mass at a displacement pin."""
 
     moving_pins: tuple[str, str]  # pin with the mass, and pin relative to which the mass moves
 
@@ -34,7 +34,7 @@ class DeclaredPartWithMass(DeclaredPart[KeysT]):
         return self.moving_pins[:1]
 
     def equilibrium_conditions(self, part: Part[KeysT], scene: WiredScene) -> EquilibriumConditions:
-        """Return the equilibrium conditions of the declaration, with the pin of the mass."""
+        """Return the equilibrium conditions of the declaration and of the pin of the mass."""
         return replace(
             super().equilibrium_conditions(part, scene), inertial_pins=self.moving_pins[:1]
         )

@@ -8,8 +8,8 @@ the operators ``+ - * / ^``, calls of tables, and these functions:
 * ``above(e)``, which is 1 where e is above zero, and 0 elsewhere,
 * ``clip(e)``, which limits e to the range from -1 to 1,
 * ``poly(e, c0, c1, ...)``, a power series in e whose coefficients are numbers,
-* ``integral(f, x)``, the integral of ``f(x)`` from zero to ``x``. A netlist cannot contain this
-  function.
+* ``integral(f, x)``, the integral of ``f(x)`` from zero to ``x``. A netlist cannot contain an
+  integral.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ from kc2spice.netlist.expression import (
 ZERO = Number("0")
 ONE = Number("1")
 SLOPE_SUFFIX = "_slope"  # suffix of the names of the derivatives of tables
-_LITERAL_DIGITS = 11  # number of digits that ngspice retains of a number in an expression
+_LITERAL_DIGITS = 11  # number of digits that ngspice uses of a number in an expression
 _HELP_PAGE = "docs/reference/declarations.md"
 _REPLACEMENTS = {
     "abs": "write max(0, x) + max(0, -x) for |x|",
@@ -57,7 +57,7 @@ _REPLACEMENTS = {
     "sign": "write above(x) - above(-x)",
     "tan": "write sin(x)/cos(x)",
 }
-# Functions that accept only certain arguments, written with accepted arguments.
+# Functions that accept only certain arguments, with examples of these arguments.
 _RESTRICTED_FUNCTIONS = ("max(0, …)", "above(…)", "clip(…)", "poly(…, numbers)", "integral(…, x)")
 # Derivative of each function with respect to its argument u.
 _FUNCTION_DERIVATIVES = {
@@ -72,9 +72,9 @@ _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(30)
 def parse_simplified(text: str, where: str = "expression", tables: tuple[str, ...] = ()) -> Tree:
     """Return the simplified expression tree of ``text``.
 
-    ``tables`` are the names of tables, which are functions of one argument. These functions must be
-    passed when the expression is evaluated. The derivative of a table ``f`` has the name
-    ``f_slope``. Errors contain ``where``.
+    ``tables`` contains the names of tables, which are functions of one argument. The functions of
+    the tables must be passed when the expression is evaluated. The derivative of a table ``f`` has
+    the name ``f_slope``. Error messages contain ``where``.
 
     Raises
     ------
@@ -117,7 +117,10 @@ def parse_simplified(text: str, where: str = "expression", tables: tuple[str, ..
 
 
 def _replace_above(tree: Tree) -> Tree:
-    """Return ``tree`` with the condition ``e > 0 ? 1 : 0`` in place of each ``above(e)``."""
+    """Return ``tree`` with a condition in place of each step function ``above(e)``.
+
+    The condition is ``e > 0 ? 1 : 0``.
+    """
     match tree:
         case FunctionCall("above", (value,)):
             return _step_function(simplify(_replace_above(value)))
@@ -132,7 +135,7 @@ class _CardWriter(ExpressionWriter):
         match function, arguments:
             case "sqrt", (
                 FunctionCall("max", (_, value)),
-            ):  # this text has a finite derivative at zero
+            ):  # unlike max(0, …), this text has a finite slope at zero
                 return f"sqrt(max(1e-18, {self.write_tree(value)}))"
             case "clip", (value,):
                 return f"max(-1, min(1, {self.write_tree(value)}))"
@@ -144,7 +147,7 @@ class _CardWriter(ExpressionWriter):
 def format_tree(tree: Tree) -> str:
     """Return the text of ``tree`` for a netlist card.
 
-    The text ``sqrt(max(1e-18, e))`` replaces ``sqrt(max(0, e))``.
+    The text of ``sqrt(max(0, e))`` is ``sqrt(max(1e-18, e))``, whose derivative at e = 0 is finite.
 
     Raises
     ------
@@ -193,7 +196,7 @@ def divide_trees(first: Tree, second: Tree) -> Tree:
 
 
 def _chain_operator(op: str, trees: Iterable[Tree]) -> Tree:
-    """Return the expressions joined by the operator ``op``, from left to right."""
+    """Return the expressions, joined by the operator ``op`` from left to right."""
     first, *rest = trees
     for tree in rest:
         first = BinaryOperation(op, first, tree)
@@ -210,7 +213,10 @@ def differentiate_tree(tree: Tree, name: str) -> Tree:
 
 
 def _differentiate(tree: Tree, name: str) -> Tree:
-    """Return the derivative of ``tree`` with respect to ``name``, without simplification."""
+    """Return the derivative of ``tree`` with respect to ``name``.
+
+    The derivative is not simplified.
+    """
     match tree:
         case Name(found):
             return ONE if found == name else ZERO
@@ -253,7 +259,7 @@ def _differentiate(tree: Tree, name: str) -> Tree:
                 else _differentiate_function(function, value)
             )
             return _make_product(outer, _differentiate(value, name))
-    return ZERO  # numbers, and step functions except at the step, have zero slope
+    return ZERO  # numbers, and step functions away from the step, have zero slope
 
 
 def _differentiate_function(function: str, value: Tree) -> Tree:
@@ -262,17 +268,20 @@ def _differentiate_function(function: str, value: Tree) -> Tree:
 
 
 def _make_product(left: Tree, right: Tree) -> Tree:
-    """Return the product of two trees, or zero if one of them is zero."""
+    """Return the product of two trees; zero if a factor is zero."""
     return ZERO if ZERO in (left, right) else BinaryOperation("*", left, right)
 
 
 def _make_sum(op: str, left: Tree, right: Tree) -> Tree:
-    """Return the sum or difference of two trees; the right tree is omitted if it is zero."""
+    """Return the sum or difference of two trees.
+
+    If the right tree is zero, it is omitted.
+    """
     return left if right == ZERO else BinaryOperation(op, left, right)
 
 
 def write_horner(value: Tree, series: Iterable[Tree]) -> Tree:
-    """Return a power series of ``value`` as nested products (Horner's rule).
+    """Return a power series in ``value`` as nested products (Horner's rule).
 
     ``series`` contains the coefficients c0, c1, … of the powers.
     """
@@ -290,8 +299,8 @@ def _step_function(value: Tree) -> Tree:
 def _clip_excesses(value: Tree) -> tuple[Tree, Tree]:
     """Return the two expressions ``value - 1`` and ``-value - 1``.
 
-    Where ``clip(value)`` limits the value from above, the first expression is positive. Where
-    ``clip(value)`` limits the value from below, the second expression is positive.
+    If ``clip(value)`` limits the value to 1, the first expression is positive. If ``clip(value)``
+    limits the value to -1, the second expression is positive.
     """
     return subtract_trees(value, ONE), subtract_trees(UnaryOperation("-", value), ONE)
 
@@ -301,7 +310,7 @@ def _clip_excesses(value: Tree) -> tuple[Tree, Tree]:
 
 @dataclass(frozen=True)
 class _Product:
-    """Rational coefficient times a quotient of two products of factors."""
+    """Product of factors, divided by other factors, with a rational coefficient."""
 
     coefficient: Fraction
     numerator: tuple[Tree, ...] = ()
@@ -332,7 +341,7 @@ class _Product:
         return _Product(1 / self.coefficient, self.denominator, self.numerator)
 
     def tree(self) -> Tree:
-        """Return the expression tree of the product, with the coefficient's absolute value."""
+        """Return the expression tree of the product without the sign of its coefficient."""
         size, below = abs(self.coefficient), self.denominator
         if Fraction(f"{float(size):.{_LITERAL_DIGITS}g}") != size:
             size, below = Fraction(size.numerator), (_make_number(size.denominator), *below)
@@ -354,7 +363,7 @@ def _remove_redundant_steps(counts: Counter[Tree]) -> tuple[Tree, ...]:
     """Return the factors of a product without redundant step functions.
 
     ``counts`` contains the number of occurrences of each factor. The step function of e is
-    redundant in a product with ``max(0, e)``, with the square root of ``max(0, e)``, or with the
+    redundant if the product also contains ``max(0, e)``, the square root of ``max(0, e)``, or the
     same step function.
     """
     factors: list[Tree] = []
@@ -371,7 +380,7 @@ def _remove_redundant_steps(counts: Counter[Tree]) -> tuple[Tree, ...]:
 
 @cache
 def simplify(tree: Tree) -> Tree:
-    """Return an equal expression with equal terms added and equal factors cancelled.
+    """Return an equal expression, with equal terms added and equal factors cancelled.
 
     Numbers are calculated as exact fractions.
     """
@@ -379,12 +388,12 @@ def simplify(tree: Tree) -> Tree:
 
 
 def _list_nonzero_terms(tree: Tree) -> list[_Product]:
-    """Return the terms of an expression whose coefficient is not zero."""
+    """Return the terms of an expression that have a nonzero coefficient."""
     return [term for term in _list_terms(tree) if term.coefficient]
 
 
 def _build_sum(terms: list[_Product]) -> Tree:
-    """Return the expression tree of a sum of products, positive terms first."""
+    """Return the expression tree of a sum of products; positive terms are first."""
     if not terms:
         return ZERO
     first, *rest = sorted(terms, key=lambda term: term.coefficient < 0)
@@ -433,7 +442,7 @@ def _make_exponential(base: Tree, power: Tree) -> Tree:
 def _list_sum_terms(tree: Tree, sign: int = 1) -> Iterator[_Product]:
     """Yield the terms of nested sums, multiplied by ``sign``.
 
-    Nested sums are flattened, so that equal terms are searched for only once.
+    Because nested sums are flattened, equal terms are searched for only once.
     """
     match tree:
         case UnaryOperation("-" | "+" as op, value):
@@ -449,7 +458,10 @@ def _list_sum_terms(tree: Tree, sign: int = 1) -> Iterator[_Product]:
 
 
 def _may_differ_from_zero(tree: Tree) -> bool:
-    """Return False if a tree is ``max(0, e)`` with an expression e that is zero."""
+    """Return whether a tree may differ from zero.
+
+    Return False for ``max(0, e)`` with an expression e that is zero.
+    """
     return not (
         isinstance(tree, FunctionCall)
         and tree.function == "max"
@@ -467,7 +479,7 @@ def _factor_into_product(tree: Tree) -> _Product:
 
 
 def _merge_terms(terms: Iterable[_Product]) -> list[_Product]:
-    """Return terms in which terms with equal factors are added."""
+    """Return the terms after adding terms with equal factors."""
     sums: dict[tuple[frozenset[Any], frozenset[Any]], _Product] = {}
     for term in terms:
         above, below = Counter(term.numerator), Counter(term.denominator)
@@ -487,14 +499,14 @@ WeightedCalls = tuple[tuple[FunctionCall, Fraction], ...]
 def split_calls(
     tree: Tree, functions: Container[str]
 ) -> tuple[list[tuple[Tree, WeightedCalls]], Tree]:
-    """Split ``tree`` into products that contain calls of ``functions``, and the other terms.
+    """Split ``tree`` into products with calls of ``functions``, and all other terms.
 
-    Each product is a pair of a factor and a weighted sum of calls. The first weight of each sum is
-    1. The other terms are returned as one sum.
+    Each product is a pair: a factor, and a weighted sum of calls. The first weight of each sum is
+    1. The other terms are returned as a single sum.
 
     Raises
     ------
-    UsageError : a call is inside another function, or calls are multiplied.
+    UsageError : a call is an argument of another function, or calls are multiplied.
     """
     weights: dict[Tree, dict[FunctionCall, Fraction]] = {}
     rest = []
@@ -525,7 +537,7 @@ def split_calls(
 
 
 def make_weighted_sum(calls: WeightedCalls) -> Tree:
-    """Return the expression ``sum_k weight_k call_k`` of calls and their weights."""
+    """Return the expression ``sum_k weight_k call_k`` for calls and their weights."""
     return add_trees(*(multiply_trees(_make_number(weight), call) for call, weight in calls))
 
 
@@ -535,7 +547,8 @@ def make_weighted_sum(calls: WeightedCalls) -> Tree:
 def find_kinks(tree: Tree) -> tuple[Tree, ...]:
     """Return the arguments of all one-sided functions and steps in ``tree``.
 
-    The argument of ``max(0, e)``, for example, is e. Arguments of inner functions are first.
+    For example, the argument of ``max(0, e)`` is e. Arguments of inner functions precede arguments
+    of outer functions.
     """
     result = [*chain.from_iterable(map(find_kinks, list_operands(tree)))]
     match tree:
@@ -549,13 +562,14 @@ def find_kinks(tree: Tree) -> tuple[Tree, ...]:
 
 
 def replace_kinks(tree: Tree, corners: tuple[Tree, ...]) -> Tree:
-    """Return ``tree`` with factors ``flag0``, ``flag1``, … in place of one-sided functions.
+    """Return ``tree`` with flags in place of one-sided functions.
 
-    For constant flags, the returned expression is smooth. Each expression in ``corners`` has a
-    flag, which is 1 if the expression is above zero, otherwise 0.
+    The flags are factors with the names ``flag0``, ``flag1``, …. With constant flags, the returned
+    expression is smooth. Each expression in ``corners`` has a flag. The flag is 1 if the expression
+    is above zero, otherwise 0.
     """
     match tree:
-        # If the argument is negative after a step, the root must be zero, not a complex number.
+        # If a step makes the argument negative, the root must be zero instead of complex.
         case FunctionCall("sqrt", (FunctionCall("max", (_, value)),)):
             return FunctionCall(
                 "sqrt", (FunctionCall("max", (ZERO, replace_kinks(value, corners))),)
@@ -578,7 +592,10 @@ def replace_kinks(tree: Tree, corners: tuple[Tree, ...]) -> Tree:
 
 
 def _name_flag(argument: Tree, corners: tuple[Tree, ...]) -> Name:
-    """Return the name of the flag of ``argument``, which is one of the ``corners``."""
+    """Return the name of the flag of ``argument``.
+
+    ``argument`` is one of the ``corners``.
+    """
     return Name(f"flag{corners.index(argument)}")
 
 
@@ -587,7 +604,7 @@ class _PythonWriter(ExpressionWriter):
 
     def format_name(self, text: str) -> str:
         """Return the Python name of a variable."""
-        return f"_{text}"  # the underscore allows keys with the name of a Python keyword
+        return f"_{text}"  # with the underscore, a key may be a Python keyword
 
     def write_tree(self, tree: Tree, level: int = 0) -> str:
         """Write an expression tree as Python text."""
@@ -611,7 +628,10 @@ class _PythonWriter(ExpressionWriter):
 
 
 def _get_python_name(function: str) -> str:
-    """Return the Python name of a function; for a table, a name that no key can have."""
+    """Return the Python name of a function.
+
+    The name of a table differs from all possible names of keys.
+    """
     known = function in _FUNCTION_SCOPE or function in _NUMPY_NAMES
     return _NUMPY_NAMES.get(function, function) if known else f"table_{function}"
 
@@ -641,8 +661,8 @@ def compile_function(
 ) -> Callable[..., tuple[Any, ...]]:
     """Return a compiled function that evaluates ``trees`` for values of ``arguments``.
 
-    The values of the arguments are numbers or arrays. ``tables`` contains the functions of tables,
-    keyed by name.
+    The values of the arguments are numbers or arrays. ``tables`` contains the functions of the
+    tables, keyed by name.
     """
     heads = ", ".join(map("_{}".format, arguments))
     values = "".join(map("{}, ".format, map(_PythonWriter().write_tree, trees)))
@@ -654,5 +674,8 @@ def compile_function(
 
 
 def evaluate_tree(tree: Tree, known: Mapping[str, Any]) -> Any:
-    """Return the value of ``tree``; ``known`` contains numbers or arrays, keyed by name."""
+    """Return the value of ``tree``.
+
+    ``known`` contains numbers or arrays, keyed by name.
+    """
     return np.asarray(compile_function((tree,), known)(*known.values())[0])

@@ -1,1 +1,4 @@
-"""Reference solver: integrates the equations of any set of parts without a circuit simulator."""
+"""Reference solver, which integrates the equations of parts.
+
+The reference solver does not use a circuit simulator.
+"""

@@ -1,4 +1,4 @@
-"""Equations of a system between two events; computation of operating points and dc sweeps."""
+"""Equations of a system between two events, operating points and dc sweeps."""
 
 from __future__ import annotations
 
@@ -18,8 +18,9 @@ from kc2spice.reference.system import PlacedDevice, System
 
 
 class Interval:
-    """Equations ``d/dt g(t, z) = f(t, z)`` while the devices stay in the given ``modes``.
+    """Equations of a system between two events.
 
+    The equations are ``d/dt g(t, z) = f(t, z)``, and each device stays in its mode in ``modes``.
     Each source follows the smooth piece of its waveform that contains the time ``within``.
     """
 
@@ -42,17 +43,18 @@ class Interval:
                 self.rows = self.rows | device.stores.any(axis=1)
 
     def append_sources(self, t: np.ndarray | float, z: np.ndarray) -> np.ndarray:
-        """Append the values and rates of the sources at the time ``t`` to the unknowns ``z``.
+        """Append the sources at the time ``t`` to the unknowns ``z``.
 
-        Return the vector ``X``, an array of shape (N,) for one time or (N, nt) for ``nt`` times.
+        Return the vector ``X`` of unknowns, source values and source rates. ``X`` has the shape
+        (N,) for one time, or (N, nt) for ``nt`` times.
         """
         return np.concatenate((z, self.system.evaluate_source_derivatives(t, self.within)))
 
     def compute_waves(self, t: np.ndarray, z: np.ndarray, r: np.ndarray) -> dict[str, np.ndarray]:
-        """Compute all waves at the times ``t``, keyed by name.
+        """Compute all waveforms at the times ``t``, keyed by name.
 
-        ``z`` and ``r`` are the states and their rates, arrays of shape (n, nt). Each wave has the
-        shape (nt,).
+        ``z`` contains the unknowns, and ``r`` contains the rates of the unknowns. ``z`` and ``r``
+        have the shape (n, nt). Each waveform has the shape (nt,).
         """
         system, X = self.system, self.append_sources(t, z)
         dX = np.concatenate((r, system.evaluate_source_derivatives(t, self.within, 1)))
@@ -91,7 +93,7 @@ class Interval:
         return f
 
     def sum_term_sizes(self, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Compute the sums of the absolute values of all terms of ``f`` and of ``g``.
+        """Compute the sums of the absolute terms of ``f`` and of ``g``.
 
         Both arrays of sums have the shape (n, nt). The rounding errors of ``f`` and ``g`` are
         proportional to these sums.
@@ -130,7 +132,7 @@ class Interval:
         return [device.inputs @ X for device in self.system.devices]
 
     def compute_guards(self, t: float, z: np.ndarray) -> np.ndarray:
-        """Return the guards of all devices in one array, in the sequence of the devices."""
+        """Return the guards of all devices in one array, in the order of the devices."""
         devices_with_inputs = zip(
             self.system.devices, self.compute_device_inputs(t, z), self.modes, strict=True
         )
@@ -171,24 +173,24 @@ class _LinearisedLaw(Device):
         return self.law.across_inputs
 
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the linearised law's outputs, and their derivatives with respect to inputs."""
+        """Return the outputs of the linearised law, and their derivatives."""
         out, slope = self.law.evaluate(self.point, mode)
         return out + slope @ (e - self.point), slope
 
     def evaluate_storage(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the linearised stored quantities, and their derivatives with respect to inputs."""
+        """Return the linearised stored quantities, and their derivatives."""
         stored, slope = self.law.evaluate_storage(self.point, mode)
         return stored + slope @ (e - self.point), slope
 
 
 @dataclass(frozen=True, eq=False)
 class LimitedTangents:
-    """Linearised laws that limit the steps of Newton's method.
+    """Linearised laws of devices that limit the steps of Newton's method.
 
-    Newton's method linearises all laws at the last iterate. A law that overrides
+    Newton's method linearises most laws at the last iterate. A law that overrides
     :meth:`Device.limit_change`, such as a diode, is linearised nearer to the inputs of the previous
-    iterate, as in SPICE. ``points`` contains, for each such law, the inputs at which the law was
-    last linearised.
+    iterate. SPICE limits Newton steps in the same way. ``points`` contains, for each such law, the
+    inputs at which the law was last linearised.
     """
 
     points: dict[PlacedDevice, np.ndarray] = field(default_factory=dict)
@@ -196,10 +198,10 @@ class LimitedTangents:
     def linearise_limited_laws(
         self, interval: Interval, t: float, z: np.ndarray
     ) -> tuple[Interval, bool]:
-        """Linearise, near ``z``, each law whose Newton steps are limited.
+        """Linearise each law with limited Newton steps near ``z``.
 
-        Return the equations with the linearised laws. Also return whether the inputs at which a
-        law is linearised differ from its inputs at ``z``.
+        Return the equations with the linearised laws. Also return whether a limited Newton step
+        moved a point of linearisation away from ``z``.
         """
         X, curved, limited = interval.append_sources(t, z), [], False
         for device, mode in interval.curved:
@@ -223,7 +225,10 @@ class LimitedTangents:
 def _evaluate(
     function: Callable[[np.ndarray, Any], np.ndarray], inputs: np.ndarray, mode: Any
 ) -> np.ndarray:
-    """Evaluate a law's function at ``inputs`` of shape (m, nt); return an array (k, nt)."""
+    """Return the values of a law's function as an array of shape (k, nt).
+
+    ``inputs`` has the shape (m, nt).
+    """
     return np.array([function(e, mode) for e in inputs.T]).T
 
 
@@ -232,10 +237,10 @@ def _sum_absolute_terms(
     points: Iterable[tuple[np.ndarray, np.ndarray]],
     mode: Any,
 ) -> np.ndarray:
-    """Return the sums of the absolute values of the terms in a law's outputs.
+    """Return the sums of the absolute terms in the outputs of a linearised law.
 
-    The terms are the outputs, and the derivatives of the outputs times the absolute values of the
-    inputs. The sums are an array of shape (k, nt).
+    The terms of an output are the output itself, and each derivative multiplied by the absolute
+    value of the input. The array of the sums has the shape (k, nt).
     """
     result = []
     for e, sizes in points:
@@ -245,7 +250,7 @@ def _sum_absolute_terms(
 
 
 def join_waves(parts: Sequence[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """Concatenate the waves of consecutive intervals. The result is keyed by wave name."""
+    """Concatenate the waveforms of consecutive intervals, keyed by wave name."""
     columns = zip(*map(dict.values, parts), strict=True)
     return dict(zip(parts[0], map(np.concatenate, columns), strict=True))
 
@@ -255,9 +260,9 @@ _MAX_NEWTON_STEPS = 12  # largest number of Newton steps from the initial guess
 
 
 def solve_operating_point(system: System) -> dict[str, float]:
-    """Compute all waves in equilibrium, for the values of the sources at t = 0.
+    """Compute all waveforms in equilibrium, with the values of the sources at t = 0.
 
-    The charge of a net without a path to the reference node is zero.
+    A net without a path to the reference node has zero charge.
 
     Raises
     ------
@@ -267,11 +272,11 @@ def solve_operating_point(system: System) -> dict[str, float]:
 
 
 def solve_dc(system: System, source: str, values: np.ndarray) -> dict[str, np.ndarray]:
-    """Compute the equilibrium for each value of a source in ``values``.
+    """Compute the equilibrium at each value of a source in ``values``.
 
-    Each solution starts from the solution at the previous value. Each array in the result has one
-    entry for each value. The array ``sweep`` contains the values of the source. The other arrays
-    are the waves of :func:`solve_operating_point`.
+    Each solution starts from the solution at the previous value. Each array in the result contains
+    one entry for each value. The array ``sweep`` contains the values of the source. The other
+    arrays contain the results of :func:`solve_operating_point`.
     """
     z, result = None, []
     for value in np.asarray(values, dtype=float):
@@ -286,8 +291,8 @@ def solve_dc(system: System, source: str, values: np.ndarray) -> dict[str, np.nd
 def _fix_sources(system: System, values: dict[str, float]) -> System:
     """Return a system with constant sources.
 
-    Each source has its value in ``values``, or its value at t = 0 if ``values`` does not contain
-    the source.
+    ``values`` contains the values of sources by name. The value of any other source is its value at
+    t = 0.
     """
     sources = []
     for source in system.sources:
@@ -297,14 +302,14 @@ def _fix_sources(system: System, values: dict[str, float]) -> System:
 
 
 def _compute_waves(system: System, z: np.ndarray, modes: list[Any]) -> dict[str, float]:
-    """Compute the values of all waves in the equilibrium ``z``, keyed by name."""
+    """Compute the values of all waveforms in the equilibrium ``z``, keyed by name."""
     interval, t = Interval(_fix_sources(system, {}), modes, 0.0), np.zeros(1)
     waves = interval.compute_waves(t, z[:, None], np.zeros((z.size, 1)))
     return {name: float(wave[0]) for name, wave in waves.items()}
 
 
 class _StaticEquations:
-    """Equations of the equilibrium: force balances, current balances, and initial values."""
+    """Equations of the equilibrium: force and current balances, and initial values."""
 
     def __init__(self, system: System) -> None:
         self.system = _fix_sources(system, {})
@@ -315,7 +320,7 @@ class _StaticEquations:
         self.into = np.array([*map(attrgetter("into"), values)]).reshape(-1, n).T
 
     def make_interval(self, z: np.ndarray) -> Interval:
-        """Return the equations for the modes that the devices have at ``z``."""
+        """Return the equations for the device modes at ``z``."""
         X = np.concatenate((z, self.evaluate_source_derivatives))
         modes = [device.law.find_initial_mode(device.inputs @ X) for device in self.system.devices]
         return Interval(self.system, modes, 0.0)
@@ -323,8 +328,8 @@ class _StaticEquations:
     def equations(self, interval: Interval, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Compute the residual of the force and current balances, and its Jacobian.
 
-        The residual has the shape (n,), and the Jacobian the shape (n, n). The forces that enforce
-        initial values are not included.
+        The residual has the shape (n,), and the Jacobian has the shape (n, n). The forces that
+        enforce the initial values are not included.
         """
         return interval.evaluate_equations(0.0, z)[1], interval.compute_slopes(0.0, z)[1]
 
@@ -332,9 +337,9 @@ class _StaticEquations:
 def find_equilibrium(
     system: System, guess: np.ndarray | None = None
 ) -> tuple[np.ndarray, list[Any]]:
-    """Compute the unknowns and the device modes in equilibrium by Newton's method.
+    """Compute the unknowns and device modes in equilibrium by Newton's method.
 
-    Without an initial ``guess``, the first Newton steps follow a motion with strong friction.
+    Without an initial ``guess``, the first Newton steps follow a motion with large friction.
     """
     static_equations, n = _StaticEquations(system), system.size
     z = np.zeros(n) if guess is None else guess.copy()
@@ -343,12 +348,12 @@ def find_equilibrium(
         H, h = static_equations.H, static_equations.h
         z = z + np.linalg.lstsq(H, h - H @ z, rcond=None)[0]
     friction, forces, moved = np.zeros((n, n)), system.velocity, system.moved
-    # in a system without masses, the row of a net's displacement is the force balance of this net
+    # without masses, the equation of a net's displacement is the force balance of the net
     if guess is not None and not moved.size:
         forces = moved = _find_net_displacements(system)
     friction[forces, moved] = 1.0
-    # A guess is usually close to the equilibrium, so Newton's method without friction comes first.
-    # If Newton's method fails, the steps follow an overdamped motion.
+    # A guess is usually close to the equilibrium, so Newton's method without friction is tried
+    # first. If Newton's method fails, the steps follow an overdamped motion.
     pseudo_time_step, direct = (1e-6, 0) if guess is None else (1e13, _MAX_NEWTON_STEPS)
     start, tangents = z, LimitedTangents()
     for count in range(_MAX_ITERATIONS):
@@ -367,7 +372,7 @@ def find_equilibrium(
         )
         small = np.abs(step).max(initial=0.0) <= 1e-11 * (1e-3 + np.abs(z).max(initial=0.0))
         if guess is not None and not small and count >= direct and f[forces] @ step[moved] < 0.0:
-            pseudo_time_step *= 0.01  # a long step over a turning point would oppose the forces
+            pseudo_time_step *= 0.01  # a long step beyond a turning point would oppose the forces
             continue
         z = z + step
         if (
@@ -386,7 +391,7 @@ def find_equilibrium(
 
 
 def _find_net_displacements(system: System) -> np.ndarray:
-    """Return the indices of the unknowns that determine displacements of nets."""
+    """Return the indices of the unknowns that determine the displacements of nets."""
     names = np.array(system.names)
     moving = np.isin(np.char.add(names, ".rate"), names)
     return np.flatnonzero((system.now[moving, : system.size] != 0.0).any(axis=0))
@@ -397,7 +402,7 @@ def _compute_newton_step(
 ) -> np.ndarray:
     """Compute a Newton step of the equations for equilibrium and initial values.
 
-    If the equations are singular, additional equations keep the charges of floating nets at zero.
+    If these equations are singular, additional equations set the charges of floating nets to zero.
     """
     n, m = z.size, rest.h.size
     full = np.block([[J, rest.into], [rest.H, np.zeros((m, m))]])
@@ -426,7 +431,7 @@ def _compute_newton_step(
 
 
 def _set_initial_speeds(system: System, z: np.ndarray) -> np.ndarray:
-    """Return a copy of the unknowns ``z`` that contains the initial velocities of masses."""
+    """Return a copy of the unknowns ``z`` with the initial velocities of masses."""
     values = system.initial_values
     if not values:
         return z

@@ -7,8 +7,8 @@ ports, and ``r`` contains the effect of earlier time steps. The outputs are ``y 
 r``, where ``H(s)`` is the transfer matrix of the ports.
 
 The matrix ``P(s)`` is factorised only once for all steps. Each stage then needs one back
-substitution, and the solution of a small nonlinear system. In this system, p linear relations
-represent the body, and the other equations are the laws of all other parts.
+substitution, and the solution of a small nonlinear system. In the nonlinear system, p linear
+relations represent the body, and all other parts have their laws.
 
 The method of Alexander (SIAM J. Numer. Anal. 14, 1006, 1977) has two stages and second-order
 accuracy. The method is L-stable: motions too fast for the time step decay instead of ringing::
@@ -153,6 +153,8 @@ def integrate_steps(
     other laws move before ``first``, ``start_from`` converts the unknowns of the equilibrium to the
     unknowns at ``first``.
 
+    Raises
+    ------
     SimulationError : there is no equilibrium, a stage does not converge, or the inputs of a law
     leave the valid range.
     """

@@ -6,10 +6,10 @@ zero.
 
 Each step solves ``d/dt g(t, z) = f(t, z)`` by the method Radau IIA of order five (Hairer and Wanner
 1996, IV.8). This module eliminates no unknowns. In contrast, ``scipy.integrate.Radau`` accepts no
-mass matrix, so that algebraic unknowns would have to be eliminated. This elimination is possible
-only for equations of index 1. The equations of two inductors in series, or of an inductor in series
-with a current source, have index 2. The method integrates the stored quantities ``g``, so that
-charge, flux and momentum are conserved.
+mass matrix, so that algebraic unknowns would have to be eliminated. Algebraic unknowns can be
+eliminated only from equations of index 1. The equations of two inductors in series, or of an
+inductor in series with a current source, have index 2. The method integrates the stored quantities
+``g``, so that charge, flux and momentum are conserved.
 """
 
 from __future__ import annotations
@@ -272,9 +272,10 @@ class Radau:
             self._linearise()
 
     def find_step(self, h: float, end: float) -> tuple[Step, float]:
-        """Return a step with an error below the tolerance, and the length of the next step.
+        """Compute a step with an error below the tolerance.
 
-        The caller must pass the returned step to :meth:`accept_step`.
+        Return the step and the length of the next step. The caller must pass the returned step to
+        :meth:`accept_step`.
         """
         rejected = False
         while True:
@@ -363,7 +364,7 @@ class Trajectory:
         ``NAME.state``, and the names of additional waves of devices. Each wave has the shape (nt,).
         """
         # The output times may come from ngspice, which may round the times of corners.
-        # A corner with a rounded time still belongs to the segment that ends at this corner.
+        # A corner with a rounded time belongs to the segment that ends at the corner.
         ends = np.array([s.steps[-1].end_time for s in self.segments[:-1]])
         owner = np.searchsorted(ends + 4 * np.spacing(self.time[-1]), self.time, side="left")
         result = []
@@ -403,7 +404,7 @@ def solve_transient(
     times: np.ndarray | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Trajectory:
-    """Integrate a system from its equilibrium at t = 0 to the time ``stop`` [s].
+    """Integrate a system from equilibrium at t = 0 to the time ``stop`` [s].
 
     A segment ends at a corner of a source, or when a guard function of a device falls to zero.
     ``times`` are the output times [s], by default the ends of the accepted steps. ``progress`` is
@@ -420,7 +421,7 @@ def solve_transient(
     segments: list[Segment] = []
     events: list[float] = []
     # Values of all guard functions at the end of the previous interval.
-    # The initial values are not finite, so that no device changes its mode in equilibrium.
+    # The initial values are infinite, so that no device changes mode in equilibrium.
     left = np.full_like(Interval(system, modes, 0.0).compute_guards(0.0, z), np.inf)
     for begin, end in pairwise(corners):
         t, within = begin, 0.5 * (begin + end)
@@ -524,7 +525,7 @@ def _integrate_interval(
 def _locate_zero(
     interval: Interval, solver: Radau, step: Step, fell: np.ndarray
 ) -> tuple[Step, int]:
-    """Solve a step again that ends at the first zero of a guard function.
+    """Shorten a step so that it ends at the first zero of a guard function.
 
     ``fell`` contains the indices of the guard functions that become negative during the step.
     Return the shorter step, and the index of the guard function that is zero at the end of the
@@ -568,7 +569,7 @@ def _sum_energies(system: System, segment: Segment) -> tuple[list[float], list[f
     """Return lists of the supplied energies [J] and lost energies [J] of a segment.
 
     The supplied energies come from sources and from devices with a negative loss. One lost energy
-    is the sum of all linear laws; each nonlinear device has a separate lost energy.
+    covers all linear laws together; each nonlinear device has a separate lost energy.
     """
     interval, steps = segment.interval, segment.steps
     t = np.concatenate([*map(attrgetter("stage_times"), steps)])

@@ -1,13 +1,13 @@
-"""Linearisation of a circuit at its operating point: ac response, modes and noise.
+"""Linearisation of a circuit at the operating point: ac response, modes, noise.
 
-The transient solution of the linearised circuit is exact if the waveforms of all sources consist of
-straight lines and sines.
+For waveforms that consist of straight lines and sines, the transient solution of the linearised
+circuit is exact.
 
-The admittance ``Y`` of a linear law is the through quantity divided by the rate of the across
-quantity. The thermal noise of the law is a through quantity. Its one-sided spectral density is
-``4 k T (Y + Y^H) / 2`` per Hz (H. B. Callen, T. A. Welton, Phys. Rev. 83 (1951) 34). The noise of a
-body is computed here from the responses at its ports. The netlist of a body instead contains one
-noise force for each mode.
+The linear law of a part has the admittance ``Y``: the through quantity divided by the rate of the
+across quantity. The thermal noise of the part is a through quantity. The one-sided spectral density
+of the noise is ``4 k T (Y + Y^H) / 2`` per Hz (H. B. Callen, T. A. Welton, Phys. Rev. 83 (1951)
+34). This module computes the noise of a body from the responses at the ports of the body. In
+contrast, the netlist of a body contains one noise force for each mode.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ from kc2spice.core.waveforms import Function, Waveform
 from kc2spice.reference.equilibrium import Interval, find_equilibrium
 from kc2spice.reference.system import System, assemble_system
 
-# condition number of the eigenvector matrix above which modes are meaningless
+# modes are not used if the condition number of the eigenvector matrix exceeds this limit
 _MAX_BASIS_CONDITION = 1e9
-# a mode with a rate above this fraction of the largest rate is not a rigid-body mode
+# a rigid-body mode has (rate / largest rate) below this ratio
 _RIGID_RATE_RATIO = 1e-7
-_RIGID_RATE_ROUNDINGS = 1e2  # largest rate of a rigid-body mode, as a multiple of rounding errors
-CANCELLATION_ROUNDING = 1e-9  # rounding error of a sum whose terms cancel, relative to these terms
-# largest permitted effect of sources on rigid-body modes, relative to their effect on all modes
+_RIGID_RATE_ROUNDINGS = 1e2  # largest rate of a rigid-body mode / rounding error
+CANCELLATION_ROUNDING = 1e-9  # rounding error of a sum of cancelling terms / terms
+# largest permitted (effect of sources on rigid-body modes / effect of sources on all modes)
 _MAX_RIGID_EFFECT = 1e-7
 
 RateMap = Callable[[np.ndarray], np.ndarray]
@@ -45,11 +45,11 @@ class LinearisedSystem:
     """Linearised equations ``d/dt (G X) = F X`` of deviations ``X`` from equilibrium.
 
     ``X = [z, s, s']`` contains the unknowns z, the sources s and the rates s' of the sources. The
-    outputs ``y = C0 X + d/dt C1 X`` are the waves of the system, in the sequence of their names. If
-    the system is linear, ``exact`` is true, and the equations are valid for motions of any size.
+    outputs ``y = C0 X + d/dt C1 X`` are the waves of the system, in the order of ``System.names``.
+    If the system is linear, ``exact`` is true, and the equations are valid for motions of any size.
 
-    Devices that depend on the frequency are linearised for signals ``e^(at t)``. ``point`` contains
-    the unknowns and device modes in equilibrium, if they are already known.
+    Devices that depend on the frequency are linearised for signals ``e^(at t)``. ``point`` may
+    contain the unknowns and the device modes in equilibrium, if already known.
 
     Raises
     ------
@@ -93,7 +93,7 @@ class LinearisedSystem:
         )
 
     def respond(self, w: complex, amplitudes: np.ndarray) -> np.ndarray:
-        """Compute the complex outputs, an array (ny,), for sources ``amplitudes e^(w t)``."""
+        """Compute the complex outputs (ny,) for sources ``amplitudes e^(w t)``."""
         X = self._solve_unknowns(w, amplitudes)
         return np.asarray(self.C0 @ X + w * (self.C1 @ X))
 
@@ -106,23 +106,23 @@ class LinearisedSystem:
         return self._compute_term_sizes(slice(None), X[:, None], np.array([w]))[:, 0]
 
     def _solve_unknowns(self, w: complex, amplitudes: np.ndarray) -> np.ndarray:
-        """Return the amplitudes ``X``, an array (N,), for sources ``amplitudes e^(w t)``."""
+        """Return the amplitudes ``X`` (N,) for sources ``amplitudes e^(w t)``."""
         n, sources = self.system.size, np.concatenate((amplitudes, w * amplitudes))
         P = w * self.G - self.F
-        # Devices may depend on the frequency, so the scales in the system do not include them.
-        # Therefore, the rows of P are scaled again here.
+        # The rows of the system are scaled without the devices, which may depend on the frequency.
+        # Therefore, the rows of P are scaled again with the devices.
         size = np.abs(P[:, :n]).max(axis=1)
         z = np.linalg.solve(P[:, :n] / size[:, None], -P[:, n:] @ sources / size)
         return np.concatenate((z, sources))
 
     def _compute_term_sizes(self, columns: slice, X: np.ndarray, rates: np.ndarray) -> np.ndarray:
-        """Return ``|C0| |X| + |C1| |X rates|``, an array (ny, m), for ``columns`` of C0 and C1."""
+        """Return ``|C0| |X| + |C1| |X rates|`` (ny, m) for ``columns`` of C0 and C1."""
         now, rated = self._sizes
         return np.asarray(now[:, columns] @ np.abs(X) + rated[:, columns] @ np.abs(X * rates))
 
     @cached_property
     def _homogeneous_equations(self) -> _FreeMotion | None:
-        """Homogeneous equations of the states; None if they do not determine all unknowns."""
+        """Homogeneous state equations, or None if some unknowns remain undetermined."""
         n, rows, cols = self.system.size, self.rows, self.system.differential
         if rows.sum() != cols.sum() or not cols.any():
             return None
@@ -139,7 +139,7 @@ class LinearisedSystem:
 
     @cached_property
     def poles(self) -> np.ndarray:
-        """Complex natural frequencies ``a`` [1/s] of the free motions ``e^(a t)``, an array (m,).
+        """Complex natural frequencies ``a`` (m,) [1/s] of the free motions ``e^(a t)``.
 
         If the states do not determine the algebraic unknowns, the natural frequencies are the
         finite eigenvalues of ``F X = a G X``.
@@ -151,24 +151,24 @@ class LinearisedSystem:
         return _compute_finite_eigenvalues(self.F[:, :n], self.G[:, :n])
 
     def combine_output_rows(self, of: L.WaveCombination) -> tuple[np.ndarray, np.ndarray]:
-        """Return the row vectors of ``C0`` and ``C1`` for the result ``of``, two arrays (N,).
+        """Return the row vectors (N,) of ``C0`` and ``C1`` for the result ``of``.
 
-        The result ``of`` is a linear combination of waves, so each vector is the same combination
-        of rows.
+        The result ``of`` is a linear combination of waves, and the row vectors are the same linear
+        combination of the rows of ``C0`` and ``C1``.
         """
         names = self.system.names
         rows = of.combine(dict(zip(names, self.C0, strict=True)))
         return rows, of.combine(dict(zip(names, self.C1, strict=True)))
 
     def find_zeros(self, of: L.WaveCombination, amplitudes: np.ndarray) -> np.ndarray:
-        """Compute the zeros of the transfer function from the sources to the result ``of``.
+        """Compute zeros of the transfer function from all sources to the result ``of``.
 
-        The zeros are an array (m,) of complex rates ``w`` [1/s]. At these rates, the result is zero
-        for sources ``amplitudes e^(w t)``. The sources are written as ``amplitudes u``, and their
-        rates as ``amplitudes v`` with ``v = w u``. The zeros are then the eigenvalues of a
-        generalised linear problem for ``[z, u, v]``. The rows of the problem are the equations of
-        the circuit, the equation ``w u = v``, and the condition that the result is zero
-        (H. H. Rosenbrock, State-Space and Multivariable Theory (1970)).
+        The zeros are an array (m,) of complex rates ``w`` [1/s]. At the rate ``w`` of a zero, the
+        result is zero for sources ``amplitudes e^(w t)``. The sources are written as ``amplitudes
+        u``, and the rates of the sources as ``amplitudes v`` with ``v = w u``. The zeros are the
+        eigenvalues of a generalised linear problem for ``[z, u, v]``. The rows of the problem are
+        the equations of the circuit, the equation ``w u = v``, and the condition that the result is
+        zero (H. H. Rosenbrock, State-Space and Multivariable Theory (1970)).
         """
         n, k = self.system.size, len(self.system.sources)
         C0, C1 = self.combine_output_rows(of)
@@ -187,8 +187,8 @@ class LinearisedSystem:
     def modes(self) -> Modes | None:
         """Eigenmodes of the circuit.
 
-        The result is None if the eigenvectors do not form a basis, or if an unsupported body
-        moves.
+        The result is None if the eigenvectors do not form a basis, or if the sources or the initial
+        state move an unsupported body.
         """
         n, k = self.system.size, len(self.system.sources)
         rows, cols = self.rows, self.system.differential
@@ -207,7 +207,7 @@ class LinearisedSystem:
         unknowns[cols], unknowns[algebraic] = shapes, follow @ shapes
         out = self.C0[:, :n] @ unknowns + (self.C1[:, :n] @ unknowns) * rates
         terms = self._compute_term_sizes(slice(n), unknowns, rates)
-        # input matrix for sources e^(w t): Bs + w (Bd - Gs) - w^2 Gd
+        # the input matrix for sources e^(w t) is Bs + w (Bd - Gs) - w^2 Gd
         Gs, Gd = self.G[:, n : n + k], self.G[:, n + k :]
         Bs, Bd = self.F[:, n : n + k], self.F[:, n + k :]
         forms = [inverse @ (B[rows] - cut @ B[~rows]) for B in (Bs, Bd - Gs, -Gd)]
@@ -240,15 +240,16 @@ class LinearisedSystem:
     def _compute_line_responses(
         self, motion: _FreeMotion, rates: np.ndarray, shapes: np.ndarray, drives: list[np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the static gains and the slope responses of the outputs, two arrays (sources, ny).
+        """Return the static gains and the slope responses of the outputs.
+
+        Both arrays have the shape (sources, ny).
 
         If a source u is a linear ramp, an output is ``gain u + response du/dt``.
 
-        The modes obey ``a' = rates a + d0 u + d1 du/dt``, so that their amplitudes are
-        ``-d0 u / rates - (d0 / rates^2 + d1 / rates) du/dt``. The outputs are computed as sums over
-        the same modes as the free motion. At the beginning of a steep line, the difference of these
-        outputs to the free motion is far smaller than the outputs. The sums over modes keep this
-        difference accurate.
+        The amplitudes of the modes, ``a' = rates a + d0 u + d1 du/dt``, are ``-d0 u / rates - (d0 /
+        rates^2 + d1 / rates) du/dt`` for a ramp. At the beginning of a steep ramp, the free motion
+        almost cancels the output. The small difference remains accurate, because output and free
+        motion are sums over the same modes.
         """
         n, k = self.system.size, len(self.system.sources)
         rows, cols = self.rows, self.system.differential
@@ -271,7 +272,7 @@ class LinearisedSystem:
         """Compute the exact transient solution up to ``stop`` [s] for the given waveforms.
 
         ``waves`` contains the waveform of each source. The result is None if a waveform is neither
-        piecewise linear nor a sine, or if the circuit has no modes.
+        piecewise linear nor a sine, or if :attr:`modes` is None.
         """
         modes = self.modes
         if modes is None:
@@ -288,11 +289,11 @@ class LinearisedSystem:
 
 
 def solve_ac(system: System, frequencies: np.ndarray) -> dict[str, np.ndarray]:
-    """Compute the ac response of all waves, as complex arrays of shape (nf,), keyed by name.
+    """Compute the ac response of all waves, keyed by name.
 
-    Each source has the amplitude of its attribute ``ac``. The system is linearised about its
-    operating point. The names are ``frequency`` [Hz] and, as in ``Result.waves``, ``NAME.pin`` and
-    ``NAME.pin.through``.
+    The waves are complex arrays of shape (nf,). The amplitude of each source is the attribute
+    ``ac`` of the source. The system is linearised about the operating point. The names are
+    ``frequency`` [Hz] and, as in ``Result.waves``, ``NAME.pin`` and ``NAME.pin.through``.
     """
     amplitude = np.array([*map(attrgetter("ac"), system.sources)], dtype=complex)
     frequencies, point = np.asarray(frequencies, dtype=float), find_equilibrium(system)
@@ -325,10 +326,10 @@ def _decompose_motion(F: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.nd
 
 
 def _sort_by_rate(F: np.ndarray, limit: float) -> tuple[np.ndarray, np.ndarray, int]:
-    """Return the ordered Schur form and vectors of ``F``, and the number of fast rates.
+    """Return the sorted Schur form of ``F`` and the number of fast rates.
 
-    The fast rates are the eigenvalues of ``F`` with magnitudes above ``limit``. In the
-    Schur form, the fast rates come first.
+    The fast rates are the eigenvalues of ``F`` with magnitudes above ``limit``. In the Schur form,
+    the fast rates come first. The second result contains the Schur vectors.
     """
     T, Q, k = sla.schur(F.astype(complex), "complex", sort=lambda rate: abs(rate) > limit)
     return T, Q, k
@@ -337,10 +338,10 @@ def _sort_by_rate(F: np.ndarray, limit: float) -> tuple[np.ndarray, np.ndarray, 
 def _estimate_rigid_rate(T: np.ndarray, size: float) -> float:
     """Estimate the largest rate [1/s] of rigid-body modes due to rounding errors.
 
-    ``T`` is the Schur form of the slow modes. The rounding error of ``F`` is ``e = eps
-    size``. This error shifts a simple rate of zero by ``e``. The error shifts the two rates of a
-    rigid-body mode ``x' = c v, v' = 0`` by ``sqrt(c e)``. Even the slow relaxations of a circuit
-    have larger rates.
+    ``T`` is the Schur form of the slow modes. The rounding error of ``F`` is ``e = eps size``. The
+    rounding error shifts a simple eigenvalue of zero by ``e``, and the two eigenvalues of a
+    rigid-body mode ``x' = c v, v' = 0`` by ``sqrt(c e)``. Slow relaxations of a circuit have larger
+    rates.
     """
     e = float(np.finfo(float).eps) * size
     c = float(np.linalg.norm(np.triu(T, 1)))
@@ -348,7 +349,7 @@ def _estimate_rigid_rate(T: np.ndarray, size: float) -> float:
 
 
 def _find_kinks(k: int, wave: Waveform, stop: float) -> list[tuple[float, int, float]]:
-    """Find the times at which the slope of a source's waveform jumps, at or after t = 0.
+    """Find the times from t = 0 at which the slope of a source's waveform jumps.
 
     Each item of the result contains a time [s], the index ``k`` of the source, and the jump of the
     slope.
@@ -366,9 +367,8 @@ class _FreeMotion:
     """Homogeneous equations ``x' = rates x`` of the states ``x`` of a circuit.
 
     The algebraic unknowns are ``follow x``. ``inverse`` is the inverse of the block of ``G`` for
-    the states. ``cut`` maps the right-hand sides of the algebraic equations to right-hand sides of
-    the equations of the states. ``inner`` is the inverse of the block of ``F`` for the algebraic
-    unknowns.
+    the states. ``cut`` maps right-hand sides of the algebraic equations to right-hand sides of the
+    state equations. ``inner`` is the inverse of the block of ``F`` for the algebraic unknowns.
     """
 
     rates: np.ndarray
@@ -380,15 +380,16 @@ class _FreeMotion:
 
 @dataclass(frozen=True, eq=False)
 class Modes:
-    """Eigenmodes with amplitudes ``a_i' = rates_i a_i + drive_i u``, and their waves.
+    """Eigenmodes with amplitudes ``a_i``, where ``a_i' = rates_i a_i + drive_i u``.
 
     The vector ``u`` contains the sources. The waves are ``y = level + sum_i out_i a_i``.
 
-    The products of ``out`` and ``drive`` are the residues at the poles ``rates`` [1/s]. ``terms``
-    contains the sums of the absolute values of all terms of ``out``. ``start`` contains the
-    amplitudes at t = 0. ``level`` is the static solution for the values of the sources at t = 0.
-    ``static_gains`` are the responses to constant sources. ``slope_responses`` are the additional
-    responses to sources that follow a straight line, per slope of the line.
+    The products of ``out`` and ``drive`` are the residues at the poles ``rates`` [1/s]. Each entry
+    of ``out`` is a sum; ``terms`` contains the sums of the absolute values of all summands.
+    ``start`` contains the amplitudes at t = 0. ``level`` is the static solution for the values of
+    the sources at t = 0. ``static_gains`` are the responses to constant sources.
+    ``slope_responses`` are the additional responses to a source that is a straight line, per slope
+    of the line.
 
     The arrays ``rates`` and ``start`` have the shape (m,). ``level`` has the shape (ny,), and
     ``drive`` the shape (m, sources). ``out`` and ``terms`` have the shape (ny, m). The static gains
@@ -412,18 +413,21 @@ class Modes:
 
 @dataclass(frozen=True, eq=False)
 class ExponentialSolution:
-    """Exact transient solution: a sum of exponentials between the corners of the sources."""
+    """Exact transient solution of a linear circuit.
+
+    Between the corners of the sources, the solution is a sum of exponentials, lines and sines.
+    """
 
     linear: LinearisedSystem
     modes: Modes
     waves: tuple[Function, ...]
-    kinks: tuple[tuple[float, int, float], ...]  # time [s], index of a source, jump of its slope
+    kinks: tuple[tuple[float, int, float], ...]  # time [s], index of a source, jump of the slope
     sines: tuple[tuple[int, Waveform], ...]
     stop: float
 
     @property
     def corner_times(self) -> np.ndarray:
-        """Times [s] at which a source excites modes: its start, or a jump of its slope."""
+        """Times [s] of the starts of sines, and of the jumps of slopes of sources."""
         starts = map(attrgetter("start"), map(itemgetter(1), self.sines))
         return np.unique([0.0, *map(itemgetter(0), self.kinks), *starts])
 
@@ -442,9 +446,9 @@ class ExponentialSolution:
         """Compute the waves with the indices ``outputs`` at the increasing times ``t``.
 
         Return an array of shape (nt, len(outputs)). By default, the waves are exact. With ``rates``
-        and ``axis``, the result contains the waves that a rule for time integration computes. The
-        rule replaces the rate of a mode by the value of the function ``rates``, and the frequency
-        ``j w`` of a sine by the value of the function ``axis``.
+        and ``axis``, the result contains the waves that a numerical integration method computes.
+        The function ``rates`` maps the rate of each mode to the rate in the numerical solution. The
+        function ``axis`` maps the frequency ``j w`` of each sine.
         """
         poles = self.modes.rates
         moved = poles if rates is None else rates(poles)
@@ -490,16 +494,16 @@ class ExponentialSolution:
         return result
 
     def find_peak_amplitudes(self) -> np.ndarray:
-        """Return the largest amplitude of each mode in each wave, an array of shape (m, ny)."""
+        """Return the largest amplitude (m, ny) of each mode in each wave."""
         return np.asarray(self._largest_amplitudes[:, None] * np.abs(self.modes.out.T))
 
     def estimate_rounding(self) -> np.ndarray:
-        """Estimate the rounding error of each wave, whose terms may cancel each other.
+        """Estimate the rounding error of each wave due to terms that cancel each other.
 
         For example, the forces on a joint without mass and the currents into a node add up to zero.
-        The computed sum is a rounding error, which a shorter time step does not reduce. The
-        estimate is :data:`CANCELLATION_ROUNDING` times the absolute values of the terms of all
-        modes and sines.
+        A computed sum of terms that cancel each other is a rounding error, which a shorter time
+        step does not reduce. The estimate is :data:`CANCELLATION_ROUNDING` times the absolute
+        values of the terms of all modes and sines.
         """
         result = self.modes.terms @ self._largest_amplitudes
         unit = np.eye(len(self.waves))
@@ -510,7 +514,7 @@ class ExponentialSolution:
 
     @cached_property
     def _largest_amplitudes(self) -> np.ndarray:
-        """Largest magnitude of each mode's amplitude at the starts of all intervals, an array."""
+        """Largest magnitude (m,) of each mode's amplitude at the starts of all intervals."""
         amplitudes = np.array([*map(itemgetter(2), self._list_intervals(self.modes.rates))])
         return np.asarray(np.abs(amplitudes).max(axis=0))
 
@@ -532,10 +536,10 @@ class ExponentialSolution:
 def solve_noise(
     laws: Iterable[L.Law], joins: Mapping[str, Iterable[str]], of: L.WaveCombination, f: np.ndarray
 ) -> np.ndarray:
-    """Compute the spectral noise density of the result ``of`` at ``nf`` frequencies ``f`` [Hz].
+    """Compute the spectral noise density of a result ``of`` at frequencies ``f`` [Hz].
 
-    The unit of the density is the unit of the result per root Hz. ``joins`` has the format that
-    :func:`kc2spice.reference.system.assemble_system` describes.
+    The unit of the noise density is the unit of the result per square root of Hz. ``joins`` maps
+    the name of each net to pins, as in :func:`kc2spice.reference.system.assemble_system`.
     """
     noise_laws = (
         L.PortBody(law.name, law.model, law.ports) if isinstance(law, L.SecondOrderBody) else law
@@ -550,7 +554,7 @@ def solve_noise(
 
 
 def _compute_noise_power(at: LinearisedSystem, of: L.WaveCombination, s: complex) -> float:
-    """Compute the squared noise density of the result ``of``, without the factor ``4 k T``.
+    """Compute the squared noise density of a result, without the factor ``4 k T``.
 
     One solution of the adjoint circuit gives the transfer functions from all noise sources to the
     result.
@@ -579,7 +583,7 @@ def _compute_noise_power(at: LinearisedSystem, of: L.WaveCombination, s: complex
 def _compute_finite_eigenvalues(A: np.ndarray, B: np.ndarray) -> np.ndarray:
     """Return the finite eigenvalues ``w`` of ``A x = w B x``.
 
-    The rows and columns are scaled first, because their units may differ.
+    Rows and columns may have different units, so they are scaled first.
     """
     for axis in (1, 0):
         size = np.maximum(np.abs(A), np.abs(B)).max(axis=axis, keepdims=True)

@@ -1,9 +1,10 @@
-"""Equations of any set of laws, reduced to differential-algebraic equations of index 1.
+"""Equations of a circuit as differential-algebraic equations of index 1.
 
-The unknowns of the laws are displacements q, velocities v, node voltages, signals and states of
-devices. Rigid joints, voltage sources and displacement sources are linear constraints on these
-unknowns. The n unknowns z remain after the elimination of the constraints. The vector
-``X = [z, s, s']`` (N,) contains z, the values s of the sources and the rates s' of these values::
+Each law describes one part of the circuit. The unknowns of the laws are displacements q, velocities
+v, node voltages, signals and states of devices. Rigid joints, voltage sources and displacement
+sources are linear constraints on the unknowns. After the elimination of the constraints, n unknowns
+z remain. The vector ``X = [z, s, s']`` (N,) contains the unknowns z, the values s of the sources
+and the rates s' = ds/dt::
 
     d/dt g = f,    g = G X + stores of devices,    f = F X + const + outputs of devices
 """
@@ -29,18 +30,21 @@ MICRO = 1e-6  # typical displacement [m], the unit of scaled displacements
 
 @dataclass(frozen=True, eq=False)
 class PlacedDevice:
-    """Device in a system: its inputs are ``inputs @ X``, and ``into`` adds its outputs to ``f``."""
+    """Device in a system, with inputs ``inputs @ X``.
+
+    The outputs of the device, multiplied by the matrix ``into``, are added to ``f``.
+    """
 
     law: L.Device
     inputs: np.ndarray  # (m, N) matrix from X to the inputs
     into: np.ndarray  # (n, k) matrix from the outputs to f
-    # (n, stored) matrix from the stored quantities to g; None if these quantities are the states
+    # (n, stored) matrix from the stored quantities to g; None if states are the stored quantities
     stores: np.ndarray | None
     states: np.ndarray  # indices of the device's states among the unknowns
     first: int  # index of the device's first output among the outputs of all devices
 
     def evaluate(self, e: np.ndarray, rate: np.ndarray, mode: Any) -> np.ndarray:
-        """Compute the outputs of the device for its inputs ``e`` and their rates ``rate``.
+        """Compute the outputs of the device for inputs ``e`` with the rates ``rate``.
 
         The outputs include the currents that change stored charges.
         """
@@ -55,22 +59,22 @@ class PlacedDevice:
 
 @dataclass(frozen=True, eq=False)
 class InitialValue:
-    """An initial condition of a law: ``row @ X = value`` and ``rate @ X = speed``."""
+    """Initial condition of a law: ``row @ X = value`` and ``rate @ X = speed``."""
 
     row: np.ndarray
     value: float
     rate: np.ndarray
     speed: float
-    # (n,) contribution of the force that enforces the value to the force and current balances
+    # (n,) contribution of the constraint force to the force and current balances
     into: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
 class System:
-    """Equations of a circuit without constraints, and the matrices that give its waves.
+    """Equations of a circuit without constraints, and matrices for all waves.
 
     The waves are ``now X + d/dt (rated X) + direct (outputs of all devices) + constant`` in the
-    sequence of ``names``. Linear laws store the energy ``X' stored X + lifted X`` [J] and lose the
+    order of ``names``. Linear laws store the energy ``X' stored X + lifted X`` [J] and lose the
     power ``X' dissipated X`` [W].
     """
 
@@ -79,7 +83,7 @@ class System:
     const: np.ndarray
     differential: np.ndarray  # (n,) mask of the unknowns that have a time derivative
     velocity: np.ndarray  # (m,) indices of velocities among the unknowns
-    moved: np.ndarray  # (m,) indices of the displacements that belong to these velocities
+    moved: np.ndarray  # (m,) indices of the displacements whose rates are the velocities
     sources: tuple[L.IdealSource, ...]
     devices: tuple[PlacedDevice, ...]
     # devices whose outputs and stored quantities are already included in ``G``, ``F`` and ``const``
@@ -104,10 +108,10 @@ class System:
     ) -> np.ndarray:
         """Evaluate two successive time derivatives of all sources at the times ``t``.
 
-        Return an array of shape (2 sources,) for one time, or (2 sources, nt) for ``nt`` times. Its
-        first half contains the derivatives of order ``order``, and its second half the derivatives
-        of order ``order + 1``. If a waveform has corners, the derivatives belong to its smooth
-        piece that contains the time ``within``.
+        Return an array of shape (2 sources,) for one time, or (2 sources, nt) for ``nt`` times. The
+        first half of the array contains the derivatives of order ``order``, and the second half the
+        derivatives of order ``order + 1``. If a waveform has corners, the derivatives belong to the
+        smooth piece of the waveform that contains the time ``within``.
         """
         result = []
         for k in (order, order + 1):
@@ -119,10 +123,10 @@ class System:
 def assemble_system(
     laws: Iterable[L.Law], joins: Mapping[str, Iterable[str]], max_unknowns: int | None = None
 ) -> System:
-    """Return the equations of ``laws`` whose pins are joined at nets.
+    """Assemble the equations of ``laws`` whose pins are joined at nets.
 
-    ``joins`` maps the name of a net to its pins ``NAME.pin``. All pins of a net have the same kind.
-    The net ``gnd`` is the reference node for every kind.
+    ``joins`` maps the name of each net to the pins ``NAME.pin`` of the net. All pins of a net have
+    the same kind. The net ``gnd`` is the reference node for every kind.
 
     Raises
     ------
@@ -130,7 +134,7 @@ def assemble_system(
     unknowns.
     """
     laws = tuple(laws)
-    # no constraint eliminates a state of a device, so states can be counted without the matrices
+    # constraints do not eliminate states of devices, so states can be counted without the matrices
     states = sum(len(law.states) for law in laws if isinstance(law, L.Device))
     _require_few_unknowns(states, max_unknowns)
     system = _Assembly(laws, joins).eliminate_constraints()
@@ -147,8 +151,7 @@ def _require_few_unknowns(count: int, max_unknowns: int | None) -> None:
 class _Assembly:
     """Equations of the laws before the elimination of constraints.
 
-    The equation in the row of a displacement is a force balance. The equation in the row of a node
-    voltage is a current balance.
+    Rows of displacements are force balances. Rows of node voltages are current balances.
     """
 
     def __init__(self, laws: tuple[L.Law, ...], joins: Mapping[str, Iterable[str]]) -> None:
@@ -165,9 +168,9 @@ class _Assembly:
         self._number_unknowns()
         n = self.size
         self.M, self.A, self.const = np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
-        # nonzero for displacements whose velocities are unknowns
+        # matrix whose entries are nonzero for displacements whose velocities are unknowns
         self.moving = np.zeros((self.nq, self.nq))
-        self.charged = np.zeros((n, n))  # nonzero for voltages on which charges of devices depend
+        self.charged = np.zeros((n, n))  # nonzero entries: voltages that change charges of devices
         self.sources = tuple(p for p in laws if isinstance(p, L.IdealSource))
         self.S = np.zeros((n, len(self.sources)))
         # constraints: linear forms of the unknowns, and masks of the sources with equal values
@@ -192,7 +195,11 @@ class _Assembly:
                     _add_device(law, self)
 
     def _number_unknowns(self) -> None:
-        """Assign indices to the unknowns. A net at a port of a body has no unknown of its own."""
+        """Assign indices to the unknowns.
+
+        A net at a mechanical port of a body has no separate unknown, because the unknowns of the
+        body determine the displacement of the net.
+        """
         used = dict.fromkeys(self.nets.values())
         used.pop(L.GROUND, None)
 
@@ -257,7 +264,10 @@ class _Assembly:
     # --- linear forms of the unknowns, for the equations of the laws ---
 
     def find_linear_form(self, law: L.Law, pin: str) -> np.ndarray:
-        """Return the displacement, voltage or signal of a pin as a linear form of the unknowns."""
+        """Express the displacement, voltage or signal of a pin by the unknowns.
+
+        The result contains the coefficients (n,) of a linear form.
+        """
         net, row = self.nets[f"{law.name}.{pin}"], np.zeros(self.size)
         if net == L.GROUND:
             return row
@@ -268,18 +278,19 @@ class _Assembly:
         return row
 
     def subtract_pins(self, law: L.Law, a: str, *others: str) -> np.ndarray:
-        """Subtract the linear forms of the pins ``others`` from the linear form of the pin ``a``.
+        """Subtract the linear forms of pins ``others`` from the linear form of pin ``a``.
 
-        Empty names in ``others`` are ignored."""
+        Empty names in ``others`` are ignored.
+        """
         return np.asarray(
             self.find_linear_form(law, a) - sum(self.find_linear_form(law, b) for b in others if b)
         )
 
     def convert_to_velocity(self, form: np.ndarray, needed: bool = True) -> np.ndarray:
-        """Convert a linear form of displacements to the same form of velocities.
+        """Convert a linear form of displacements to a linear form of velocities.
 
-        If ``needed`` is true, these velocities become unknowns of the system. Otherwise, some of
-        them may be eliminated.
+        If ``needed`` is true, the velocities become unknowns of the system. Otherwise, some
+        velocities may be eliminated.
         """
         row = np.zeros(self.size)
         row[self.nq : 2 * self.nq] = form[: self.nq]
@@ -308,7 +319,7 @@ class _Assembly:
         return np.array([self.state_index[f"{law.name}.{s}"] for s in law.states], dtype=int)
 
     def find_store_rows(self, law: L.Device, outputs: np.ndarray) -> np.ndarray:
-        """Return the matrix that adds the rates of stored quantities to the equations.
+        """Return the matrix from the rates of stored quantities to the equations.
 
         The matrix has one row for each equation, and one column for each stored quantity of the
         device.
@@ -325,9 +336,9 @@ class _Assembly:
     def _compute_constraint_basis(
         self, where: slice, sizes: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Compute a basis of unconstrained motions, and the motion that the sources prescribe.
+        """Compute a basis of unconstrained motions, and the motions due to the sources.
 
-        The motion for the source values ``s`` is ``R s``. Return the basis and the matrix R.
+        Return the basis and the matrix R. The source values ``s`` prescribe the motion ``R s``.
         ``sizes`` contains the typical sizes of the unknowns in the slice ``where``.
         """
         pairs = [(f[where] * sizes, by) for f, by in self.constraints if f[where].any()]
@@ -356,7 +367,8 @@ class _Assembly:
     def eliminate_constraints(self) -> System:
         """Return the system without constraints.
 
-        The unknowns without inertia are separated from the others, and the rows are scaled.
+        The unknowns without inertia are separated from all other unknowns, and the equations are
+        scaled.
         """
         nq, n = self.nq, self.size
         vel, vol, rest = slice(nq, 2 * nq), slice(2 * nq, 2 * nq + len(self.node)), self.extra_sizes
@@ -369,8 +381,8 @@ class _Assembly:
         Nv, _ = _separate_columns(Nv, follows + self.charged[vol, vol])
         p, d, w = Nq.shape[1], int(moving.sum()), Nv.shape[1]
         others = n - 2 * nq - len(self.node)
-        # A circuit of sources and resistors has no unknown.
-        # One constant unknown then avoids a special case in the solvers.
+        # A circuit that contains only sources and resistors has no unknowns.
+        # An additional constant unknown avoids a special case in the solvers.
         size = max(p + d + w + others, 1)
         T, W = np.zeros((n, size)), np.zeros((n, size))
         inertia = np.einsum("ij,ik,kj->j", Nq, mass, Nq)
@@ -442,11 +454,11 @@ class _Assembly:
     def _make_wave_matrices(
         self, expansion: np.ndarray, devices: list[PlacedDevice], outputs: int
     ) -> dict[str, Any]:
-        """Return the matrices that give all waves: across quantities, through quantities, states.
+        """Return matrices for all waves: across quantities, through quantities, states.
 
         The names of the waves are ``NAME.pin``, ``NAME.pin.through`` and ``NAME.state``. Mechanical
-        pins also have a wave ``NAME.pin.rate``. The flow of a source is the residual of the force
-        and current balances before the elimination of constraints.
+        pins also have a wave ``NAME.pin.rate``. The force or current of a source is the residual of
+        the balances before the elimination of constraints.
         """
         size, sources = expansion.shape[1], len(self.sources)
         rows: dict[str, tuple[Any, Any, Any, float]] = {}
@@ -502,10 +514,10 @@ def _stack_rows(rows: Iterable[Any], width: int) -> np.ndarray:
 
 
 def _separate_columns(basis: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rotate a basis so that as many columns as possible are in the null space of ``pattern``.
+    """Rotate a basis to separate columns in the null space of ``pattern``.
 
-    The matrix ``pattern`` is positive semidefinite. Return the basis, and a mask of the columns
-    that are not in the null space.
+    The matrix ``pattern`` is positive semidefinite. The null space contains as many columns as
+    possible. Return the basis, and a mask of the columns that are not in the null space.
     """
     reduced = basis.T @ pattern @ basis
     reduced = 0.5 * (reduced + reduced.T)
@@ -580,7 +592,7 @@ def _add_body(law: L.SecondOrderBody, into: _Assembly) -> None:
     velocity_forms = np.zeros((C.shape[1], n))
     velocity_forms[:, v] = np.eye(C.shape[1])
     for k, port in enumerate(law.ports):
-        if port.kind == ACCELERATION.name:  # add v' B a, the power that the acceleration supplies
+        if port.kind == ACCELERATION.name:  # add the power v' B a that the acceleration supplies
             work = np.zeros((C.shape[1] + 1,) * 2)
             work[-1, :-1] = work[:-1, -1] = -0.5 * B[:, k]
             into.add_energy(
@@ -603,7 +615,7 @@ def _add_body(law: L.SecondOrderBody, into: _Assembly) -> None:
 
 
 def _add_source(law: L.IdealSource, into: _Assembly) -> None:
-    """Add an ideal source to the equations, as a constraint or as a prescribed flow."""
+    """Add an ideal source to the equations: a constraint, a flow, or a signal."""
     k = into.sources.index(law)
     if law.sets_signal:
         into.S[:, k] += into.find_linear_form(law, "out")
@@ -644,7 +656,7 @@ def _add_device(law: L.Device, into: _Assembly) -> None:
 def _add_linear_device(
     law: L.Device, into: _Assembly, inputs: np.ndarray, outputs: np.ndarray
 ) -> None:
-    """Add the constant matrices, the energy and the loss of a linear device to the equations."""
+    """Add the matrices, the energy and the loss of a linear device to the equations."""
     zero_inputs = np.zeros(len(inputs))
     mode = law.find_initial_mode(zero_inputs)
     (out, slope), (_, stored_slope) = (
@@ -674,7 +686,7 @@ def _add_linear_device(
 
 
 def _fit_quadratic(f: Callable[[np.ndarray], float], n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the matrix ``Q`` and vector ``b`` of a function ``f(e) = e' Q e + b' e``."""
+    """Compute the matrix ``Q`` and the vector ``b`` of ``f(e) = e' Q e + b' e``."""
     item = np.array(list(map(f, np.eye(n))))
     sums = np.eye(n)[:, None] + np.eye(n)
     both = np.array(list(map(f, sums.reshape(n * n, n)))).reshape(n, n)

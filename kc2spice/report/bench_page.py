@@ -1,4 +1,7 @@
-"""Writer of the page ``bench.html``: errors and CPU times of a scene with different settings."""
+"""Writer of the page ``bench.html`` of a benchmark.
+
+The page contains errors and CPU times of a scene with different numerical settings.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ from kc2spice.core.figure import Curve, Figure, Panel
 from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.report.html import PageSection, write_page
 
-SMALLEST_ERROR = 1e-16  # value that replaces a zero error on the logarithmic axis
+SMALLEST_ERROR = 1e-16  # replaces an error of zero on the logarithmic axis
 
 
 def write_bench(directory: Path, title: str, record: Mapping[str, Any]) -> None:
@@ -32,9 +35,9 @@ def write_bench(directory: Path, title: str, record: Mapping[str, Any]) -> None:
 
 
 def format_bench(record: Mapping[str, Any]) -> list[PageSection]:
-    """Return the results of ``kc2spice bench`` as sections, for page and terminal.
+    """Return the results of ``kc2spice bench`` as sections for page or terminal.
 
-    The ``record`` contains the settings in the order of their CPU time, the fastest setting first.
+    ``record`` contains the settings in ascending order of CPU time.
     """
     head = ("setting", "error", "sum of errors", "CPU time", "spread", "")
     failed = list(map(itemgetter("label", "why"), record["failed"]))
@@ -59,7 +62,10 @@ def _make_setting_row(point: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def format_recommendation(record: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return table rows of the recommended, the scene's and the reference settings."""
+    """Return table rows of the recommended, current and reference settings.
+
+    The current settings are the settings of the scene.
+    """
     current = next(filter(itemgetter("own"), record["points"]))
     best, reference = record["recommended"], record["reference"]
     rows = [
@@ -90,7 +96,7 @@ def format_recommendation(record: Mapping[str, Any]) -> list[tuple[str, str]]:
 def _list_metrics(metrics: Sequence[str]) -> str:
     """Return the names of metrics as one string.
 
-    Several curves of the same group are listed by the name of the group and the number of curves.
+    Several curves of one group are replaced by the name of the group and the number of curves.
     """
     groups = Counter(name.partition(".")[0] for name in metrics)
     return ", ".join(n if count == 1 else f"{n} ({count} curves)" for n, count in groups.items())

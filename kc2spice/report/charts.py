@@ -1,9 +1,9 @@
-"""Conversion of figures to data for the script that draws them in the browser.
+"""Conversion of figures to data for the script that draws figures in the browser.
 
 The script ``templates/plots.js`` draws the figures with the library uPlot. uPlot requires that the
-values of x increase. Therefore, a curve whose x increases and decreases is divided into curves at
-its turning points. The points of each curve are sorted by x. Repeated values of x are replaced by
-adjacent floating-point numbers.
+values of x increase. Therefore, a curve is divided into several curves at points where x changes
+direction. The points of each curve are sorted by x. Repeated values of x are replaced by adjacent
+floating-point numbers.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from jinja2.utils import htmlsafe_json_dumps
 from kc2spice.core.figure import ColourMap, Curve, Figure, Panel
 from kc2spice.core.si_prefix_format import PREFIXES, get_prefix_exponent
 
-# approximate number of points of a panel, two points for each horizontal pixel of a wide screen
+# approximate number of points in a panel: two points for each horizontal pixel of a wide screen
 PANEL_POINTS = 4000
 LEGEND_CURVES = 4  # largest number of curves in one legend
 # units to which an axis adds an SI prefix
@@ -34,7 +34,7 @@ _PREFIXABLE_UNITS = {
 def render_figure(figure: Figure) -> str:
     """Return a figure as the HTML element ``<figure>``.
 
-    The element contains the panels as JSON and the caption. Panels without curves and maps are
+    The element contains the caption, and the panels as JSON. Panels without curves and maps are
     omitted. Return an empty string if no panel remains.
     """
     stacked = figure.columns == 1
@@ -67,23 +67,23 @@ def render_figure(figure: Figure) -> str:
 
 
 def _split_panel(panel: Panel) -> Iterator[Panel]:
-    """Split a panel into panels with few curves, in which x increases.
+    """Split a panel into panels with few curves, each with increasing x.
 
-    Yield no panel if the panel contains neither curves nor a map.
+    A panel without curves and without a map yields no panels.
     """
     if panel.curves or panel.map is not None:
         yield from _split_curves(_scale_y(_sort_curves(panel)))
 
 
 def _sort_curves(panel: Panel) -> Panel:
-    """Return ``panel`` with curves in which x increases.
+    """Return ``panel`` with curves whose x increases.
 
-    Panels with equal scales of both axes contain outlines and are returned unchanged.
+    A panel with equal scales of both axes contains outlines and is returned unchanged.
     """
     if panel.equal:
         return panel
     curves = chain.from_iterable(map(_split_at_turns, panel.curves))
-    # the reference curve is the last curve, so that it is drawn above all other curves
+    # the last curve, here the reference curve, is drawn above all other curves
     return replace(panel, curves=tuple(sorted(curves, key=_is_reference)))
 
 
@@ -93,7 +93,7 @@ def _is_reference(curve: Curve) -> bool:
 
 
 def _split_at_turns(curve: Curve) -> Iterator[Curve]:
-    """Yield a curve with increasing x for each section of ``curve`` between two turning points."""
+    """Yield a curve with increasing x for each section between two turning points."""
     x = np.asarray(curve.x, dtype=float)
     if curve.style == "o":
         yield _select_points(curve, np.argsort(x, kind="stable"))
@@ -110,17 +110,17 @@ def _split_at_turns(curve: Curve) -> Iterator[Curve]:
 
 
 def _select_points(curve: Curve, indices: np.ndarray) -> Curve:
-    """Return ``curve`` with only the points that have the ``indices``, in this order."""
+    """Return ``curve`` with only the points ``indices``, in the order of ``indices``."""
     names = tuple(map(curve.names.__getitem__, indices)) if curve.names else ()
     x, y = np.asarray(curve.x, dtype=float), np.asarray(curve.y, dtype=float)
     return replace(curve, x=x[indices], y=y[indices], names=names)
 
 
 def _scale_y(panel: Panel) -> Panel:
-    """Return ``panel`` with an SI prefix for its y axis that suits the largest value.
+    """Return ``panel`` with a y axis whose SI prefix suits the largest value.
 
-    A y axis that shows powers of ten has no SI prefix. In a panel with a map, the prefix is for the
-    values of the map.
+    A y axis that shows powers of ten has no SI prefix. In a panel with a map, the prefix applies to
+    the values of the map.
     """
     if panel.equal:
         return panel
@@ -141,20 +141,23 @@ def _scale_y(panel: Panel) -> Panel:
 
 
 def _scale_labelled_numbers(rows: Iterable[Sequence[Any]], scale: float) -> Iterator[Any]:
-    """Yield rows ``(number, …, label)`` whose numbers are multiplied by ``scale``."""
+    """Multiply the numbers in rows ``(number, …, label)`` by ``scale``."""
     for *numbers, label in rows:
         yield (*(scale * np.array(numbers)).tolist(), label)
 
 
 def _spans_decade(panel: Panel) -> bool:
-    """Return whether the largest positive y is at least ten times the smallest positive y."""
+    """Return whether the positive values of y span at least a decade.
+
+    A decade is a ratio of ten between the largest and the smallest value.
+    """
     y = _collect_y_values(panel)
     y = y[np.isfinite(y) & (y > 0.0)]
     return bool(y.size) and bool(y.max() >= 10.0 * y.min())
 
 
 def _scale_x(panels: Sequence[Panel], label: str) -> list[Panel]:
-    """Return ``panels`` with a suitable SI prefix for their common x axis.
+    """Return ``panels`` with a suitable SI prefix for the common x axis.
 
     ``label`` is the label of the x axis.
     """
@@ -166,7 +169,7 @@ def _scale_x(panels: Sequence[Panel], label: str) -> list[Panel]:
 
 
 def _multiply_x(panel: Panel, label: str, scale: float) -> Panel:
-    """Return a panel whose values of x are multiplied by ``scale``, with a new x label."""
+    """Return a panel with a new x label and values of x multiplied by ``scale``."""
     return replace(
         panel,
         x=label,
@@ -180,8 +183,7 @@ def _multiply_x(panel: Panel, label: str, scale: float) -> Panel:
 def _choose_prefix(label: str, values: np.ndarray) -> tuple[str, float]:
     """Choose an SI prefix for the ``values`` on an axis.
 
-    Return the label of the axis with this prefix, and the factor by which the values must be
-    multiplied.
+    Return the axis label with the prefix, and the factor by which the values must be multiplied.
     """
     quantity, _, text = label.rpartition(" in ")
     factor, unit = _split_prefix(text)
@@ -197,7 +199,7 @@ def _choose_prefix(label: str, values: np.ndarray) -> tuple[str, float]:
 
 
 def _split_prefix(unit: str) -> tuple[float, str]:
-    """Split a unit into the factor of its SI prefix and the unit without prefix.
+    """Split a unit into the factor of the SI prefix and the unit without prefix.
 
     For example, mA is split into 1e-3 and A.
     """
@@ -234,7 +236,7 @@ def _encode_panel(title: str, panel: Panel, span: Range | None, last: bool) -> d
     """Encode a panel as data for the script in the browser.
 
     ``span`` is the common range of x of all panels, or None if each panel has a separate range.
-    Only the ``last`` panel shows numbers at its x axis.
+    Only the ``last`` panel shows numbers at the x axis.
     """
     span = _round_outwards(span or _find_x_range(panel))
     result: dict[str, Any] = {
@@ -264,7 +266,7 @@ def _round_outwards(span: Range) -> Range:
 
 
 def _describe_panel(title: str, panel: Panel, span: Range) -> str:
-    """Return the alternative text of a panel: quantities, their ranges, and names of curves."""
+    """Return the alternative text of a panel: quantities, ranges, names of curves."""
     low, high = _find_finite_range(
         panel.map.z if panel.map is not None else _collect_y_values(panel)
     )
@@ -287,7 +289,10 @@ def _collect_y_values(panel: Panel) -> np.ndarray:
 
 
 def _find_finite_range(values: np.ndarray) -> Range:
-    """Return the smallest and the largest finite value, or 0 and 1 if no value is finite."""
+    """Return the smallest and the largest finite value.
+
+    The result is (0, 1) if no value is finite.
+    """
     known = np.asarray(values, dtype=float)
     known = known[np.isfinite(known)]
     return (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
@@ -310,7 +315,7 @@ def _find_y_range(panel: Panel) -> Range:
 
 
 def _find_cell_edges(centres: np.ndarray, log: bool) -> Range:
-    """Return the two outer edges of a row of map cells from the ``centres`` of the cells."""
+    """Compute the outer edges of a row of map cells from the cells' ``centres``."""
     at = np.log10(centres) if log else np.asarray(centres, dtype=float)
     half = np.diff(at)[[0, -1]] / 2 if at.size > 1 else np.full(2, 0.5)
     low, high = at[0] - half[0], at[-1] + half[1]
@@ -339,9 +344,11 @@ def _widen_range(ends: Range) -> Range:
 
 
 def _encode_curve(curve: Curve, indices: np.ndarray, ascending: bool) -> dict[str, Any]:
-    """Encode the points of a curve with the ``indices`` as data for the script in the browser.
+    """Encode points of a curve as data for the script in the browser.
 
-    If ``ascending`` is true, repeated values of x are separated.
+    ``indices`` are the indices of the points.
+
+    If ``ascending`` is true, repeated values of x are replaced by adjacent floating-point numbers.
     """
     points = _select_points(curve, indices)
     x = points.x.astype("<f4")
@@ -355,7 +362,7 @@ def _encode_curve(curve: Curve, indices: np.ndarray, ascending: bool) -> dict[st
 
 
 def _encode_map(field: ColourMap, low: float, high: float) -> dict[str, str]:
-    """Encode a map as the centres of its cells and the colour number of each cell.
+    """Encode a map as the centres and the colour numbers of all cells.
 
     The colour number is 0 for the value ``low``, 65534 for ``high``, and 65535 for a missing value.
     """
@@ -375,10 +382,12 @@ def _encode_numbers(values: np.ndarray) -> str:
 
 
 def _separate_equal_numbers(x: np.ndarray) -> np.ndarray:
-    """Replace repeated numbers in an increasing float32 array by the next larger float32 numbers.
+    """Replace repeated float32 numbers by the next larger float32 numbers.
 
-    The bit patterns of positive floats, read as integers, have the same order as the floats. The
-    bit patterns of negative floats have the reversed order.
+    The numbers in ``x`` must not decrease.
+
+    The bit patterns of positive floats, interpreted as integers, increase with the floats. The bit
+    patterns of negative floats decrease with increasing floats.
     """
     bits = x.view("<i4").astype(np.int64)
     rank = np.where(bits < 0, -(bits & 0x7FFFFFFF), bits)
@@ -389,9 +398,9 @@ def _separate_equal_numbers(x: np.ndarray) -> np.ndarray:
 
 
 def _select_point_indices(panel: Panel) -> list[np.ndarray]:
-    """Return the indices of the points of each curve that are written to the page.
+    """Select the points of each curve that are written to the page; return indices.
 
-    All curves have the same indices if they have the same values of x.
+    If all curves have the same values of x, all curves have the same indices.
     """
     curves = panel.curves
     if panel.equal or panel.map is not None:
@@ -407,10 +416,10 @@ def _select_point_indices(panel: Panel) -> list[np.ndarray]:
 
 
 def _thin_points(y: np.ndarray, count: int) -> np.ndarray:
-    """Return the indices of about ``count`` points of a curve that preserve its peaks and corners.
+    """Select about ``count`` points that preserve the peaks and corners of a curve.
 
-    The selected points are the extremes of each group of consecutive points, and the points on both
-    sides of the largest jumps and of gaps. ``y`` contains the values of the curve.
+    Return the indices of the selected points: extremes of each group of consecutive points, and
+    points on both sides of gaps and large jumps. ``y`` contains the values of the curve.
     """
     if y.size <= count:
         return np.arange(y.size)

@@ -1,4 +1,4 @@
-"""Drawings on the report page of a run: side view of the devices to scale, and circuit."""
+"""Drawings on the report page of a run: the circuit, and a side view to scale."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SKETCH_HEIGHT = 300.0  # largest height of the side view
 LETTER_WIDTH = 6.2  # mean width of a letter in a label
 NET_SPACING = 24.0  # vertical distance between the lines of two nets in the circuit
 PART_HEIGHT = 74.0  # height of the box of a part in the circuit
-# Colours as CSS variables of the page, with default values for drawings outside of the page.
+# CSS variables for colours; the default values apply to drawings outside of a report page.
 BLUE = "var(--blue, #0072B2)"
 ORANGE = "var(--orange, #B86E00)"
 GREEN = "var(--green, #009E73)"
@@ -34,7 +34,7 @@ FLOW_COLOURS = {"A": BLUE, "N": ORANGE, "Nm": ORANGE, "-": GREEN}
 
 
 def draw_devices(scene: Scene) -> str:
-    """Draw a side view of all parts that have an outline, to scale, as SVG.
+    """Draw a side view to scale, as SVG, of all parts that have an outline.
 
     Return an empty string if no part has an outline.
     """
@@ -70,16 +70,16 @@ def draw_devices(scene: Scene) -> str:
 
 
 def write_side_view_caption(scene: Scene) -> str:
-    """Return the caption of the side view, which contains all labels.
+    """Return the caption of the side view.
 
-    In the drawing, labels may be cut off.
+    The caption contains all labels in full. In the drawing, labels may be cut off.
     """
     names = filter(None, map(attrgetter("label"), _place_shapes(scene)))
     return f"Side view, to scale. {'; '.join(dict.fromkeys(names))}."
 
 
 def _place_shapes(scene: Scene) -> list[Shape]:
-    """Return the shapes of all parts in the side view, with bodies beside each other.
+    """Return the shapes of all parts in the side view, with bodies side by side.
 
     Only bodies are moved. All other parts already are above the first body.
     """
@@ -139,10 +139,10 @@ def draw_circuit(scene: Scene) -> str:
 
 
 def _assign_levels(spans: Mapping[str, tuple[float, float]]) -> dict[str, int]:
-    """Return the vertical level of each net's line in the circuit, keyed by net.
+    """Assign a vertical level in the circuit to each net; levels are keyed by net.
 
     The lines of nets on the same level do not overlap. ``spans`` contains the horizontal range of
-    each line.
+    the line of each net.
     """
     levels: list[list[tuple[float, float]]] = []
     result = {}

@@ -53,12 +53,12 @@ _PLOT_STYLE: Any = {
 
 
 def write_pngs(directory: Path, figures: Sequence[Figure]) -> list[str]:
-    """Draw each figure to a file ``NAME.png`` in the ``directory``; return the file names."""
+    """Write each figure to a PNG file in the ``directory``; return the file names."""
     names = []
     for figure in figures:
         page = make_notebook_figure(figure)
         names.append(f"{figure.name}.png")
-        # With a layout engine, savefig would draw the page twice.
+        # With a layout engine, savefig would draw the figure twice.
         page.get_layout_engine().execute(page)
         page.set_layout_engine("none")
         page.savefig(
@@ -70,7 +70,7 @@ def write_pngs(directory: Path, figures: Sequence[Figure]) -> list[str]:
 
 
 def make_notebook_figure(figure: Figure) -> Any:
-    """Convert ``figure`` to a matplotlib figure, which notebooks display as a PNG image."""
+    """Convert ``figure`` to a matplotlib figure that notebooks display as PNG image."""
     import matplotlib
     from matplotlib.figure import Figure as MatplotlibFigure
 
@@ -123,7 +123,7 @@ def _draw_panel(axes: Any, panel: Panel) -> None:
     labels = axes.get_legend_handles_labels()[1]
     if len(labels) > 1:
         inches = axes.get_window_extent().width / axes.figure.dpi
-        # approximate width of the legend in letters, including the line samples
+        # true if the legend, including line samples, is wider than the axes
         long = sum(map(len, labels)) + 6 * len(labels) > 16 * inches
         axes.legend(
             **(_LEGEND_BESIDE_AXES if len(labels) > LABELS_ABOVE or long else _LEGEND_ABOVE_AXES)
@@ -131,9 +131,9 @@ def _draw_panel(axes: Any, panel: Panel) -> None:
 
 
 def _draw_curve(axes: Any, k: int, curve: Curve) -> None:
-    """Draw the curve with the index ``k`` in a panel.
+    """Draw the curve with index ``k`` of a panel.
 
-    Solid lines have markers, except for the first curve of the panel.
+    Solid lines have markers, except if the first curve of the panel is solid.
     """
     colour = BLACK if curve.style == "reference" else PALETTE[k % len(PALETTE)]
     look: dict[str, Any] = {"color": colour, "label": curve.label or None}
@@ -155,14 +155,14 @@ def _draw_curve(axes: Any, k: int, curve: Curve) -> None:
 def _set_log_scale(axes: Any, axis: Any) -> None:
     """Make an axis logarithmic, with ticks at 1, 2, 5, … or at powers of ten.
 
-    The labels of the ticks are plain numbers, and there are no minor ticks. Minor ticks and labels
-    such as 10^3 would take more drawing time than all other elements of a figure.
+    The labels of the ticks are plain numbers, and there are no minor ticks. Drawing minor ticks and
+    labels such as 10^3 would take longer than drawing all other elements of a figure.
     """
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
     axes.set(**{f"{axis.axis_name}scale": "log"})
     low, high = axis.get_data_interval()
-    # largest number of decades with ticks at 1, 2, 5; with more decades, labels would overlap
+    # with more decades, labels at 1, 2, 5 would overlap
     decades = 2 if axis.axis_name == "x" else 3
     narrow = low > 0 and high < 10**decades * low
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if narrow else (1.0,)))

@@ -1,4 +1,7 @@
-"""Writer of the page ``report.html`` of a fit: fitted keys, errors, and impedances."""
+"""Writer of the page ``report.html`` of a fit.
+
+The page contains fitted keys, errors, and figures of impedances.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,9 @@ from kc2spice.report.html import PageSection, write_page
 
 @dataclass(frozen=True, eq=False)
 class PlottedCurve:
-    """Admittances for a figure of a fit: measured, before the fit, and after the fit.
+    """Admittances for a figure of a fit: measured, initial and fitted.
+
+    ``before`` contains the admittances before the fit, ``after`` the fitted admittances.
 
     All admittances [S] are arrays of shape (n,) at the frequencies ``f`` (n,) [Hz].
     """
@@ -47,7 +52,7 @@ def write_fit(path: Path, record: Mapping[str, Any], curves: Sequence[PlottedCur
 
 
 def format_fit(record: Mapping[str, Any]) -> list[PageSection]:
-    """Return the results of ``kc2spice fit`` as sections, for page and terminal."""
+    """Return the results of ``kc2spice fit`` as sections for page or terminal."""
     keys = tuple(record["parameters"])
     sections = [
         PageSection("Values", list(map(_make_value_row, keys, record["parameters"].values())),
@@ -68,14 +73,20 @@ def format_fit(record: Mapping[str, Any]) -> list[PageSection]:
 
 
 def _make_curve_row(curve: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the table row of a measured curve: file, keys, fitted or predicted, and errors."""
+    """Return the table row of a measured curve: file, keys, use and errors.
+
+    The use of a curve is ``fitted`` or ``predicted``.
+    """
     keys = ", ".join(f"{key} = {value}" for key, value in curve["set"].items())
     use = "predicted" if curve["predict"] else "fitted"
     return curve["data"], keys, use, f"{curve['rms']:.2%}", f"{curve['largest']:.2%}"
 
 
 def _make_value_row(key: str, item: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the table row of a fitted key: value, standard error, range and reached bound."""
+    """Return the table row of a fitted key: value, standard error, range and bound.
+
+    The column for the bound states whether the value is at an end of the range.
+    """
     limits = f"{item['low']:g} to {item['high']:g}"
     bound = "met" if item["at_bound"] else ""
     return key, f"{item['value']:.6g}", f"{item['sigma']:.2g}", limits, bound
@@ -92,7 +103,7 @@ def _make_correlation_row(key: str, coefficients: Sequence[float]) -> tuple[str,
 
 
 def _format_quality(record: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return table rows of the quality of a fit.
+    """Return table rows that describe the quality of a fit.
 
     The rows contain the deviation of the impedance, statistics, warnings, and combinations of keys
     that the data do not determine.
@@ -116,10 +127,10 @@ def _format_quality(record: Mapping[str, Any]) -> list[tuple[str, str]]:
 def plot_fit(
     f: np.ndarray, Y: np.ndarray, before: np.ndarray, after: np.ndarray
 ) -> tuple[Figure, ...]:
-    """Plot the impedances of a fit: measured, before the fit, and after the fit.
+    """Plot the impedances of a fit: measured, initial and fitted.
 
     The panels show magnitude and phase of the three impedances, and the deviation of the fitted
-    impedance. ``Y``, ``before`` and ``after`` are admittances [S].
+    impedance. ``Y``, ``before`` and ``after`` are the measured, initial and fitted admittances [S].
     """
     x, factor = get_axis_label_and_factor("frequency", f)
     f = factor * f

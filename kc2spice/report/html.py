@@ -1,8 +1,8 @@
-"""Writer of self-contained HTML pages, whose sections contain tables, notes and figures.
+"""Writer of self-contained HTML pages with tables, notes and figures.
 
-The browser draws the figures. For this purpose, a page contains the curves as data, the library
-uPlot, and the script ``plots.js``. Numbers are written with SI prefixes. Labels in words replace
-the keys of ``result.json``.
+The browser draws the figures, so a page contains the curves as data, the library uPlot, and the
+script ``plots.js``. Tables contain numbers with SI prefixes, and labels in words instead of the
+keys of ``result.json``.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _LABEL_WORDS = {
     "lm": "Lm",
     "cm": "Cm",
 }
-# Labels of the keys of resonances, including the electrical condition.
+# Labels of resonances; the labels include the electrical condition.
 _LABELS = {
     "resonance_short_hz": "natural frequency, electrodes shorted",
     "resonance_open_hz": "natural frequency, electrodes open",
@@ -48,18 +48,18 @@ _QUANTITIES = {
     "s": "time", "m": "position", "m/s": "velocity", "Hz": "frequency", "V": "voltage",
     "A": "current", "N": "force", "J": "energy",
 }  # fmt: skip
-MAX_ROW_VALUES = 8  # largest number of values of a list in one row
+MAX_ROW_VALUES = 8  # a longer list is replaced by the number of values
 
 
 def format_times(seconds: Mapping[str, float]) -> list[tuple[str, str]]:
-    """Return table rows of the stages of a run and their wall times."""
+    """Return table rows of the stages of a run with wall times."""
     return [(stage, format_quantity(float(time), "s", 3)) for stage, time in seconds.items()]
 
 
 def flatten_mapping(value: Any, joint: str = ".", path: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield the name and the value of each leaf in nested mappings.
+    """Yield the name and the value of each innermost entry of nested mappings.
 
-    The name consists of the keys on the path to the leaf, joined by ``joint``.
+    The name consists of the keys on the path to the entry, joined by ``joint``.
     """
     if isinstance(value, Mapping):
         for name, item in value.items():
@@ -69,14 +69,14 @@ def flatten_mapping(value: Any, joint: str = ".", path: str = "") -> Iterator[tu
 
 
 def label_key(key: str, unit: str = "") -> str:
-    """Return the label of a key in ``result.json``, without the suffix for its ``unit``."""
+    """Return a label for a key of ``result.json``, without the suffix for ``unit``."""
     suffix = _UNIT_SUFFIXES.get(unit, f"_{unit.lower()}" if unit else "")
     words = (_LABEL_WORDS.get(word, word) for word in key.removesuffix(suffix).split("_"))
     return _LABELS.get(key) or " ".join(words)
 
 
 def distinguish_labels(labels: Mapping[str, str], units: Mapping[str, str]) -> dict[str, str]:
-    """Return unique labels: the physical quantity is added to labels that are equal.
+    """Add the physical quantity to labels that are otherwise equal.
 
     ``labels`` and ``units`` are keyed by the keys of ``result.json``.
 
@@ -95,7 +95,7 @@ def distinguish_labels(labels: Mapping[str, str], units: Mapping[str, str]) -> d
 
 
 def format_metric(key: str, value: Any, unit: str = "") -> tuple[str, str]:
-    """Return the label of a key in ``result.json``, and its value with ``unit`` as a string."""
+    """Return a label for a key of ``result.json``, and the value with ``unit``."""
     values = value if isinstance(value, (list, tuple)) else [value]
     if len(values) > MAX_ROW_VALUES:
         return label_key(key, unit), f"{len(values)} values, in result.json"
@@ -103,7 +103,7 @@ def format_metric(key: str, value: Any, unit: str = "") -> tuple[str, str]:
 
 
 def format_value(value: Any, unit: str = "") -> str:
-    """Return a value as a string: a number with unit, ``yes``, ``no``, or ``not reached``."""
+    """Format a value: a number with unit, ``yes``, ``no``, or ``not reached``."""
     if value is None:
         return "not reached"
     if isinstance(value, bool):
@@ -131,7 +131,7 @@ class PageSection:
 
     @property
     def has_content(self) -> bool:
-        """Whether the section contains more than its note."""
+        """Whether the section contains more than a note."""
         return bool(self.rows or self.figures or self.drawing or self.links)
 
 
@@ -172,7 +172,7 @@ def _get_command_line() -> list[str]:
 
 
 def render_page(template: str, **values: object) -> str:
-    """Return the text of a page or a drawing, rendered from its template.
+    """Return the text of a page or a drawing, rendered from a template.
 
     Markup in ``values`` is escaped.
     """

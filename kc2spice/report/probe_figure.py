@@ -1,6 +1,6 @@
 """Figure of the results that the probes of a scene read.
 
-The input is the probes, the waveforms of a run and their units. The output is one figure with a
+The inputs are the probes, and the waveforms of a run with units. The output is one figure with a
 panel for each unit. A sound pressure versus frequency is drawn as a sound pressure level. A sound
 pressure versus time is drawn as a waveform.
 """
@@ -18,7 +18,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.report.html import label_key
 from kc2spice.scene.settings import ProbeKeys
 
-# ratio of the highest to the lowest frequency above which the frequency axis is logarithmic
+# the frequency axis is logarithmic if (highest / lowest frequency) exceeds this ratio
 WIDE_RANGE = 20.0
 PROBES_CAPTION = "Results that the probes of the scene select, over the whole run."
 
@@ -32,7 +32,7 @@ def plot_probes(
     """Plot the results that the probes of a scene read, in one panel for each unit.
 
     Complex responses are drawn as magnitudes. ``levels`` contains the sound pressure levels, keyed
-    by the names of the probes that read them.
+    by the names of the probes that read the levels.
     """
     scale = next(iter(waves.data))
     if not probes or waves[scale].size < 2:
@@ -63,7 +63,7 @@ def _is_response(probe: ProbeKeys, waves: Waveforms) -> bool:
 
 
 def _describe_level(name: str, level: SoundLevel) -> str:
-    """Return a label that contains the name of a probe and its sound pressure level."""
+    """Return a label with the name of a probe and the sound pressure level."""
     label = label_key(name, LEVEL_UNIT)
     if level.decibels is None:
         return label
@@ -76,7 +76,7 @@ def _plot_results_with_unit(
     """Plot the probed results that have the same unit, as one panel.
 
     Vertical lines mark the times or frequencies at which probes read a value. Horizontal lines mark
-    the values whose crossing a probe searches.
+    the thresholds of probes that detect crossings.
     """
     scale = next(iter(waves.data))
     x = waves[scale].real

@@ -1,7 +1,7 @@
 """Writer of the page ``report.html`` of a run.
 
 The page contains drawings, figures, metrics, checks and wall times. Functions whose names begin
-with ``format_`` also serve the output in the terminal.
+with ``format_`` also produce the output in the terminal.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from kc2spice.report.html import (
 )
 from kc2spice.scene.model import Scene, compute_scene_hash
 
-MIN_METRICS = 4  # smallest number of metrics in a summary with rows of assumptions
-OPERATING_RESULTS = 6  # largest number of listed results at an operating point in a summary
+MIN_METRICS = 4  # number of metrics that a summary contains even if there are rows of assumptions
+OPERATING_RESULTS = 6  # largest number of operating-point results in a summary
 LEAD_TEXT = "Finite-element models, reduced, exported as a netlist and run in ngspice."
 NETS_NOTE = (
     "Colours of pins: blue electrical, orange mechanical, green signals, grey others. The names of "
@@ -63,7 +63,7 @@ def write_run(
 
     ``result`` is the content of ``result.json``.
     """
-    # the main figures are first; the sort is stable, so that all other figures keep their order
+    # the main figures are first; a stable sort keeps the order of all other figures
     figures = sorted(figures, key=attrgetter("main"), reverse=True)
     energies, modes = result.get("energy_j", {}), result.get("modes", {})
     sections = [
@@ -86,7 +86,7 @@ def write_run(
 
 
 def format_results(result: Mapping[str, Any]) -> list[PageSection]:
-    """Return the tables of numbers in ``result.json`` as sections, for page and terminal."""
+    """Return numbers in ``result.json`` as page sections for page or terminal."""
     wall = result.get("wall_s", {})
     times = {**wall, "sum": sum(wall.values())} if wall else {}
     checks = list(map(_make_check_row, result.get("checks", ())))
@@ -121,7 +121,7 @@ def _make_check_row(check: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def _make_attempt_row(attempt: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the table row of an attempt of the simulator: settings, outcome and wall time."""
+    """Return the table row of a simulation attempt: settings, outcome, wall time."""
     return (
         attempt["setting"],
         attempt["settings"],
@@ -132,7 +132,7 @@ def _make_attempt_row(attempt: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def _make_certificate_rows(certificate: Mapping[str, Any]) -> Rows:
-    """Return table rows of the properties of a model reduction, within and above its band."""
+    """Return table rows of a certificate: properties within and above the band."""
     facts = {}
     for name, value in certificate.items():
         if value is not None and not name.startswith("above_band"):
@@ -141,7 +141,7 @@ def _make_certificate_rows(certificate: Mapping[str, Any]) -> Rows:
 
 
 def format_operating_point(result: Mapping[str, Any], most: int | None = None) -> Rows:
-    """Return table rows of at most ``most`` nonzero results at the operating point.
+    """Return table rows of up to ``most`` nonzero results at the operating point.
 
     An additional row contains the number of omitted results.
     """
@@ -158,9 +158,9 @@ def format_operating_point(result: Mapping[str, Any], most: int | None = None) -
 
 
 def _limit_rows(rows: Rows, most: int | None, kind: str) -> Rows:
-    """Return at most ``most`` rows, and an additional row with the number of omitted rows.
+    """Return the first ``most`` rows, and a row with the number of omitted rows.
 
-    ``kind`` is the name of the rows in the additional row.
+    ``kind`` is a plural noun for the rows, such as ``metrics``.
     """
     if most is None or len(rows) <= most:
         return rows
@@ -197,15 +197,15 @@ def format_summary(result: Mapping[str, Any], most: int | None = None) -> PageSe
 
 
 def _make_violation_row(check: Mapping[str, Any]) -> tuple[str, str]:
-    """Return the summary row of a violated check, with name, value and limit in one sentence."""
+    """Return the summary row of a violated check: name, value and limit."""
     value, limit = format_value_and_limit(check["value"], check["limit"], check["unit"])
-    if " " in check["unit"]:  # a unit of several words occurs only once in the sentence
+    if " " in check["unit"]:  # a unit of several words occurs only once, after the value
         limit = limit.removesuffix(f" {check['unit']}")
     return "VIOLATED", f"{_label_check(check)}: {value}, limit {limit}"
 
 
 def _make_metric_rows(result: Mapping[str, Any]) -> Rows:
-    """Return table rows of the scalar metrics, with their error estimates."""
+    """Return table rows of the scalar metrics with error estimates."""
     units = result.get("metric_units", {})
     errors = result.get("convergence", {}).get("errors", {})
     leaves = flatten_mapping(result.get("metrics", {}))
@@ -237,7 +237,7 @@ def _is_scalar(value: Any) -> bool:
 
 
 def _make_model_rows(result: Mapping[str, Any]) -> Rows:
-    """Return a table row for each reduced model: number of states, band and error estimate."""
+    """Return table rows of reduced models: number of states, band, error estimate."""
     models = (result.get("roms") or {"": result["rom"]}) if result.get("rom") else {}
     rows = []
     for name, rom in models.items():
@@ -251,7 +251,7 @@ def _make_model_rows(result: Mapping[str, Any]) -> Rows:
 
 
 def _find_largest_by_unit(values: Mapping[str, Any], units: Mapping[str, str]) -> dict[str, float]:
-    """Return the largest magnitude among the values of each unit, keyed by unit."""
+    """Return the largest magnitude of the values with each unit, keyed by unit."""
     result: dict[str, float] = {}
     for name, value in values.items():
         if isinstance(value, float) and math.isfinite(value):
@@ -261,17 +261,17 @@ def _find_largest_by_unit(values: Mapping[str, Any], units: Mapping[str, str]) -
 
 
 def _replace_rounding_error(value: Any, scales: Mapping[str, float], unit: str) -> Any:
-    """Return ``value``, or 0 if it is a rounding error.
+    """Return ``value``, or 0 if ``value`` is a rounding error.
 
-    ``scales`` contains the largest magnitude of the values of each unit, keyed by unit. A rounding
-    error is much smaller than the largest magnitude of its unit.
+    ``scales`` contains the largest magnitude of the values of each unit, keyed by unit. A value
+    counts as a rounding error if it is much smaller than the largest magnitude of the same unit.
     """
     noise = isinstance(value, float) and abs(value) < ROUNDING_NOISE * scales.get(unit, 0.0)
     return 0.0 if noise else value
 
 
 def format_above_band(certificate: Mapping[str, Any]) -> Rows:
-    """Return table rows of the compliance errors at frequencies above the band of a reduction."""
+    """Return table rows of the compliance errors at frequencies above the band."""
     frequencies = certificate.get("above_band_hz", ())
     errors = certificate.get("above_band_compliance_error", ())
     rows = []
@@ -287,7 +287,7 @@ def format_model_summary(
     """Return page sections of models, numerical settings and neglected effects.
 
     ``converged`` contains the results of refined runs. If a refined run has computed the effect of
-    a numerical setting on the metrics, this effect is stated as the error of the setting.
+    a setting on the metrics, the table states this effect as the error of the setting.
     """
     result = converged or {}
     shares = result.get("shares", {})
@@ -306,15 +306,15 @@ def format_model_summary(
 
 
 def _format_relative_error(error: float | None) -> str:
-    """Return a relative error as a string, or ``not estimated`` if the error is unknown."""
+    """Format a relative error; for an unknown error, return ``not estimated``."""
     return "not estimated" if error is None else f"{error:.2g}"
 
 
 def _make_summary_rows(facts: Mapping[str, Any], units: Mapping[str, str]) -> Rows:
-    """Return table rows of results that are a number, a range or a short list of strings.
+    """Return table rows of numbers, ranges and short lists of strings.
 
     ``units`` is keyed by the dotted names of the results. Curves are omitted, because figures show
-    them.
+    curves.
     """
     values = {}
     for name, value in flatten_mapping(facts):
@@ -328,8 +328,8 @@ def _make_summary_rows(facts: Mapping[str, Any], units: Mapping[str, str]) -> Ro
 def _label_rows(rows: Mapping[str, tuple[str, str]], units: Mapping[str, str]) -> Rows:
     """Return table rows with unique labels.
 
-    ``rows`` contains a label and a text for each key. The physical quantity is added to labels that
-    are equal.
+    ``rows`` contains a label and a text for each key. Labels that would be equal also contain the
+    physical quantity.
     """
     labels = distinguish_labels({name: label for name, (label, _) in rows.items()}, units)
     return [(labels[name], text) for name, (_, text) in rows.items()]
@@ -353,14 +353,16 @@ def _make_summary_row(
 
 
 def _format_energy(name: str, entries: Mapping[str, float]) -> PageSection:
-    """Return the page section of an energy balance, with a table of its entries."""
+    """Return a page section with a table of the entries of an energy balance."""
     return PageSection(f"Energy: {name}", _make_summary_rows(entries, dict.fromkeys(entries, "J")))
 
 
 def _format_modes(part: str, table: Mapping[str, Any]) -> PageSection:
-    """Return the page section of a body's modes, with a table of frequencies and couplings.
+    """Return a page section with a table of a body's modes.
 
-    Ports that no mode moves are omitted.
+    The table contains natural frequencies, Q factors and couplings.
+
+    Ports without coupling to any mode are omitted.
     """
     units, modes = table["units"], table["modes"]
     coupled = []
@@ -379,7 +381,7 @@ def _format_modes(part: str, table: Mapping[str, Any]) -> PageSection:
 
 
 def _make_simulator_rows(result: Mapping[str, Any], scene: Scene) -> Rows:
-    """Return table rows that describe the simulator, its time points and settings."""
+    """Return table rows that describe the simulator, time points and settings."""
     facts = dict(result.get("simulator", {}))
     facts.pop("attempts", None)
     rows: Rows = list(zip(facts, map(str, facts.values()), strict=True))

@@ -1,8 +1,8 @@
 """Writer of the page ``sweep.html``: metrics of all points of a sweep.
 
-The figures depend on the swept keys. For one key, the figures are curves versus this key. For two
-keys whose values are all combined, the figures are maps. For random keys, or for more than two
-keys, the figures are a histogram of each metric, and the values of the metric versus each key.
+The figures depend on the swept keys. For one key, the figures are curves versus the key. For two
+keys, if the sweep contains all combinations of values, the figures are maps. For random keys or
+more than two keys, each metric has a histogram and a plot versus each key.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from kc2spice.scene.model import Scene
 
 CONFIDENCE_LEVEL = 0.95  # probability of the confidence intervals of yields
 NUMBER_TYPES = (float, int, bool)  # types of the values in a column of numbers
-# Metrics are equal up to this relative difference, which is a rounding error of the simulator.
+# Metrics with a smaller relative difference, a rounding error of the simulator, count as equal.
 EQUALITY_TOLERANCE = 1e-9
 MAX_LISTED_VALUES = 10  # largest number of listed values of a key whose values are strings
 
 Table = Mapping[str, Sequence[Any]]
-Axis = tuple[str, np.ndarray]  # label with unit, and values along the axis
+Axis = tuple[str, np.ndarray]  # axis label with unit, and values along the axis
 
 
 def _has_common_type(column: Sequence[Any], *kinds: type) -> bool:
@@ -46,8 +46,9 @@ def compute_yields(table: Table, keys: Sequence[str]) -> dict[str, dict[str, flo
 
     The yield is the share of the points at which the metric is true, with a confidence interval. At
     a point that failed, the metric counts as false. The interval is exact (Clopper and Pearson,
-    1934): it contains the true share with at least the probability :data:`CONFIDENCE_LEVEL`. The
-    yield is valid for the population of devices only if the keys were random.
+    1934): the probability that the interval contains the true share is at least
+    :data:`CONFIDENCE_LEVEL`. The yield is valid for the population of devices only if the keys were
+    random.
     """
     result = {}
     for name, column in table.items():
@@ -69,7 +70,7 @@ def write_sweep(
     plan: str,
     shares: Mapping[str, Mapping[str, float]],
 ) -> None:
-    """Write the page of a sweep from its ``table`` to ``path``.
+    """Write the page of a sweep with the results ``table`` to ``path``.
 
     ``units`` contains the units of the swept keys, and ``metric_units`` the units of the metrics.
     ``random`` are the names of the random keys. ``plan`` is a string with the number of points.
@@ -97,21 +98,21 @@ def write_sweep(
 
 
 def _make_failure_rows(status: Sequence[str]) -> list[tuple[str, str]]:
-    """Return table rows of the most frequent reasons why points failed, with their numbers."""
+    """Return table rows with the 20 most frequent reasons of failed points."""
     counts = Counter(status)
     del counts["ok"]
     return [(str(count), reason) for reason, count in counts.most_common(20)]
 
 
 def _make_yield_row(name: str, share: Mapping[str, float]) -> tuple[str, str]:
-    """Return the table row of a yield: the share of true points and its confidence interval."""
+    """Return the table row of a yield: share of true points, confidence interval."""
     low, high, level = 100 * share["low"], 100 * share["high"], 100 * share["confidence"]
     interval = f"{level:.3g} % confidence: {low:.4g} … {high:.4g} %"
     return label_key(name), f"{100 * share['share']:.4g} % ({interval})"
 
 
 def _make_key_row(key: str, column: Sequence[Any], units: Mapping[str, str]) -> tuple[str, str]:
-    """Return the table row of a swept key: number of different values, and their range or list."""
+    """Return the table row of a swept key: number, and range or list, of values."""
     distinct = list(dict(zip(map(repr, column), column, strict=True)).values())
     text = ", ".join(map(str, distinct[:MAX_LISTED_VALUES]))
     if _has_common_type(column, *NUMBER_TYPES):
@@ -177,7 +178,7 @@ def plot_sweep(
 
 
 def _plot_curves(x: Axis, words: Sequence[str], y: Axis) -> Panel:
-    """Return a panel with one curve for each combination of the swept strings in ``words``."""
+    """Return a panel with a curve for each combination of strings in ``words``."""
     labels = np.array(words) if words else np.full(x[1].size, "")
     curves = []
     for label in np.unique(labels):
@@ -189,13 +190,13 @@ def _plot_curves(x: Axis, words: Sequence[str], y: Axis) -> Panel:
 
 
 def _is_logarithmic(x: np.ndarray) -> bool:
-    """Return whether the increasing values ``x`` are equally spaced on a logarithmic scale."""
+    """Return whether increasing values ``x`` have logarithmically equal spacing."""
     even = x.size > 2 and x[0] > 0 and np.ptp(np.diff(np.log(x))) < 1e-6 * np.log(x[-1] / x[0])
     return bool(even)
 
 
 def _plot_map(x: Axis, y: Axis, z: Axis) -> Panel:
-    """Return a panel with the colour map of a metric ``z`` versus the keys ``x`` and ``y``."""
+    """Return a panel with a colour map of a metric ``z`` versus keys ``x`` and ``y``."""
     columns, i = np.unique(x[1], return_inverse=True)
     rows, j = np.unique(y[1], return_inverse=True)
     field = np.full((rows.size, columns.size), np.nan)
@@ -207,7 +208,7 @@ def _plot_map(x: Axis, y: Axis, z: Axis) -> Panel:
 
 
 def _plot_histogram(axis: Axis) -> Panel:
-    """Return a panel with the histogram of a metric, its median and two quantiles."""
+    """Return a panel with the histogram, the median and two quantiles of a metric."""
     values = axis[1][np.isfinite(axis[1])]
     spread = np.ptp(values) > EQUALITY_TOLERANCE * np.abs(values).max()
     counts, edges = np.histogram(values, bins="auto" if spread else 1)

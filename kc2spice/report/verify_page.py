@@ -1,4 +1,7 @@
-"""Writer of the page ``verify.html``: checks, errors, wall times and metrics of verified scenes."""
+"""Writer of the page ``verify.html`` with the results of verified scenes.
+
+The results are checks, errors, wall times and metrics.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,7 @@ from kc2spice.scene.checks import SOLUTION_PAIRS, Check
 
 VERDICT_WORDS = {True: "ok", False: "MISSED"}
 MAX_PANELS = 4  # largest number of panels in one figure
-SMALLEST_DIFFERENCE = 1e-17  # value that replaces a zero difference on the logarithmic axis
+SMALLEST_DIFFERENCE = 1e-17  # replaces a difference of zero on the logarithmic axis
 
 Solutions = Mapping[str, Waveforms]
 
@@ -27,11 +30,12 @@ Solutions = Mapping[str, Waveforms]
 class VerificationResult:
     """Checks, errors, metrics and figures of the verification of a scene.
 
-    ``errors`` contains the largest relative difference between the solutions of each pair in
+    ``errors`` contains the largest relative difference of each pair of solutions in
     :data:`kc2spice.scene.checks.SOLUTION_PAIRS`. ``wall_s`` contains the wall time of each stage.
     ``left_out`` contains the names of parts without equations. ``answers`` contains the metrics of
-    each solution: ``ngspice``, ``rom`` (equations of the parts with reduced models) and ``fom``
-    (equations of the parts with full models, for the compared part of the run).
+    the solutions ``ngspice``, ``rom`` and ``fom``. The solutions ``rom`` and ``fom`` solve the
+    equations of the parts with reduced and with full models. The solution ``fom`` covers only the
+    compared part of the run.
     """
 
     checks: list[Check] = field(default_factory=list)
@@ -62,7 +66,7 @@ class VerificationResult:
 def write_verify(path: Path, findings_by_scene: Mapping[str, VerificationResult]) -> Path:
     """Write the page of the verification results to ``path``; return the path.
 
-    ``findings_by_scene`` contains the results of each scene, keyed by its name.
+    ``findings_by_scene`` contains the results of each scene, keyed by the name of the scene.
     """
     rows = list(map(_make_summary_row, findings_by_scene, findings_by_scene.values()))
     head = ("scene", "gates", "reduced − full", "ngspice − reduced", "ngspice − full")
@@ -75,15 +79,15 @@ def write_verify(path: Path, findings_by_scene: Mapping[str, VerificationResult]
 
 
 def _make_summary_row(scene: str, findings: VerificationResult) -> tuple[str, ...]:
-    """Return the table row of a scene: verdict, and differences between the solutions."""
+    """Return the table row of a scene: verdict and differences between solutions."""
     errors = map(format_ratio, map(findings.errors.get, SOLUTION_PAIRS))
     return scene, VERDICT_WORDS[findings.passed], *errors
 
 
 def format_verification(scene: str, record: Mapping[str, Any]) -> list[PageSection]:
-    """Return sections with the checks and wall times of one scene, for page and terminal.
+    """Return sections with checks and wall times of one scene for page or terminal.
 
-    ``record`` is the content of ``verify.json`` for this scene.
+    ``record`` is the content of ``verify.json`` for the scene.
     """
     checks = list(map(_make_check_row, record["checks"]))
     times = format_times(record["wall_s"])
@@ -108,12 +112,12 @@ def _make_check_row(check: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def _convert_nan_to_none(value: float | None) -> float | None:
-    """Return a number unchanged, or None if it is NaN."""
+    """Return a number unchanged, or None instead of NaN."""
     return None if value is None or np.isnan(value) else value
 
 
 def _format_details(scene: str, findings: VerificationResult) -> list[PageSection]:
-    """Return the page sections of one scene: errors of outputs, metrics, notes and figures."""
+    """Return page sections of a scene: errors of outputs, metrics, notes, figures."""
     head = ("solutions", "output", "largest error", "rms error")
     errors, facts = [], []
     for error in findings.outputs:
@@ -136,10 +140,11 @@ def _format_details(scene: str, findings: VerificationResult) -> list[PageSectio
 def plot_comparison(
     name: str, title: str, solutions: Solutions, units: Mapping[str, str]
 ) -> Iterator[Figure]:
-    """Plot the waveforms of all solutions, and their differences from the first solution.
+    """Plot the waveforms of all solutions, and differences from the first solution.
 
-    In the first figure, a panel for each unit shows the largest waveform with this unit. The second
-    figure shows the differences between these waveforms and the waveforms of the first solution.
+    The first figure has a panel for each unit, with the largest waveform of the unit. The second
+    figure shows the differences of the same waveforms between the first solution and each other
+    solution.
     """
     (first, exact), *others = solutions.items()
     scale = next(iter(exact))
@@ -192,7 +197,7 @@ def plot_port_responses(name: str, curves: Solutions) -> Iterator[Figure]:
 
 
 def _is_driving_point(response: str) -> bool:
-    """Return whether load and output of a response are at the same port.
+    """Return whether the load and the output of a response are at the same port.
 
     The name of the response is ``LOAD>PORT``.
     """
@@ -203,9 +208,10 @@ def _is_driving_point(response: str) -> bool:
 def _find_largest_wave_names(
     names: Iterable[str], waves: Waveforms, units: Mapping[str, str]
 ) -> list[str]:
-    """Return the name of the largest waveform of each unit, for at most :data:`MAX_PANELS` units.
+    """Select the largest waveform of each unit, for at most ``MAX_PANELS`` units.
 
-    The units have the order of their first waveforms.
+    Return the names of the waveforms. The order is the order in which the units first occur in
+    ``names``.
     """
     best: dict[str, str] = {}
     for name in names:
@@ -226,8 +232,8 @@ def _compute_relative_difference(
 ) -> np.ndarray:
     """Return the difference between the waveforms ``name`` of two solutions.
 
-    The difference is relative to the largest value of the solution ``exact``. The returned array
-    has a value for each point of this solution.
+    The difference is relative to the largest value of the waveform in the solution ``exact``. The
+    returned array has a value for each point of ``exact``.
     """
     values, y = waves[name], exact[name]
     if values.shape != y.shape or scale == "time":

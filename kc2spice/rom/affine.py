@@ -1,9 +1,9 @@
 """Models whose matrices are sums of terms with factors that depend on parameters.
 
 A matrix is ``M(p) = sum_i f_i(p) M_i``. The matrices M_i come from another program, and the factors
-are functions of the parameters. The result of the reduction is a
-:class:`kc2spice.rom.range_reduction.ModelOverRanges`. The reduced model of a body of a scene has
-the same class if keys of the body are parameters of the netlist.
+are functions of the parameters. The reduced model is a
+:class:`kc2spice.rom.range_reduction.ModelOverRanges`. A body of a scene has a reduced model of the
+same class if keys of the body are parameters of the netlist.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ Factor = Callable[[Values], float]
 
 @dataclass(frozen=True)
 class ModelParameter:
-    """Parameter of a model with its default, its range and its unit.
+    """Parameter of a model, with default, range and unit.
 
     Raises
     ------
@@ -43,7 +43,7 @@ class ModelParameter:
 
     Examples
     --------
-    >>> ModelParameter("thickness", 1.0, 0.8, 1.25, "mm").axis.middle
+    >>> ModelParameter("thickness", 1.0, 0.8, 1.25, "mm").parameter_axis.middle_value
     1.0
     """
 
@@ -70,16 +70,16 @@ class ModelParameter:
 
     @property
     def parameter_axis(self) -> ParameterAxis:
-        """Axis of the parameter with its range, the lower end first."""
+        """Range of the parameter with the lower end first."""
         return ParameterAxis(self.name, min(self.low, self.high), max(self.low, self.high))
 
 
 @dataclass(frozen=True, eq=False)
 class AffineTerm:
-    """Term ``factor(p) matrix`` that is added to one matrix of the model.
+    """Term ``factor(p) matrix`` of a sum that defines one matrix of a model.
 
-    ``letter`` is the name of the matrix: M or K, and in a heat model E or K.
-    ``description`` is the name of the factor in error messages.
+    ``letter`` is the name of the matrix: K or M, or in a heat model K or E. ``description`` is the
+    name of the factor in error messages.
     """
 
     letter: str
@@ -132,8 +132,8 @@ class AffineModel:
         proportional to mass and stiffness (``rayleigh``), or absent. All ports of a heat model are
         thermal.
     terms : sequence of tuples
-        Each tuple contains a letter ``"K"``, ``"M"`` or ``"E"``, a matrix (n, n), and its factor.
-        The factor is a function of a mapping that contains the values of all parameters. In heat
+        Each tuple contains a letter ``"K"``, ``"M"`` or ``"E"``, a matrix (n, n), and a factor. The
+        factor is a function whose argument is a mapping with the values of all parameters. In heat
         models, each factor is a product of parameters with the powers -1, 0 or 1.
     parameters : sequence of ModelParameter
         One to four parameters with their ranges.
@@ -155,7 +155,7 @@ class AffineModel:
     >>> fixed = kc.LinearModel(M=[[0.01]], K=[[100.0]], B=[[1.0]], ports=(tip,))
     >>> stiffness = kc.ModelParameter("k", 50.0, 25.0, 100.0, "N/m")
     >>> springs = kc.AffineModel(fixed, [("K", [[1.0]], lambda p: p["k"])], [stiffness])
-    >>> float(springs.at({"k": 100.0}).K[0, 0])
+    >>> float(springs.evaluate({"k": 100.0}).K[0, 0])
     200.0
     >>> reduced = kc.reduce(springs, tolerance=1e-3, band=(0, 30))
     >>> reduced.certificate.error_estimate < 1e-3
@@ -225,7 +225,7 @@ class AffineModel:
     def evaluate(self, values: Values) -> LinearModel:
         """Return the full-order model for values of the parameters.
 
-        Parameters that ``values`` does not contain have their defaults.
+        Parameters that ``values`` does not contain have their default values.
 
         Raises
         ------
@@ -252,13 +252,13 @@ class AffineModel:
 def sum_affine_terms(
     constant: Mapping[str, Matrix], terms: Iterable[AffineTerm], values: Values
 ) -> dict[str, Matrix]:
-    """Return the sums of the constant matrices and of the terms at ``values``, keyed by letter.
+    """Return the sums of constant matrices and terms, keyed by letter.
 
     ``values`` are the values of the parameters.
 
     Raises
     ------
-    UsageError : the sizes of a term and of its matrix differ, or a factor is not a number.
+    UsageError : a term and the constant matrix differ in size, or a factor is not a number.
     """
     result = dict(constant)
     for term in terms:
@@ -282,12 +282,12 @@ def reduce_affine(
     norm: Norm | None = None,
     progress: Callable[[int, int], None] = lambda done, of: None,
 ) -> ModelOverRanges:
-    """Reduce a model over the ranges of its parameters.
+    """Reduce a model over the ranges of the parameters.
 
     Parameters
     ----------
     affine : AffineModel
-        Full-order models, symmetric and with conservative ports only.
+        Full-order models, which must be symmetric and must not have signal ports.
     tolerance : float
         Largest permitted relative error of the response over the band and the parameter ranges.
     band : tuple of two floats or strings, optional
@@ -295,7 +295,7 @@ def reduce_affine(
         of the model. If the model has no band, the default band ends a little above the fifth
         natural frequency in the middle of the parameter ranges.
     norm : "pointwise" or "peak", optional
-        Reference of the relative error, as for :func:`kc2spice.reduce`.
+        Definition of the relative error, as in :func:`kc2spice.reduce`.
     progress : callable, optional
         Function that is called with the number of full-order models solved so far, and with the
         total number of full-order models.
@@ -307,10 +307,10 @@ def reduce_affine(
 
     Raises
     ------
-    UsageError : the model has signal ports or damping that is not proportional, a matrix is not
-        positive definite in the whole range, or the band begins at 0 Hz and a port can move the
-        body as a rigid body.
-    SimulationError : the tolerance is not met.
+    UsageError : the model has signal ports or damping that is not proportional, or a matrix is not
+        positive definite in the whole range. The error also occurs if the band begins at 0 Hz and a
+        port drives a rigid-body mode.
+    SimulationError : the error exceeds the tolerance.
     """
     middle = {axis.name: axis.middle_value for axis in affine.axes}
     heat = affine.conducts_heat
@@ -339,7 +339,7 @@ def reduce_affine(
 
 
 def _require_semidefinite(affine: AffineModel, values: Values) -> None:
-    """Check that K, and M or E, are positive semidefinite at ``values`` of the parameters."""
+    """Check that K, and M or E, are positive semidefinite at parameter ``values``."""
     model = affine.evaluate(values)
     stiffness, *others = model.pencil.coefficients
     for letter, matrix in zip(
@@ -366,21 +366,23 @@ def _make_indefinite_error(affine: AffineModel, got: str) -> UsageError:
 
 
 def _reduce_heat(task: RangeTask) -> ModelOverRanges:
-    """Reduce heat models over the ranges of a task; the input of each port is a heat flow."""
+    """Reduce heat models, whose inputs are heat flows, over the ranges of a task."""
     from kc2spice.rom.heat_range_reduction import (
         HeatReduction,
-    )  # imported here: only heat models need it
+    )  # imported here: only needed for heat models
 
     return HeatReduction(task.full, task.axes).reduce(task)
 
 
 def _return_unchanged(model: LinearModel) -> LinearModel:
-    """Return a heat model unchanged."""
+    """Return ``model`` unchanged."""
     return model
 
 
 def _complete_rayleigh_factors(model: LinearModel) -> LinearModel:
-    """Return the model with Rayleigh factors, which are zero for undamped models.
+    """Add Rayleigh coefficients of zero to an undamped model.
+
+    Models with proportional damping are returned unchanged.
 
     Raises
     ------

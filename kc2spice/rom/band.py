@@ -1,4 +1,4 @@
-"""Frequency band of a reduction: prescribed, or computed from the lowest natural frequencies."""
+"""Frequency band of a reduction: prescribed, or chosen from natural frequencies."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from kc2spice.rom.rounding import ZERO_ENTRY_FACTOR
 BAND_MODES = 5
 MAX_DENSE_EQUATIONS = 200  # all poles are computed if a model has at most this size
 BAND_MARGIN = 1.1  # ratio of the upper band limit to the highest natural frequency in the band
-# shift for models with massless unknowns, relative to (largest stiffness) / (largest mass)
+# shift for models with massless unknowns / (largest stiffness / largest mass)
 MASSLESS_SHIFT = 1e-6
 # shift that separates rigid-body modes in the Lanczos method, relative to the largest K_ii / M_ii
 RIGID_SHIFT = 1e-9
-ZERO_MASS = 1e-13  # largest mass that counts as zero, relative to the largest mass
-RIGID_MODES_PLUS_ONE = 7  # number of rigid-body modes of one solid, plus one
+ZERO_MASS = 1e-13  # a mass counts as zero if (mass / largest mass) is below this ratio
+RIGID_MODES_PLUS_ONE = 7  # one more than the number of rigid-body modes of one solid
 EIGENVALUE_TOLERANCE = 1e-9  # largest permitted relative error of eigenvalues by ARPACK
 
 
@@ -37,13 +37,13 @@ def choose_natural_band(pencil: Pencil) -> tuple[float, float]:
     """Choose the band ``(0, f)`` [Hz] from the fifth lowest natural frequency.
 
     The band ends a little above the fifth natural frequency of the full model. For second-order
-    models, natural frequencies are undamped; for first-order models, they are corner frequencies.
-    Rigid-body modes do not count.
+    models, natural frequencies are undamped; for first-order models, natural frequencies are corner
+    frequencies. Rigid-body modes do not count.
 
     Raises
     ------
-    UsageError : the model has no natural frequency, so a band is required, or the model is too
-    large for this machine.
+    UsageError : the model has no natural frequency, or the model is too large for the memory of the
+    computer.
     """
     try:
         if pencil.degree == 2 and pencil.is_symmetric:
@@ -78,11 +78,11 @@ def compute_elastic_eigenvalues(pencil: Pencil, count: int) -> np.ndarray:
     """Compute the ``count`` lowest squared natural frequencies [rad^2/s^2].
 
     The model must be symmetric and of second order. Rigid-body modes do not count. If the model has
-    fewer than ``count`` elastic modes, all their frequencies are returned.
+    fewer than ``count`` elastic modes, the frequencies of all elastic modes are returned.
 
-    The eigenvalues are computed with ``K + sigma M`` and a small sigma > 0, because K of an
-    unsupported body is singular. A mode whose energy ``x'Kx`` is within the rounding error of the
-    entries of K is a rigid-body mode.
+    The stiffness matrix K of an unsupported body is singular. Therefore, the eigenvalues are
+    computed with ``K + sigma M`` and a small sigma > 0. A mode whose energy ``x'Kx`` is within the
+    rounding error of the entries of K is a rigid-body mode.
     """
     K, M = pencil.coefficients[0], pencil.coefficients[-1]
     if pencil.size <= MAX_DENSE_EQUATIONS:
@@ -117,7 +117,7 @@ def compute_elastic_eigenvalues(pencil: Pencil, count: int) -> np.ndarray:
 
 
 def _compute_rayleigh_quotients(K: Matrix, M: Matrix, X: np.ndarray) -> np.ndarray:
-    """Return the Rayleigh quotients ``x'Kx / x'Mx`` of elastic modes in ascending order."""
+    """Return the ascending Rayleigh quotients ``x'Kx / x'Mx`` of elastic modes."""
     energy = np.einsum("ij,ij->j", X, K @ X)
     mass = np.einsum("ij,ij->j", X, M @ X)
     noise = (
@@ -131,9 +131,10 @@ def _compute_rayleigh_quotients(K: Matrix, M: Matrix, X: np.ndarray) -> np.ndarr
 
 
 def find_band_end(pencil: Pencil, count: int, high: float) -> float:
-    """Return the frequency [Hz] of the ``count``-th lowest elastic mode, at most ``high``.
+    """Return the ``count``-th lowest elastic frequency [Hz], at most ``high``.
 
-    Return ``high`` if the model has fewer than ``count`` modes, or if the modes cannot be computed.
+    Return ``high`` if the model has fewer than ``count`` elastic modes, or if the modes cannot be
+    computed.
     """
     pencil = eliminate_algebraic_unknowns(pencil)
     if pencil.degree != 2 or not pencil.is_symmetric or pencil.size <= count + 2:
@@ -175,7 +176,7 @@ def _compute_lowest_rates(pencil: Pencil) -> np.ndarray:
 def parse_band(
     band: tuple[float | str, float | str] | None,
 ) -> tuple[float, float] | None:
-    """Parse a band such as ``(0, "20 kHz")`` to Hz; None is returned unchanged.
+    """Convert a band such as ``(0, "20 kHz")`` to Hz; return None for None.
 
     Raises
     ------

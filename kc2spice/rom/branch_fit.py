@@ -1,6 +1,7 @@
-"""Fit of a passive circuit, parallel branches in series with leads, to a measured one-port.
+"""Fit of a passive circuit to a measured one-port.
 
-The circuit is passive if all amplitudes G, C0, g_i, a_k and c_j are at least zero (s = j w)::
+The circuit consists of parallel branches in series with leads. The circuit is passive if all
+amplitudes G, C0, g_i, a_k and c_j are at least zero (s = j w)::
 
     Y_p(s) = G + s C0 + sum_i g_i / (1 + s t_i) + sum_k s a_k / (1 + s t_k)
                + sum_j s c_j w_j^2 / (s^2 + d_j s + w_j^2)
@@ -14,23 +15,25 @@ The elements in parallel are:
 * Butterworth-Van Dyke branches (C = c_j, L = 1 / (c_j w_j^2), R = d_j L).
 
 The leads in series with all branches have the resistance R and the inductance L. If the impedance
-of a part is capacitive at the lowest frequencies, no direct current flows through the part, and G
-and g_i are omitted.
+of a part is capacitive at the lowest frequencies, the part blocks direct current, and G and g_i are
+omitted.
 
 The fit minimises the sum of squares of log(Y / Y_measured) over the logarithms of all parameters
 (Levenberg and Marquardt; J. J. More, Lecture Notes in Mathematics 630 (1978) 105). For small
 deviations, log(Y / Y_measured) is the relative deviation of Y. Unlike the relative deviation, the
-logarithm grows without limit as Y approaches zero. Elements are added one by one. A new resonance
-starts at the frequency of the largest conductance that no element describes yet. The start values
-of relaxations and inductances are time constants on a grid. The start values of leads are fractions
-of the largest possible lead impedance. An element remains if it reduces the Bayesian information
-criterion (G. Schwarz, Ann. Statist. 6 (1978) 461). An element is removed if its removal reduces the
-criterion. Leads replace branches whose frequency is above the band.
+logarithm grows without limit as Y approaches zero.
+
+Elements are added one by one. The start value for the frequency of a resonance is the frequency of
+the largest conductance that no element describes yet. The start values for time constants of
+relaxations and inductances are on a grid. The start values of leads are fractions of the largest
+possible lead impedance. An element remains if the element reduces the Bayesian information
+criterion (G. Schwarz, Ann. Statist. 6 (1978) 461). An element is removed if the removal reduces the
+criterion. Leads replace branches whose frequencies are above the band.
 
 Rounding errors of the samples do not change the number of elements. Each sum of elements is fitted
-completely before its criterion is evaluated. Of two sums with equal criteria, the sum that was
+completely before the criterion is evaluated. Of two sums with equal criteria, the sum that was
 tried first is selected. The search ends if rounding errors of the sampled frequencies explain the
-deviation.
+deviation from the samples.
 """
 
 from __future__ import annotations
@@ -53,7 +56,7 @@ from kc2spice.rom.network import IDEAL_LEAD, CircuitBranch, ParallelBranches
 
 MAX_ELEMENTS = 40
 MIN_IMPROVEMENT = 0.1  # minimum relative reduction of the deviation per added element
-# number of successive elements with improvements below MIN_IMPROVEMENT after which the search ends
+# the search ends after this number of successive elements with improvements < MIN_IMPROVEMENT
 PATIENCE = 2
 POOR_PATIENCE = 5  # replaces PATIENCE as long as the deviation exceeds POOR_DEVIATION
 POOR_DEVIATION = 0.2  # relative rms deviation above which a fit is poor
@@ -61,16 +64,16 @@ START_Q_FACTORS = (5.0, 30.0, 200.0, 1500.0)  # start values of the Q factor of 
 # start values of a lead impedance, as fractions of the largest possible lead impedance
 LEAD_SHARES = (1e-3, 0.03, 0.5)
 STARTS_PER_DECADE = 2  # number of start values of a time constant per decade
-# largest numbers of evaluations in a fit that selects among sums of elements, and in the final fit
+# largest numbers of evaluations in the fit of a candidate sum, and in the final fit
 SELECTION_EVALUATIONS = 100
 FINAL_EVALUATIONS = 400
-# largest insignificant difference of the information criterion (Kass and Raftery, 1995)
+# smaller differences of the information criterion are insignificant (Kass and Raftery, 1995)
 CRITERION_TOLERANCE = 2.0
 # a simpler element replaces a resonance if (frequency / end of the band) exceeds this ratio
 MAX_FREQUENCY_RATIO = 3.0
 # longest time constant, relative to the reciprocal of the lowest angular frequency
 MAX_TIME_RATIO = 1e4
-MAX_Q = 1e7  # Q factor of a resonance whose loss the samples do not resolve
+MAX_Q = 1e7  # largest Q factor, for resonances without measurable loss
 
 
 def fit_one_port(
@@ -78,14 +81,13 @@ def fit_one_port(
 ) -> tuple[LinearModel | None, float]:
     """Fit a circuit to admittances ``Y`` (n,) [S] at ``f`` (n,) [Hz].
 
-    Return the model, with one electrical port ``anode``, and its relative rms deviation from the
-    samples. If the rms deviation exceeds :data:`POOR_DEVIATION`, None is returned instead of the
-    model. The error estimate in the certificate is the largest relative deviation from the samples.
+    Return the model, with one electrical port ``anode``, and the relative rms deviation of the
+    model from the samples. If the rms deviation exceeds :data:`POOR_DEVIATION`, the first result is
+    None. The error estimate in the certificate is the largest relative deviation from the samples.
 
     Parameters
     ----------
-    noise : relative standard deviation of the real or imaginary part of Y; the certificate states
-    this number.
+    noise : relative standard deviation of the real or imaginary part of Y, for the certificate.
     conductance : conductance at zero frequency [S]: 0 for a part that blocks direct current, None
     if the samples determine the conductance.
     """
@@ -134,7 +136,7 @@ def _make_network(elements: Elements) -> ParallelBranches:
 
 
 def fit_branches(samples: Samples) -> Elements:
-    """Return the fewest elements whose sum describes the samples within their noise."""
+    """Return the fewest elements that describe the samples within the noise."""
     elements: Elements = ()
     best, least, useless = elements, np.inf, 0
     patience = POOR_PATIENCE
@@ -170,9 +172,10 @@ def _count_parameters(elements: Elements) -> int:
 
 
 def _select_best_sum(samples: Samples, ends: Sequence[Elements]) -> Elements:
-    """Return the first sum of elements whose criterion is within a tolerance of the smallest.
+    """Return the first sum of elements with nearly the smallest criterion.
 
-    Because of this tolerance, rounding errors of the criterion do not change the selection.
+    Criteria that differ by less than ``CRITERION_TOLERANCE`` count as equal, so that rounding
+    errors do not change the selection.
     """
     values = list(map(samples.compute_information_criterion, ends))
     good = (
@@ -184,28 +187,29 @@ def _select_best_sum(samples: Samples, ends: Sequence[Elements]) -> Elements:
 
 
 def _limit_element(element: FitElement, slowest: float) -> FitElement:
-    """Limit the time constant of an element to ``slowest``, and the Q factor to :data:`MAX_Q`.
+    """Limit the time constant and the Q factor of an element.
 
-    ``slowest`` is the logarithm of a time in s. The samples do not determine larger time constants
-    or Q factors, and the limits do not change Y in the band.
+    ``slowest`` is the logarithm of the largest time constant [s], and :data:`MAX_Q` is the largest
+    Q factor. The samples do not determine larger values, and the limits do not change Y in the
+    band.
     """
     amplitude, *others = element.logs
     excess = _compute_log_time(element) - slowest if others else 0.0
     if element.form == "resonant":
         w, d = others
-        if excess > 0:  # L = 1 / (c w^2) remains the same
+        if excess > 0:  # the inductance L = 1 / (c w^2) remains the same
             amplitude, w = amplitude - 2 * excess, w + excess
         return FitElement(element.form, (amplitude, w, max(d, w - float(np.log(MAX_Q)))))
     if excess <= 0:
         return element
-    # L or R remains the same
+    # the inductance or the resistance remains the same
     return FitElement(element.form, (amplitude - excess, others[0] - excess))
 
 
 def _select_outside_band(samples: Samples, elements: Elements) -> Elements:
     """Select the elements whose frequencies are outside of the band.
 
-    Within the band, simpler elements have the same admittance as the selected elements.
+    Within the band, simpler elements have almost the same admittance as the selected elements.
     """
     low = np.log(2 * np.pi * samples.f[0] / MAX_FREQUENCY_RATIO)
     high = np.log(2 * np.pi * samples.f[-1] * MAX_FREQUENCY_RATIO)
@@ -214,12 +218,12 @@ def _select_outside_band(samples: Samples, elements: Elements) -> Elements:
 
 
 def _compute_log_time(element: FitElement) -> float:
-    """Return the logarithm of an element's time constant [s]; of a resonance, log(1 / omega)."""
+    """Return log(time constant [s]) of an element; for a resonance, log(1 / omega)."""
     return -element.logs[1] if element.form == "resonant" else element.logs[1]
 
 
 def _exceeds_noise(samples: Samples, elements: Elements) -> bool:
-    """Return whether every element describes more than the noise of a few samples.
+    """Return whether every element has an effect above the noise.
 
     The effect of each element must exceed the rms deviation at more samples than the element has
     parameters.
@@ -247,7 +251,7 @@ def _propose_simpler_sums(
 ) -> Iterable[Elements]:
     """Yield sums in which an element is omitted or replaced by a simpler element.
 
-    In the band, the simpler element has the same admittance as the replaced element.
+    In the band, the simpler element has almost the same admittance as the replaced element.
     """
     others = tuple(e for e in elements if e is not element)
     if any(e.is_in_parallel for e in others):
@@ -264,9 +268,10 @@ def _propose_simpler_sums(
 
 
 def _replace_by_leads(element: FitElement, others: Elements) -> Iterable[Elements]:
-    """Yield sums in which a lead replaces a branch whose frequency is above the band.
+    """Yield sums in which a lead replaces a branch with a frequency above the band.
 
-    In series with the capacitance C0, leads have the same effect as branches in parallel with C0::
+    At low frequencies, leads in series with C0 have the same effect as branches in parallel with
+    C0::
 
     s C0 / (1 + s R C0 + s^2 L C0) = s C0 - s^2 R C0^2 - s^3 L C0^2 + ...
     s c w^2 / (s^2 + d s + w^2) = s c - s^2 c d / w^2 - s^3 c / w^2 + ...
@@ -287,20 +292,20 @@ def _replace_by_leads(element: FitElement, others: Elements) -> Iterable[Element
 
 
 def _is_capacitance(element: FitElement) -> bool:
-    """Return whether an element is the capacitance in parallel with the branches."""
+    """Return whether an element is a capacitance in parallel with the branches."""
     return element.form == "capacitance"
 
 
 def _convert_form(element: FitElement, form: str) -> FitElement:
-    """Make an element of a simpler form with the time constant of another element."""
+    """Make an element of the simpler ``form`` with the time constant of ``element``."""
     if form in ("conductance", "capacitance"):
         return FitElement(form, (0.0,))
-    log_t = element.logs[2] - 2 * element.logs[1]  # time constant d / w^2 = R C of the branch
+    log_t = element.logs[2] - 2 * element.logs[1]  # time constant R C = d / w^2 of the branch
     return FitElement(form, (0.0, -element.logs[2] if form == "inductive" else log_t))
 
 
 def _propose_start_sums(samples: Samples, elements: Elements) -> list[Elements]:
-    """Return sums with one more element each, from which the next fits start."""
+    """Return sums with additional elements, from which the next fits start."""
     result = [_fit_peak(samples, elements)]
     for options in _propose_elements(samples, elements):
         tried = [samples.fit_amplitudes((*elements, option)) for option in options]
@@ -313,7 +318,7 @@ def _fit_peak(samples: Samples, elements: Elements) -> Elements:
     """Add a resonance at the largest conductance that no element describes yet.
 
     The added resonance has the same height and the same width at half height as the peak of the
-    conductance. If the sum of elements has no capacitance, a capacitance is added too.
+    conductance. If the sum of elements has no capacitance, a capacitance is also added.
     """
     missing = samples.unexplained_admittance(elements)
     top = int(np.argmax(missing.real))
@@ -333,7 +338,7 @@ def _fit_peak(samples: Samples, elements: Elements) -> Elements:
 
 
 def _propose_elements(samples: Samples, elements: Elements) -> Iterable[list[FitElement]]:
-    """Yield candidates for the next branch or lead with start values of their parameters."""
+    """Yield lists of candidates for the next branch or lead, with start values."""
     present = {element.form for element in elements}
     forms = [
         form
@@ -358,9 +363,9 @@ def _propose_elements(samples: Samples, elements: Elements) -> Iterable[list[Fit
 
 
 def _propose_leads(samples: Samples, form: str) -> list[FitElement]:
-    """Return leads of one form, whose impedances are fractions of the largest possible impedance.
+    """Return leads whose impedances are fractions of the largest possible impedance.
 
-    The impedance of a lead cannot exceed the measured impedance at any sample.
+    The impedance of a lead cannot exceed the measured impedance of any sample.
     """
     per_unit = FitElement(form, (0.0,)).response(samples.s)[0]
     largest = float(np.min(np.abs(1 / (per_unit * samples.Y))))
@@ -370,8 +375,8 @@ def _propose_leads(samples: Samples, form: str) -> list[FitElement]:
 def _find_worst_frequencies(samples: Samples, elements: Elements) -> list[float]:
     """Return up to three angular frequencies [rad/s] at which ``elements`` fit worst.
 
-    At the worst frequencies, the missing conductance, its ratio to abs(Y), or the deviation is
-    largest.
+    At these frequencies, the missing conductance, the ratio (missing conductance / abs(Y)), or the
+    deviation is largest.
     """
     left = samples.compute_deviation(elements)
     missing = samples.unexplained_admittance(elements).real

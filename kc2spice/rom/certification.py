@@ -17,19 +17,19 @@ from kc2spice.rom.stability import DEFINITE_EVIDENCE, StabilityProof
 # Smallest error estimate at a resonance, as a multiple of eps / (damping ratio); found by trials.
 # A relative rounding error eps of the stiffness changes the response by eps / (2 damping ratio).
 RESONANCE_ROUNDING = 4.0
-# Largest number of entries, zero by symmetry, that a certificate lists by name.
+# A certificate lists at most this number of names of entries that are zero by symmetry.
 # For further zero entries, the certificate states only their number.
 MAX_LISTED_ZEROS = 6
 
 
 def certify(basis: ReducedBasis, order: int) -> LinearModel:
-    """Return the reduced-order model with the given order and a certificate.
+    """Return the reduced-order model of the given order, with a certificate.
 
     Raises
     ------
     SimulationError : a state of the model has no stiffness, damping or inertia above rounding
     errors.
-    UsageError : the model has no state-space form, which a netlist needs.
+    UsageError : the model has no state-space form, so it cannot become a netlist.
     """
     task, response, proof = (
         basis.task,
@@ -59,12 +59,12 @@ def certify(basis: ReducedBasis, order: int) -> LinearModel:
     labels = {key: getattr(task.fom, key) for key in ("ports", "facts", "name")}
     labels["basis"] = basis.expand_basis(order)
     result = make_linear_model(response.pencil, **labels, certificate=certificate, band=task.band)
-    result.state_space()  # raises an error for a model that no netlist can represent
+    result.state_space()  # raises an error if no netlist can represent the model
     return result
 
 
 def certify_with_full_order(rom: LinearModel, full: StabilityProof) -> LinearModel:
-    """Return a reduced-order model whose certificate also covers the full-order model."""
+    """Add the stability and passivity of the full-order model to a certificate."""
     certificate = rom.certificate
     assert certificate is not None
     both = (full.stable, certificate.stable)

@@ -2,25 +2,24 @@
 
 Source: IEEE Std 176-1987.
 
-The losses of a ceramic are given as complex compliances ``s^E (1 - j / Q)``, real piezoelectric
-constants d and complex permittivities ``eps^T (1 - j tan delta)``. The material constants do not
-depend on frequency, so all modes have the same Q factor. The body has modes ``omega_j`` with gains
-g_j of voltages and forces, and the clamped capacitance D. Only elastic strain has mechanical
-losses. For a mode, elastic strain w_j is the displacement z_j minus the displacement of the free
-body at the voltage V:
+Complex compliances ``s^E (1 - j / Q)`` and permittivities ``eps^T (1 - j tan delta)`` state the
+losses of a ceramic. The piezoelectric constants d are real. The material constants do not depend on
+frequency, so all modes have the same Q factor. A mode with the angular frequency ``omega_j`` has
+the gain g_j for voltages and forces. The clamped capacitance is D. Only elastic strain causes
+mechanical losses. The elastic strain w_j of a mode is the displacement z_j minus the displacement
+of the free body at the voltage V:
 
     w_j = z_j - g_j V / omega_j^2,
     z_j'' + chi(s) omega_j^2 w_j = f_j,        q = psi(s) C_T V + sum_j chi(s) g_j w_j,
     C_T = D + sum_j g_j^2 / omega_j^2,         chi = 1 + j / Q,        psi = 1 - j tan delta,
 
-Here chi approximates ``1 / (1 - j / Q)`` with an error of ``1 / Q^2``. The free body at rest has
-the loss tangent of the data sheet and no mechanical loss. The clamped body has the complex
-capacitance ``D - j (C_T tan delta + (C_T - D) / Q)``. By causality, chi and psi are powers of
+The factor chi approximates ``1 / (1 - j / Q)`` with an error of ``1 / Q^2``. The free body at rest
+has the loss tangent of the data sheet and no mechanical loss. The clamped body has the complex
+capacitance ``D - j (C_T tan delta + (C_T - D) / Q)``. By causality, chi and psi must be powers of
 frequency (:mod:`kc2spice.rom.structural_damping`, :mod:`kc2spice.rom.modal_models`). Therefore, chi
-is ``1 + j / Q`` only at the frequency at which the damping is stated, and psi is ``1 - j tan
-delta`` only at 1 kHz. Sums of relaxations approximate chi and psi. All amplitudes of the
-relaxations are positive, so each relaxation is passive. The model is passive if its instantaneous
-capacitance is positive.
+is ``1 + j / Q`` only at the frequency of the stated damping, and psi is ``1 - j tan delta`` only at
+1 kHz. Sums of relaxations approximate chi and psi. All amplitudes of the relaxations are positive,
+so each relaxation is passive. The model is passive if the instantaneous capacitance is positive.
 """
 
 from __future__ import annotations
@@ -39,14 +38,14 @@ from kc2spice.rom.structural_damping import (
     fit_relaxing_stiffness,
 )
 
-# largest permitted relative error of the response at resonances due to the fit of relaxations
+# permitted relative error of the response at resonances due to approximation by relaxations
 MAX_RELAXATION_ERROR = 1e-3
-# permitted error of the permittivity, relative to the loss tangent or to 0.02, whichever is smaller
+# permitted relative error of the permittivity / min(loss tangent, 0.02)
 DIELECTRIC_SHARE = 0.01
-# frequency, relative to the lowest resonance, above which errors of the stiffness are amplified
+# errors of the stiffness are amplified if (frequency / lowest resonance) exceeds this ratio
 SENSITIVITY_LIMIT = 0.7
 GRID_FREQUENCIES = 400  # number of frequencies in the band at which the error is measured
-# rounds of refinement at antiresonances, and number of frequencies around each antiresonance
+# number of refinements at antiresonances, and number of frequencies around each antiresonance
 REFINEMENT_ROUNDS = 2
 REFINED_FREQUENCIES = 9
 RESONANCE_OFFSETS = (-2.0, -0.5, 0.0, 0.5, 2.0)  # distances from a resonance in half-widths
@@ -63,7 +62,7 @@ class ComplexConstants:
     tangent : float
         Loss tangent, tan delta, of the free body at 1 kHz.
     at : float
-        Frequency [Hz] at which the stiffness has the value of the material.
+        Frequency [Hz] at which the stiffness equals the stated stiffness of the material.
     """
 
     loss_factor: float
@@ -74,7 +73,7 @@ class ComplexConstants:
         self, omega: np.ndarray, gain: np.ndarray, D: np.ndarray, electrical: np.ndarray,
         frequency: np.ndarray,
     ) -> np.ndarray:  # fmt: skip
-        """Compute the exact response of the modes of a body with these losses.
+        """Compute the response of a body with losses from undamped modes.
 
         The response is an array of shape (n, ports, ports).
 
@@ -84,7 +83,7 @@ class ComplexConstants:
             Angular frequencies [rad/s] and mass-normalised gains of undamped modes; omega is zero
             for rigid-body modes.
         D : (ports, ports) array
-            Clamped capacitances [F]; zero at ports that are not electrical.
+            Clamped capacitances [F], or zero for ports that are not electrical.
         electrical : (ports,) array of bool
             Whether the input of each port is a voltage.
         frequency : (n,) array
@@ -108,7 +107,7 @@ class ComplexConstants:
 
 
 def _zero_nonelectrical_entries(D: np.ndarray, electrical: np.ndarray) -> np.ndarray:
-    """Return the matrix D with zeros for all ports that are not electrical."""
+    """Return D with zeros in the rows and columns of nonelectrical ports."""
     return np.where(np.outer(electrical, electrical), D, 0.0)
 
 
@@ -118,16 +117,16 @@ def make_complex_constants_model(model: Resonators, losses: ComplexConstants) ->
     Parameters
     ----------
     model : Resonators
-        Modal model without massless modes, with a certificate. The loss factors are constant in the
-        band of the certificate, and replace the damping of the modes.
+        Modal model without massless modes, with a certificate. The loss factors replace the damping
+        of the modes, and are constant in the band of the certificate.
     losses : ComplexConstants
         Loss factor and loss tangent.
 
     Returns
     -------
     LinearModel
-        Symmetric model. The additional unknowns of this model are internal displacements of the
-        relaxations. The error estimate in the certificate includes the error of the relaxations at
+        Symmetric model. Internal displacements of the relaxations are additional unknowns of this
+        model. The error estimate in the certificate includes the error of the relaxations at
         resonances and between resonances.
 
     Raises
@@ -153,7 +152,10 @@ def make_complex_constants_model(model: Resonators, losses: ComplexConstants) ->
     motional, clamped = shares.T @ shares, model.D[np.ix_(ports, ports)]
 
     def estimate_stiffness_sensitivity(f: np.ndarray) -> np.ndarray:
-        """Return the amplification of stiffness errors: 1 below the lowest resonance, then Q."""
+        """Return 1 below the lowest resonance, and Q above.
+
+        The result is the ratio of the response error to the stiffness error.
+        """
         lowest = SENSITIVITY_LIMIT * model.omega.min() / (2 * np.pi)
         return np.where(f > lowest, max(1.0, 1 / max(losses.loss_factor, 1e-12)), 1.0)
 
@@ -241,7 +243,9 @@ def _compute_largest_error(
 
 
 def _sample_minima(f: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """Return frequencies around the local minima of every entry of ``size`` (n, ports, ports).
+    """Return frequencies around the local minima of every entry of a response.
+
+    ``size`` (n, ports, ports) contains the magnitudes of the response.
 
     The minima are antiresonances, at which relative errors are largest.
     """

@@ -1,17 +1,17 @@
-"""Elimination of constraints and of infinite poles from models.
+"""Elimination of constraints and infinite poles from linear models.
 
-Models of finite-element programs describe rigid couplings by Lagrange multipliers l::
+Finite-element programs enforce rigid couplings ``G x = 0`` by Lagrange multipliers l::
 
     M x'' + E x' + K x + G' l = B u        G x = 0
 
 The constraints ``G x = 0`` permit the motions ``x = Z q`` with ``G Z = 0``. The model ``Z'MZ q'' +
-Z'EZ q' + Z'KZ q = Z'B u`` has the same response, symmetry and definiteness. The multipliers follow
-from the first equation.
+Z'EZ q' + Z'KZ q = Z'B u`` has the same response, symmetry and definiteness. The multipliers l can
+be computed from x by the first equation.
 
 A descriptor model ``E x' = A x + B u`` with a singular E has infinite poles. In a basis that
-separates E into a regular part and zeros, some equations are algebraic. Algebraic equations that
-determine unknowns (index 1) are eliminated; the other algebraic equations are constraints with
-multipliers (index 2)::
+separates E into a regular block and zeros, some equations are algebraic. Algebraic equations of
+index 1 determine unknowns, which are eliminated. Algebraic equations of index 2 are constraints
+with multipliers::
 
     E1 x' + P1 x + L l = B1 u        G x = B3 u        x = Z q + R u,  G R = B3
 
@@ -39,20 +39,20 @@ from kc2spice.rom.pencil import (
     to_dense,
 )
 
-# largest size of a linearly dependent constraint, relative to the largest constraint
+# a constraint counts as linearly dependent if (pivot / largest pivot) is below this ratio
 DEPENDENT_CONSTRAINT = 1e-12
 # Singular values below this multiple of eps times the norm of the matrix count as zero.
 # The multiple of eps is large, because the matrix E of many models is a product of matrices.
 ZERO_SINGULAR_VALUE = 100.0
 MAX_DESCRIPTOR_STATES = 2000  # largest number of states of a model whose infinite poles are removed
 MAX_CONSTRAINT_ENTRIES = 5e7  # largest number of entries of the constraints as a dense matrix
-NEGLIGIBLE_TERM = 1e-10  # largest relative size of a term that counts as zero
+NEGLIGIBLE_TERM = 1e-10  # smaller relative terms count as zero
 
 
 def eliminate_constraints(pencil: Pencil) -> Pencil:
     """Eliminate the constraints that Lagrange multipliers enforce.
 
-    The pencil is returned unchanged if it has no multipliers, or if its response contains
+    A pencil without multipliers is returned unchanged, as is a pencil whose response contains
     derivatives of the input.
     """
     rest, *others = pencil.coefficients
@@ -68,7 +68,7 @@ def eliminate_constraints(pencil: Pencil) -> Pencil:
         return pencil
     Z, rank = compute_null_basis(G)
     if Z.shape[1] == 0 or _exceeds_rounding(Z.T @ L, L):
-        return pencil  # forces of the multipliers act on motions that the constraints permit
+        return pencil  # multiplier forces act on permitted motions
     observed = pencil.C[:, row].any()
     if observed and rank < len(row):
         return pencil
@@ -84,7 +84,7 @@ def eliminate_constraints(pencil: Pencil) -> Pencil:
 def _find_multipliers(rest: Matrix, others: list[Matrix]) -> np.ndarray:
     """Return a mask of the unknowns that are Lagrange multipliers.
 
-    Multipliers have neither inertia nor damping, and no stiffness between each other.
+    Multipliers have neither inertia nor damping, and no stiffness couples two multipliers.
     """
     result = ~mask_unknowns_with_entries(others) & (rest.diagonal() == 0)
     indices = np.flatnonzero(result)
@@ -97,8 +97,8 @@ def _find_multipliers(rest: Matrix, others: list[Matrix]) -> np.ndarray:
 def compute_null_basis(G: Matrix) -> tuple[scipy.sparse.csc_array, int]:
     """Compute a sparse basis Z (n, n - rank) with ``G Z = 0``, and the rank of G.
 
-    Most rows of Z are rows of the identity matrix. The other rows express the dependent unknowns by
-    the independent unknowns.
+    Most rows of Z are rows of the identity matrix. The other rows express dependent unknowns by
+    independent unknowns.
 
     Examples
     --------
@@ -136,8 +136,8 @@ def _insert_multipliers(
 ) -> Pencil:
     """Add the multipliers ``l = S^-1 L'M^-1 (B u - E x' - K x)`` to the outputs.
 
-    Here ``S = L'M^-1 L``. If the multipliers depend on velocities, the result is a first-order
-    model.
+    In this equation, ``S = L'M^-1 L``. If the multipliers depend on velocities, the result is a
+    first-order model.
     """
     K, E, M = map(to_dense, parts)
     L, Z = to_dense(L), to_dense(Z)
@@ -163,7 +163,7 @@ def _insert_multipliers(
 def deflate_infinite_poles(pencil: Pencil) -> Pencil:
     """Remove the infinite poles of a first-order descriptor model.
 
-    The pencil is returned unchanged if E is regular, if the model is too large, or if its response
+    The pencil is returned unchanged if E is regular, if the model is too large, or if the response
     contains derivatives of the input.
     """
     if pencil.degree != 1 or pencil.size > MAX_DESCRIPTOR_STATES or pencil.free:
@@ -202,7 +202,7 @@ def deflate_infinite_poles(pencil: Pencil) -> Pencil:
 def _eliminate_index_two(
     E: np.ndarray, P: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, n: int
 ) -> Pencil | None:
-    """Eliminate the constraints of an index-2 model, which are all equations after the first n.
+    """Eliminate the constraints (all equations after the first n) of an index-2 model.
 
     Return None if the index is higher than two, or if the response contains derivatives of the
     input.
@@ -245,7 +245,7 @@ def _eliminate_index_two(
 
 
 def _is_singular(matrix: np.ndarray) -> bool:
-    """Return whether a matrix is singular within rounding."""
+    """Return whether a matrix is singular within rounding errors."""
     lu, _, singular = scipy.linalg.lapack.dgetrf(matrix)
     norm = float(np.abs(matrix).sum(axis=0).max(initial=0.0))
     inverse = 0.0 if singular else scipy.linalg.lapack.dgecon(lu, norm)[0]
@@ -255,9 +255,10 @@ def _is_singular(matrix: np.ndarray) -> bool:
 def _split_by_rank(
     matrix: np.ndarray, symmetric: bool, scale: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray, int]:
-    """Compute the rank of a matrix P, and orthogonal matrices U and V that separate its null space.
+    """Separate the null space of a matrix P by orthogonal matrices U and V.
 
-    The leading block of ``U'PV`` is regular, and all other entries are zero.
+    The leading block of ``U'PV`` is regular, and all other entries are zero. Return U, V and the
+    rank of P.
     """
     if symmetric and np.abs(matrix - matrix.T).max(initial=0.0) <= 1e-12 * find_largest_entry(
         matrix
@@ -276,7 +277,7 @@ def _split_by_rank(
 
 
 def _restore_symmetry(pencil: Pencil, symmetric: bool, collocated: bool) -> Pencil:
-    """Restore the symmetry that the matrices have lost by rounding errors of matrix products."""
+    """Restore a symmetry that rounding errors of matrix products have destroyed."""
     parts = pencil.coefficients
     if symmetric:
         parts = tuple(0.5 * (P + P.T) for P in parts)
@@ -288,17 +289,17 @@ def _restore_symmetry(pencil: Pencil, symmetric: bool, collocated: bool) -> Penc
 
 
 def _exceeds_rounding(difference: Matrix, reference: Matrix) -> bool:
-    """Return whether a difference exceeds the rounding errors of the reference."""
+    """Return whether a difference exceeds the rounding errors of a reference matrix."""
     return find_largest_entry(difference) > NEGLIGIBLE_TERM * find_largest_entry(reference)
 
 
 def _select_submatrix(P: Matrix, rows: np.ndarray, columns: np.ndarray) -> Matrix:
-    """Return the entries of a matrix in these rows and columns."""
+    """Return the entries of a matrix in the given rows and columns."""
     return P[np.ix_(rows, columns)] if isinstance(P, np.ndarray) else P[rows][:, columns]
 
 
 def _symmetrise(P: Matrix, symmetric: bool) -> Matrix:
-    """Return the symmetric part of a matrix if ``symmetric`` is true, otherwise the matrix."""
+    """Return the symmetric part of a matrix, or the matrix if ``symmetric`` is false."""
     P = scipy.sparse.csc_array(P) if scipy.sparse.issparse(P) else P
     return 0.5 * (P + P.T) if symmetric else P
 
@@ -306,8 +307,8 @@ def _symmetrise(P: Matrix, symmetric: bool) -> Matrix:
 def eliminate_algebraic_unknowns(pencil: Pencil) -> Pencil:
     """Eliminate the algebraic unknowns of a model, as the first step of a reduction.
 
-    Return an equivalent model without constraints and without infinite poles. Unknowns that have
-    neither inertia nor damping are eliminated too.
+    Return an equivalent model without constraints and without infinite poles. Unknowns with neither
+    inertia nor damping are also eliminated.
     """
     try:
         pencil = deflate_infinite_poles(eliminate_massless(eliminate_constraints(pencil)))

@@ -1,11 +1,11 @@
 """Transformation of state-space models to decoupled real blocks.
 
-A real pole is one block, and a complex pair of poles is one 2 x 2 block. Repeated poles, poles
-whose separation would lose accuracy, and defective poles remain in one larger block. Sylvester
-equations decouple clusters of poles in the real Schur form. A cluster is decoupled if the
-norm of the solution of its Sylvester equation is below a bound (Bavely and Stewart, SIAM J. Numer.
-Anal. 16 (1979) 359). The size of a netlist is proportional to the square of the size of a block.
-Therefore, larger bounds are tried as long as the response remains accurate.
+A real pole becomes one block, and a complex pair of poles becomes one 2 x 2 block. Repeated,
+defective or nearly equal poles remain together in one larger block. The solution of a Sylvester
+equation decouples a cluster of poles in the real Schur form. A cluster is decoupled only if the
+norm of the solution is below a limit (Bavely and Stewart, SIAM J. Numer. Anal. 16 (1979) 359). The
+size of a netlist is proportional to the square of the block size. Therefore, larger limits are
+tried as long as the response remains accurate.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from kc2spice.rom.error_estimate import compute_relative_error
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.pencil import find_largest_entry, make_explicit_pencil
 
-# Largest norm of the solution of a Sylvester equation; a norm of 1000 costs three digits.
+# Largest norm of the solution of a Sylvester equation; a norm of 1000 loses three digits.
 CONDITION_LIMIT = 1e3
-# larger limits of the norm, which are also tried; the loss of accuracy is then measured
+# larger limits of the norm, which are accepted if the response remains accurate
 LARGER_LIMITS = 1e5, 1e7, 1e9
-MAX_BLOCK_STATES = 4  # larger limits are tried only if a block has more states
-# largest permitted change of the response by a larger limit, relative to the response
+MAX_BLOCK_STATES = 4  # a larger limit is tried only if a block has more states than this number
+# permitted relative change of the response by a larger limit
 MAX_RESPONSE_CHANGE = 1e-9
-# largest permitted change of the response by a larger limit, relative to the error estimate
+# permitted relative change of the response by a larger limit / error estimate
 MAX_ERROR_SHARE = 1e-2
 COMPARED_FREQUENCIES = 40  # number of frequencies at which the response is compared
-EQUALITY_TOLERANCE = 1e-13  # largest relative size of numbers that count as zero
+EQUALITY_TOLERANCE = 1e-13  # smaller relative numbers count as zero
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,8 +41,8 @@ class BlockModel(EqualByContent):
 
     Each block is a real square matrix. The signals w are determined by algebraic equations:
     ``0 = P z + Q u + S w``. For example, the signals w are the waves at the ports of a measured
-    multiport. Because the signals w are separate from the states, the blocks have few entries.
-    ``loops`` contains the matrices ``(F, P, Q, R, S)``, and is None if there are no signals w.
+    multiport. Without the signals w, the blocks would have more entries. ``loops`` contains the
+    matrices ``(F, P, Q, R, S)``, or is None without signals w.
     """
 
     blocks: tuple[np.ndarray, ...]
@@ -53,7 +53,9 @@ class BlockModel(EqualByContent):
 
 
 def make_block_model(model: LinearModel, *, dense: bool = False) -> BlockModel:
-    """Transform a reduced model to decoupled blocks, or to one block if ``dense`` is true.
+    """Transform a reduced model to decoupled blocks.
+
+    If ``dense`` is true, the result is a single block.
 
     Raises
     ------
@@ -89,7 +91,7 @@ def make_block_model(model: LinearModel, *, dense: bool = False) -> BlockModel:
 
 
 def _sample_between_poles(A: np.ndarray) -> np.ndarray:
-    """Return imaginary frequencies ``j w`` (n,) that span the magnitudes of the poles of A.
+    """Return values ``j w`` (n,) that span the magnitudes of the poles of A.
 
     If all poles are zero, the array is empty.
     """
@@ -101,10 +103,11 @@ def _sample_between_poles(A: np.ndarray) -> np.ndarray:
 
 
 def _read_blocks(model: LinearModel) -> BlockModel | None:
-    """Return the blocks of a first-order model whose states already form small blocks.
+    """Return the block model of a first-order model with a suitable form.
 
-    Return None for other models. E must be diagonal, with ones before zeros. Rows in which E is
-    zero are algebraic equations, which become the ``loops`` of the block model.
+    The form is suitable if the states form small blocks, and E is diagonal with ones before zeros.
+    Rows in which E is zero are algebraic equations, which become the ``loops`` of the block model.
+    Return None for other models.
     """
     if not model.first_order or model.E is None:
         return None
@@ -139,7 +142,7 @@ def decouple_states(
         values, X = eigh(0.5 * (A + A.T))
         return tuple(np.array([[value]]) for value in values), X, X.T
     T, Z = schur(A, output="real")
-    # the model has no losses; the skew-symmetric T keeps its poles on the imaginary axis
+    # if the model has no losses, a skew-symmetric T keeps all poles on the imaginary axis
     if find_largest_entry(A + A.T) <= EQUALITY_TOLERANCE * find_largest_entry(A):
         T = 0.5 * (T - T.T)
         T[np.abs(T) <= EQUALITY_TOLERANCE * find_largest_entry(T)] = 0.0
@@ -152,8 +155,8 @@ def _split_schur_form(
 ) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray]:
     """Split the real Schur form T of ``A = Z T Z'`` into decoupled blocks.
 
-    Blocks are separated from the first row of T to the last row. If the separation of a block would
-    be inaccurate, the nearest pole becomes a part of the block.
+    The blocks are separated in the order of the rows of T. If the separation of a block would be
+    inaccurate, the nearest pole is added to the block.
     """
     X, inverse, blocks, n = Z.copy(), Z.T.copy(), [], len(T)
     start = 0
@@ -198,7 +201,10 @@ def _get_block_size(T: np.ndarray, start: int) -> int:
 
 
 def _list_poles(T: np.ndarray) -> np.ndarray:
-    """Return the eigenvalues of a real Schur form in the upper half-plane, one for each block."""
+    """Return one eigenvalue of each diagonal block of a real Schur form.
+
+    Of a complex pair, the eigenvalue in the upper half-plane is returned.
+    """
     result = []
     for i, size in _list_blocks(T):
         product = T[i, i + 1] * T[i + 1, i] if size == 2 else 0.0

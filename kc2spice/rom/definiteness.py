@@ -11,7 +11,11 @@ from kc2spice.rom.rounding import ZERO_ENTRY_FACTOR
 
 
 def has_definite_form(pencil: Pencil, *, undamped_too: bool = False) -> bool:
-    """Return whether a second-order model is symmetric, collocated and proportionally damped."""
+    """Return whether a model is symmetric, collocated and proportionally damped.
+
+    The definite form is defined only for second-order models. If ``undamped_too`` is true, undamped
+    models also have the form.
+    """
     proportional = pencil.rayleigh is not None or (undamped_too and pencil.is_undamped)
     return pencil.degree == 2 and proportional and pencil.is_symmetric and pencil.is_collocated
 
@@ -19,15 +23,15 @@ def has_definite_form(pencil: Pencil, *, undamped_too: bool = False) -> bool:
 def allows_cholesky(pencil: Pencil) -> bool:
     """Return whether one factorisation without pivoting is enough for a reduction.
 
-    One factorisation is enough for models of definite form whose K is positive definite. The
-    function does not check that K is positive definite.
+    One factorisation is enough for models of definite form whose stiffness matrix K is positive
+    definite. The function does not check whether K is positive definite.
     """
     K, form = pencil.coefficients[0], has_definite_form(pencil, undamped_too=True)
     return form and not (isinstance(K, SchurComplement) and not K.is_large)
 
 
 def is_definite(pencil: Pencil, *, undamped_too: bool = False) -> bool:
-    """Return whether a model has definite form and a positive definite stiffness matrix K."""
+    """Return whether a model has definite form and a positive definite matrix K."""
     if not has_definite_form(pencil, undamped_too=undamped_too):
         return False
     load = np.random.default_rng(0).standard_normal((pencil.size, 1))
@@ -40,10 +44,10 @@ def is_definite(pencil: Pencil, *, undamped_too: bool = False) -> bool:
 
 
 def _is_free_to_move(K: Matrix, y: np.ndarray, load: np.ndarray) -> bool:
-    """Return whether the energy of the softest mode is within the rounding errors of K.
+    """Return whether the softest mode has an energy within rounding errors of K.
 
-    The softest mode dominates ``y = K^-1 load`` for a random load. The check is necessary because
-    rounding errors can make the stiffness of a free body positive definite.
+    The softest mode dominates ``y = K^-1 load`` for a random load. The check is necessary, because
+    rounding errors can make the singular stiffness matrix of a free body positive definite.
     """
     size = compute_absolute_entries(K)
     rounding = ZERO_ENTRY_FACTOR * np.finfo(float).eps * np.sum(abs(y) * (size @ abs(y)))
@@ -51,7 +55,7 @@ def _is_free_to_move(K: Matrix, y: np.ndarray, load: np.ndarray) -> bool:
     if not soft or isinstance(K, SchurComplement):
         return soft
     # The energy is computed from the entries of K, because only these entries define soft supports.
-    # The rounding errors of the factor of K may exceed the rounding errors of the entries of K.
+    # The factor of K may have larger rounding errors than the entries of K.
     y = y / np.linalg.norm(y)
     energy, noise = float(np.sum(y * (K @ y))), float(estimate_energy_rounding(K, y)[0, 0])
     return energy <= ENERGY_FACTOR * noise

@@ -1,14 +1,14 @@
 """Fit of parallel circuit elements, in series with leads, to measured admittances.
 
-Elements in parallel with admittances ``Y_k``, in series with leads of impedances ``Z_l``, have the
-total admittance
+The total admittance of parallel elements with admittances ``Y_k``, in series with leads of
+impedances ``Z_l``, is
 
     Y = 1 / (sum_l Z_l + 1 / Y_p),    Y_p = sum_k Y_k,
     dY / dY_k = (Y / Y_p)^2,    dY / dZ_l = -Y^2.
 
 :class:`Samples` contains measured frequencies and admittances. Methods of :class:`Samples` compute
-the deviation of a sum of elements (:class:`FitElement`) from the samples. Other methods fit the
-amplitudes or all parameters of the elements. :mod:`kc2spice.rom.branch_fit` chooses the elements.
+the deviation of a sum of elements (:class:`FitElement`) from the samples, and fit the parameters of
+the elements. The module :mod:`kc2spice.rom.branch_fit` chooses the elements.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from scipy.optimize import least_squares, nnls
 
 from kc2spice.rom.network import CircuitBranch
 
-INSTRUMENT_DEVIATION = 1e-5  # smallest relative rms error of measuring instruments
-ROUNDING_FACTOR = 1.5  # accepted deviation, relative to the deviation due to rounded frequencies
-MAX_DIGIT_FRACTION = 0.6  # largest rounding error of a frequency, as a fraction of its last digit
-DEVIATION_FLOOR = 1e-6  # largest relative deviation that a fit may ignore
+INSTRUMENT_DEVIATION = 1e-5  # relative rms error that every measuring instrument may have
+ROUNDING_FACTOR = 1.5  # accepted deviation / deviation due to rounded frequencies
+MAX_DIGIT_FRACTION = 0.6  # largest rounding error of a frequency, as a fraction of the last digit
+DEVIATION_FLOOR = 1e-6  # smaller relative deviations hardly change the information criterion
 TRIAL_EVALUATIONS = 40  # largest number of evaluations of the residuals for a candidate sum
-# relative change of the sum of squares and of the parameters below which a fit has converged
+# A fit has converged if the parameters and the sum of squares change by less than this ratio.
 CONVERGENCE_TOLERANCE = 1e-12
-# largest logarithm of a parameter: larger than for any real part, and within the range of floats
+# largest logarithm of a parameter: above the values of real parts, within the range of floats
 MAX_LOG_PARAMETER = 150.0
 DC_WEIGHT = 1e4  # weight of a prescribed dc conductance, relative to the weight of all samples
 # a part blocks direct current if (susceptance / conductance) at low frequencies exceeds this ratio
 CAPACITIVE_RATIO = np.tan(np.deg2rad(45))
-LOWEST_SAMPLES = 5  # number of samples at the lowest frequencies whose mean phase is used
+LOWEST_SAMPLES = 5  # number of lowest sample frequencies for the mean phase
 Logs = tuple[float, ...]
 Response = tuple[np.ndarray, list[np.ndarray]]  # Y (n,), and dY / dlog p (n,) for every parameter
 
@@ -80,14 +80,15 @@ PARALLEL_FORMS: dict[str, Callable[[np.ndarray, np.ndarray], Response]] = {
     "relaxing": _compute_relaxation_response,
     "resonant": _compute_resonance_response,
 }
-# The impedance of a lead resistance is constant; that of a lead inductance is proportional to s.
+# A lead resistance has a constant impedance; a lead inductance has an impedance proportional to s.
 LEAD_FORMS = {
     "lead resistance": _compute_resistor_response,
     "lead inductance": _compute_capacitor_response,
 }
 ELEMENT_FORMS = PARALLEL_FORMS | LEAD_FORMS
 CONDUCTING_FORMS = ("conductance", "inductive")
-# Simpler forms that replace an element whose time constant is outside of the band.
+# Keys are forms of elements; values are the simpler forms that may replace an element
+# whose time constant is outside of the band.
 SIMPLER_FORMS = {
     "conductance": (),
     "capacitance": (),
@@ -103,15 +104,15 @@ SIMPLER_FORMS = {
 class FitElement:
     """Element of a circuit: one of the admittances in parallel, or a lead in series.
 
-    ``form`` is the kind of the element. ``logs`` are the logarithms of its parameters, the
-    amplitude first.
+    ``form`` is the kind of the element. ``logs`` are the logarithms of the element's parameters,
+    the amplitude first.
     """
 
     form: str
     logs: Logs
 
     def response(self, s: np.ndarray) -> Response:
-        """Return the admittance of the element and its derivatives; for a lead, the impedance."""
+        """Return the admittance (impedance of a lead) of the element, and derivatives."""
         logs = np.clip(self.logs, -MAX_LOG_PARAMETER, MAX_LOG_PARAMETER)
         return ELEMENT_FORMS[self.form](logs, s)
 
@@ -135,7 +136,7 @@ class FitElement:
         return self.amplitude if self.form in CONDUCTING_FORMS else 0.0
 
     def branch(self) -> CircuitBranch:
-        """Return the element, which is not a capacitance, as R, L and C in series."""
+        """Return an element other than a capacitance as R, L and C in series."""
         p = np.exp(self.logs).tolist()
         if self.form == "lead resistance":
             return CircuitBranch(p[0])
@@ -156,9 +157,9 @@ Elements = tuple[FitElement, ...]
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Measured admittances ``Y`` (n,) [S] at ``f`` (n,) [Hz], and the dc conductance [S].
+    """Measured admittances ``Y`` (n,) [S] at ``f`` (n,) [Hz], and dc conductance [S].
 
-    ``conductance`` is the conductance at zero frequency, or None if the user does not state it.
+    ``conductance`` is the conductance at zero frequency, or None if the user states no conductance.
     """
 
     f: np.ndarray
@@ -174,7 +175,7 @@ class Samples:
     def conducts_direct_current(self) -> bool:
         """Whether direct current flows through the part.
 
-        If the user states the conductance at zero frequency, direct current flows if this
+        If the user states a conductance at zero frequency, direct current flows if the stated
         conductance is positive. Otherwise, direct current flows if the mean phase at the lowest
         frequencies differs from the phase of a capacitor.
         """
@@ -204,11 +205,11 @@ class Samples:
 
     @cached_property
     def _dc_weight(self) -> float:
-        """Weight of the deviation from the dc conductance; zero if it is zero or not stated."""
+        """Weight of the dc conductance in the fit; zero without a positive conductance."""
         return DC_WEIGHT * np.sqrt(len(self.f)) if self.conductance else 0.0
 
     def _sum_elements(self, elements: Elements) -> tuple[np.ndarray, np.ndarray]:
-        """Compute the admittance (n,) of the parallel elements, and the leads' impedance (n,)."""
+        """Compute the admittance (n,) of parallel elements, and impedance (n,) of leads."""
         parallel, leads = np.zeros((2, len(self.f)), complex)
         for element in elements:
             if element.is_in_parallel:
@@ -223,12 +224,12 @@ class Samples:
         return np.asarray(parallel / (1 + leads * parallel))
 
     def unexplained_admittance(self, elements: Elements) -> np.ndarray:
-        """Return the part (n,) of the measured admittance that ``elements`` do not explain."""
+        """Return the measured admittance (n,) that ``elements`` do not explain."""
         parallel, leads = self._sum_elements(elements)
         return np.asarray(self.Y / (1 - leads * self.Y) - parallel)
 
     def slopes(self, elements: Elements) -> list[list[np.ndarray]]:
-        """Compute the derivatives (n,) of log(Y) with respect to each parameter of each element."""
+        """Compute derivatives (n,) of log(Y) with respect to all parameters of elements."""
         parallel, leads = self._sum_elements(elements)
         Y = parallel / (1 + leads * parallel)
         inner = 1 / (parallel * (1 + leads * parallel))
@@ -238,7 +239,7 @@ class Samples:
         ]
 
     def compute_deviation(self, elements: Elements) -> np.ndarray:
-        """Compute the complex relative deviation (n,) of a sum of elements from the samples."""
+        """Compute the complex relative deviation (n,) of a sum of elements from samples."""
         return np.asarray(self.response(elements) / self.Y - 1)
 
     def compute_log_ratio(self, elements: Elements) -> np.ndarray:
@@ -277,8 +278,7 @@ class Samples:
         """Fit the amplitudes of the parallel elements for given leads.
 
         The amplitudes are not negative, and elements with an amplitude of zero are omitted. The
-        second result is the norm of the residual of the linear least-squares problem for the
-        amplitudes.
+        second result is the residual norm of the linear least-squares problem for the amplitudes.
         """
         leads = tuple(e for e in elements if not e.is_in_parallel)
         elements = tuple(e for e in elements if e.is_in_parallel)
@@ -309,7 +309,7 @@ class Samples:
         ends = np.cumsum([len(e.logs) for e in elements])[:-1]
 
         def unpack_elements(logs: np.ndarray) -> Elements:
-            """Return the elements whose logarithms of all parameters are ``logs``."""
+            """Return elements with the logarithmic parameters ``logs``."""
             parts = np.split(logs, ends)
             return tuple(
                 FitElement(e.form, tuple(map(float, part)))
@@ -334,7 +334,7 @@ class Samples:
         start = np.concatenate([e.logs for e in elements])
         if len(start) > 2 * len(self.f):
             return elements
-        # trial steps may exceed the range of floats; the result is checked
+        # trial steps may exceed the range of floats, so the result is checked below
         with np.errstate(all="ignore"):
             result = least_squares(
                 residual,
@@ -385,7 +385,7 @@ def compute_dc_conductance(elements: Elements) -> float:
 
 
 def _compute_conductance_slope(elements: Elements, element: FitElement) -> float:
-    """Return the derivative of the dc conductance with respect to an element's log amplitude."""
+    """Return d(dc conductance) / d(log amplitude) for the amplitude of ``element``."""
     if element.form == "lead resistance":
         return -(compute_dc_conductance(elements) ** 2) * sum_lead_resistance((element,))
     parallel = sum(e.conductance for e in elements)

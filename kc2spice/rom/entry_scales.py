@@ -1,11 +1,11 @@
-"""Scales for relative errors of the entries of a transfer function, including zero entries.
+"""Scales for relative errors of transfer functions with zero entries.
 
-The transfer function of a body with a mirror plane has entries that are zero by symmetry: a force
-along y causes no motion along z. The computed values of a zero entry are only rounding errors, so
-that a relative error has no meaning. Errors of a zero entry are divided by the geometric mean of
-the largest entries of its row and its column: ``sqrt(|H_ii| |H_jj|)`` for two ports of a passive
-model. Rows and columns are balanced first, so that the result does not depend on units (D. Ruiz,
-RAL-TR-2001-034 (2001)).
+The transfer function of a body with a mirror plane has entries that are zero by symmetry. For
+example, a force along y causes no motion along z. The computed values of a zero entry are only
+rounding errors, so that a relative error has no meaning. Therefore, errors of a zero entry are
+divided by the geometric mean of the largest entries of the row and the column. For two ports of a
+passive model, the geometric mean is ``sqrt(|H_ii| |H_jj|)``. Rows and columns are balanced first,
+so that the result does not depend on units (D. Ruiz, RAL-TR-2001-034 (2001)).
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ import numpy as np
 
 # Smallest value by which the error of an entry is divided, as a share of the entry's peak.
 PEAK_SHARE = 1e-6
-# An entry counts as zero below this share of the geometric mean of its row and column.
+# An entry counts as zero if (entry / geometric mean of row and column) is below this ratio.
 # Rounding errors are about eps times the Q factor of the resonance: 2e-13 for a Q factor of 1000.
 ZERO_ENTRY = 1e-11
-BALANCING_STEPS = 40  # each iteration halves the logarithm of the remaining scale factor
+BALANCING_STEPS = 40  # number of iterations; each iteration halves the logarithm of the scale error
 
 
 def get_min_relative_divisor(norm: str) -> float:
-    """Return the smallest divisor of the errors of an entry, relative to the entry's peak."""
+    """Return the smallest divisor of an entry's errors, relative to the entry's peak."""
     return PEAK_SHARE if norm == "pointwise" else 1.0
 
 
@@ -32,7 +32,7 @@ class EntryScales:
     """Scales of the entries (outputs, inputs) of a response over a frequency band.
 
     ``peak`` is the largest magnitude of each entry. For entries in the mask ``zero``, ``peak`` is
-    the geometric mean of the entry's row and column: the product of ``rows`` and ``columns``.
+    the product of ``rows`` and ``columns``, which is a geometric mean of row and column.
     """
 
     peak: np.ndarray
@@ -44,7 +44,9 @@ class EntryScales:
     def from_response(
         cls, H: np.ndarray, peak: np.ndarray | None = None, zero: np.ndarray | bool = False
     ) -> EntryScales:
-        """Determine the scales of the entries of a response H (frequencies, outputs, inputs).
+        """Compute the scales of the entries of a response H.
+
+        H has the shape (frequencies, outputs, inputs).
 
         By default, ``peak`` and ``zero`` are computed from H.
         """
@@ -70,8 +72,8 @@ class EntryScales:
     def mask_negligible_values(self, H: np.ndarray) -> np.ndarray:
         """Return a mask of the values of H (..., outputs, inputs) that count as zero.
 
-        A value counts as zero if it is less than ``ZERO_ENTRY`` times the geometric mean of its row
-        and column.
+        A value counts as zero if it is less than ``ZERO_ENTRY`` times the geometric mean of row and
+        column.
         """
         scale = self.rows[:, None] * self.columns
         mean = _compute_geometric_mean(np.abs(H), self.rows, self.columns)
@@ -82,8 +84,8 @@ class EntryScales:
     ) -> np.ndarray:
         """Return the relative magnitude of a ``difference`` from the response H.
 
-        Both arrays have the shape (..., outputs, inputs). The difference is divided by the values
-        of :meth:`base`. Where the divisor is zero, the relative magnitude is zero.
+        Both arrays have the shape (..., outputs, inputs). The divisors are the values of
+        :meth:`compute_error_divisors`. Where a divisor is zero, the relative magnitude is zero.
         """
         base = self.compute_error_divisors(H, share)
         return np.asarray(
@@ -107,7 +109,7 @@ def balance_matrix(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _compute_geometric_mean(size: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Return for each entry the geometric mean of the largest entries of its row and column.
+    """Compute the geometric mean of the maxima of each entry's row and column.
 
     ``size`` and the returned array have the shape (..., outputs, inputs).
     """

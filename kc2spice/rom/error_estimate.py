@@ -1,7 +1,7 @@
-"""Error estimates of reduced-order models, for any method of reduction.
+"""Error estimates of reduced-order models for all reduction methods.
 
 The estimate is the largest relative difference between the responses of the reduced model and of a
-more accurate model. Frequencies are added where the relative difference is largest.
+more accurate model. The search adds frequencies where the relative difference is largest.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from kc2spice.rom.response import (
 )
 
 # Frequencies above the band at which errors are computed, as multiples of the upper band limit.
-# Contacts excite a body up to these frequencies above the band.
+# Contacts excite a body above the band, up to the frequencies in this list.
 MULTIPLES_ABOVE_BAND = np.array([2.0, 4.0])
 # Settings of the search for the largest error, found by trials.
 # tests/physics/test_certificates.py compares the result of the search with errors on fine grids.
 REFINED_NOTCHES = 60  # number of deepest minima that each round refines
 ZOOM_FREQUENCIES = 9  # number of frequencies in a refined interval
 NOTCH_ROUNDS = 20  # number of rounds that refine notches
-EQUAL_FREQUENCY = 1e-12  # largest relative difference of equal frequencies
-# Smallest ratio that indicates a deeper minimum near a sampled minimum.
+EQUAL_FREQUENCY = 1e-12  # relative difference below which frequencies count as equal
+# A ratio above this limit indicates a deeper minimum near a sampled minimum.
 # The ratio is (neighbouring sample / sampled minimum) or (sampled / interpolated minimum).
 MIN_STEEPNESS = 1.5
 REFINED_PEAKS = 40  # number of largest errors that each round refines
@@ -51,7 +51,8 @@ def choose_adaptive_frequencies(
     """Choose frequencies [Hz] at which relative errors are large.
 
     The frequencies are a grid, all resonances, and frequencies beside each resonance. In the norm
-    *pointwise*, the frequencies also include every deep notch of any entry, found by refinement.
+    *pointwise*, the frequencies also include every deep notch of any entry. Refinement finds the
+    notches.
     """
     near = 0.9 * band[0], 1.1 * band[1]
     at, ratio = response.select_in_band(near)
@@ -59,8 +60,8 @@ def choose_adaptive_frequencies(
         make_frequency_grid(band, GRID_FREQUENCIES, static), sample_resonances(at, ratio)
     )
     if norm == "pointwise":
-        # Each distance from a pole is three times the previous distance from this pole.
-        # The zero near a weak, narrow resonance lies between two distances and shows as a minimum.
+        # Each distance from a pole is three times the previous distance.
+        # A zero near a weak, narrow resonance is then visible as a minimum between two frequencies.
         width = np.where(ratio < MIN_DAMPING_RATIO, FLANK_DISTANCE, ratio) * at
         away = RESONANCE_OFFSETS[-1] * width[:, None] * 3.0 ** np.arange(1, 16)
         both = [(at[:, None] + k * away)[away < band[1] / GRID_FREQUENCIES] for k in (-1, 1)]
@@ -87,12 +88,12 @@ def choose_adaptive_frequencies(
 
 
 def _find_minima_near_zeros(H: np.ndarray) -> np.ndarray:
-    """Return the magnitudes of the minima of ``H`` that may be near a deeper minimum.
+    """Find the minima of ``abs(H)`` that may be near a deeper minimum.
 
-    H is scaled to a peak of 1. At samples that are not minima near a zero, the returned array is
-    infinite. If a zero is near a minimum, a neighbouring sample is much larger than the minimum, or
-    the straight line to this sample in the complex plane passes much nearer to zero. Minima below
-    :data:`PEAK_SHARE` are ignored.
+    H is scaled to a peak of 1. Return the magnitudes of the minima, and infinity for all other
+    samples. Two signs indicate a deeper minimum: a neighbouring sample is much larger, or the
+    straight line to a neighbouring sample in the complex plane passes much nearer to zero. Minima
+    below :data:`PEAK_SHARE` are ignored.
     """
     size = np.abs(H)
     step = np.diff(H, axis=0)
@@ -105,10 +106,11 @@ def _find_minima_near_zeros(H: np.ndarray) -> np.ndarray:
 
 
 def _refine_intervals(known: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Place ``ZOOM_FREQUENCIES`` frequencies from each ``known[low]`` to ``known[high]``.
+    """Place frequencies in each interval from ``known[low]`` to ``known[high]``.
 
-    The result contains each frequency once, and no frequency of ``known``, because equal
-    frequencies with different rounding errors could hide a maximum.
+    Each interval contains ``ZOOM_FREQUENCIES`` frequencies. The result contains no repeated
+    frequency and no frequency of ``known``, because equal frequencies with different rounding
+    errors could hide a maximum.
     """
     points = np.unique(np.linspace(known[low], known[high], ZOOM_FREQUENCIES))
     points = points[np.r_[True, np.diff(points) > EQUAL_FREQUENCY * points[1:]]]
@@ -123,7 +125,9 @@ def _refine_intervals(known: np.ndarray, low: np.ndarray, high: np.ndarray) -> n
 
 @dataclass(frozen=True)
 class ErrorEstimator:
-    """Estimator of the errors of reduced models over a band, by comparison with an exact model.
+    """Estimator of the errors of reduced models over a band.
+
+    Reduced models are compared with an accurate model, which is called the exact model.
 
     ``static`` states whether the exact model has a static response.
     """
@@ -135,26 +139,26 @@ class ErrorEstimator:
 
     @cached_property
     def frequency(self) -> np.ndarray:
-        """Frequencies [Hz] with large errors, at which the exact model is solved once."""
+        """Frequencies [Hz] at which errors are probably large."""
         return choose_adaptive_frequencies(self.exact, self.band, self.static, self.norm)
 
     @cached_property
     def exact_response_and_scales(self) -> tuple[np.ndarray, EntryScales]:
-        """Response of the exact model, and the scales of its entries."""
+        """Response of the exact model, and the scales of the entries of the response."""
         H = self.exact.transfer(2j * np.pi * self.frequency)
         return H, self.exact.compute_error_scales(self.frequency, H)
 
     @property
     def min_divisor_share(self) -> float:
-        """Smallest value by which errors of an entry are divided, relative to the entry's peak."""
+        """Smallest divisor of the errors of an entry, relative to the entry's peak."""
         return get_min_relative_divisor(self.norm)
 
     @cached_property
     def _significant_entry_mask(self) -> np.ndarray:
-        """Mask of the entries that exceed the rounding errors of their terms.
+        """Mask of the entries that exceed the rounding errors of the summed terms.
 
-        The mask includes entries that are zero by symmetry, whose errors are relative to their row
-        and column.
+        The mask includes entries that are zero by symmetry, because errors of zero entries are
+        relative to row and column.
         """
         return np.asarray(
             ~self.exact.mask_cancelled_entries(2j * np.pi * self.frequency)
@@ -163,10 +167,10 @@ class ErrorEstimator:
 
     @cached_property
     def responses_to_check_first(self) -> dict[float, np.ndarray]:
-        """Exact responses at frequencies where earlier models had their largest errors.
+        """Exact responses at frequencies with large errors, keyed by frequency.
 
-        The first keys of the dictionary are the frequencies of a coarse grid over the band. At the
-        last keys, the next inaccurate model probably also has large errors.
+        The first keys are the frequencies of a coarse grid over the band. The last keys are the
+        frequencies with the largest errors of earlier models.
         """
         sample = slice(None, None, max(1, len(self.frequency) // FIRST_FREQUENCIES))
         return dict(
@@ -178,7 +182,7 @@ class ErrorEstimator:
         )
 
     def compute_largest_errors(self, difference: np.ndarray, H: np.ndarray) -> np.ndarray:
-        """Return the largest relative error of all entries at each frequency.
+        """Return the largest relative error among all entries at each frequency.
 
         ``difference`` is the difference between a response and the exact response H. Both arrays
         have the shape (..., outputs, inputs), and the returned array has the shape (...).
@@ -194,11 +198,12 @@ class ErrorEstimator:
     def estimate_model_error(self, reduced: Response, limit: float = np.inf) -> float:
         """Estimate the largest relative error of a reduced model over the band.
 
-        The error is computed at the frequencies ``frequency``, and then around the largest errors.
-        The search ends at the first error above ``limit``. See :func:`compute_relative_error`.
+        The error is computed at the frequencies ``frequency``, and then at more frequencies around
+        the largest errors. The search ends at the first error above ``limit``. See
+        :func:`compute_relative_error`.
         """
         for last, H in reversed(self.responses_to_check_first.items()):
-            try:  # direct solutions, because a transformation takes less time only for many points
+            try:  # direct solutions, because a transformation is faster only for many points
                 ours = reduced.pencil.transfer(np.array([2j * np.pi * last]))[0]
                 worst = float(self.compute_largest_errors(ours - H, H))
             except SimulationError:
@@ -234,11 +239,11 @@ class ErrorEstimator:
 def estimate_errors_above_band(
     ports: Sequence[Port], exact: Response, reduced: Response, band: tuple[float, float]
 ) -> tuple[tuple[float, float], ...]:
-    """Compute errors of a reduced model above the band, for a :class:`Certificate`.
+    """Compute errors of a reduced model above the band for the certificate.
 
     Return pairs of a frequency [Hz] and an error. The frequencies are ``MULTIPLES_ABOVE_BAND``
     times the upper band limit. Each error is the largest relative error of the driving-point
-    responses of all mechanical ports. For a model without mechanical ports, there are no pairs.
+    responses of all mechanical ports. For a model without mechanical ports, the result is empty.
     """
     columns = [port for port in ports if port.kind != "output"]
     rows = [port for port in ports if port.kind != "input"]
@@ -256,11 +261,11 @@ def compute_relative_error(response: np.ndarray, reference: np.ndarray) -> float
     """Return the largest relative error of all entries at all frequencies.
 
     The error of an entry is divided by the magnitude of the entry, but at least by ``PEAK_SHARE``
-    times the entry's peak. :class:`kc2spice.rom.entry_scales.EntryScales` describes entries that
-    are zero.
+    times the entry's peak. The class :class:`kc2spice.rom.entry_scales.EntryScales` describes
+    entries that are zero.
 
-    Both arrays have the shape (frequencies, outputs, inputs). Arrays of shape (frequencies,) or
-    (frequencies, entries) contain entries that are independent of each other.
+    Both arrays have the shape (frequencies, outputs, inputs). Arrays may also have the shape
+    (frequencies,) or (frequencies, entries) for independent entries.
     """
     difference = response - reference
     if reference.ndim == 3:
@@ -273,10 +278,12 @@ def compute_relative_error(response: np.ndarray, reference: np.ndarray) -> float
 def compute_relative_errors(
     difference: np.ndarray, reference: np.ndarray, entries: EntryScales | None = None
 ) -> np.ndarray:
-    """Return relative errors (..., outputs, inputs) for a difference from a reference response.
+    """Return the relative errors of a response with a given ``difference``.
 
-    By default, the scales ``entries`` are computed from the reference. See
-    :meth:`kc2spice.rom.entry_scales.EntryScales.relative_errors`.
+    The ``difference`` and the ``reference`` have the shape (..., outputs, inputs).
+
+    By default, the scales ``entries`` are computed from ``reference``. See
+    :meth:`kc2spice.rom.entry_scales.EntryScales.compute_relative_errors`.
     """
     entries = entries or EntryScales.from_response(reference)
     return entries.compute_relative_errors(difference, reference)
@@ -289,5 +296,5 @@ def make_inaccuracy_error(message: str, got: str, limit: float, hint: str) -> Si
 
 
 def choose_default_norm(model: LinearModel) -> Norm:
-    """Return *peak* for models with signal ports only, and *pointwise* for all other models."""
+    """Return *peak* if all ports are signals, and *pointwise* for all other models."""
     return "pointwise" if any(port.conservative for port in model.ports) else "peak"

@@ -1,7 +1,7 @@
-"""Rigid-body modes of a large unsupported body, and the elastic part of its model.
+"""Rigid-body modes and elastic part of the model of a large unsupported body.
 
-A free body has a singular stiffness K. The shifted stiffness ``K + sigma M`` is positive definite,
-and it is factorised once. Inverse iteration with the real factor of ``K + sigma M`` gives the
+A free body has a singular stiffness K. The shifted stiffness ``K + sigma M`` is positive definite
+and is factorised once. Inverse iteration with the real factor of ``K + sigma M`` gives the
 rigid-body modes. After the rigid-body modes are deflated, solutions with ``K + sigma M`` replace
 solutions with K in Krylov subspaces near zero frequency.
 """
@@ -29,7 +29,7 @@ MIN_SHIFT_ROUNDING = 100.0
 # largest shift, relative to the square of the upper band limit [rad/s]
 MAX_SHIFT_RATIO = 1e-2
 MAX_STEPS = 12  # largest number of steps of inverse iteration
-# Error of a mode below which inverse iteration ends.
+# Inverse iteration ends if the error of each mode is below this limit.
 # Each step multiplies the error by shift / (shift + w^2), with the lowest elastic frequency w.
 MODE_TOLERANCE = 1e-14
 # Largest elastic energy of a rigid-body mode, relative to the energy of random rounding errors.
@@ -44,7 +44,7 @@ MAX_BLOCK_VECTORS = 64
 
 @dataclass(frozen=True, eq=False)
 class FreeBody:
-    """Model of an unsupported body: definite elastic part and separate rigid-body modes.
+    """Model of an unsupported body: elastic part and separate rigid-body modes.
 
     ``modes`` X (n, r) are rigid-body modes with ``X'MX = 1``. ``momenta`` is M X. ``factor`` is the
     factor of the shifted stiffness ``K + shift M``.
@@ -63,13 +63,13 @@ class FreeBody:
         return np.asarray(x - self.modes @ (self.momenta.T @ x))
 
     def apply_shifted_stiffness(self, x: np.ndarray) -> np.ndarray:
-        """Return ``(K + shift M) x``; Krylov bases are orthonormal in ``K + shift M``."""
+        """Return ``(K + shift M) x``, in which Krylov bases are orthonormal."""
         K, _, M = self.pencil.coefficients
         return np.asarray(K @ x + self.shift * (M @ x))
 
     @cached_property
     def vectors(self) -> np.ndarray:
-        """First vectors of a basis: rigid-body modes (n, r), orthonormal in ``K + shift M``."""
+        """Rigid-body modes (n, r), orthonormal in ``K + shift M``, for the basis."""
         return np.asarray(self.modes / np.sqrt(self.shift))
 
     def separate_rigid_body_modes(
@@ -78,8 +78,8 @@ class FreeBody:
         """Correct the rigid-body modes of a projected model.
 
         The first columns of the basis ``V`` are :attr:`vectors`. Modes that no port drives are
-        omitted. Return the corrected model, and a matrix whose columns express its unknowns in the
-        unknowns of ``projected``.
+        omitted. Return the corrected model, and a matrix whose columns express the unknowns of the
+        corrected model in the unknowns of ``projected``.
         """
         rounding = tuple(self._bound_rounding(forces, V) for forces in self._absolute_forces)
         result = split_driven_modes(projected, self.modes.shape[1], rounding)
@@ -109,8 +109,8 @@ class FreeBody:
 def find_free_body(pencil: Pencil, omega: float) -> FreeBody | None:
     """Return the rigid-body modes of a definite model that is free to move.
 
-    ``omega`` [rad/s] is the upper band limit. Return None if the model does not have a definite
-    form, has no rigid-body modes, or has supports whose stiffness is as small as rounding errors.
+    ``omega`` [rad/s] is the upper band limit. Return None if the model has no definite form, no
+    rigid-body modes, or supports whose stiffness is as small as rounding errors.
     """
     if not has_definite_form(pencil, undamped_too=True):
         return None

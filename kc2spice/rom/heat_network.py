@@ -1,21 +1,21 @@
-"""Heat networks with one port, in Foster's and in Cauer's form.
+"""Heat networks with one port, in Foster's form and in Cauer's form.
 
 Foster's form is a chain of thermal resistances, each in parallel with a heat capacity::
 
     Z(s) = D + sum_k R_k / (1 + s t_k)          C_k = t_k / R_k
 
-Cauer's form is a ladder: heat capacities between the nodes and the pin ``ambient``, and thermal
-resistances between the nodes. A continued fraction converts Foster's form to Cauer's form::
+Cauer's form is a ladder of thermal resistances between nodes, with a heat capacity from each node
+to the pin ``ambient``. A continued fraction converts Foster's form to Cauer's form::
 
     Z(s) = D + 1 / (s C_1 + 1 / (R_1 + 1 / (s C_2 + 1 / (R_2 + ...))))
 
-With the temperature drops ``x_k`` across the resistances of the ladder, and ``S_k = C_1 + ... +
-C_k``::
+The equations of the ladder contain the temperature drops ``x_k`` across the resistances, and the
+sums ``S_k = C_1 + ... + C_k``::
 
     sum_j S_min(j,k) x_j' + x_k / R_k = q        T = sum_k x_k + D q
 
-A linear model whose matrices have this form is recognised as a heat ladder. Sources: E. A.
-Guillemin, Synthesis of Passive Networks, 1957, chapter 4; JESD51-14.
+A linear model whose matrices have the form of the ladder equations is recognised as a heat ladder.
+Sources: E. A. Guillemin, Synthesis of Passive Networks, 1957, chapter 4; JESD51-14.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ from kc2spice.rom.linear_model import LinearModel, Port
 
 NetworkForm = Literal["foster", "cauer"]
 NETWORK_FORMS: tuple[NetworkForm, ...] = ("foster", "cauer")
-# largest relative difference of time constants that count as equal: a hundred times eps
+# relative difference below which time constants count as equal: about a hundred times eps
 EQUAL_TIME = 2e-14
-# Number of decimal digits per mode in the continued fraction.
-# Each step loses at most 14 digits, both in the numerator and in the denominator.
-# The lost digits are the digits in which two time constants agree.
+# Number of decimal digits per time constant in the continued fraction.
+# Each step loses at most 14 digits of the numerator and 14 digits of the denominator.
+# A step loses as many digits as two time constants have in common.
 DIGITS_PER_MODE = 30
 
 
@@ -46,8 +46,8 @@ DIGITS_PER_MODE = 30
 class FosterNetwork(EqualByContent):
     """Thermal resistances (n,) [K/W] in series, each in parallel with a heat capacity.
 
-    ``time_constant`` (n,) [s] are the products of resistance and capacity. ``direct`` [K/W] is a
-    resistance without a heat capacity.
+    ``time_constant`` (n,) [s] are the products of resistance and capacity. ``direct`` [K/W] is an
+    additional resistance in series, without a heat capacity.
 
     Examples
     --------
@@ -66,12 +66,12 @@ class FosterNetwork(EqualByContent):
         return self.direct + float(self.resistance.sum())
 
     def compute_step_response(self, time: np.ndarray) -> np.ndarray:
-        """Return the temperature rise (m,) [K] at ``time`` (m,) [s] for a step of 1 W at 0 s."""
+        """Return the temperature rise (m,) [K] at times (m,) [s] after a step of 1 W."""
         rise = compute_step_basis(time, self.time_constant) @ self.resistance
         return np.asarray(self.direct * (time >= 0) + rise)
 
     def linear(self, port: Port) -> LinearModel:
-        """Convert the network to a linear model of the temperature drops across its capacities."""
+        """Make the linear model whose unknowns are the capacities' temperature drops."""
         return LinearModel(
             E=np.diag(self.time_constant / self.resistance),
             K=np.diag(1 / self.resistance),
@@ -81,7 +81,7 @@ class FosterNetwork(EqualByContent):
         )
 
     def convert_to_ladder(self) -> HeatLadder:
-        """Convert the network to Cauer's form by the continued fraction of its impedance."""
+        """Convert the network to Cauer's form by a continued fraction."""
         resistance, times = self._merge_equal_times()
         capacities, resistances = list[float](), list[float]()
         with localcontext() as context:
@@ -97,7 +97,7 @@ class FosterNetwork(EqualByContent):
         return HeatLadder(np.array(resistances), np.array(capacities), self.direct)
 
     def _merge_equal_times(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return resistances and time constants, with equal time constants merged."""
+        """Merge equal time constants; return resistances and time constants."""
         order = np.argsort(self.time_constant)
         times, resistance = self.time_constant[order], self.resistance[order]
         first = np.r_[True, np.diff(times) > EQUAL_TIME * times[1:]]
@@ -106,7 +106,9 @@ class FosterNetwork(EqualByContent):
 
 @dataclass(frozen=True, eq=False)
 class HeatLadder(EqualByContent):
-    """Ladder from the port to ``ambient``: capacities (n,) [J/K] and resistances (n,) [K/W].
+    """Ladder of heat capacities (n,) [J/K] and thermal resistances (n,) [K/W].
+
+    The ladder connects the port to ``ambient``.
 
     ``direct`` [K/W] is a resistance between the port and the first capacity.
     """
@@ -116,7 +118,7 @@ class HeatLadder(EqualByContent):
     direct: float = 0.0
 
     def linear(self, port: Port) -> LinearModel:
-        """Convert the ladder to a linear model of the temperature drops across its resistances."""
+        """Make the linear model whose unknowns are the resistances' temperature drops."""
         number = np.arange(len(self.capacity))
         return LinearModel(
             E=np.cumsum(self.capacity)[np.minimum.outer(number, number)],
@@ -128,7 +130,7 @@ class HeatLadder(EqualByContent):
 
 
 def compute_step_basis(time: np.ndarray, time_constant: np.ndarray) -> np.ndarray:
-    """Return the unit step responses ``1 - exp(-t / t_k)``, an array of shape (times, modes).
+    """Return unit step responses ``1 - exp(-t / t_k)`` of shape (times, modes).
 
     At negative times, the step responses are zero.
     """
@@ -136,7 +138,7 @@ def compute_step_basis(time: np.ndarray, time_constant: np.ndarray) -> np.ndarra
 
 
 def find_heat_ladder(model: LinearModel) -> HeatLadder | None:
-    """Return the ladder of a model; None if its matrices do not have the form of a ladder."""
+    """Return the heat ladder that a model represents, or None for other models."""
     one = len(model.ports) == 1 and model.ports[0].domain is THERMAL
     if not one or not model.symmetric or (model.B != 1).any():
         return None
@@ -152,7 +154,7 @@ def find_heat_ladder(model: LinearModel) -> HeatLadder | None:
 
 
 def parse_network_form(form: str | None, where: str) -> NetworkForm | None:
-    """Check the name of a network form and return the form; None if no form is requested.
+    """Return the network form with the name ``form``; None if ``form`` is None.
 
     Raises
     ------
@@ -203,5 +205,5 @@ def _add_polynomials(first: list[Decimal], second: list[Decimal]) -> list[Decima
 
 
 def _subtract_polynomials(first: list[Decimal], second: list[Decimal]) -> list[Decimal]:
-    """Return the difference of polynomials whose leading terms cancel."""
+    """Return the difference of two polynomials whose terms of highest degree cancel."""
     return _add_polynomials(first, [-x for x in second])[:-1]

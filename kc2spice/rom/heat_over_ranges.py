@@ -1,6 +1,6 @@
 """Reduced heat models whose matrices depend on netlist parameters.
 
-:mod:`kc2spice.rom.heat_range_reduction` computes them.
+:mod:`kc2spice.rom.heat_range_reduction` computes these models.
 """
 
 from __future__ import annotations
@@ -26,8 +26,9 @@ class HeatOverRanges(ModelOverRanges):
     """Heat model ``E(p) x' + K(p) x = B q``, ``T = B'x`` over ranges of parameters.
 
     ``terms`` are the terms of the reduced matrices E and K. Facts, such as a thermal resistance,
-    are positive functions of the parameters. ``facts`` contains the coefficients of a polynomial
-    for the logarithm of each fact, and ``exponents`` contains the exponents of this polynomial.
+    are positive functions of the parameters. A polynomial approximates the logarithm of each fact.
+    ``facts`` contains the coefficients of the polynomials, and ``exponents`` the common exponents
+    of all polynomials.
     """
 
     terms: MatrixTerms

@@ -1,4 +1,7 @@
-"""Files of heat models over ranges of parameters: an ``.npz`` archive of the terms of E and K."""
+"""Files of heat models that are valid over ranges of parameters.
+
+An ``.npz`` archive contains the terms of the matrices E and K.
+"""
 
 from __future__ import annotations
 
@@ -16,10 +19,10 @@ ARRAY_NAMES = ("powers", "scales", "E", "K", "B")
 
 
 def write_heat_over_ranges(model: HeatOverRanges, directory: Path, name: str) -> list[str]:
-    """Write a heat model over ranges to ``name.npz``, and its description to ``name.json``.
+    """Write a heat model over parameter ranges to ``name.npz`` and ``name.json``.
 
-    The description contains ports, parameters and certificate. Return the file names, the ``.npz``
-    file first.
+    ``name.json`` contains the ports, parameters and certificate. Return the file names, the
+    ``.npz`` file first.
     """
     terms = model.terms
     arrays = {"powers": terms.powers, "scales": terms.scales, "B": model.B}
@@ -37,14 +40,14 @@ def read_heat_over_ranges(path: Path | str) -> HeatOverRanges:
     path = Path(path)
     try:
         return _build_model(*read_arrays(path, ARRAY_NAMES), path.stem)
-    except Exception as error:  # damaged bytes cause nearly any exception in the parsers
+    except Exception as error:  # parsers of a damaged file can raise any exception
         raise make_damage_error(path, error) from None
 
 
 def _build_model(
     arrays: dict[str, np.ndarray], record: dict[str, Any], name: str
 ) -> HeatOverRanges:
-    """Check the arrays and the record of a file, and build the model that they describe."""
+    """Check the arrays and the record of a file, and build a model from both."""
     common = parse_ranges(record)
     ports, axes = common["ports"], common.pop("axes")
     terms, states = np.shape(arrays["powers"])[0], np.shape(arrays["B"])[0]

@@ -5,12 +5,13 @@ The matrices of the full models are sums of terms with powers of the parameters 
 
     sum_t f_t(p) V'E_t V x' + sum_t f_t(p) V'K_t V x = V'B q.
 
-The dependence on the parameters therefore remains exact, however wide the range is. If no term has
-a negative eigenvalue, the model is passive for all values of the parameters. The basis V contains
-the bases of reduced models at a few parameter values. Parameter values are added where the error is
-largest, until the error is within the tolerance at all samples of the ranges. Finally, the basis
-vectors that contribute least to the responses are removed. Source: P. Benner, S. Gugercin, K.
-Willcox, SIAM Review 57 (2015) 483, sections 3.4 and 4.1 (greedy sampling and a global basis).
+Therefore, the dependence of the matrices on the parameters remains exact, even for wide ranges. If
+no term has a negative eigenvalue, the model is passive for all values of the parameters. The basis
+V contains the bases of reduced models at a few parameter values. Bases are added at the samples of
+the parameters with the largest errors, until the error is within the tolerance at all samples.
+Finally, the basis vectors that contribute least to the responses are removed. Source: P. Benner, S.
+Gugercin, K. Willcox, SIAM Review 57 (2015) 483, sections 3.4 and 4.1 (greedy sampling, global
+basis).
 """
 
 from __future__ import annotations
@@ -54,16 +55,16 @@ from kc2spice.rom.resonators_over_ranges import interpolate_model_facts, make_ra
 from kc2spice.rom.response import Response
 from kc2spice.rom.stability import is_semidefinite, prove_stability
 
-SAMPLE_SHARE = 0.05  # share of the tolerance for the reduced model at each value of the parameters
-BASIS_SHARE = 0.2  # share of the tolerance for the basis before basis vectors are removed
-FINAL_SHARE = 0.6  # share of the tolerance for the final model at the samples
-SAFETY = 1.5  # error estimate over the ranges, relative to the largest error at the samples
-SAMPLES = 8  # number of random samples per parameter, in addition to the corners of the ranges
-CHECKS = 4  # number of full models that only test the reduced model, in addition to one corner
-ROUNDS = 4  # largest number of rounds in which test values with large errors become samples
+SAMPLE_SHARE = 0.05  # permitted error / tolerance, for each reduced model of the basis
+BASIS_SHARE = 0.2  # permitted error / tolerance, for the basis before vectors are removed
+FINAL_SHARE = 0.6  # permitted error / tolerance, for the final model at the samples
+SAFETY = 1.5  # error estimate over the ranges / largest error at the samples
+SAMPLES = 8  # number of random samples per parameter, without the corners of the ranges
+CHECKS = 4  # number of full models that only test the reduced model, without the corner
+ROUNDS = 4  # largest number of tests; after a failed test, tested values become samples
 MOST_VALUES = 40  # largest number of parameter values whose reduced models are in the basis
-DEPENDENT = 1e-12  # largest size of a linearly dependent direction, relative to the largest one
-# largest negative eigenvalue that counts as a rounding error, relative to the largest eigenvalue
+DEPENDENT = 1e-12  # smallest size of an independent direction / largest size
+# Negative eigenvalues become zero if (magnitude / largest eigenvalue) is below this ratio.
 CLIPPED = 1e-6
 FACT_DEGREE = 6  # highest degree of the polynomials that interpolate facts
 
@@ -71,7 +72,7 @@ FACT_DEGREE = 6  # highest degree of the polynomials that interpolate facts
 class HeatReduction:
     """Reductions of heat models over the same ranges of parameters.
 
-    All reductions use the same terms of the full matrices.
+    All reductions use the same terms of the matrices of the full models.
 
     ``prescribed`` are the names of ports with prescribed temperatures, such as isothermal faces.
 
@@ -93,15 +94,14 @@ class HeatReduction:
         """Reduce the heat models over the parameter ranges of the task.
 
         The certificate is valid for all values in the ranges. The error estimate in the certificate
-        is the largest relative difference to reference models, in the norm of the task, times
-        :data:`SAFETY`. The reference models are accurate reduced models at the samples of the
-        ranges. In addition, the reduced model is compared with full models at :data:`CHECKS`
-        parameter values and at a corner of the ranges. The reduction does not use the values of
-        these full models.
+        is :data:`SAFETY` times the largest relative difference from reference models, in the norm
+        of the task. The reference models are accurate reduced models at the samples of the ranges.
+        In addition, the reduced model is compared with full models at :data:`CHECKS` parameter
+        values and at a corner of the ranges. The reduction does not use the compared full models.
 
         Raises
         ------
-        SimulationError : the tolerance is not met.
+        SimulationError : the error exceeds the tolerance.
         """
         if not self._prescribed:
             return self._reduce(task, flows=False)[0]
@@ -120,9 +120,9 @@ class HeatReduction:
     def _reduce(
         self, task: RangeTask, *, flows: bool
     ) -> tuple[HeatOverRanges, Sequence[_ReferenceResponses]]:
-        """Return the reduced model, and the reference responses at the samples of the ranges.
+        """Return the reduced model, and reference responses at samples of the ranges.
 
-        If ``flows`` is true, heat flows into ports of prescribed temperature are also compared.
+        If ``flows`` is true, the error includes heat flows into ports with prescribed temperatures.
         """
         axes, tolerance = task.axes, task.tolerance
         self._facts[:] = self._term_facts
@@ -156,7 +156,7 @@ class HeatReduction:
     def _add_certificate_and_facts(
         self, ranges: _FullModelsOverRanges, result: HeatOverRanges, error: float
     ) -> HeatOverRanges:
-        """Return the model with its certificate, and with facts that full models determine."""
+        """Add the certificate, and facts from full models, to a reduced model."""
         axes = ranges.terms.axes
         semidefinite = all(map(is_semidefinite, (*result.terms.E, *result.terms.K)))
         middle = result.evaluate(ranges.values(np.zeros(len(axes))))
@@ -173,7 +173,7 @@ class HeatReduction:
 
 
 class _FullModelsOverRanges:
-    """Full models over the ranges of the parameters, and the requirements on the reduced model."""
+    """Full models over parameter ranges, and requirements on the reduced model."""
 
     def __init__(
         self,
@@ -193,7 +193,7 @@ class _FullModelsOverRanges:
         return {axis.name: axis.value(float(v)) for axis, v in pairs}
 
     def model(self, values: Values) -> LinearModel:
-        """Return the full model for values of the parameters as the sum of its terms."""
+        """Return the full model for parameter ``values``, computed as a sum of terms."""
         return LinearModel(
             **self.terms.evaluate_matrices(values),
             B=self.frame.B,
@@ -209,7 +209,7 @@ class _FullModelsOverRanges:
             flows = FlowReference.from_full_model(
                 model, parts, task.band, task.norm, task.tolerance
             )
-        if self.flows:  # the basis includes the responses to prescribed temperatures
+        if self.flows:  # the basis already includes the responses to prescribed temperatures
             sources = list_names(parts.inner.ports[: len(parts.shares)])
             live = [name for name in list_names(inner.ports) if name in sources]
             inner = inner.select(live) if live else inner
@@ -236,9 +236,9 @@ class _ReferenceResponses:
     uncertainty: float
 
     def compute_error(self, reduced: HeatOverRanges, limit: float = np.inf) -> float:
-        """Return the largest relative error of a reduced model over the band and at zero frequency.
+        """Return the largest relative error of a reduced model over the band and at 0 Hz.
 
-        A search over frequency ends at the first error above ``limit``.
+        The search over frequencies ends at the first error above ``limit``.
         """
         ours = split_prescribed_ports(reduced.evaluate(self.values), self.ranges.prescribed)
         response = Response(ours.inner.select(self.live).pencil.make_dense())
@@ -250,7 +250,7 @@ class _ReferenceResponses:
         return max(still, self.estimator.estimate_model_error(response, limit) + self.uncertainty)
 
     def compute_flow_error(self, reduced: HeatOverRanges) -> float:
-        """Return the largest relative error of heat flows into ports of prescribed temperature."""
+        """Return the largest relative error of heat flows into prescribed ports."""
         assert self.flows is not None
         model = reduced.evaluate(self.values)
         return self.flows.compute_error(
@@ -258,7 +258,10 @@ class _ReferenceResponses:
         )
 
     def _compute_static_error(self, ours: PrescribedTemperatures) -> float:
-        """Return the largest relative error of the static responses to prescribed temperatures."""
+        """Return the largest relative error of responses to prescribed temperatures.
+
+        The responses are static.
+        """
         share = get_min_relative_divisor(self.ranges.task.norm)
         size = float(self.parts.inner.pencil.coefficients[0].diagonal().max())
         result = 0.0
@@ -275,13 +278,15 @@ class _ReferenceResponses:
 
 
 class _TemperatureBasis:
-    """Basis of temperature distributions from reduced models at several parameter values.
+    """Basis of temperature distributions from several reduced models.
+
+    The reduced models have different values of the parameters.
 
     The unknown temperatures are ``psi T_i + W c``, where ``psi`` are the static responses at the
     middle of the ranges. A column of W is a mode of a reduced model, or the difference of a static
-    response from ``psi``. Modes are scaled by their largest share in the static response of a port.
-    If some terms conduct no heat to the ambient, each row of ``psi`` sums to one. In the
-    coordinates ``T_i`` and c, a uniform temperature is then a vector of ones and zeros.
+    response from ``psi``. Each mode is scaled by the mode's largest share in the static response of
+    a port. If some terms conduct no heat to the ambient, each row of ``psi`` sums to one. In this
+    case, a uniform temperature is a vector of ones and zeros in the coordinates ``T_i`` and c.
     """
 
     def __init__(self, ranges: _FullModelsOverRanges, points: Sequence[np.ndarray]) -> None:
@@ -341,12 +346,14 @@ class _TemperatureBasis:
         return np.asarray(np.sqrt(np.maximum(squares, 0.0)))
 
     def make_orthonormal_basis(self) -> np.ndarray:
-        """Return basis vectors W (others, directions) with ``W'K W = 1``, most important first.
+        """Return basis vectors W with ``W'K W = 1``, the most important vector first.
+
+        The array W has the shape (others, directions).
 
         First, linearly dependent columns are removed. To find dependent columns, all columns are
         orthogonalised in the inner product of the diagonal of ``G = E + K / s``, where s is the
-        largest ratio ``K_ii / E_ii``. The inner product of K would be inaccurate for slow modes,
-        because ``x'K x`` is a difference of far larger numbers.
+        largest ratio ``K_ii / E_ii``. With the inner product of K, slow modes would be inaccurate,
+        because ``x'K x`` is then a small difference of large numbers.
         """
         X = np.hstack(self.columns)
         scaled = self.content[:, None] * X
@@ -385,10 +392,10 @@ class _TemperatureBasis:
 
 
 def _project_matrix(matrix: scipy.sparse.csc_array, V: np.ndarray) -> np.ndarray:
-    """Return ``V' matrix V`` without negative eigenvalues that are rounding errors.
+    """Return ``V' matrix V`` without eigenvalues that are negative by rounding.
 
     The conductance matrix of an insulated body has an eigenvalue of zero. Because of rounding
-    errors, the computed eigenvalue may be negative.
+    errors, the computed value of a zero eigenvalue may be negative.
     """
     result = V.T @ (matrix @ V)
     values, vectors = np.linalg.eigh(0.5 * (result + result.T))
@@ -401,11 +408,13 @@ def _project_matrix(matrix: scipy.sparse.csc_array, V: np.ndarray) -> np.ndarray
 def _find_smallest_model(
     basis: _TemperatureBasis, samples: Sequence[_ReferenceResponses], limit: float
 ) -> tuple[HeatOverRanges, float]:
-    """Return the smallest model whose error is within the limit at all samples, and its error.
+    """Return the smallest model with acceptable errors at all samples.
+
+    The second result is the largest error of this model at the samples.
 
     Raises
     ------
-    SimulationError : the error exceeds the limit even with all vectors of the basis.
+    SimulationError : the error exceeds ``limit`` even with all vectors of the basis.
     """
     while True:
         W = basis.make_orthonormal_basis()
@@ -435,7 +444,7 @@ def _find_smallest_model(
 def _find_largest_error(
     model: HeatOverRanges, samples: Sequence[_ReferenceResponses], limit: float
 ) -> float:
-    """Return the largest error at the samples, or the first error that exceeds the limit."""
+    """Return the largest error at the samples, or the first error above ``limit``."""
     result = 0.0
     for item in samples:
         try:

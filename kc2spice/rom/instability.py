@@ -1,18 +1,19 @@
-"""Test with few factorisations whether a large model is unstable.
+"""Test whether a large model is unstable, with few matrix factorisations.
 
-The computation of all poles of a large model would take too long, but one growing pole proves that
-the model is unstable.
+Computing all poles of a large model would take too long. However, one growing pole, which has a
+positive real part, proves that the model is unstable.
 
-* A symmetric model with positive definite mass is unstable if a motion x has negative energy
-  ``x'Kx``. The matrix ``s^2 M + s E + K`` is then indefinite at s = 0, and positive definite for
-  large real s. The matrix is therefore singular at some s > 0, which is a growing pole.
-* For other models, the Cayley transform ``(A + c E) (A - c E)^-1`` of the linear pencil maps
-  growing poles to the outside of the unit circle. The computation of the largest eigenvalues of the
-  Cayley transform needs one real factorisation (Y. Saad, Numerical Methods for Large Eigenvalue
-  Problems, 2011, 8.1). Two values of c are tried: the angular frequency at the end of the band, and
-  a median rate, which is computed from the diagonals of the matrices.
+* A symmetric model with a positive definite mass matrix is unstable if a displacement x has a
+  negative energy ``x'Kx``. In this case, the matrix ``s^2 M + s E + K`` is not positive definite at
+  s = 0, but positive definite for large real s. Therefore, the matrix is singular at a value s > 0,
+  which is a growing pole.
+* For other models, the Cayley transform ``(A + c E) (A - c E)^-1`` of the linear pencil is used.
+  Growing poles become eigenvalues outside of the unit circle. Computing the largest eigenvalues of
+  the Cayley transform requires one real factorisation (Y. Saad, Numerical Methods for Large
+  Eigenvalue Problems, 2011, 8.1). Two values of c are tried: the angular frequency at the end of
+  the band, and the median rate of the diagonals of the matrices.
 
-The test does not find poles whose growth rate is below about a hundredth of their magnitude.
+The test does not find a pole whose real part is below about a hundredth of the pole's magnitude.
 """
 
 from __future__ import annotations
@@ -26,32 +27,32 @@ from kc2spice.linalg.factor import require_memory_for_factors
 from kc2spice.rom.pencil import Matrix, Pencil, SchurComplement, compute_absolute_entries
 from kc2spice.rom.stability import is_dissipative, is_semidefinite
 
-# number of poles, vectors and restarts of the Arnoldi method
+# numbers of poles, vectors and restarts of the Arnoldi method
 POLE_COUNT = 4
 KRYLOV_VECTORS = 40
 MAX_RESTARTS = 12
 LANCZOS_RESTARTS = 6  # number of restarts of the Lanczos method, with twenty vectors each
-MODE_ERROR = 1e-2  # largest relative error of the eigenvalue of the softest mode
-# largest energy that counts as zero, as a multiple of the rounding error of the energy
+MODE_ERROR = 1e-2  # relative tolerance of the eigenvalue of the softest mode
+# an energy counts as zero if (energy / rounding error) is below this ratio
 ZERO_ENERGY_FACTOR = 1e3
-MIN_GROWTH = 1e-4  # smallest real part of a growing pole, relative to its magnitude
-MAX_RESIDUAL = 1e-6  # largest residual of a pole, relative to the terms of its equation
+MIN_GROWTH = 1e-4  # smallest real part of a growing pole, relative to the magnitude of the pole
+MAX_RESIDUAL = 1e-6  # largest residual of a pole, relative to the terms of the eigenvalue equation
 
 
 def explain_instability(pencil: Pencil, band: tuple[float, float] | None) -> str | None:
-    """Return a proof that a model is unstable, for error messages; None if there is no proof.
+    """Return a proof of instability for error messages, or None without a proof.
 
     Parameters
     ----------
     pencil : Pencil
-        First-order or second-order model. If it is symmetric with proportional damping, no matrix
-        is factorised.
+        First-order or second-order model. For a symmetric model with proportional damping, no
+        matrix is factorised.
     band : pair of float, optional
-        Band of interest [Hz].
+        Frequency band [Hz] of the reduction.
 
     Raises
     ------
-    UsageError : the model is too large for this machine.
+    UsageError : the model is too large for the memory of the computer.
 
     Examples
     --------
@@ -70,7 +71,7 @@ def explain_instability(pencil: Pencil, band: tuple[float, float] | None) -> str
         if _has_negative_stiffness(pencil):
             return "a motion whose stiffness is negative"
         if pencil.is_undamped or (pencil.rayleigh is not None and min(pencil.rayleigh) >= 0):
-            return None  # K is positive semi-definite, so no pole grows
+            return None  # K is positive semi-definite, so there is no growing pole
     require_memory_for_factors(pencil.assemble_bordered_matrix(1.0, 1.0, 1.0))
     if is_dissipative(pencil):
         return None
@@ -87,7 +88,10 @@ def explain_instability(pencil: Pencil, band: tuple[float, float] | None) -> str
 
 
 def _has_negative_stiffness(pencil: Pencil) -> bool:
-    """Return whether a motion of a symmetric model with definite mass has negative energy."""
+    """Return whether a displacement of a symmetric model has negative energy.
+
+    The result is False if the mass matrix is indefinite.
+    """
     K, _, M = pencil.coefficients
     x = _find_highest_energy(-K)
     if x is None:
@@ -103,8 +107,8 @@ def _has_negative_stiffness(pencil: Pencil) -> bool:
 def _find_highest_energy(P: Matrix) -> np.ndarray | None:
     """Find the vector x with the largest ``x'Px`` for a symmetric matrix P.
 
-    The length of x is measured with the row sums of ``|P|`` as weights. Return None if the Lanczos
-    method does not converge.
+    The length of x is ``sum_i w_i x_i^2 = 1``, where the weights w_i are the row sums of ``|P|``.
+    Return None if the Lanczos method does not converge.
     """
     size = np.asarray(abs(P).sum(axis=1)).ravel()
     if not size.any():
@@ -121,7 +125,10 @@ def _find_highest_energy(P: Matrix) -> np.ndarray | None:
 
 
 def _compute_median_rate(pencil: Pencil) -> float:
-    """Return the median of ``(k_ii / m_ii)^(1/degree)`` [1/s] over the unknowns with inertia."""
+    """Return the median of ``(k_ii / m_ii)^(1/degree)`` [1/s] over unknowns.
+
+    Unknowns without inertia or stiffness are ignored.
+    """
     rest, inertia = (abs(P.diagonal()) for P in (pencil.coefficients[0], pencil.coefficients[-1]))
     moving = (rest > 0) & (inertia > 0)
     if not moving.any():
@@ -132,7 +139,7 @@ def _compute_median_rate(pencil: Pencil) -> float:
 def _find_growing_poles(pencil: Pencil, rate: float) -> np.ndarray:
     """Find growing poles [1/s] by the Cayley transform with c = ``rate``.
 
-    A pole is returned only if its eigenvector has a small residual.
+    A pole is returned only if the residual of the eigenvector is small.
     """
     solve = pencil.factorise_polynomial(rate)[0].solve
     n, degree = pencil.size, pencil.degree

@@ -1,18 +1,18 @@
 """Reduction of heat models whose ports have prescribed temperatures.
 
 The unknowns of a model ``E T' + K T = B q`` are divided into the prescribed temperatures ``T_i`` of
-ports, such as isothermal faces, and all other temperatures ``T_e``. With the static responses
-``Psi`` to the prescribed temperatures,
+ports, such as isothermal faces, and all other temperatures ``T_e``. The static responses to the
+prescribed temperatures are ``Psi``:
 
     T_e = Psi T_i + x,    Psi = -K_ee^-1 K_ei,
     E_ee x' + K_ee x = B_e q - (E_ei + E_ee Psi) T_i'.
 
-A congruence reduces the model of ``T_e`` with the inputs q, ``K_ei T_i`` and ``E_ei T_i'``. The
+A congruence reduces the model of ``T_e``, whose inputs are q, ``K_ei T_i`` and ``E_ei T_i'``. The
 reduced model of ``T_e`` gives accurate heat flows (:mod:`kc2spice.rom.prescribed_flows`). The basis
-of the congruence and ``Psi`` together are a basis of the whole model. E and K remain symmetric and
-positive semi-definite, so the model is passive. The static responses to prescribed temperatures are
-exact.
-R. R. Craig and M. C. C. Bampton, AIAA Journal 6 (1968) 1313, describe this method for structures.
+of the reduced ``T_e`` and ``Psi`` together reduce the whole model by a congruence. E and K remain
+symmetric and positive semi-definite, so the model is passive. The static responses to prescribed
+temperatures are exact. R. R. Craig and M. C. C. Bampton, AIAA Journal 6 (1968) 1313, describe the
+method for structures.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.prescribed_flows import FlowReference, make_driven_model
 from kc2spice.rom.reduce import reduce_model
 
-# largest number of temperature tolerances that are tried to meet the tolerance of heat flows
+# largest number of reductions with smaller tolerances until the heat flows meet the tolerance
 ATTEMPTS = 6
-SMALLEST_TOLERANCE = 1e-9  # smallest tolerance of the temperatures, near their rounding errors
+SMALLEST_TOLERANCE = 1e-9  # smallest tolerance of temperatures, near rounding errors
 REFERENCE_TOLERANCE = 1e-4  # tolerance of the reference model if the order is prescribed
 
 
@@ -53,16 +53,16 @@ def reduce_with_interfaces(
     measured: bool = True,
     **aims: Any,
 ) -> LinearModel:
-    """Reduce a heat model whose ports ``prescribed`` have prescribed temperatures.
+    """Reduce a heat model; the ports ``prescribed`` have prescribed temperatures.
 
     Parameters
     ----------
     model : heat model with E and K; the column of B of each prescribed port contains a single 1.
     prescribed : names of the ports with prescribed temperatures.
-    parts : the result of :func:`split_prescribed_ports` if it is known.
+    parts : the result of :func:`split_prescribed_ports`, if already known.
     flows : whether the basis also represents the heat flows into prescribed ports.
-    measured : whether heat flows into prescribed ports must meet the tolerance. If ``measured`` is
-        true, the error estimate includes these heat flows.
+    measured : whether the error estimate, which must meet the tolerance, includes heat flows into
+        prescribed ports.
     aims : ``band``, ``norm``, ``tolerance`` and ``order`` of
         :func:`kc2spice.rom.reduce.reduce_model`.
 
@@ -70,12 +70,12 @@ def reduce_with_interfaces(
     -------
     LinearModel
         Model with the ports of ``model`` in the same order. The error estimate in the certificate
-        covers temperatures and, if ``measured``, heat flows into prescribed ports.
+        covers temperatures and, if ``measured`` is true, heat flows into prescribed ports.
 
     Raises
     ------
-    UsageError : no congruence reduces the model of ``T_e``.
-    SimulationError : the tolerance is not met.
+    UsageError : no congruence reduces the model of the temperatures that are not prescribed.
+    SimulationError : the error exceeds the tolerance.
     """
     if not prescribed:
         return _reduce_definite_model(model, aims)
@@ -124,7 +124,10 @@ def _reduce_inner_model(
 def _reduce_parts(
     model: LinearModel, parts: PrescribedTemperatures, small: LinearModel
 ) -> LinearModel:
-    """Reduce the whole heat model with the basis of ``small``, the reduced model of ``T_e``."""
+    """Reduce the whole heat model with the basis of ``small``.
+
+    ``small`` is the reduced model of the temperatures that are not prescribed.
+    """
     if small.basis is None:
         raise make_no_congruence_error(model)
     n, at, others = len(parts.at), parts.at, parts.others
@@ -156,9 +159,9 @@ def make_no_congruence_error(model: LinearModel) -> UsageError:
 def _reduce_definite_model(model: LinearModel, aims: Mapping[str, Any]) -> LinearModel:
     """Reduce a model whose K is positive definite.
 
-    The rates of a small model may differ by 12 orders of magnitude. A slow mode could then be
-    mistaken for a body without a thermal path. Therefore, small models are transformed to modal
-    coordinates, in which K is the unit matrix.
+    The rates of a small model may differ by 12 orders of magnitude. With rates of very different
+    sizes, a slow mode could be mistaken for a body without a thermal path. Therefore, small models
+    are transformed to modal coordinates, in which K is the unit matrix.
     """
     if model.order > DENSE:
         return reduce_model(model, **aims)

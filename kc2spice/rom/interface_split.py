@@ -1,6 +1,6 @@
-"""Division of heat models into ports with prescribed temperatures and all other unknowns.
+"""Division of the unknowns of heat models into prescribed temperatures and others.
 
-:mod:`kc2spice.rom.interface_reduction` contains the equations. The division is exact.
+The division is exact. :mod:`kc2spice.rom.interface_reduction` contains the equations.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from kc2spice.core.domains import THERMAL
 from kc2spice.core.naming import list_names
 from kc2spice.rom.linear_model import LinearModel, Port
 
-DENSE = 1500  # largest number of unknowns of a model whose modes are computed
-# largest row sum of K without a thermal path to the ambient, relative to the largest entry K_ii
+DENSE = 1500  # models with more unknowns are not transformed to modal coordinates
+# without a thermal path to the ambient, (row sum / largest entry K_ii) of K is below this ratio
 ROUNDING = 1e-12
 
 
@@ -37,11 +37,11 @@ class PrescribedTemperatures:
     psi : (others, at) static responses of the other unknowns to prescribed temperatures.
     shares : (sources, at) static temperatures at the ports with heat flows q, for prescribed
         temperatures of 1 K.
-    conductance : (at, at) [W/K] static heat flows into the ports for prescribed temperatures of
-        1 K.
-    stored : (at, at) [J/K] heat that the body stores in the static state for prescribed
+    conductance : (at, at) [W/K] static heat flows into the prescribed ports, for prescribed
         temperatures of 1 K.
-    inner : model of x (:mod:`kc2spice.rom.interface_reduction`); its ports are q, followed by T_i'.
+    stored : (at, at) [J/K] heat that the body stores in the static state, for prescribed
+        temperatures of 1 K.
+    inner : model of x (:mod:`kc2spice.rom.interface_reduction`), with the inputs q and T_i'.
     """
 
     at: np.ndarray
@@ -73,7 +73,7 @@ def split_prescribed_ports(model: LinearModel, prescribed: Sequence[str]) -> Pre
     shares = model.B[np.ix_(at, sources)].T + model.B[np.ix_(others, sources)].T @ psi
     conductance = get_symmetric_part(K[at][:, at].toarray() + K[at][:, others] @ psi)
     if keeps_all_heat(K):
-        # a uniform temperature must not cause a heat flow
+        # a uniform temperature of an isolated body causes no heat flow
         conductance[range(len(at)), range(len(at))] -= conductance.sum(axis=1)
     stored = E[at][:, at].toarray() + E[at][:, others] @ psi + psi.T @ coupling
     return PrescribedTemperatures(
@@ -88,7 +88,10 @@ def remove_inactive_ports(model: LinearModel) -> LinearModel:
 
 
 def transform_to_modal_coordinates(model: LinearModel) -> tuple[LinearModel, np.ndarray]:
-    """Return a heat model in modal coordinates, in which K is the unit matrix, and its modes."""
+    """Transform a heat model to modal coordinates, so that K is the unit matrix.
+
+    Return the transformed model, and the matrix (n, n) of the modes.
+    """
     K, E = model.pencil.make_dense().coefficients
     times, shapes = scipy.linalg.eigh(get_symmetric_part(E), get_symmetric_part(K))
     modal = LinearModel(

@@ -15,27 +15,30 @@ from kc2spice.rom.response import Response
 
 @dataclass(frozen=True, eq=False)
 class IntermediateModel:
-    """Dense model from which reductors start, and with which errors are estimated.
+    """Accurate dense model that replaces the full model during a reduction.
+
+    Reductors start from this model, and errors of reduced models are estimated by comparison with
+    this model.
 
     Parameters
     ----------
     response : Response
         Frequency response of the model.
     error : float
-        Largest relative error with respect to the full-order model.
+        Largest relative error of the response, compared with the full-order model.
     static : bool
-        Whether all motions except rigid-body modes have a static response.
+        Whether the model without rigid-body modes has a static response.
     proof : str
-        Evidence for ``error`` that the certificate states.
+        Evidence for ``error``, for the certificate.
     floor : float
-        Relative change of the response that rounding errors of the entries of the full-order model
-        cause. No reduced model is more accurate than this change.
+        Smallest possible error of a reduced model: the relative change of the response due to
+        rounding errors of entries of the full-order model.
     complete : bool
         Whether this model is the full-order model in other coordinates.
     hidden : float
         Frequency [Hz] below which rounding errors hide the resonance of a support.
     basis : (n, k) array, optional
-        Column k is the unknown k of this model, expressed in unknowns of the full-order model.
+        Column k expresses the unknown k of this model in the unknowns of the full-order model.
     points : tuple of floats
         Frequencies [Hz] at which the full-order model was factorised to compute the basis.
     """
@@ -57,14 +60,14 @@ class IntermediateModel:
 
     @property
     def poles(self) -> np.ndarray | None:
-        """Poles of the full-order model [1/s]; None if some poles are missing."""
+        """Poles [1/s] of the full-order model, or None if not all poles are known."""
         known = (
             self.complete and not self.pencil.free and not self.response.has_decoupling_congruence
         )
         return self.response.poles if known else None
 
     def make_estimator(self, band: tuple[float, float], norm: Norm) -> ErrorEstimator:
-        """Return an estimator of the errors of reduced models with respect to this model."""
+        """Return an estimator that compares reduced models with this model."""
         return ErrorEstimator(self.response, band, self.static and not self.pencil.free, norm)
 
 

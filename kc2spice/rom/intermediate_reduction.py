@@ -1,7 +1,9 @@
-"""First step of a reduction: an intermediate model of very high accuracy.
+"""First step of a reduction: a very accurate intermediate model.
+
+The method depends on the full model:
 
 * Small models: the whole model in dense form.
-* Definite models with proportional or no damping, and free bodies with such damping:
+* Definite models and free bodies, undamped or with proportional damping:
   :mod:`kc2spice.rom.reductors.definite_krylov`.
 * Ill-conditioned dense first-order models: :mod:`kc2spice.rom.reductors.exact_samples`.
 * All other models: :mod:`kc2spice.rom.reductors.rational_krylov`.
@@ -50,12 +52,12 @@ from kc2spice.rom.rounding import (
 )
 from kc2spice.rom.stability import is_dissipative
 
-# Largest number of unknowns for which modes are computed with 19 digits, to limit the time.
+# Modes of models with more unknowns are not computed with 19 digits, to limit the time.
 MAX_EXTENDED_UNKNOWNS = 500
-# largest sizes, found by trials, of models that serve as their own intermediate model
+# largest sizes, found by trials, of full models that are used as intermediate models
 MAX_COMPLETE_DECOUPLED = 1300  # unknowns of decoupled models
 MAX_COMPLETE_STATES = 600  # first-order states of other models
-MAX_DENSE_STATES = 2000  # states of models whose many resonances prevent convergence of samples
+MAX_DENSE_STATES = 2000  # states of models with too many resonances for a Krylov method
 # largest number of unknowns of a model whose equations are solved at each frequency separately
 MAX_DIRECT_UNKNOWNS = 150
 
@@ -68,15 +70,15 @@ def build_intermediate_model(
     *,
     deflated: bool = True,
 ) -> IntermediateModel:
-    """Return a model whose relative error over ``band`` [Hz] is at most ``target``.
+    """Return a model with a relative error of at most ``target`` over ``band`` [Hz].
 
     If solutions of the full model have rounding errors above ``target``, an error of at most
     ``limit`` is accepted. If ``deflated`` is true, the rigid-body modes of a free body are
-    separated from the other modes. The intermediate model of a free body then has few states.
+    separated from the other modes, which reduces the number of states.
 
     Raises
     ------
-    SimulationError : the error exceeds even ``limit``.
+    SimulationError : the error exceeds ``limit``.
     """
     if pencil.size <= MAX_COMPLETE_DECOUPLED:
         full = pencil.scale_unknowns(2 * np.pi * band[1]).make_dense()
@@ -86,8 +88,8 @@ def build_intermediate_model(
         except SimulationError as error:
             inaccurate = error
         sound = complete is not None and complete.response.is_decoupled
-        # A congruence transformation converges if the stored energy is proven to be positive.
-        # Without a proof of positive energy, it converges only if the modes are well-conditioned.
+        # With a proof that the stored energy is positive, a congruence transformation converges.
+        # Without a proof, a congruence converges only if the modes are well-conditioned.
         if pencil.degree == 1 and not sound and not is_dissipative(full):
             try:
                 return reduce_by_samples(full, band, target, limit)
@@ -99,7 +101,7 @@ def build_intermediate_model(
             return _restore_units(pencil, band, complete)
     if (result := _build_definite_model(pencil, band, target, limit, deflated)) is not None:
         return result
-    if allows_cholesky(pencil):  # an earlier check was only for the memory of a Cholesky factor
+    if allows_cholesky(pencil):  # so far, only the memory of a Cholesky factor has been checked
         require_memory_for_factors(pencil.assemble_bordered_matrix(1.0, 1.0, 1.0))
     scaled = pencil.scale_unknowns(2 * np.pi * band[1])
     states = pencil.degree * pencil.size
@@ -156,9 +158,9 @@ def _restore_units(
 def _use_full_order(
     full: Pencil, band: tuple[float, float], limit: float, most: int = MAX_COMPLETE_STATES
 ) -> IntermediateModel | None:
-    """Return a small full-order model as its own intermediate model.
+    """Convert a small full-order model to an intermediate model without reduction.
 
-    Return None if the evaluation of the response of the model takes too long.
+    Return None if evaluating the response of the model would take too long.
 
     Raises
     ------
@@ -222,7 +224,9 @@ def _use_full_order(
 
 
 def _compute_undamped_modes(full: Pencil) -> np.ndarray | None:
-    """Compute the modes (n, n) of a model with symmetric, definite K and M of moderate size.
+    """Compute the modes (n, n) of a model of moderate size.
+
+    K and M must be symmetric and positive definite.
 
     Return None for other models.
     """
@@ -239,9 +243,9 @@ def _compute_undamped_modes(full: Pencil) -> np.ndarray | None:
 
 
 def _estimate_solution_error(response: Response, band: tuple[float, float]) -> float:
-    """Return the largest relative difference between direct solutions and modal solutions.
+    """Return the largest relative difference between direct and modal solutions.
 
-    The direct solutions are computed in two elimination orders.
+    Direct solutions with two elimination orders are compared with modal solutions.
     """
     full = response.pencil
     at, ratio = response.select_visible(band)

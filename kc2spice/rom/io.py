@@ -1,13 +1,13 @@
-"""Files of models: reduced models with certificates, and Matrix Market files.
+"""Reader and writer of model files: reduced models, and Matrix Market files.
 
-A reduced model is one ``.npz`` file, or several Matrix Market files. If a Matrix Market file of
-another program is damaged, the functions of this module raise an error.
+A reduced model is one ``.npz`` file, or several Matrix Market files. For a damaged Matrix Market
+file of another program, the functions of this module raise an error.
 
-In contrast, scipy's ``mmread`` (1.17) silently reads Fortran's ``1.5D+3`` as 1.5. If both triangles
-of a symmetric matrix are stored, ``mmread`` doubles the entries. For a symmetric array that is not
-square, ``mmread`` returns numbers that the file does not contain. Therefore, this module compares
-every count with the content of the file, and every index with the size of the matrix. Format:
-Boisvert, Pozo, Remington, NIST IR 5935 (1996).
+The function ``mmread`` of scipy 1.17 does not detect some errors: ``mmread`` reads Fortran's
+``1.5D+3`` as 1.5. If both triangles of a symmetric matrix are stored, ``mmread`` doubles the
+entries. For a symmetric array that is not square, ``mmread`` returns numbers that the file does not
+contain. Therefore, this module compares every count with the content of the file, and every index
+with the size of the matrix. Format: Boisvert, Pozo, Remington, NIST IR 5935 (1996).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from kc2spice.rom.pencil import Matrix
 
 MARKET_BANNER = b"%%matrixmarket"
 _MARKET_LAYOUTS = ("coordinate", "array")
-# number of decimal numbers that represent one entry of a matrix
+# count of decimal numbers for one matrix entry
 _MARKET_FIELDS = {"real": 1, "double": 1, "integer": 1, "complex": 2}
 _SYMMETRIES = ("general", "symmetric", "skew-symmetric")
 # translation of Fortran's exponents D and d to E, and of commas to blanks
@@ -39,16 +39,16 @@ _FORTRAN_TRANSLATION = bytes.maketrans(b"Dd,", b"EE ")
 
 
 def parse_matrix_market(data: bytes, allowed: Callable[[tuple[int, int], int], None]) -> Matrix:
-    """Return the matrix that the content of a Matrix Market file describes.
+    """Convert the content of a Matrix Market file to a matrix.
 
     The matrix is in CSC format for the layout 'coordinate', and dense for 'array'. Before memory is
-    allocated, ``allowed(shape, entries)`` is called. ``allowed`` raises an error if the declared
-    size is too large.
+    allocated, ``allowed(shape, entries)`` is called, which raises an error if the declared size is
+    too large.
 
     Raises
     ------
-    ValueError : the content is not a matrix in this format, or the matrix is Hermitian. For
-        example, numbers are missing or unreadable, or an index is wrong.
+    ValueError : the content is not a valid matrix, for example because of missing numbers or wrong
+        indices, or the matrix is Hermitian.
     """
     end = data.find(b"\n", 0, 1000)
     banner = data[: max(end, 0)].decode("ascii", "replace").lower().split()
@@ -86,7 +86,7 @@ def parse_matrix_market(data: bytes, allowed: Callable[[tuple[int, int], int], N
 
 
 def _read_matrix_size(data: bytes, start: int) -> tuple[list[int], int]:
-    """Read the line with the matrix size, and return the position of the next line."""
+    """Return the numbers in the size line, and the position of the next line."""
     while start < len(data):
         end = data.find(b"\n", start)
         end = len(data) if end < 0 else end
@@ -98,7 +98,7 @@ def _read_matrix_size(data: bytes, start: int) -> tuple[list[int], int]:
 
 
 def _count_stored_entries(rows: int, columns: int, symmetry: str) -> int:
-    """Return the number of entries that an 'array' file of this size and symmetry contains."""
+    """Return the number of entries in an 'array' file of a matrix."""
     if symmetry == "general":
         return rows * columns
     return rows * (rows + 1) // 2 if symmetry == "symmetric" else rows * (rows - 1) // 2
@@ -144,7 +144,7 @@ def parse_numbers(text: bytes) -> np.ndarray:
     if not text.strip():
         return np.empty(0)
     with warnings.catch_warnings():
-        warnings.simplefilter("error")  # numpy reports damaged text only by a warning
+        warnings.simplefilter("error")  # for a damaged text, numpy only prints a warning
         try:
             return np.fromstring(text.translate(_FORTRAN_TRANSLATION), dtype=float, sep=" ")
         except (DeprecationWarning, ValueError):
@@ -152,7 +152,7 @@ def parse_numbers(text: bytes) -> np.ndarray:
 
 
 def parse_indices(values: np.ndarray, size: int) -> np.ndarray:
-    """Convert indices that are counted from 1 to integer indices that are counted from 0.
+    """Convert indices that begin at 1 to integer indices that begin at 0.
 
     Raises
     ------
@@ -165,7 +165,7 @@ def parse_indices(values: np.ndarray, size: int) -> np.ndarray:
 
 
 def complete_triangle(matrix: sparse.csc_array, sign: int = 1) -> sparse.csc_array:
-    """Return the matrix of a stored triangle: symmetric, or skew-symmetric for ``sign`` -1."""
+    """Complete a stored triangle to a symmetric matrix (``sign`` -1: skew-symmetric)."""
     diagonal = sparse.diags_array(matrix.diagonal(), format="csc")
     return sparse.csc_array(matrix + sign * matrix.T - sign * diagonal)
 
@@ -178,7 +178,7 @@ _RECORD_NAME = "record"  # name of the JSON text in an archive
 
 
 def write_rom(model: LinearModel, directory: Path, name: str) -> list[str]:
-    """Write a reduced model to ``name.npz``, to Matrix Market files and to ``name.json``.
+    """Write a reduced model to ``name.npz``, ``name.json`` and Matrix Market files.
 
     The Matrix Market files, such as ``name.M``, contain numbers with 17 digits. ``name.json``
     contains ports, certificate and error estimates of the mesh, for other programs that read the
@@ -199,7 +199,7 @@ def write_rom(model: LinearModel, directory: Path, name: str) -> list[str]:
 
 
 def require_rom_file(path: Path) -> None:
-    """Raise an error if ``path``, which should be a file of a reduced model, is not a file."""
+    """Raise an error if the ``path`` of a reduced model is not a file."""
     if not path.is_file():
         raise UsageError(
             "this path is a directory" if path.is_dir() else "this file does not exist",
@@ -234,7 +234,7 @@ def read_rom(path: Path | str) -> LinearModel:
             return _build_model(*read_arrays(path, "MEKABCD"))
         matrices, record = _read_rom_arrays(path)
         return _build_model(matrices, json.loads(record))
-    except Exception as error:  # damaged bytes cause nearly any exception in the parsers
+    except Exception as error:  # parsers of a damaged file can raise any exception
         raise make_damage_error(path, error) from None
 
 
@@ -261,7 +261,7 @@ def _require_loadable_size(shape: tuple[int, int], entries: int) -> None:
         )
 
 
-# --- functions for archives of models over ranges of parameters --------------------------------
+# --- functions for archives of parametric models ------------------------------------------------
 
 
 def require_certificate(certificate: Certificate | None, name: str) -> Certificate:
@@ -280,7 +280,7 @@ def require_certificate(certificate: Certificate | None, name: str) -> Certifica
 def write_archive(
     directory: Path, name: str, arrays: Mapping[str, Any], record: Mapping[str, Any]
 ) -> list[str]:
-    """Write arrays and a record to ``name.npz``, and the record alone to ``name.json``.
+    """Write arrays and a record to ``name.npz``, and only the record to ``name.json``.
 
     Return the names of both files.
     """
@@ -296,7 +296,7 @@ def read_arrays(path: Path, names: Iterable[str]) -> tuple[dict[str, np.ndarray]
 
     Raises
     ------
-    Exception : damaged bytes cause nearly any exception in the parsers.
+    Exception : parsers of a damaged file can raise any exception.
     """
     known = {_RECORD_NAME, *names}
     arrays = read_archive(
@@ -306,7 +306,7 @@ def read_arrays(path: Path, names: Iterable[str]) -> tuple[dict[str, np.ndarray]
 
 
 def make_damage_error(path: Path, error: Exception) -> UsageError:
-    """Make the error for a file that contains no reduced model, from the error of its parser."""
+    """Convert an error of a parser to an error for a file without a reduced model."""
     unreduced = isinstance(error, KeyError) and _RECORD_NAME in str(error)
     reason = " ".join(str(error).split())[:120] or type(error).__name__
     return UsageError(
@@ -321,7 +321,7 @@ def make_damage_error(path: Path, error: Exception) -> UsageError:
 
 
 def require_single_line(text: str, longest: int) -> str:
-    """Reject a string that is too long or contains a line break, otherwise return the string.
+    """Return ``text``; reject a text that is too long or contains a line break.
 
     In a netlist, a line break would begin a new card.
     """
@@ -333,7 +333,7 @@ def require_single_line(text: str, longest: int) -> str:
 
 
 def parse_ports(records: object) -> tuple[Port, ...]:
-    """Make ports from their records, and check that a netlist can contain their names and units.
+    """Make ports from JSON records, and check the names and units for netlists.
 
     Raises
     ------
@@ -344,14 +344,14 @@ def parse_ports(records: object) -> tuple[Port, ...]:
     ports = TypeAdapter(tuple[Port, ...]).validate_python(records)
     words = chain.from_iterable((p.name, p.across, p.flow, *p.pins) for p in ports)
     stated = [record[key] for record in records for key in ("across", "flow") if key in record]  # type: ignore[attr-defined]
-    for text in (*words, *stated):  # a port replaces an empty unit by a default
+    for text in (*words, *stated):  # the class Port replaces an empty unit by a default
         if len(require_single_line(text, MAX_TEXT_LENGTH).split()) != 1:
             raise ValueError(f"a name or unit is empty or contains a blank: {text!r}")
     return ports
 
 
 def parse_certificate(record: object) -> Certificate:
-    """Make a certificate from its JSON record.
+    """Make a certificate from a JSON record.
 
     Raises
     ------
@@ -386,5 +386,5 @@ def _build_model(matrices: dict[str, Any], record: dict[str, Any]) -> LinearMode
 
 
 def _list_matrix_letters(first_order: bool) -> str:
-    """Return the letters of the matrices in the order in which a file contains them."""
+    """Return the letters of all matrices in a file, in the order of the file."""
     return "EABCD" if first_order else "MEKBCD"

@@ -1,8 +1,9 @@
-"""Linear models: matrices with named ports. Full and reduced models have the same class.
+"""Linear models: matrices with named ports.
+
+Full and reduced models have the same class.
 
 A reductor converts a :class:`LinearModel` to a smaller model with a :class:`Certificate`. Circuits
-are built from the state-space matrices of a model. Other libraries can also read the state-space
-matrices.
+are built from the state-space matrices of a model, which other libraries can also read.
 """
 
 from __future__ import annotations
@@ -40,24 +41,24 @@ PORT_KINDS = (*PORTS, "input", "output")
 
 @dataclass(frozen=True)
 class Port:
-    """Connection of a model to other parts: one column of B, one row of C.
+    """Connection of a model to other parts: one column of B and one row of C.
 
     ``kind`` determines the input u and the output y in SI units:
 
     * *electrical*: voltage [V] between ``pins[0]`` and ``pins[1]``, charge [C] into ``pins[0]``;
     * *mechanical*: force [N] on the body along the port's direction, displacement [m] in the same
-    direction;
+      direction;
     * *rotational*: moment [N m], angle [rad];
     * *thermal*: heat flow [W] into the body, temperature rise [K];
     * *acoustic*: pressure [Pa] on the body, displaced volume [m^3];
     * *acceleration*: acceleration [m/s^2] of the frame that the body is fixed to, and the
-      conjugate output (B = -M r, y = B' x [kg m]). Here r is the unit translation of the body, and
-      coordinates are relative to the frame;
+      conjugate output (B = -M r, y = B' x [kg m]). The vector r is the unit translation of the
+      body, and the coordinates x are relative to the frame;
     * *input* and *output*: a signal in any unit, in one direction. An input has no row of C, and an
       output has no column of B.
 
     ``across`` and ``flow`` are the units of the quantities that 1 V and 1 A on the netlist pin
-    represent. By default, these are the units of the ``domain`` (:mod:`kc2spice.core.domains`).
+    represent. The default units are the units of the ``domain`` (:mod:`kc2spice.core.domains`).
     ``pins`` are the names of the netlist pins: by default ``(name,)``, or ``(name, name_ret)`` for
     an electrical port.
     """
@@ -98,7 +99,7 @@ class Port:
 
     @property
     def has_charge_output(self) -> bool:
-        """Whether the output is the integral of the flow through the pin, such as a charge."""
+        """Whether the output is the time integral of the flow, such as a charge."""
         return self.domain is not None and self.domain.has_charge_output
 
     @property
@@ -124,16 +125,18 @@ class Port:
 
 @dataclass(frozen=True)
 class Certificate:
-    """Error estimate of a reduced model with respect to the *full* model, and proven properties.
+    """Error estimate and proven properties of a reduced model.
+
+    The certificate compares the reduced model with the full model.
 
     ``error_estimate`` is the largest relative error of any transfer function over ``band_hz``. In
-    the ``norm`` *pointwise*, each error is divided by the size of the entry at this frequency, but
-    at least by a millionth of the entry's peak. In the norm *peak*, each error is divided by the
-    entry's largest size in the band. ``method`` describes the estimator. Because a contact also
-    excites frequencies above the band, ``above`` contains pairs of a frequency [Hz] above the band
-    and the error at this frequency. An error above the band is the largest relative difference
-    between the compliances of a mechanical port in the reduced model and in a larger model.
-    ``stable`` applies to the full and the reduced model; None means that there is no proof. If
+    the ``norm`` *pointwise*, each error is divided by the entry's magnitude at the same frequency,
+    but at least by a millionth of the entry's peak. In the norm *peak*, each error is divided by
+    the entry's largest magnitude in the band. ``method`` describes the estimator. A contact also
+    excites frequencies above the band. Therefore, ``above`` contains pairs of a frequency [Hz]
+    above the band and the error at this frequency. An error above the band is the largest relative
+    error of the compliance of a mechanical port, compared with a larger model. ``stable`` states
+    whether both the full and the reduced model are stable; without a proof, the value is None. If
     ``passive`` is true, both models are proven passive.
     """
 
@@ -152,7 +155,7 @@ class Certificate:
         return f"{stability}, {'passive' if self.passive else 'passivity not shown'}"
 
     def record(self) -> dict[str, Any]:
-        """Return the certificate as ``result.json`` and the output of ``reduce --json`` list it."""
+        """Return the certificate in the format of ``result.json`` and ``reduce --json``."""
         result = asdict(self) | {"band_hz": list(self.band_hz)}
         del result["above"]
         if self.above:
@@ -173,24 +176,25 @@ class LinearModel:
     ``D`` (outputs, inputs) are dense. All values have SI units and apply to the *whole* device. A
     missing ``C`` is ``B'``, and a missing ``D`` is zero. A missing ``E`` is zero in a second-order
     model, and the unit matrix in a first-order model. ``rayleigh = (alpha, beta)`` replaces ``E``
-    by ``alpha M + beta K``. ``K`` (or ``A``) may be a Schur complement
-    (:class:`kc2spice.rom.pencil.SchurComplement`), which eliminates massless unknowns exactly
-    without a dense matrix; see :func:`make_piezoelectric_model`.
+    by ``alpha M + beta K``. ``K`` (or ``A``) may be a :class:`kc2spice.rom.pencil.SchurComplement`.
+    The Schur complement eliminates massless unknowns exactly without a dense matrix; see
+    :func:`make_piezoelectric_model`.
 
     ``ports`` lists conservative ports and signals in the order of the columns of B. The rows of C
-    follow the same order (an input has no row, an output no column). By default, the ports are
-    signals ``u1``..., ``y1``.... Symmetric models with conservative ports only have ``C = B'``.
+    have the same order. An input has no row of C, and an output has no column of B. By default, the
+    ports are signals ``u1``..., ``y1``.... In symmetric models without signal ports, ``C = B'``.
 
-    A complex K contains structural damping; the model then stores only the real part as ``K``. The
-    imaginary part is ``loss_factor`` times K. If several materials have different losses, the
+    A complex K contains structural damping. The model stores the real part as ``K``. If all
+    materials have the same loss, the imaginary part is ``loss_factor`` times ``K``. Otherwise, the
     imaginary part is a symmetric positive semi-definite matrix ``loss``. A model with structural
-    damping has only a frequency response; :func:`kc2spice.reduce` converts it to a circuit.
+    damping has a frequency response but no state-space form; :func:`kc2spice.reduce` converts the
+    model to a circuit.
 
     ``facts`` are characteristic numbers of the body (``mass_kg``, ``unknowns``,
     ``capacitance_free_f``, …). ``band`` [Hz] is the frequency range that the author of the model
-    requires, None if it is unknown. In a reduced model, column k of ``basis`` (n, states) is state
-    k, expressed in the unknowns of the full-order model. :meth:`reconstruct` uses the basis, but
-    files do not contain it.
+    requires, or None if the range is unknown. In a reduced model, column k of ``basis`` (n, states)
+    is state k, expressed in the unknowns of the full-order model. :meth:`reconstruct` uses the
+    basis. Files do not contain the basis.
 
     Raises
     ------
@@ -313,8 +317,9 @@ class LinearModel:
         """Compute the complex frequency response ``H(j 2 pi f)`` in SI units.
 
         Return an array of shape (frequencies, outputs, inputs). Each entry is an output per input,
-        such as displacement per force or charge per voltage. An entry times ``s`` is a velocity or
-        a current per input. Sparse models need one factorisation for each frequency.
+        such as displacement per force or charge per voltage. An entry times ``s`` is, for example,
+        a velocity per force or a current per voltage. Sparse models need one factorisation for each
+        frequency.
 
         Parameters
         ----------
@@ -401,14 +406,14 @@ class LinearModel:
         """Compute all finite poles [1/s] of the model as complex numbers.
 
         The computation uses dense matrices and suits models of up to a few thousand unknowns.
-        Structural damping is ignored, because no poles represent it exactly.
+        Structural damping is ignored, because poles cannot represent structural damping exactly.
         """
         return self.pencil.poles()
 
     def state_space(self) -> ABCD:
         """Return arrays A, B, C, D of ``x' = A x + B u``, ``y = C x + D u``.
 
-        See :func:`kc2spice.rom.state_space.state_space`.
+        See :func:`kc2spice.rom.state_space.convert_to_state_space`.
         """
         if self.structural:
             raise self._make_no_state_space_error()
@@ -464,7 +469,7 @@ class LinearModel:
         return self.copy_with(B=B, C=C, D=D, ports=ports)
 
     def copy_with(self, **changes: Any) -> LinearModel:
-        """Return a copy with changed attributes and the same K; both models share factors of K."""
+        """Return a copy with other attributes but the same K and factorisation of K."""
         result = replace(self, **changes)
         self.pencil.share_factors(result.pencil)
         return result
@@ -506,7 +511,9 @@ def make_piezoelectric_model(
     k_pV: np.ndarray | None = None,
     **others: Any,
 ) -> LinearModel:
-    """Make a voltage-driven piezoelectric model, and eliminate its free potentials exactly.
+    """Make a voltage-driven piezoelectric model without free potentials.
+
+    Free potentials are eliminated exactly.
 
     The unknowns are displacements ``u`` (n), free massless potentials ``p`` (m, possibly none) and
     the voltages ``V`` (e) of the driven electrodes. The model::
@@ -516,23 +523,23 @@ def make_piezoelectric_model(
                     Q = c_VV V + k_pV' p - k_uV' u
 
     becomes ``M u'' + E u' + K u = B f + b V``, ``y = [B' u; b' u + C0 V]`` with
-    ``K = K_uu + K_up K_pp^-1 K_up'``, ``b = K_up K_pp^-1 k_pV - k_uV`` and
-    ``C0 = c_VV - k_pV' K_pp^-1 k_pV``. Without this elimination, the model with the unknowns ``[u;
-    p]`` is indefinite, and its reduced models can be unstable (Schütz, Maeter and Bechtold,
-    Actuators 10 (2021) 279, section 2.3 and references 47 to 49).
+    ``K = K_uu + K_up K_pp^-1 K_up'``, ``b = K_up K_pp^-1 k_pV - k_uV`` and ``C0 = c_VV - k_pV'
+    K_pp^-1 k_pV``. Without the elimination, the model is indefinite, and reduced models can be
+    unstable (Schütz, Maeter and Bechtold, Actuators 10 (2021) 279, section 2.3 and references 47 to
+    49).
 
     Parameters
     ----------
-    B : (n, mechanical ports), with columns in the sequence of the ports that are not electrical.
-    k_uV, k_pV, c_VV : (n, e), (m, e) and (e, e), with columns in the sequence of the electrical
-        ports; the second dimension may be missing for a single electrode.
-    ports : all ports in any sequence.
+    B : (n, mechanical ports); the columns have the order of the ports that are not electrical.
+    k_uV, k_pV, c_VV : (n, e), (m, e) and (e, e); the columns have the order of the electrical
+        ports. For one electrode, the second dimension may be missing.
+    ports : all ports in any order.
     others : arguments of :class:`LinearModel`; ``rayleigh`` applies to K after the elimination.
 
     Raises
     ------
     UsageError : the shapes of the matrices do not match.
-    SimulationError : a potential is not determined, because K_pp is singular.
+    SimulationError : K_pp is singular, so that a potential is not determined.
     """
     k_uV = np.asarray(k_uV, dtype=float).reshape(len(B), -1)
     electrodes = k_uV.shape[1]
@@ -568,7 +575,7 @@ def make_piezoelectric_model(
 def make_linear_model(pencil: Pencil, ports: Sequence[Port], **labels: Any) -> LinearModel:
     """Return the linear model with the matrices of a pencil.
 
-    ``labels`` are the other fields of the model.
+    ``labels`` are other attributes of the linear model, such as ``name`` and ``facts``.
     """
     parts = pencil.coefficients
     matrices = {"A": negate(parts[0]), "E": parts[1]}
@@ -585,12 +592,12 @@ def negate(matrix: Matrix) -> Matrix:
 
 
 _INDEFINITE_LOSS_TEXT = "an imaginary part that is not symmetric and positive semi-definite"
-# largest difference of an imaginary part from ``eta K``, relative to K, for which eta is stored
+# The loss factor eta is stored if (imaginary part of K - eta K) / K is at most this ratio.
 LOSS_FACTOR_TOLERANCE = 1e-9
 
 
 def _set_structural_damping(model: LinearModel) -> None:
-    """Split a complex K of a model into its real part and its loss matrix, and check the loss."""
+    """Split a complex K into real part and loss matrix, and check the loss."""
     put, K, where = object.__setattr__, model.K, model.name
     if K is not None and not isinstance(K, SchurComplement) and np.iscomplexobj(K):
         if model.structural:
@@ -620,14 +627,15 @@ def _set_structural_damping(model: LinearModel) -> None:
 
 
 def _extract_loss(K: Matrix, loss: Matrix, where: str) -> tuple[Matrix, float]:
-    """Return the loss matrix (the imaginary part) of a stiffness K, and the loss factor.
+    """Return the loss matrix and the loss factor of a complex stiffness K.
 
-    If the imaginary part is a multiple of K, the loss matrix is None, and the loss factor is this
-    multiple. Otherwise, the loss matrix has the storage format of K, and the loss factor is zero.
+    If the imaginary part is proportional to K, the loss matrix is None, and the loss factor is
+    ``imaginary part / K``. Otherwise, the loss matrix has the storage format of K, and the loss
+    factor is zero.
     """
     if K is None or K.shape != loss.shape:
         raise _make_structural_loss_error(where, "a loss matrix whose size differs from K")
-    if isinstance(K, SchurComplement):  # the potentials have no loss
+    if isinstance(K, SchurComplement):  # electric potentials have no structural loss
         if not is_symmetric(loss) or not is_semidefinite(loss):
             raise _make_structural_loss_error(where, _INDEFINITE_LOSS_TEXT)
         return scipy.sparse.csc_array(loss), 0.0
@@ -659,9 +667,9 @@ def _make_structural_loss_error(where: str, got: str, argument: str = "matrix K"
 
 
 def _reject_ambiguous_outputs(C: np.ndarray | None, B: np.ndarray, n: int, where: str) -> None:
-    """Reject a square C of an undamped second-order model if C may be a damping matrix.
+    """Reject a square matrix C that may be a damping matrix.
 
-    A square C may be a damping matrix if its rows couple several unknowns.
+    A square matrix C may be a damping matrix if a row couples several unknowns.
     """
     if C is None or C.shape != (n, n) or n == 1 or np.array_equal(C, B.T):
         return
@@ -677,7 +685,7 @@ def _reject_ambiguous_outputs(C: np.ndarray | None, B: np.ndarray, n: int, where
 
 
 def stores_one_triangle(matrix: Matrix) -> bool:
-    """Return whether only one triangle of a matrix has entries outside of the diagonal."""
+    """Return whether all off-diagonal entries of a matrix are in one triangle."""
     if isinstance(matrix, SchurComplement) or matrix.shape[0] < 2 or is_symmetric(matrix):
         return False
     entries = scipy.sparse.coo_array(matrix)
@@ -686,7 +694,7 @@ def stores_one_triangle(matrix: Matrix) -> bool:
 
 
 def _read_rayleigh(pair: Any, where: str) -> tuple[float, float] | None:
-    """Return the Rayleigh coefficients alpha and beta as floats; None if ``pair`` is None."""
+    """Return the Rayleigh coefficients as floats, or None if ``pair`` is None."""
     if pair is None:
         return None
     try:
@@ -703,7 +711,7 @@ def _read_rayleigh(pair: Any, where: str) -> tuple[float, float] | None:
 
 
 def _require_frequencies(frequency: Any) -> np.ndarray:
-    """Check that frequencies [Hz] are numbers, and return them as an array of one dimension."""
+    """Convert frequencies [Hz] to an array of one dimension."""
     try:
         result = np.atleast_1d(np.asarray(frequency, dtype=float))
         if result.ndim > 1:
@@ -738,7 +746,7 @@ def _suggest_size(letter: str, shape: tuple[int, ...], expected: tuple[int, ...]
 
 
 def _complete_ports(ports: tuple[Port, ...], m: int, p: int, where: str) -> tuple[Port, ...]:
-    """Return checked ports; without ports, return m inputs and p outputs."""
+    """Check ``ports``; if there are none, return m inputs and p outputs."""
     strange = next((port for port in ports if not isinstance(port, Port)), None)
     if strange is not None:
         raise UsageError(
@@ -769,7 +777,7 @@ def _complete_ports(ports: tuple[Port, ...], m: int, p: int, where: str) -> tupl
 
 
 def _reject_mixed_thermal_ports(model: LinearModel) -> None:
-    """Reject thermal ports that are combined with other ports or with a second-order model."""
+    """Reject thermal ports of a second-order model, or together with other ports."""
     of_heat = [port.domain is THERMAL for port in model.ports]
     if any(of_heat) and not (all(of_heat) and model.first_order):
         raise UsageError(
@@ -800,7 +808,7 @@ def _convert_matrix(matrix: Matrix, letter: str, where: str, *, sparse: bool = T
         for part in (matrix.uu, matrix.up, matrix.pu, matrix.pp):
             _convert_matrix(part, letter, where)
         return matrix
-    if not isinstance(matrix, np.ndarray):  # the check by scipy is slow, so it is last
+    if not isinstance(matrix, np.ndarray):  # the slow check by scipy is last
         sparse_input = scipy.sparse.issparse(matrix)
         matrix = (
             matrix.toarray()

@@ -6,18 +6,18 @@ A mode of stiffness k, unit mass and loss h has the dynamic stiffness ``k + j h 
     d(s) = c_0 + v s + sum_l c_l s / (s + r_l) + m s^2,    all coefficients >= 0,
 
 approximates this dynamic stiffness by a spring, a dashpot, springs in series with dampers, and a
-mass. A dashpot ``v = h / w_j`` alone is exact at the resonance ``w_j``. The loss of a dashpot
-increases with frequency. Beside the resonance, the response therefore has an error of a quarter of
-the loss factor ``eta = h / k``, relative to the peak. With one relaxation of rate ``w_j``, the loss
-is constant near the resonance. By causality, the stiffness then increases with frequency. A
-slightly larger mass compensates the increase of the stiffness. At the resonance, the value and the
-slope of the dynamic stiffness are exact with
+mass. Without relaxations, a dashpot ``v = h / w_j`` is exact at the resonance ``w_j``, but the loss
+of a dashpot increases with frequency. Therefore, the response near the resonance has an error of
+``eta / 4``, relative to the peak, with the loss factor ``eta = h / k``. With one relaxation of rate
+``w_j``, the loss is constant near the resonance. By causality, the stiffness of a relaxation
+increases with frequency. A slightly larger mass compensates for the increase of the stiffness. The
+value and the slope of the dynamic stiffness are exact at the resonance for the coefficients
 
     c_1 = 2 eta k,    c_0 = (1 - eta / 2) k,    m = 1 + eta / 2,
 
-and the remaining error is about ``eta^2``. The coefficients are computed by non-negative least
-squares with the weights of Lawson's minimax fit. Far below all resonances, an error of about
-``eta`` remains, because no real model has a complex response at zero frequency.
+and the remaining error near the resonance is about ``eta^2``. The coefficients are computed by
+non-negative least squares with the weights of Lawson's minimax fit. Far below all resonances, an
+error of about ``eta`` remains, because no real model has a complex response at zero frequency.
 """
 
 from __future__ import annotations
@@ -29,13 +29,15 @@ import numpy as np
 import scipy
 
 WEIGHT_UPDATES = 10  # number of updates of Lawson's weights
-MIN_WEIGHT_FACTOR = 0.02  # square of the smallest factor by which an update multiplies a weight
+MIN_WEIGHT_FACTOR = 0.02  # smallest squared factor of a weight in an update
 MIN_AMPLITUDE = 1e-12  # smallest amplitude of a relaxation, relative to the stiffness ``c_0``
 
 
 @dataclass(frozen=True, eq=False)
 class Oscillator:
-    """Passive oscillator with the dynamic stiffness ``d(s)`` that the module docstring defines.
+    """Passive oscillator with a spring, a dashpot, a mass and relaxations.
+
+    The module docstring defines the dynamic stiffness ``d(s)``.
 
     Attributes
     ----------
@@ -58,7 +60,7 @@ class Oscillator:
 
 
 def make_viscous_oscillator(stiffness: float, loss: float) -> Oscillator:
-    """Make the oscillator with a dashpot whose dynamic stiffness is exact at its resonance.
+    """Make an oscillator whose dashpot has a prescribed ``loss`` at the resonance.
 
     Examples
     --------
@@ -73,9 +75,10 @@ def make_viscous_oscillator(stiffness: float, loss: float) -> Oscillator:
 def fit_relaxing_oscillator(
     s: np.ndarray, stiffness: np.ndarray, weight: np.ndarray, rates: np.ndarray
 ) -> Oscillator:
-    """Fit an oscillator with given relaxation rates to a dynamic stiffness.
+    """Fit an oscillator with prescribed relaxation rates to a dynamic stiffness.
 
-    The fit minimises the largest weighted difference between both dynamic stiffnesses.
+    The fit minimises the largest weighted difference between the fitted and the given dynamic
+    stiffness.
 
     Parameters
     ----------
@@ -96,7 +99,7 @@ def fit_relaxing_oscillator(
             coefficients = (
                 scipy.optimize.nnls(np.r_[A.real, A.imag], np.r_[y.real, y.imag])[0] / scale
             )
-        except RuntimeError:  # the active-set method may not terminate
+        except RuntimeError:  # the active-set method of nnls may not converge
             break
         size = weight * np.abs(columns @ coefficients - stiffness)
         if size.max() < least:
@@ -115,10 +118,12 @@ def fit_relaxing_oscillator(
 def assemble_oscillators(
     modes: Sequence[Oscillator], damping: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Assemble symmetric K, E and M of oscillators; E includes ``damping`` (modes, modes).
+    """Assemble the symmetric matrices K, E and M of oscillators.
 
-    Each relaxation is an additional unknown without mass: the displacement between its spring and
-    its damper. The unknowns of the relaxations are numbered after the modes.
+    The matrix ``damping`` (modes, modes) is added to E.
+
+    For each relaxation, the displacement between spring and damper is an additional unknown without
+    mass. The unknowns of the relaxations follow the unknowns of the modes.
     """
     springs = np.array([mode.spring + mode.amplitudes.sum() for mode in modes])
     owner = np.repeat(np.arange(len(modes)), [mode.rates.size for mode in modes])

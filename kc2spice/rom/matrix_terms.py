@@ -1,14 +1,15 @@
-"""Matrices of heat models as sums of terms with powers of the parameters as factors.
+"""Matrices of heat models as sums of terms that depend on parameters.
 
-The conductances of a body are proportional to conductivities and film coefficients. The
-conductances are inversely proportional to thicknesses and to the thermal resistances of joints. The
-heat capacities of a body are proportional to densities. As functions of such parameters, the heat
-capacity matrix E and the conductance matrix K are therefore sums
+The factor of each term is a product of powers of the parameters.
+
+Thermal conductances of a body are proportional to conductivities and film coefficients, and
+inversely proportional to thicknesses and to the thermal resistances of joints. The heat capacities
+of a body are proportional to densities. Therefore, the conductance matrix K is a sum of terms,
 
     K(p) = sum_t f_t(p) K_t,    f_t(p) = prod_k (p_k / s_k)^a_tk,    a_tk in {-1, 0, 1}
 
-with constant scales s_k of the parameters p_k, and in the same form for E. The matrices K_t are
-computed from full models at a few values of the parameters.
+with constant scales s_k of the parameters p_k. The heat capacity matrix E has the same form. The
+matrices K_t are computed from full models at a few values of the parameters.
 """
 
 from __future__ import annotations
@@ -26,19 +27,20 @@ from kc2spice.core.errors import UsageError
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.parametric_models import Full, ParameterAxis, Values
 
-# Candidates for the exponents of a parameter; the first that represents the matrices is used.
+# Sets of exponents of a parameter; the first set that represents the matrices is used.
 # A parameter that may be zero has no exponent -1.
 POWERS: tuple[tuple[int, ...], ...] = ((0,), (0, 1), (0, -1), (0, 1, -1))
-PLACES = {1: (0.0,), 2: (-1.0, 1.0), 3: (-1.0, 0.0, 1.0)}  # keyed by number of exponents
+# coordinates at which full models are computed, keyed by number of exponents
+PLACES = {1: (0.0,), 2: (-1.0, 1.0), 3: (-1.0, 0.0, 1.0)}
 CHECKED = (
     0.31,
     -0.47,
     0.62,
     -0.23,
-)  # coordinates at which the sum of terms is compared with a full model
+)  # the sum of terms is compared with a full model at these coordinates
 EXACT = 1e-9  # largest relative rounding error of a matrix entry
 NEGLIGIBLE = (
-    1e-12  # largest relative share of a term in a matrix entry that counts as a rounding error
+    1e-12  # a share of a term in a matrix entry below this limit counts as a rounding error
 )
 LETTERS = "EK"
 
@@ -71,35 +73,34 @@ class MatrixTerms:
 
 
 def compute_factors(powers: np.ndarray, shares: np.ndarray) -> np.ndarray:
-    """Compute the factor of each term, a product of powers of the scaled parameters.
+    """Compute the factor of each term: a product of powers of scaled parameters.
 
-    ``shares`` (axes,) are the parameters divided by their scales. Return an array of shape
-    (terms,).
+    ``shares`` (axes,) are the ratios of parameter and scale. Return an array of shape (terms,).
     """
     return np.asarray(np.prod(np.asarray(shares, dtype=float) ** powers, axis=1))
 
 
 def sum_products(factors: Iterable[float], matrices: Iterable[Any]) -> Any:
-    """Return the sum of the ``matrices``, each multiplied by its factor."""
+    """Return the sum of the products ``factor * matrix``."""
     first, *others = (f * matrix for f, matrix in zip(factors, matrices, strict=True))
     return sum(others, start=first)
 
 
 def find_matrix_terms(full: Full, axes: Sequence[ParameterAxis], frame: LinearModel) -> MatrixTerms:
-    """Express the matrices E and K of the heat models ``full(values)`` as sums of terms.
+    """Express the matrices E and K of heat models ``full(values)`` as sums of terms.
 
     ``frame`` is the model in the middle of the ranges.
 
     Raises
     ------
-    UsageError : E or K is not a sum of terms with powers of the parameters, or a parameter changes
-    the input matrix B or the number of unknowns.
+    UsageError : E or K is not a sum of terms, or a parameter changes the input matrix B or the
+    number of unknowns.
     """
     scales = np.array([axis.middle_value if axis.low else axis.high for axis in axes])
 
     @cache
     def compute_matrices(coordinates: tuple[float, ...]) -> _Matrices:
-        """Return the matrices E and K of the full model at these coordinates."""
+        """Return the matrices E and K of the full model at ``coordinates``."""
         pairs = zip(axes, coordinates, strict=True)
         values = {axis.name: axis.value(x) for axis, x in pairs}
         model = full(values) if any(coordinates) else frame
@@ -112,7 +113,7 @@ def find_matrix_terms(full: Full, axes: Sequence[ParameterAxis], frame: LinearMo
         return {"E": E, "K": K}
 
     def interpolate(choice: Sequence[tuple[int, ...]]) -> MatrixTerms:
-        """Return terms whose factors are all products of the chosen powers of the parameters."""
+        """Return the terms for all products of the powers in ``choice``."""
         powers = np.array([*product(*choice)], dtype=int).reshape(-1, len(axes))
         places = [*product(*(PLACES[len(item)] for item in choice))]
         rows = []
@@ -133,7 +134,7 @@ def find_matrix_terms(full: Full, axes: Sequence[ParameterAxis], frame: LinearMo
         return MatrixTerms(tuple(axes), scales, powers[active], tuple(E), tuple(K))
 
     def is_exact(terms: MatrixTerms, coordinates: tuple[float, ...]) -> bool:
-        """Return whether the sum of the terms equals the full model at these coordinates."""
+        """Return whether the sum of ``terms`` equals the full model at ``coordinates``."""
         pairs = zip(axes, coordinates, strict=True)
         sum_of_terms = terms.evaluate_matrices({axis.name: axis.value(x) for axis, x in pairs})
         for letter, matrix in compute_matrices(coordinates).items():
@@ -164,7 +165,7 @@ def find_matrix_terms(full: Full, axes: Sequence[ParameterAxis], frame: LinearMo
 
 
 def _drop_rounding(terms: Sequence[Any], largest: np.ndarray) -> list[Any]:
-    """Set entries of a term to zero if they are only rounding errors of larger terms."""
+    """Set entries of terms to zero that are only rounding errors of larger terms."""
     size = sum_products(largest, map(abs, terms))
     result = []
     for matrix, factor in zip(terms, largest, strict=True):
@@ -176,7 +177,7 @@ def _drop_rounding(terms: Sequence[Any], largest: np.ndarray) -> list[Any]:
 
 
 def _make_no_terms_error(where: str, problem: str) -> UsageError:
-    """Return the error for a parameter that a heat netlist does not support."""
+    """Make the error for a parameter that a heat netlist does not support."""
     return UsageError(
         f"unsupported parameter of a heat netlist: {problem}",
         where=where,

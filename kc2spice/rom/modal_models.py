@@ -1,28 +1,28 @@
-"""Symmetric models as decoupled resonators, and tables of modes.
+"""Conversion of symmetric models to decoupled resonators, and tables of modes.
 
 A table of modes contains the frequency, the Q factor and the coupling to the ports of each mode.
-The response of the resonators to recorded loads is computed exactly.
+The response of the resonators to piecewise linear loads is computed exactly.
 
 Residual modes without inertia
-    A reduced model contains some stiff modes far above the band, which make the compliance of the
-    ports exact. The body itself does not have these stiff modes. In series with the stiffness of a
-    contact, the inertia of the residual modes causes oscillations that the body does not have.
-    Component mode synthesis with a massless boundary omits the inertia, but not compliance and
-    damping (Monjaraz Tec, Gross and Krack 2021, arXiv 2111.07693)::
+    Residual modes of a reduced model have frequencies far above the band, and make the compliance
+    of the ports exact. The body itself does not have the residual modes. In series with the
+    stiffness of a contact, the inertia of the residual modes causes oscillations that the body does
+    not have. Component mode synthesis with a massless boundary omits only the inertia of residual
+    modes, not the compliance and damping (Monjaraz Tec, Gross and Krack 2021, arXiv 2111.07693)::
 
         damp z' + omega^2 z = g u        instead of        z'' + damp z' + omega^2 z = g u
 
 A constant loss tangent of the dielectric
-    If a dielectric loses the same share of its energy at every frequency, then causality requires
-    the permittivity of a constant-phase element (A. K. Jonscher, Nature 267 (1977) 673)::
+    If the loss tangent of a dielectric is the same at every frequency, causality requires the
+    permittivity of a constant-phase element (A. K. Jonscher, Nature 267 (1977) 673)::
 
         eps(s) = eps (s / w0)^-m,    m = (2 / pi) arctan(tan delta),    w0 / (2 pi) = 1 kHz
 
     Data sheets give permittivities at the frequency w0 / (2 pi). A netlist contains Foster's sum
-    ``a_0 + sum_k a_k / (1 + s t_k)`` instead of ``eps(s)``. The sum is a capacitor in parallel with
-    branches of R and C in series. All ``a_k`` are at least zero, so the sum is passive. The ``a_k``
-    are fitted to the permittivity in the band by non-negative least squares. The sum multiplies the
-    clamped capacitances D.
+    ``a_0 + sum_k a_k / (1 + s t_k)`` instead of ``eps(s)``. The sum represents a capacitor in
+    parallel with series RC branches. All amplitudes ``a_k`` are at least zero, so the sum is
+    passive. The amplitudes are fitted to the permittivity in the band by non-negative least
+    squares. The clamped capacitances D are multiplied by the sum.
 
     Data sheets give the loss tangent of the mechanically free part at 1 kHz. The capacitance of the
     free part is ``D + C_m``. The motional capacitance ``C_m = sum_j gain_j^2 / omega_j^2`` has no
@@ -32,8 +32,9 @@ A constant loss tangent of the dielectric
         D sin theta = tan delta (D cos theta + C_m),   theta = delta + arcsin(C_m / D sin delta).
 
     The dielectric loss also changes the stiffness, because deformation causes electric fields. The
-    model neglects this change of the stiffness. The neglected relative loss of a mode is tan delta
-    times the share of electric energy in the energy of this mode at constant charge.
+    model neglects the change of the stiffness due to dielectric loss. The neglected relative loss
+    of a mode is tan delta times the share of electric energy in the mode's energy at constant
+    charge.
 """
 
 from __future__ import annotations
@@ -52,11 +53,11 @@ from kc2spice.rom.error_estimate import ErrorEstimator, estimate_errors_above_ba
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.response import Response
 
-# Largest relative coupling of modes that counts as a rounding error of proportional damping.
+# A relative coupling of modes up to this limit counts as a rounding error of proportional damping.
 # A larger coupling of modes indicates damping that is not proportional.
 MAX_MODAL_COUPLING = 1e-8
 LISTED_MODES = 20  # largest number of modes in a table
-# largest frequency of a rigid-body mode due to rounding errors, relative to the end of the band
+# A mode is a rigid-body mode if (frequency / end of the band) is below this ratio.
 ZERO_FREQUENCY_RATIO = 1e-5
 COMPLIANCE_UNITS = {kind: domain.compliance for kind, domain in PORTS.items() if domain.reference}
 
@@ -69,9 +70,10 @@ class Resonators(EqualByContent):
     ``y_k = sum_j gain_jk z_j + sum_l D_kl u_l``.
 
     The arrays are ``omega`` (q,) in rad/s, ``damp`` (q,) in 1/s, ``gain`` (q, p), and ``D`` (p, p).
-    ``m_j`` is zero for the last ``massless`` modes, whose time constant is ``damp_j / omega_j^2``,
-    and one for all other modes. The model is reciprocal, stable if ``damp >= 0``, and passive if
-    ``D`` is positive semi-definite. For an electrical port, u is the voltage and y the charge.
+    ``m_j`` is 0 for the last ``massless`` modes, and 1 for all other modes. A massless mode has the
+    time constant ``damp_j / omega_j^2``. The model is reciprocal. The model is stable if ``damp >=
+    0``, and passive if, in addition, ``D`` is positive semi-definite. For an electrical port, u is
+    the voltage and y the charge.
     """
 
     omega: np.ndarray
@@ -95,7 +97,7 @@ class Resonators(EqualByContent):
     def linear(self) -> LinearModel:
         """Convert the resonators to a :class:`LinearModel`.
 
-        :func:`resonators` is the exact inverse of this conversion.
+        :func:`compute_resonators` is the exact inverse of this conversion.
         """
         return LinearModel(
             M=np.diag(self.inertia),
@@ -111,9 +113,9 @@ class Resonators(EqualByContent):
 def compute_resonators(rom: LinearModel) -> Resonators | None:
     """Compute the mass-normalised modes of a model with symmetric K and M.
 
-    The result is None for a first-order model, if M or K is not positive definite, if C is not B',
-    or if damping couples modes. The function solves the eigenvalue problem ``M phi = mu K phi``
-    instead of ``K phi = lambda M phi``, because K is better conditioned than M.
+    The result is None for a first-order model, an indefinite or singular M or K, ``C != B'``, or
+    damping that couples modes. The function solves the eigenvalue problem ``M phi = mu K phi``
+    instead of ``K phi = lambda M phi``, because K has a smaller condition number than M.
     """
     if rom.first_order or not rom.symmetric:
         return None
@@ -144,7 +146,7 @@ def compute_resonators(rom: LinearModel) -> Resonators | None:
     if (np.abs(damping - np.diag(damp)) > MAX_MODAL_COUPLING * scale).any():
         return None
     gain = phi.T @ rom.B
-    # mode shapes have arbitrary signs; this choice makes netlists identical on all computers
+    # mode shapes have arbitrary signs; positive largest gains make netlists equal on all computers
     gain *= np.sign(gain[np.arange(len(gain)), np.abs(gain).argmax(axis=1)])[:, None]
     return Resonators(1 / np.sqrt(mu), damp, gain, rom.D, rom.ports, rom.certificate)
 
@@ -154,19 +156,19 @@ def tabulate_modes(model: LinearModel) -> dict[str, Any] | None:
 
     The list ends at the end of the certificate's band. Each item of ``modes`` has the keys
     ``frequency_hz``, ``quality`` and ``couplings``. ``quality`` is the Q factor, or None for an
-    undamped mode. ``couplings`` maps each port to the coupling of the mode to this port. ``units``
-    contains the units of the couplings.
+    undamped mode. ``couplings`` contains the coupling of the mode to each port, keyed by port.
+    ``units`` contains the units of the couplings.
 
     The coupling of an electrical port is the effective coupling factor
     ``k = sqrt(C_j / (C_j + C_above))``. The mode adds ``C_j = gain_j^2 / omega_j^2`` [F] to the
     static capacitance, and ``C_above`` is the capacitance of all higher modes and of the clamped
-    body. For a mode far from all other modes, ``k^2 = 1 - (f_r / f_a)^2``. At any other port, the
-    coupling is ``gain_j^2 / omega_j^2``: the contribution of the mode to the static response of the
-    port.
+    body. If a mode is far from all other modes, ``k^2 = 1 - (f_r / f_a)^2`` with the resonance
+    frequency f_r and the antiresonance frequency f_a. At any other port, the coupling is ``gain_j^2
+    / omega_j^2``: the contribution of the mode to the static response of the port.
 
     If damping couples modes, each pair of complex poles counts as a mode, and ``omega_j`` is the
     magnitude of the poles. Rigid-body modes are omitted. The result is None for a first-order
-    model, for a model whose ports are signals, and if there is no mode in the band.
+    model, a model with signal ports, or a model without modes in the band.
     """
     result = _compute_modal_data(model)
     if result is None:
@@ -197,11 +199,10 @@ def tabulate_modes(model: LinearModel) -> dict[str, Any] | None:
 def _compute_modal_data(
     model: LinearModel,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
-    """Return frequencies, damping and static contributions of the modes, and the direct term.
+    """Return frequencies, damping and static responses of modes, and the direct term.
 
-    The four results are ``omega`` (modes,) [rad/s], ``damp`` (modes,) [1/s], the static
-    contributions ``gain^2 / omega^2`` (modes, ports), and the instantaneous response (ports,) of
-    each port.
+    The results are ``omega`` (modes,) [rad/s], ``damp`` (modes,) [1/s], the static responses
+    ``gain^2 / omega^2`` (modes, ports), and the instantaneous responses (ports,).
     """
     result = compute_resonators(model)
     if result is None:
@@ -215,13 +216,14 @@ def _compute_modal_data(
 def _compute_modal_data_from_poles(
     model: LinearModel,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
-    """Compute modal data from the poles of ``M x'' + E x' + K x``; None for a first-order model.
+    """Compute modal data from the poles of a second-order model.
 
-    The function returns the same four results as :func:`_compute_modal_data`.
+    The four results are the same as in :func:`_compute_modal_data`. The result is None for a
+    first-order model or a model with signal ports.
 
-    The static contribution of a pair of poles to a port is ``-2 Re(residue / pole)``, with the
-    residue of the port's driving-point response. For decoupled modes, the static contribution
-    equals ``gain^2 / omega^2``.
+    The static response of a pair of poles at a port is ``-2 Re(residue / pole)``, with the residue
+    of the port's driving-point response. For decoupled modes, the static response equals ``gain^2 /
+    omega^2``.
     """
     if model.first_order or not all(port.conservative for port in model.ports):
         return None
@@ -244,39 +246,39 @@ def _compute_modal_data_from_poles(
     return size, -2 * values[rows].real * scale, share, np.diag(model.D)
 
 
-# largest change of a response by omitted inertia at the end of the band, relative to the compliance
+# largest permitted change of a compliance by omitted inertia, relative to the static compliance
 MASSLESS_ERROR = 1e-3
-# Value of MASSLESS_ERROR if the damping ratio of the lowest massless mode is < MAX_RINGING_RATIO.
+# Replaces MASSLESS_ERROR if (damping ratio of the lowest massless mode) < MAX_RINGING_RATIO.
 # Modes with little damping depend on the mesh, ring for hundreds of periods, and limit time steps.
-# If modes with little damping are massless, the launch of a chip needs a third of the time points.
-# The launch of a chip with 0.01 % damping then changes by 1.2e-3, towards that of a finer model.
-# The change of the launch is a quarter of the difference to the finer model.
+# With massless modes instead, the simulated launch of a chip needs a third of the time points.
+# The simulated launch of a chip with 0.01 % damping changes by 1.2e-3, towards a finer model.
+# The change by massless modes is a quarter of the change by the finer model.
 RINGING_ERROR = 1e-2
 MAX_RINGING_RATIO = 0.02
-# Smallest frequency of a mode that may become massless, relative to the end of the band.
+# A mode may become massless if (frequency / end of the band) exceeds this ratio.
 # Modes with lower frequencies do not respond instantaneously.
 MIN_FREQUENCY_RATIO = 2.0
-EQUAL_TIMES_TOLERANCE = 1e-9  # largest relative difference of relaxation times that count as equal
-# no port drives a combination of modes whose relative singular value is below this limit
+EQUAL_TIMES_TOLERANCE = 1e-9  # relative difference of equal relaxation times
+# combinations of modes with a smaller relative singular value count as not driven by any port
 ZERO_SINGULAR_VALUE = 1e-12
 
 
 def make_highest_modes_massless(model: Resonators, tolerance: float | None = None) -> Resonators:
     """Replace the highest modes of a model by states without inertia.
 
-    The certificate of the result includes the additional error. As many of the highest modes are
-    replaced as the following two conditions permit:
+    The certificate of the result includes the additional error. The function replaces as many modes
+    as possible under two conditions:
 
-    * At the end f of the band, the omitted inertia of the modes with frequencies f_j changes the
-      response of every mechanical port by less than ``MASSLESS_ERROR`` of the static compliance.
-      The change is ``sum_j (g_j / w_j)^2 (f / f_j)^2``. If the lowest massless mode has little
-      damping, the limit is ``RINGING_ERROR`` instead.
-    * The error estimate of the result is at most ``tolerance``.
+    * At the end f of the band, the omitted inertia changes the compliance of every mechanical port
+      by less than ``MASSLESS_ERROR`` of the static compliance. The change is
+      ``sum_j (g_j / w_j)^2 (f / f_j)^2`` for modes with frequencies f_j. If the lowest massless
+      mode has little damping, the limit is ``RINGING_ERROR`` instead.
+    * The error estimate of the resulting model is at most ``tolerance``.
 
     The static response remains exact, and the model remains passive. Modes with equal relaxation
-    times are merged to as many states as there are independent ports. For example, all modes have
-    equal relaxation times if damping is proportional to stiffness. The states without inertia have
-    no effect on an acceleration port.
+    times are merged; one state remains for each independent port. For example, all modes have equal
+    relaxation times if damping is proportional to stiffness. The states without inertia have no
+    effect on an acceleration port.
     """
     certificate = model.certificate
     if certificate is None:
@@ -304,7 +306,7 @@ def make_highest_modes_massless(model: Resonators, tolerance: float | None = Non
 
 
 def _count_quasi_static(model: Resonators, top: float) -> int:
-    """Count the highest modes whose inertia has a negligible effect up to ``top`` [Hz]."""
+    """Count the highest modes whose inertia is negligible up to ``top`` [Hz]."""
     moved = [port.has_position for port in model.ports]
     descending = np.argsort(model.omega)[::-1]
     omega, ratio = model.omega[descending], 2 * np.pi * top / model.omega[descending]
@@ -319,7 +321,7 @@ def _count_quasi_static(model: Resonators, top: float) -> int:
 
 
 def _remove_inertia(model: Resonators, count: int) -> Resonators:
-    """Return ``model`` with its ``count`` highest modes replaced by massless modes."""
+    """Replace the ``count`` highest modes of a model by massless modes."""
     for port, capacitance in zip(model.ports, np.diag(model.D), strict=True):
         if port.has_charge_output and capacitance <= 0:
             raise UsageError(
@@ -352,26 +354,26 @@ def _remove_inertia(model: Resonators, count: int) -> Resonators:
     )
 
 
-_BLOCK_STEPS = 4096  # number of time steps whose propagators are in memory at the same time
+_BLOCK_STEPS = 4096  # number of time steps per group, which limits the memory
 
 
 def simulate_resonators(
     model: Resonators, t: np.ndarray, load: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the outputs and the stored energy of a chip for a given load history.
+    """Compute the outputs and the stored energy of a chip for given loads.
 
-    The ``load`` (n, ports) contains forces on the chip [N] and voltages [V], which are linear
-    between the times ``t`` (n,) [s]. The outputs (n, ports) are displacements [m] and charges [C].
-    The stored energy (n,) is in J.
+    ``load`` (n, ports) contains forces on the chip [N] and voltages [V] at the times ``t`` (n,)
+    [s]. Between successive times, the loads are linear. The outputs (n, ports) are displacements
+    [m] and charges [C]. The stored energy (n,) is in J.
 
     The characteristic equation of a mode ``z'' + d z' + w^2 z = r`` has the roots a and b. For each
     root, one state is integrated:
 
         x' = a x + r,    x(t + h) = e^(ah) x + h p1(ah) r + h p2(ah) (r(t + h) - r)
 
-    with ``p1 = (e^s - 1)/s`` and ``p2 = (e^s - 1 - s)/s^2`` at ``s = ah``. The displacement is
-    ``z = (x_a - x_b)/(a - b)``. For piecewise linear loads, the formulas are exact at any time step
-    h. A mode without inertia has only one state. The chip starts in equilibrium with ``load[0]``.
+    with ``p1 = (e^s - 1)/s`` and ``p2 = (e^s - 1 - s)/s^2`` at ``s = ah``. The displacement is ``z
+    = (x_a - x_b)/(a - b)``. For piecewise linear loads, the formulas are exact for any time step h.
+    A mode without inertia has only one state. The chip starts in equilibrium with ``load[0]``.
     """
     drive, inertial = load @ model.gain.T, model.order - model.massless
     z = np.empty_like(drive)
@@ -395,8 +397,8 @@ def integrate_modes(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Integrate modes ``z'' + damp z' + omega^2 z = drive`` from equilibrium.
 
-    ``drive`` (n, modes) is linear between the times ``t`` (n,). Return the displacements z and
-    their rates z', two arrays of shape (n, modes).
+    ``drive`` (n, modes) is linear between the times ``t`` (n,). Return the displacements z and the
+    velocities z', two arrays of shape (n, modes).
     """
     a, b = _compute_oscillator_roots(omega, damp)
     if (b == a.conj()).all():  # for conjugate roots, x_b is the conjugate of x_a
@@ -409,10 +411,12 @@ def integrate_modes(
 
 
 def integrate_roots(roots: np.ndarray, t: np.ndarray, drive: np.ndarray) -> np.ndarray:
-    """Integrate ``x' = a x + r`` from equilibrium for each root a, with ``r`` from ``drive``.
+    """Integrate ``x' = a x + r`` from equilibrium for each root a.
+
+    ``drive`` contains the values of r at the times ``t``.
 
     Return the states x, an array of shape (n, roots). Groups of time steps are first integrated in
-    parallel, each from the state zero. Then the free response to the last state of the previous
+    parallel, each from the state zero. Then, the free response to the final state of the previous
     group is added to each group.
     """
     states = np.empty((t.size, roots.size), dtype=np.result_type(roots, drive))
@@ -440,8 +444,7 @@ def integrate_roots(roots: np.ndarray, t: np.ndarray, drive: np.ndarray) -> np.n
 def _compute_oscillator_roots(omega: np.ndarray, damp: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the slow and the fast roots of ``s^2 + damp s + omega^2`` for all modes.
 
-    Roots of a mode that are nearly equal are replaced by roots with a difference of 2e-4 times
-    omega.
+    Nearly equal roots of a mode are replaced by roots that differ by 2e-4 omega.
     """
     half = np.sqrt(damp.astype(complex) ** 2 / 4 - omega**2)
     half = np.where(np.abs(half) < 1e-4 * omega, 1e-4 * omega, half)
@@ -454,7 +457,7 @@ def _compute_oscillator_roots(omega: np.ndarray, damp: np.ndarray) -> tuple[np.n
 def _compute_step_propagators(
     roots: np.ndarray, t: np.ndarray, drive: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the propagator ``e^(ah)`` and the contribution of the load for each time step.
+    """Return the propagator ``e^(ah)`` and the load increment of each time step.
 
     Both results have the shape (steps, roots).
     """
@@ -470,22 +473,22 @@ def _compute_step_propagators(
 
 TANGENT_FREQUENCY = 1e3  # frequency [Hz] at which data sheets give the loss tangent
 DEFAULT_DECADES = (
-    4.0  # largest number of decades over which a sum is fitted, up to the end of the band
+    4.0  # a sum is fitted over at most this number of decades below the end of the band
 )
 POINTS_PER_DECADE = 30
 MAX_RELAXATIONS = 6  # largest number of relaxation terms per decade
-# allowed error of Foster's sum, relative to the loss tangent or to 0.01, whichever is smaller
+# permitted error of Foster's sum / min(loss tangent, 0.01)
 LOSS_ERROR_SHARE = 0.02
 
 
 def compute_permittivity_ratio(frequency: np.ndarray, tangent: float) -> np.ndarray:
-    """Return the relative permittivity change ``eps(s) / eps`` (n,) at ``frequency`` (n,) [Hz]."""
+    """Return the complex permittivity ratio ``eps(s) / eps`` (n,) at frequencies [Hz]."""
     m = 2 / np.pi * np.arctan(tangent)
     return np.asarray((1j * np.asarray(frequency) / TANGENT_FREQUENCY) ** -m)
 
 
 def compute_clamped_tangent(tangent: float, ratio: float) -> float:
-    """Compute the loss tangent of a clamped body from that of the mechanically free body.
+    """Convert the loss tangent of a mechanically free body to the clamped body.
 
     Both loss tangents are at 1 kHz.
 
@@ -498,7 +501,7 @@ def compute_clamped_tangent(tangent: float, ratio: float) -> float:
 
     Raises
     ------
-    UsageError : the clamped capacitance is too small for this loss tangent.
+    UsageError : the clamped capacitance is too small for the loss tangent.
 
     Examples
     --------
@@ -519,11 +522,11 @@ def compute_clamped_tangent(tangent: float, ratio: float) -> float:
 def fit_foster_network(
     tangent: float, band: tuple[float, float], error: float
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Fit the shortest Foster sum to the permittivity of a constant loss tangent.
+    """Fit a Foster sum with few terms to a permittivity with constant loss tangent.
 
-    The sum is ``a_0 + sum_k a_k / (1 + s t_k)``. Return the amplitudes ``a`` (k + 1,), the rates
-    ``1/t`` (k,) [1/s], and the largest relative error of the sum. If no sum has an error of at most
-    ``error``, the most accurate sum is returned.
+    The Foster sum is ``a_0 + sum_k a_k / (1 + s t_k)``. Return the amplitudes ``a`` (k + 1,), the
+    rates ``1/t`` (k,) [1/s], and the largest relative error of the sum. If no sum has an error of
+    at most ``error``, the most accurate sum is returned.
     """
     low, high = max(band[0], band[1] / 10**DEFAULT_DECADES), band[1]
     decades = np.log10(high / low) + 1e-9
@@ -546,16 +549,16 @@ def fit_foster_network(
 
 
 def add_dielectric_loss(model: Resonators, tangent: float) -> Resonators:
-    """Add dielectric loss to a model, as massless modes that represent relaxations.
+    """Add dielectric loss to a model by massless modes, which represent relaxations.
 
     ``tangent`` is the loss tangent of the mechanically free body at 1 kHz. The loss tangent is
-    constant in the band of the certificate. The error in the certificate of the result includes the
-    error of the loss tangent. The motional and the clamped capacitance are sums over all
-    electrodes, with all other electrodes shorted.
+    constant in the band of the certificate. The error estimate in the certificate of the result
+    includes the deviation of the loss tangent from a constant. The motional and the clamped
+    capacitance are sums over all electrodes, with all other electrodes shorted.
 
     Raises
     ------
-    UsageError : the model has no certificate or no electrodes, or its clamped capacitance is too
+    UsageError : the model has no certificate or no electrodes, or the clamped capacitance is too
     small for the loss tangent.
     """
     known = model.certificate

@@ -1,19 +1,19 @@
 """Passive state-space models fitted to measured multiports by vector fitting.
 
-Scattering parameters S for a reference resistance R are fitted with poles that all entries of S
-share. First, scikit-rf makes a few iterations of vector fitting (B. Gustavsen, A. Semlyen, IEEE
-Trans. Power Delivery 14 (1999) 1052). Then the poles are refined by nonlinear least squares,
-because the minimum of a least-squares problem does not depend on rounding errors. Poles are added
-until the deviation of the fit equals the noise of the data. The nearest passive model with the same
-poles is computed by the bounded real lemma. The eigenvalues of a Hamiltonian matrix show whether a
-model is passive at all frequencies (S. Boyd, V. Balakrishnan, P. Kabamba, Math. Control Signals
-Systems 2 (1989) 207). The waves are ``b = S a`` and ``a, b = (v / r +- r i) / 2`` with
-``r = sqrt(R)``. The state space is::
+The module fits scattering parameters S for a reference resistance R. All entries of S have the same
+poles. First, scikit-rf makes a few iterations of vector fitting (B. Gustavsen, A. Semlyen, IEEE
+Trans. Power Delivery 14 (1999) 1052). Then, nonlinear least squares refine the poles, because the
+minimum of a least-squares problem hardly depends on rounding errors. Poles are added until the
+deviation of the fit is about the noise of the data. The nearest passive model with the same poles
+follows from the bounded real lemma. The eigenvalues of a Hamiltonian matrix show whether a model is
+passive at all frequencies (S. Boyd, V. Balakrishnan, P. Kabamba, Math. Control Signals Systems 2
+(1989) 207). The incident waves are ``a = (v / r + r i) / 2`` and the reflected waves are ``b = (v /
+r - r i) / 2 = S a``, with ``r = sqrt(R)``. The state-space equations are::
 
     x' = A x + B a            v / r = C x + (1 + D) a
     b  = C x + D a            i = (2 a - v / r) / r
 
-The output of an electrical port is a charge: the integral of the current i.
+The output of an electrical port is the charge, which is the integral of the current i.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from kc2spice.rom.state_space import ABCD
 # number of vector fitting iterations; further iterations would amplify rounding errors
 FITTING_ITERATIONS = 6
 MAX_EVALUATIONS = 60  # largest number of function evaluations in the refinement of poles
-# smallest decay rate of a pole that the samples determine, relative to the distance of samples
+# smallest decay rate of a pole that samples determine, relative to the spacing of samples
 MIN_DECAY_RATIO = 0.25
 # largest decay rate of a pole that the samples determine, relative to the end of the band
 MAX_DECAY_RATIO = 10.0
@@ -47,21 +47,21 @@ MAX_DECAY_RATIO = 10.0
 MAX_FREQUENCY_RATIOS = (3.0, 1.25, 1.001)
 # largest number of parameters per measured value; more parameters would describe noise
 MAX_PARAMETER_SHARE = 0.25
-# four times the smallest distance between the logarithm of a start value and its bounds
+# four times the smallest distance between the logarithms of a start value and of a bound
 BOUND_DISTANCE = 1e-3
 MAX_POLES = 60  # largest number of poles; a complex pair counts once
-# largest number of states; the time for passivity enforcement grows with its sixth power
+# largest number n of states; the time for passivity enforcement is proportional to n^6
 MAX_STATES = 48
 NOISE_FACTOR = 1.2  # largest deviation of a good fit, as a multiple of the noise of the data
 GOOD_DEVIATION = 1e-5  # largest deviation of a good fit, as a fraction of the largest value
-# smallest useful reduction of the deviation by three additional poles, relative to the deviation
+# smallest useful relative reduction of the deviation by three additional poles
 MIN_IMPROVEMENT = 0.1
 MAX_FAILURES = 2  # number of successive reductions below MIN_IMPROVEMENT that end the search
-# accepted deviation of a passive fit, relative to the deviation of the fit without passivity
+# accepted (deviation of a passive fit / deviation of the best fit without enforced passivity)
 PASSIVITY_RATIO = 1.2
 # largest deviation of an acceptable passive model, relative to the largest value of the data
 POOR_DEVIATION = 0.2
-# first trial of (scale factor - 1) for a model that violates passivity by rounding errors
+# first trial of (scale factor - 1), which corrects a violation of passivity by rounding errors
 OPTIMUM_ROUNDING = 1e-6
 MAX_PASSIVITY_EXCESS = 0.1  # largest violation of passivity that scaling corrects
 # tolerance of the passivity check, relative to the limit 1 of the largest singular value
@@ -72,8 +72,8 @@ def fit_multiport(f: np.ndarray, Y: np.ndarray, noise: float, where: str) -> Lin
     """Fit a passive state-space model to admittances ``Y`` (n, ports, ports) [S].
 
     The frequencies are ``f`` (n,) [Hz]. The ports are ``port1``, ``port2``, …, with the common
-    reference pin ``ref``. The error in the certificate is the largest deviation of any entry of Y
-    from its samples, relative to the peak of this entry. ``noise`` is the relative standard
+    reference pin ``ref``. The error in the certificate is the largest deviation of an entry of Y
+    from the samples, relative to the peak of the entry. ``noise`` is the relative standard
     deviation of the noise in the real or the imaginary part of an entry of Y.
 
     Raises
@@ -89,7 +89,7 @@ def fit_multiport(f: np.ndarray, Y: np.ndarray, noise: float, where: str) -> Lin
     model = _convert_to_charges(*_select_fit(f, S, noise, where), R)
     response = 2j * np.pi * f[:, None, None] * model.transfer(f)
     peak = np.abs(Y).max(axis=0)
-    # the entry of two ports without coupling is zero, so it is compared with the largest peak
+    # without coupling between two ports, the entry is zero and is compared with the largest peak
     deviation = np.abs(response - Y) / np.where(peak > 0, peak, peak.max())
     worst = np.unravel_index(int(deviation.argmax()), deviation.shape)
     error, at = float(deviation[worst]), float(f[worst[0]])
@@ -109,8 +109,8 @@ def _select_fit(f: np.ndarray, S: np.ndarray, noise: float, where: str) -> ABCD:
     """Return the best passive model among fits with different numbers of poles.
 
     The search begins with the most accurate fits. The search ends at the first passive model that
-    is about as accurate as the best fit without enforced passivity. If no passive model is that
-    accurate, the most accurate passive model is returned.
+    is about as accurate as the best fit without enforced passivity. Otherwise, the most accurate
+    passive model is returned.
     """
     fits = _fit_increasing_orders(f, S, noise, where)
     result, least = None, np.inf
@@ -143,7 +143,7 @@ def _fit_increasing_orders(
 ) -> list[tuple[float, ABCD]]:
     """Fit models with increasing numbers of poles.
 
-    Return pairs of the deviation of a fit and its state-space matrices, sorted by deviation.
+    Return pairs of deviation and state-space matrices, sorted by deviation.
     """
     skrf = import_optional("skrf", where)
     network = skrf.Network(frequency=skrf.Frequency.from_f(f, unit="hz"), s=S, z0=1.0)
@@ -153,7 +153,7 @@ def _fit_increasing_orders(
         fit = skrf.vectorFitting.VectorFitting(network)
         fit.max_iterations = FITTING_ITERATIONS
         with warnings.catch_warnings():
-            # if the iterations end before convergence, the deviation shows if poles are usable
+            # without convergence, the deviation of the fit shows whether the poles are usable
             warnings.simplefilter("ignore")
             try:
                 fit.vector_fit(n_poles_real=2, n_poles_cmplx=poles, enforce_dc=False)
@@ -187,11 +187,13 @@ def _fit_increasing_orders(
 
 
 def _enforce_passivity(model: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None:
-    """Compute the nearest passive state space with the same poles, None if this fails.
+    """Compute the nearest passive state space with the same poles.
 
-    The deviation is minimised over C and D subject to the bounded real lemma: a linear matrix
-    inequality in C, D and the matrix P of a storage function ``x'Px`` (S. Grivet-Talocia, B.
-    Gustavsen, Passive Macromodeling, 2016, section 9.4)::
+    The result is None if the optimisation fails.
+
+    The matrices C and D minimise the deviation, subject to the bounded real lemma. The lemma is a
+    linear matrix inequality in C, D and the matrix P of a storage function ``x'Px`` (S.
+    Grivet-Talocia, B. Gustavsen, Passive Macromodeling, 2016, section 9.4)::
 
         [ A'P + PA   PB   C' ]
         [ B'P        -1   D' ]  <= 0
@@ -219,7 +221,7 @@ def _enforce_passivity(model: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None
     count, order = triangle + m * (n + m), n + 2 * m
 
     def make_inequality_matrix(x: np.ndarray) -> np.ndarray:
-        """Return the matrix of the linear matrix inequality without its constant entries -1.
+        """Return the matrix of the inequality without the constant entries -1.
 
         ``x`` contains the lower triangle of P, and then the rows of the block matrix ``[C D]``.
         """
@@ -253,7 +255,7 @@ def _enforce_passivity(model: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None
 
 
 def _fit_passive(fit: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None:
-    """Return the passive state space with the poles of ``fit`` that is nearest to the samples.
+    """Return the most accurate passive state space with the poles of ``fit``.
 
     The result is None if no passive state space is found.
     """
@@ -277,8 +279,8 @@ def _fit_passive(fit: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None:
 def _scale_to_passive(model: ABCD) -> ABCD | None:
     """Divide C and D by a factor that makes the model passive.
 
-    The factor is the smallest of the numbers 1 and ``1 + OPTIMUM_ROUNDING 2^k`` with integers k.
-    The result is None if the factor would exceed 1 + :data:`MAX_PASSIVITY_EXCESS`.
+    The factors 1 and ``1 + OPTIMUM_ROUNDING 2^k`` are tried for k = 0, 1, 2, …. The result is None
+    if the factor would exceed 1 + :data:`MAX_PASSIVITY_EXCESS`.
     """
     A, B, C, D = model
     excess = 0.0
@@ -290,12 +292,12 @@ def _scale_to_passive(model: ABCD) -> ABCD | None:
 
 
 def _compute_transfer(model: ABCD, f: np.ndarray) -> np.ndarray:
-    """Return the transfer matrices of a state-space model at the frequencies ``f`` [Hz]."""
+    """Return the transfer matrices of a state-space model at frequencies ``f`` [Hz]."""
     return make_explicit_pencil(*model).transfer(2j * np.pi * f)
 
 
 def _compute_rms_deviation(one: np.ndarray, other: np.ndarray) -> float:
-    """Return the rms difference of two responses, relative to the largest entry of ``other``."""
+    """Return the rms difference of two responses, relative to the peak of ``other``."""
     return float(np.sqrt(np.mean(np.abs(one - other) ** 2)) / np.abs(other).max())
 
 
@@ -309,9 +311,9 @@ def refine_poles(
     ports, ports) and the matrix D. The imaginary part of a pole is at most ``highest`` times the
     end of the band.
 
-    The residues and D are linear parameters, so they are eliminated from the least-squares problem
+    The residues and D are linear parameters, which are eliminated from the least-squares problem
     (variable projection with Kaufman's Jacobian: Golub and Pereyra, Inverse Problems 19 (2003) R1).
-    Unlike the result of vector fitting, the minimum of the least-squares problem does not depend on
+    Unlike the result of vector fitting, the minimum of the least-squares problem hardly depends on
     rounding errors.
     """
     top = 2 * np.pi * float(f[-1])
@@ -354,7 +356,7 @@ def refine_poles(
         return project(x)[2].ravel()
 
     def slopes(x: np.ndarray) -> np.ndarray:
-        """Return the derivatives of the residuals with respect to the pole parameters ``x``."""
+        """Return the derivatives of the residuals with respect to pole parameters ``x``."""
         Q, coefficients, _ = project(x)
         result = []
         for change in _yield_pole_derivatives(s, unpack_poles(x), real, coefficients):
@@ -381,10 +383,10 @@ def refine_poles(
 
 
 def _scale_columns(s: np.ndarray, p: np.ndarray, real: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the columns of the linear least-squares problem and their norms before scaling.
+    """Return scaled columns of the linear least-squares problem, and the norms.
 
-    The columns are scaled to norm 1. The columns contain the real and imaginary parts of the terms
-    ``1``, ``1 / (s - p) + 1 / (s - p*)`` (half of this term for a real pole), and
+    The columns are divided by the norms. Columns contain the real and imaginary parts of the
+    following terms: ``1``, ``1 / (s - p)`` for real poles, and ``1 / (s - p) + 1 / (s - p*)`` and
     ``j / (s - p) - j / (s - p*)`` for complex poles.
     """
     one, other = 1 / (s[:, None] - p), 1 / (s[:, None] - p.conj())
@@ -396,9 +398,10 @@ def _scale_columns(s: np.ndarray, p: np.ndarray, real: np.ndarray) -> tuple[np.n
 
 
 def _recover_residues(coefficients: np.ndarray, real: np.ndarray) -> np.ndarray:
-    """Return complex residues of shape (poles, entries) from real and imaginary parts.
+    """Combine real and imaginary parts to residues of shape (poles, entries).
 
-    ``coefficients`` contains the real parts first, then the imaginary parts of complex residues.
+    ``coefficients`` contains D, the real parts of all residues, and then the imaginary parts of
+    complex residues.
     """
     result = coefficients[1 : 1 + len(real)].astype(complex)
     result[~real] += 1j * coefficients[1 + len(real) :]
@@ -408,7 +411,7 @@ def _recover_residues(coefficients: np.ndarray, real: np.ndarray) -> np.ndarray:
 def _yield_pole_derivatives(
     s: np.ndarray, p: np.ndarray, real: np.ndarray, coefficients: np.ndarray
 ) -> Iterator[np.ndarray]:
-    """Yield the derivatives of the fit with respect to the logarithms of pole parts.
+    """Yield derivatives of the fit with respect to the logarithms of pole parts.
 
     The pole parts are the negative real parts and the imaginary parts of the poles. Each derivative
     has the shape (frequencies, entries).
@@ -430,10 +433,12 @@ def _yield_pole_derivatives(
 
 
 def _realise_state_space(poles: np.ndarray, residues: np.ndarray, D: np.ndarray) -> ABCD:
-    """Compute real state-space matrices with the response ``D + sum_k R_k / (s - p_k)``.
+    """Compute real state-space matrices from poles and residues.
 
-    A real pole has as many states as the rank of its residue matrix. A complex pair of poles has
-    twice as many states as this rank.
+    The response of the state space is ``D + sum_k R_k / (s - p_k)``.
+
+    A real pole has as many states as the rank of the pole's residue matrix. A complex pair of poles
+    has twice as many states as the rank of the residue matrix.
     """
     ports = len(D)
     blocks, inputs, outputs = [], [], []
@@ -441,7 +446,7 @@ def _realise_state_space(poles: np.ndarray, residues: np.ndarray, D: np.ndarray)
         U, size, Vh = np.linalg.svd(residue)
         rank = int(np.sum(size > 1e-9 * size[0])) if size[0] > 0 else 0
         into, out = Vh, U * size
-        # with separate states for each input, the matrices have the fewest entries
+        # with separate states for each input, the matrices have few entries
         if rank == ports:
             into, out = np.eye(ports), residue
         for column in range(rank):
@@ -460,12 +465,12 @@ def _realise_state_space(poles: np.ndarray, residues: np.ndarray, D: np.ndarray)
 
 
 def is_passive(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> bool:
-    """Return whether a state-space model of scattering parameters is passive at all frequencies.
+    """Return whether a state-space model of scattering parameters is passive.
 
-    The model is passive under three conditions: it is stable, the norm of D is at most one, and the
-    gain is at most one at every frequency where the gain may cross a bound just above one. The
-    frequencies of possible crossings are the imaginary eigenvalues of the Hamiltonian matrix for
-    this bound.
+    A passive model is stable, the norm of D is at most one, and the gain is at most one at all
+    frequencies. The imaginary eigenvalues of a Hamiltonian matrix are the only frequencies where
+    the gain may cross a bound just above one. Therefore, the gain is computed only at these
+    frequencies.
     """
     if (np.linalg.eigvals(A).real >= 0).any() or np.linalg.norm(D, 2) >= 1 + PASSIVITY_MARGIN:
         return False
@@ -487,10 +492,10 @@ def is_passive(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> bo
 def _convert_to_charges(
     A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, R: float
 ) -> LinearModel:
-    """Convert a state space of scattering parameters to a model of charges versus voltages.
+    """Convert a state space of scattering parameters to charges versus voltages.
 
-    The input ``v`` [V] contains the voltages of the ports, and the output ``q`` [C] their charges.
-    ``r`` is the square root of the reference resistance R [Ohm].
+    The input ``v`` [V] contains the voltages of the ports, and the output ``q`` [C] the charges of
+    the ports. ``r`` is the square root of the reference resistance R [Ohm].
 
     The incident waves ``a`` remain algebraic unknowns, so that the poles of the fit remain in
     separate blocks of the matrix A::

@@ -1,15 +1,16 @@
 """Parallel branches of resistors, inductors and capacitors: a passive one-port.
 
-Every branch consists of R, L and C in series, or of some of these elements. All branches and the
-capacitance ``C0`` are in parallel. With the charge ``q_k`` of each branch, the voltage u and the
-charge y of the port, the network is::
+Every branch is a series circuit of one, two or three of the elements R, L and C. All branches and
+the capacitance ``C0`` are in parallel. With the charges ``q_k`` of the branches, the voltage u and
+the charge y of the port, the equations are::
 
     L_k q_k'' + R_k q_k' + q_k / C_k = u        y = sum_k q_k + C0 u
 
-The network is a linear model with diagonal matrices and a column B of ones. A linear model of this
-form is recognised as a network. The current of all branches may flow through leads with a
-resistance R and an inductance L. If there are leads, ``C0`` is also a branch. The lead resistance R
-is then added to all entries of the damping matrix, and L to all entries of the inertia matrix::
+The network is a linear model with diagonal matrices and a column B of ones. Every linear model of
+this form is recognised as a network. The current of all branches may flow through leads with a
+resistance R and an inductance L. In a network with leads, ``C0`` is also a branch. The lead
+resistance R is added to all entries of the damping matrix, and the lead inductance L to all entries
+of the inertia matrix::
 
     L y'' + R y' + L_k q_k'' + R_k q_k' + q_k / C_k = u        y = sum_k q_k
 """
@@ -28,7 +29,7 @@ NETWORK_PORT = Port("anode", ELECTRICAL.port, pins=("anode", "cathode"))
 
 @dataclass(frozen=True)
 class CircuitBranch:
-    """Series circuit of R [Ohm], L [H] and C, with the elastance 1/C [1/F] instead of C.
+    """Series circuit of R [Ohm], L [H] and C, stated by the elastance 1/C [1/F].
 
     The value of a missing element is 0.
     """
@@ -38,7 +39,7 @@ class CircuitBranch:
     elastance: float = 0.0
 
     def admittance(self, s: np.ndarray) -> np.ndarray:
-        """Return the admittance ``s / (L s^2 + R s + 1/C)`` (n,) [S] at ``s`` (n,) [1/s]."""
+        """Return the admittance ``s / (L s^2 + R s + 1/C)`` (n,) [S] for ``s`` (n,) [1/s]."""
         return np.asarray(
             s / (self.inductance * s**2 + self.resistance * s + self.elastance), dtype=complex
         )
@@ -51,7 +52,7 @@ IDEAL_LEAD = CircuitBranch(0.0)
 class ParallelBranches:
     """One-port network: ``branches`` and a ``capacitance`` C0 [F] in parallel.
 
-    The ``lead`` consists of R and L in series with the parallel branches, so it carries the total
+    The ``lead`` consists of R and L in series with the parallel branches, and carries the total
     current.
     """
 
@@ -127,7 +128,7 @@ def recognise_parallel_branches(model: LinearModel) -> ParallelBranches | None:
 
 
 def _find_common_value(matrix: np.ndarray) -> float | None:
-    """Return the value that all off-diagonal entries of a matrix have in common.
+    """Return the common value of all off-diagonal entries of a matrix.
 
     The result is None if the off-diagonal entries differ, are negative, or exceed a diagonal entry.
     Without off-diagonal entries, the result is 0.

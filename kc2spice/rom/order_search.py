@@ -1,4 +1,4 @@
-"""Search for the smallest order that meets a tolerance, for bases of any method."""
+"""Search for the smallest order of a basis that meets a tolerance."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from kc2spice.rom.reduced_basis import ReducedBasis, ReductionTask
 from kc2spice.rom.reductors.base import Reductor
 from kc2spice.rom.stability import DEFINITE_EVIDENCE, StabilityProof
 
-# Largest number of states for which other projections are tried only to complete the certificate.
-# The certificate states how many more states a model with definite matrices needs.
-# The largest number, found by trials, limits the computing time.
+# For models with more states, other projections are not tried only to complete the certificate.
+# The certificate states the numbers of states with and without definite matrices.
+# Found by trials; a larger value increases the computing time.
 MAX_COMPARED_STATES = 200
-# Largest order of a general projection that replaces a congruence, relative to the other order.
+# Another projection replaces a congruence if it needs at most this share of the states.
 # For example, a general projection with 10 states replaces a congruence with 11 states.
 # Only a congruence of definite matrices gives resonators, whose form proves stability.
 SAVING_RATIO = 0.91
 
 
 def find_least_order(basis: ReducedBasis, tolerance: float, states: float = np.inf) -> int | None:
-    """Return the smallest acceptable order of a basis with fewer than ``states`` states.
+    """Return the smallest acceptable order with fewer than ``states`` states.
 
-    ``states`` counts first-order states. The result is None if no order is acceptable. All
-    orders are tried in ascending sequence, because the error may increase with the order, and
-    models of low order need little computing time.
+    ``states`` counts first-order states. The result is None if no order is acceptable. All orders
+    are tried in ascending order, because the error may increase with the order, and because models
+    of low order need little computing time.
     """
     most = int(min(basis.size, (states - 1) // basis.pencil.degree))
     orders = range(max(basis.fixed, 1), most + 1)
@@ -36,7 +36,7 @@ def find_least_order(basis: ReducedBasis, tolerance: float, states: float = np.i
 
 
 def select_basis(bases: Sequence[ReducedBasis], order: int) -> ReducedBasis:
-    """Return the basis whose reduced model of the given order has the smallest error estimate.
+    """Return the basis with the smallest error estimate at the given order.
 
     Raises
     ------
@@ -64,12 +64,12 @@ def select_fewest_states(
     shorten: bool,
     keep_form: bool,
 ) -> tuple[ReducedBasis, int]:
-    """Return the basis that meets the tolerance with the fewest states, and its order.
+    """Find the basis and the order that meet the tolerance with the fewest states.
 
-    Congruences are preferred: a model that is reduced by a congruence of definite matrices consists
-    of passive resonators. Other projections are used only if all ports are signals and the
-    projection needs about a tenth fewer states. If ``keep_form`` is true, other projections are
-    never used. If ``shorten`` is true, the reductor of a congruence tries to find a shorter basis.
+    Congruences are preferred, because a congruence of definite matrices gives a model of passive
+    resonators. Other projections are used only if all ports are signals and the projection needs
+    about a tenth fewer states. If ``keep_form`` is true, other projections are never used. If
+    ``shorten`` is true, the reductor of the congruence then searches for a shorter basis.
 
     Raises
     ------
@@ -106,10 +106,10 @@ def select_fewest_states(
 
 
 def _prove_stability(task: ReductionTask) -> StabilityProof | None:
-    """Prove the stability and passivity of the intermediate model.
+    """Return the proof of stability that a congruence preserves, if there is one.
 
-    The result is None for a first-order model that is not symmetric, because a congruence does not
-    preserve the stability of such a model.
+    The proof is for the intermediate model. The result is None for a first-order model that is not
+    symmetric, because a congruence does not preserve the stability of such a model.
     """
     pencil = task.response.pencil
     if pencil.degree == 2 or (pencil.is_symmetric and pencil.is_collocated):
@@ -120,11 +120,11 @@ def _prove_stability(task: ReductionTask) -> StabilityProof | None:
 def _select_fewest_states(
     task: ReductionTask, reductors: Sequence[Reductor], tolerance: float, states: float
 ) -> tuple[ReducedBasis, int] | None:
-    """Return a basis and an order that meet the tolerance with fewer than ``states`` states.
+    """Find a basis and an order that meet the tolerance with few states.
 
-    The result is None if no basis meets the tolerance. In the norm *peak*, the basis with the
-    fewest states is used. In the norm *pointwise*, the first basis is used, because only balancing
-    over the band represents notches.
+    The number of states must be smaller than ``states``; otherwise, the result is None. In the norm
+    *peak*, the basis with the fewest states is used. In the norm *pointwise*, the first acceptable
+    basis is used, because only balancing over the band represents notches.
     """
     best = None
     for reductor in reductors:
@@ -145,7 +145,7 @@ def _select_smallest_order(
     states: float,
     optional: bool,
 ) -> tuple[Reductor, ReducedBasis, int | None]:
-    """Return the reductor that needs the smallest order, its basis and this order.
+    """Return the reductor that needs the smallest order, the basis, and the order.
 
     If no order is acceptable, the order is None, or an error is raised if the result is not
     ``optional``.
@@ -163,13 +163,13 @@ def _select_smallest_order(
 
 
 def _replace_origin(result: tuple[ReducedBasis, int], text: str) -> tuple[ReducedBasis, int]:
-    """Replace the origin of a basis, with which its certificate begins, by ``text``."""
+    """Replace the origin of a basis by ``text``, with which the certificate begins."""
     basis, order = result
     return replace(basis, origin=text), order
 
 
 def require_order(bases: Sequence[ReducedBasis], tolerance: float) -> tuple[ReducedBasis, int]:
-    """Return the basis that meets the tolerance with the fewest states, and its order.
+    """Find the basis and the order that meet the tolerance with the fewest states.
 
     Raises
     ------
@@ -184,7 +184,7 @@ def require_order(bases: Sequence[ReducedBasis], tolerance: float) -> tuple[Redu
 
 
 def make_tolerance_error(bases: Sequence[ReducedBasis], tolerance: float) -> Exception:
-    """Return the error for bases that do not meet the tolerance at any order."""
+    """Make the error for bases that do not meet the tolerance at any order."""
     error = min(basis.estimate_model_error(basis.size) for basis in bases)
     return make_inaccuracy_error(
         "the tolerance is out of reach",

@@ -35,7 +35,7 @@ def write_parametric_model(model: ModelOverRanges, directory: Path, name: str) -
     """
     if isinstance(model, HeatOverRanges):
         return write_heat_over_ranges(model, directory, name)
-    assert isinstance(model, ResonatorsOverRanges)  # the only other kind is HeatOverRanges
+    assert isinstance(model, ResonatorsOverRanges)  # HeatOverRanges is the only other class
     content = describe_ranges(model) | {
         "losses": list(map(asdict, model.losses)),
         "blocks": model.blocks,
@@ -75,14 +75,14 @@ def read_parametric_model(path: Path | str) -> ModelOverRanges:
         return read_heat_over_ranges(path)
     try:
         return _build_resonators(*read_arrays(path, _ARRAY_NAMES), path.stem)
-    except Exception as error:  # a damaged file can cause almost any exception in the parsers
+    except Exception as error:  # parsers of a damaged file can raise any exception
         raise make_damage_error(path, error) from None
 
 
 def _build_resonators(
     arrays: dict[str, np.ndarray], record: dict[str, Any], name: str
 ) -> ResonatorsOverRanges:
-    """Check the arrays and the JSON record of a file, and create the model from them."""
+    """Check the arrays and the JSON record of a file, and create a model from both."""
     from pydantic import TypeAdapter  # imported late: few commands read parametric models
 
     common = parse_ranges(record)

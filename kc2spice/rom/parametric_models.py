@@ -1,11 +1,11 @@
-"""Reduced models that are valid over ranges of parameters, from full models at samples.
+"""Reduced models that are valid over ranges of parameters.
 
 One basis V spans the modes and the static responses of full models at samples of the parameters.
 ``V'M V``, ``V'K V``, ``V'B`` and D are then smooth functions of the parameters. Products of
 Chebyshev polynomials of the parameters' logarithms approximate the matrices. The approximation
 is exact at the samples. The projection on V preserves definiteness. Because the method does not
 track single modes, the natural frequencies of modes may cross or repel each other inside the
-parameter ranges. The mesh must move with the parameters without a change of its topology. The
+parameter ranges. Parameters may move the mesh, but must not change the topology of the mesh. The
 dependence on parameters that only scale the damping is exact and needs no samples. Source: P.
 Benner, S. Gugercin, K. Willcox, SIAM Review 57 (2015) 483, section 4 (a global basis).
 """
@@ -26,10 +26,10 @@ from kc2spice.linalg.factor import Factor
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.rom.pencil import Matrix, Pencil, SchurComplement, to_dense
 
-MAX_ALL_MODES = 700  # number of unknowns up to which all modes are computed as fast as a few modes
+MAX_ALL_MODES = 700  # up to this size, computing all modes is as fast as computing a few
 MODE_BAND_RATIO = 2.0  # highest frequency of a retained mode, relative to the end of the band
 MIN_MODES = 10  # smallest number of computed modes
-MAX_PARAMETERS = 4  # largest number of parameters; more would need hundreds of full models
+MAX_PARAMETERS = 4  # more parameters would need hundreds of full models
 # degree of polynomials, keyed by number of parameters
 DEFAULT_DEGREES = {0: 0, 1: 6, 2: 5, 3: 4, 4: 3}
 DEGREE_STEP = 2  # increase of the degree if the polynomials are inaccurate over wide ranges
@@ -38,9 +38,9 @@ MAX_DEGREES = {1: 10, 2: 9, 3: 6}
 # In a range from zero to ``high``, this share of ``high`` is added to values before the logarithm.
 # For values far below the added offset, the coordinate is a linear function of the value.
 LOG_OFFSET_RATIO = 1e-6
-# Directions are omitted if their eigenvalue of the Gram matrix is below this share of the largest.
-# The stiff motions of a thin plate have 1e8 times the energy of its soft motions.
-# With a share of 1e-12, the reduced model of a thin plate would have an error of 1e-4.
+# A basis vector is omitted if (energy / largest energy of a basis vector) is below this ratio.
+# The stiff motions of a thin plate have 1e8 times the energy of the soft motions of the plate.
+# With a ratio of 1e-12, the reduced model of a thin plate would have an error of 1e-4.
 DEPENDENT_COLUMN = 1e-15
 
 Values = Mapping[str, float]
@@ -52,7 +52,8 @@ class ParameterAxis:
     """Range of a parameter, with a logarithmic coordinate from -1 to 1.
 
     The coordinate is -1 at ``low`` and 1 at ``high``. If ``from_zero`` is true, the range may begin
-    at zero, and :data:`LOG_OFFSET_RATIO` times ``high`` is added to the value before the logarithm.
+    at zero. For such a range, :data:`LOG_OFFSET_RATIO` times ``high`` is added to the value before
+    the logarithm.
 
     Raises
     ------
@@ -76,7 +77,7 @@ class ParameterAxis:
 
     @property
     def log_offset(self) -> float:
-        """Offset that is added to a value before its logarithm is computed."""
+        """Offset that is added to a value before the logarithm is computed."""
         return 0.0 if self.low else LOG_OFFSET_RATIO * self.high
 
     @property
@@ -90,7 +91,7 @@ class ParameterAxis:
         return low * float((high / low) ** (0.5 * (x + 1))) - self.log_offset
 
     def compute_coordinate(self, value: float) -> float:
-        """Return the coordinate of a value, or nan if its sign differs from that of the range."""
+        """Return the coordinate of a value, or nan if value and range differ in sign."""
         low, high = self.low + self.log_offset, self.high + self.log_offset
         if not (value + self.log_offset) / low > 0:
             return float("nan")
@@ -161,7 +162,7 @@ class ParameterPolynomials:
         return np.asarray(evaluate_polynomials(x, self.exponents)[0])
 
     def compute_damping(self, pair: Iterable[float], values: Values) -> tuple[float, float]:
-        """Return the Rayleigh coefficients alpha and beta for ``values`` of the parameters.
+        """Return the Rayleigh coefficients alpha and beta at parameter ``values``.
 
         ``pair`` contains alpha and beta in the middle of the ranges of ``losses``.
         """
@@ -177,7 +178,7 @@ class DenseParametricModel(ParameterPolynomials):
     """Reduced model over ranges of parameters, with dense matrices.
 
     ``terms`` contains the coefficients of the polynomials for each of M, K, B, D and E, or
-    ``rayleigh`` instead of E. The first axis of each array is the number of the term.
+    ``rayleigh`` instead of E. The first index of each array is the number of the term.
     """
 
     frame: LinearModel
@@ -210,13 +211,13 @@ def reduce_over_parameters(
     """Reduce the full models ``full(values)`` over the parameter ranges ``axes``.
 
     The result is accurate up to the end of ``band`` [Hz]. ``degree`` is the total degree of the
-    polynomials. The function ``progress`` is called before each full model, with the number of this
-    model and the number of all required models.
+    polynomials. Before each full model, ``progress`` is called with the number of this model and
+    the total number of full models.
 
     Raises
     ------
-    UsageError : a full model is not symmetric, not of second order or has no collocated ports, or
-    the number of unknowns changes within the parameter ranges.
+    UsageError : a full model is not symmetric, not of second order or not collocated, or the number
+    of unknowns changes within the parameter ranges.
     """
     cached_model = cache(lambda key: full(dict(key)))
 
@@ -276,7 +277,7 @@ def reduce_over_parameters(
 
 
 def choose_higher_degree(model: DenseParametricModel) -> int | None:
-    """Return the next higher total degree, or None if it would exceed :data:`MAX_DEGREES`."""
+    """Return the next higher total degree, or None above :data:`MAX_DEGREES`."""
     degree = int(model.exponents.sum(axis=1).max()) + DEGREE_STEP
     return degree if degree <= MAX_DEGREES.get(len(model.axes), 0) else None
 
@@ -293,7 +294,7 @@ def compute_modal_transfer(model: LinearModel, frequency: np.ndarray) -> np.ndar
 
 
 def project_on_modes(model: LinearModel, top: float) -> Pencil:
-    """Project a full model on its modes up to twice the frequency ``top`` [Hz].
+    """Project a full model on the modes up to twice the frequency ``top`` [Hz].
 
     The basis also contains the part of the static responses that the modes do not represent.
     """
@@ -305,10 +306,11 @@ def project_on_modes(model: LinearModel, top: float) -> Pencil:
 def compute_natural_modes(
     pencil: Pencil, top: float, square: float, inverse: Factor
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the squared natural frequencies (k,) up to ``top`` [rad/s] and the mode shapes.
+    """Compute the squared natural frequencies (k,) and the mode shapes.
 
-    The result contains at least :data:`MIN_MODES` modes. The mode shapes (n, k) are M-orthonormal.
-    ``inverse`` is a factorisation of the matrix ``K - square M``.
+    The result contains all modes up to ``top`` [rad/s], and at least :data:`MIN_MODES` modes. The
+    mode shapes (n, k) are M-orthonormal. ``inverse`` is a factorisation of the matrix ``K - square
+    M``.
     """
     K, M = pencil.coefficients[0], pencil.coefficients[2]
     n = pencil.size
@@ -331,7 +333,7 @@ def compute_natural_modes(
 
 
 def _require_parametric_model(model: LinearModel, frame: LinearModel | None) -> LinearModel:
-    """Reject a model that cannot have parameters, or whose mesh changes with them."""
+    """Reject a model that is not symmetric, or whose mesh changes with parameters."""
     if model.first_order or not model.symmetric:
         expected = "a symmetric second-order model with collocated ports"
         raise UsageError(
@@ -348,7 +350,9 @@ def _require_parametric_model(model: LinearModel, frame: LinearModel | None) -> 
 
 
 def _compute_modes_and_static_responses(pencil: Pencil, band: tuple[float, float]) -> np.ndarray:
-    """Compute mode shapes, and the part of the static responses outside the span of these modes.
+    """Compute mode shapes and static responses.
+
+    The static responses do not contain the contributions of the mode shapes.
 
     The modes have frequencies up to :data:`MODE_BAND_RATIO` times the end of the ``band`` [Hz].
     """
@@ -373,7 +377,7 @@ def _orthonormalise(columns: Sequence[np.ndarray], M: Matrix) -> np.ndarray:
     V = np.hstack(columns)
     size = np.sqrt(np.einsum("ij,ij->j", V, M @ V))
     V = V[:, size > 0] / size[size > 0]
-    for least in (DEPENDENT_COLUMN, 0.0):  # the second pass removes rounding errors of the first
+    for least in (DEPENDENT_COLUMN, 0.0):  # the second pass removes rounding errors
         w, T = np.linalg.eigh(V.T @ (M @ V))
         significant = w > least * w[-1]
         V = V @ (T[:, significant] / np.sqrt(w[significant]))
@@ -383,9 +387,9 @@ def _orthonormalise(columns: Sequence[np.ndarray], M: Matrix) -> np.ndarray:
 def _find_damping_parameter(
     full: Full, axis: ParameterAxis, middle: Values, frame: LinearModel
 ) -> DampingParameter | None:
-    """Return the damping parameter of ``axis``, or None if the parameter has other effects.
+    """Return the damping parameter of ``axis``; None if there are other effects.
 
-    A damping parameter only multiplies the Rayleigh coefficients by powers of its value.
+    A damping parameter only multiplies the Rayleigh coefficients by powers of the parameter.
     """
     if frame.rayleigh is None:
         return None
@@ -437,7 +441,7 @@ def list_exponents(axes: int, degree: int) -> np.ndarray:
 
 
 def evaluate_polynomials(x: np.ndarray, exponents: np.ndarray) -> np.ndarray:
-    """Return products of Chebyshev polynomials at the coordinates ``x`` (points, axes).
+    """Return products of Chebyshev polynomials at coordinates ``x`` (points, axes).
 
     ``exponents`` (terms, axes) contains the degrees. The result has the shape (points, terms).
     """

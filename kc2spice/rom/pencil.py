@@ -1,8 +1,8 @@
-"""Linear models ``P(s) x = B u``, ``y = C x + D u`` with a matrix polynomial ``P(s)``.
+"""Linear models ``P(s) x = B u``, ``y = C x + D u`` with a polynomial ``P(s)``.
 
-The polynomial and the matrices B, C, D are called a pencil. A coefficient may be a Schur
-complement. The dense matrix of a Schur complement is not needed, because solvers only
-multiply it by vectors and solve linear systems.
+The matrix polynomial ``P(s)`` and the matrices B, C, D are called a pencil. A coefficient of
+``P(s)`` may be a Schur complement. The dense matrix of a Schur complement is not needed, because
+solvers only compute its products with vectors and solve linear systems.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ Matrix: TypeAlias = (
     Any  # np.ndarray, scipy.sparse.csc_array or SchurComplement; scipy has no type hints
 )
 
-# Two matrices count as equal if no entry differs by more than this fraction of the largest entry.
+# Two matrices count as equal if (largest difference / largest entry) is at most this ratio.
 EQUALITY_TOLERANCE = 1e-12
 
 
@@ -37,7 +37,7 @@ T = TypeVar("T")
 
 
 class SharedValue(Generic[T]):
-    """Value that is computed at its first use and shared by several objects."""
+    """Value that is computed at the first use and shared by several objects."""
 
     def __init__(self) -> None:
         self._values: list[T] = []
@@ -48,13 +48,13 @@ class SharedValue(Generic[T]):
         return self._values[0] if self._values else None
 
     def get(self, compute: Callable[[], T]) -> T:
-        """Return the value. The first call computes it by the function ``compute``."""
+        """Return the value. The first call computes the value by ``compute``."""
         if not self._values:
             self._values.append(compute())
         return self._values[0]
 
     def share_with(self, other: SharedValue[T]) -> None:
-        """Share the value with ``other``, so that it is computed only once."""
+        """Share the value with ``other``, so that the value is computed only once."""
         self._values = other._values
 
 
@@ -67,7 +67,8 @@ class SchurComplement:
 
     Raises
     ------
-    SimulationError : ``pp`` is singular. The error occurs at the first use of the factor of ``pp``.
+    SimulationError : ``pp`` is singular. The error is raised when the factor of ``pp`` is first
+    used.
     """
 
     uu: scipy.sparse.csc_array
@@ -106,14 +107,15 @@ class SchurComplement:
 
     @property
     def is_large(self) -> bool:
-        """Whether the matrices are so large that a factorisation without pivoting is faster."""
+        """Whether the matrices are so large that factors without pivoting are faster."""
         return bool(self.uu.shape[0] + self.pp.shape[0] >= QUASI_DEFINITE_UNKNOWNS)
 
     def is_proven_definite(self, factor: Factor | None) -> bool:
-        """Return whether a ``factor`` of all blocks proves the complement positive definite.
+        """Return whether a ``factor`` of all blocks proves positive definiteness.
 
-        The matrix of all blocks has as many negative eigenvalues as ``pp`` and the complement
-        together (Haynsworth 1968). A positive definite complement has no negative eigenvalue.
+        The matrix of all blocks has as many negative eigenvalues as ``pp`` and the Schur complement
+        have together (Haynsworth 1968). A positive definite Schur complement has no negative
+        eigenvalue.
         """
         count = self.pp.shape[0]
         return factor is not None and factor.negative == count == self.inner_factor.negative
@@ -139,7 +141,7 @@ class SchurComplement:
     def make_damping_matrix(
         self, alpha: float, beta: float, M: scipy.sparse.csc_array
     ) -> SchurComplement:
-        """Return the damping matrix ``alpha M + beta S``, where S is this Schur complement."""
+        """Return the damping matrix ``alpha M + beta S`` for this Schur complement S."""
         return self._with_blocks(alpha * M + beta * self.uu, beta * self.up, self.pu)
 
     def _with_blocks(self, uu: Matrix, up: Matrix, pu: Matrix) -> SchurComplement:
@@ -156,7 +158,7 @@ def scale_matrix(
 ) -> scipy.sparse.csc_array:
     """Compute ``diag(rows) P diag(columns)`` entry by entry.
 
-    Products of sparse matrices would take ten times as long.
+    Sparse matrix products with diagonal matrices would take ten times as long.
     """
     result = scipy.sparse.csc_array(P, copy=True)
     if rows is not None:
@@ -174,7 +176,7 @@ def to_dense(matrix: Matrix) -> np.ndarray:
 def compute_absolute_entries(matrix: Matrix) -> Matrix:
     """Return the absolute values of the entries of a matrix.
 
-    For a :class:`SchurComplement`, the entries are those of the block ``uu``.
+    For a :class:`SchurComplement`, the result contains the absolute entries of the block ``uu``.
     """
     return abs(matrix.uu if isinstance(matrix, SchurComplement) else matrix)
 
@@ -182,7 +184,7 @@ def compute_absolute_entries(matrix: Matrix) -> Matrix:
 def find_largest_entry(matrix: Matrix) -> float:
     """Return the largest absolute value of the entries of a matrix.
 
-    For a :class:`SchurComplement`, the entries are those of the block ``uu``.
+    For a :class:`SchurComplement`, only the entries of the block ``uu`` count.
     """
     if isinstance(matrix, SchurComplement):
         return find_largest_entry(matrix.uu)
@@ -190,7 +192,7 @@ def find_largest_entry(matrix: Matrix) -> float:
 
 
 def mask_unknowns_with_entries(matrices: Sequence[Matrix]) -> np.ndarray:
-    """Return a mask (n,) of the unknowns that have a nonzero entry in any of the matrices."""
+    """Return a mask (n,) of the unknowns with a nonzero entry in any matrix."""
     total = np.zeros(matrices[0].shape[0])
     for size in map(abs, matrices):
         total += np.ravel(size.sum(axis=0)) + np.ravel(size.sum(axis=1))
@@ -205,7 +207,7 @@ def is_equal(one: Matrix, other: Matrix) -> bool:
 
 
 def is_symmetric(matrix: Matrix) -> bool:
-    """Return whether a matrix equals its transpose within a tolerance for rounding errors."""
+    """Return whether a matrix equals its transpose within rounding errors."""
     return (
         matrix.is_symmetric if isinstance(matrix, SchurComplement) else is_equal(matrix, matrix.T)
     )
@@ -215,7 +217,7 @@ def apply_congruence(P: Matrix, V: np.ndarray, known: bool = False) -> np.ndarra
     """Compute the congruence ``V'PV`` of a matrix P with the basis V.
 
     If P is symmetric or skew-symmetric within rounding errors, the result is exactly symmetric or
-    skew-symmetric. If ``known`` is true, P is known to be symmetric and the symmetry is not tested,
+    skew-symmetric. If ``known`` is true, P must be symmetric. The symmetry is then not tested,
     because the test takes longer than the product.
     """
     if known or isinstance(P, SchurComplement):
@@ -236,7 +238,7 @@ INFINITE_POLE_RATIO = 1e10
 # Largest condition number of a mass matrix that is inverted.
 # With the inverse of M, eigenvalues are computed ten times as fast as in the generalised problem.
 MAX_INVERTED_CONDITION = 1e6
-BATCH_BYTES = 8e6  # memory [bytes] for the matrices whose linear systems are solved together
+BATCH_BYTES = 8e6  # memory [bytes] of the dense matrices that are assembled and solved together
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,7 +292,7 @@ class Pencil:
 
     @cached_property
     def is_undamped(self) -> bool:
-        """Whether the model is of second order without damping, so that ``P(j w)`` is real."""
+        """Whether the model is of second order and undamped, so that ``P(j w)`` is real."""
         return self.degree == 2 and find_largest_entry(self.coefficients[1]) == 0
 
     @property
@@ -306,9 +308,8 @@ class Pencil:
     def assemble_bordered_matrix(self, k: complex, e: complex, m: complex) -> Matrix:
         """Compute ``k K + e E + m M`` with rows and columns of the eliminated unknowns.
 
-        For a first-order model, the result is ``k (-A) + e E``. If K is a Schur
-        complement, its eliminated unknowns are scaled so that both diagonal blocks of K have
-        equally large entries.
+        For a first-order model, the result is ``k (-A) + e E``. If K is a Schur complement, the
+        eliminated unknowns are scaled so that both diagonal blocks of K have equally large entries.
         """
         if self.rayleigh is not None:
             alpha, beta = self.rayleigh
@@ -366,7 +367,7 @@ class Pencil:
 
     @property
     def is_large(self) -> bool:
-        """Whether the matrices are so large that a factorisation without pivoting is faster."""
+        """Whether the matrices are so large that factors without pivoting are faster."""
         K = self.coefficients[0]
         return (
             K.is_large if isinstance(K, SchurComplement) else self.size >= QUASI_DEFINITE_UNKNOWNS
@@ -398,7 +399,7 @@ class Pencil:
         return np.asarray(self.factorise_shifted_stiffness(0.0).solve(self.B))
 
     def _factorise_stiffness(self) -> Factor:
-        """Return the factor of K; for a Schur complement, of the matrix of all blocks."""
+        """Factorise K; for a Schur complement, factorise the matrix of all four blocks."""
         matrix, K = (
             scipy.sparse.csc_array(self.assemble_bordered_matrix(1.0, 0.0, 0.0)),
             self.coefficients[0],
@@ -429,7 +430,8 @@ class Pencil:
     def project(self, V: np.ndarray) -> Pencil:
         """Return the projection of the model on the basis V: ``V'PV``, ``V'B`` and ``CV``.
 
-        Symmetric matrices remain exactly symmetric, and skew-symmetric matrices exactly skew.
+        Symmetric matrices remain exactly symmetric, and skew-symmetric matrices exactly
+        skew-symmetric.
         """
         if self.rayleigh is None:
             reduced = tuple(apply_congruence(P, V, self.is_symmetric) for P in self.coefficients)
@@ -443,8 +445,8 @@ class Pencil:
     def project_exactly(self, V: np.ndarray) -> Pencil:
         """Return the projection of a dense pencil on the basis V, computed with 19 digits.
 
-        The stiffness of soft motions is a small difference of large entries of K, which 16 digits
-        do not resolve.
+        The stiffness of soft motions is a small difference of large entries of K. A precision of 16
+        digits does not resolve the difference.
         """
         left, reduced = ExactMatrix(V.T), []
         for P in self.coefficients:
@@ -479,7 +481,10 @@ class Pencil:
         return bool(r) and not any(P[:r, r:].any() or P[r:, :r].any() for P in self.coefficients)
 
     def prepend_rigid_body_modes(self, free: Pencil) -> Pencil:
-        """Return this pencil with the uncoupled rigid-body modes ``free`` as its first unknowns."""
+        """Return this pencil with the rigid-body modes ``free`` as first unknowns.
+
+        The rigid-body modes are not coupled to the unknowns of this pencil.
+        """
         parts = tuple(map(scipy.linalg.block_diag, free.coefficients, self.coefficients))
         B, C = np.vstack([free.B, self.B]), np.hstack([free.C, self.C])
         return Pencil(parts, B, C, self.D, free=free.size)
@@ -494,7 +499,7 @@ class Pencil:
         return self.rescale_unknowns(self.choose_units(omega))
 
     def choose_units(self, omega: float) -> np.ndarray:
-        """Return units (n,) of the unknowns that make their energies at ``omega`` similar."""
+        """Return units (n,) of the unknowns for similar energies at ``omega`` [rad/s]."""
         size = np.zeros(self.size)
         for k, P in enumerate(self.coefficients):
             rows = compute_absolute_entries(P).max(axis=1)
@@ -616,14 +621,14 @@ def _border_matrix(square: np.ndarray, columns: np.ndarray) -> np.ndarray:
 
 
 def make_explicit_pencil(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> Pencil:
-    """Return the pencil of the state-space model ``x' = A x + B u``, ``y = C x + D u``."""
+    """Return the pencil of a state-space model ``x' = A x + B u``, ``y = C x + D u``."""
     return Pencil((-A, np.eye(len(A))), B, C, D)
 
 
 def convert_to_first_order(pencil: Pencil, omega: float) -> Pencil:
-    """Convert a model to first-order form ``E x' = A x + B u`` without inverse matrices.
+    """Convert a model to the first-order form ``E x' = A x + B u``.
 
-    Velocities are divided by ``omega`` [rad/s].
+    No matrix is inverted. Velocities are divided by ``omega`` [rad/s].
     """
     if pencil.degree == 1:
         return pencil

@@ -1,18 +1,20 @@
-"""Heat flows into ports with prescribed temperatures, and their error in a reduced model.
+"""Heat flows into ports with prescribed temperatures, and errors of these flows.
 
 :mod:`kc2spice.rom.interface_reduction` divides the unknowns into the prescribed temperatures
-``T_i`` and all other temperatures ``T_e``. Q are the heat flows into the ports with prescribed
-temperatures. T_q are the temperatures of the ports with prescribed heat flows q. Q and T_q are
+``T_i`` and all other temperatures ``T_e``. The vector Q contains the heat flows into the ports with
+prescribed temperatures. The vector T_q contains the temperatures of the ports with prescribed heat
+flows q::
 
     Q = G T_i - S' q + s (M T_i + c' x),    T_q = S T_i + B_e' x,
     (K_ee + s E_ee) x = B_e q - s c T_i,
 
-The unknowns x are the difference of ``T_e`` to the static temperatures ``Psi T_i``. ``G`` and ``S``
-are the matrices of the static heat flows and static temperatures. The other matrices are
-``c = E_ei + E_ee Psi`` and ``M = E_ii + 2 E_ie Psi + Psi' E_ee Psi``. At high frequencies, the
-terms of Q nearly cancel: the heat flow into a body behind a film approaches ``K_ii T_i``, the heat
-flow into a cold body. Therefore, the errors of Q and T_q may be much larger than the error of x. In
-the original equations, terms cancel at low frequencies instead of high frequencies:
+The unknowns x are the differences between ``T_e`` and the static temperatures ``Psi T_i``. The
+matrix ``G`` contains the static heat flows, and the matrix ``S`` the static temperatures. The other
+matrices are ``c = E_ei + E_ee Psi`` and ``M = E_ii + 2 E_ie Psi + Psi' E_ee Psi``. At high
+frequencies, the terms of Q nearly cancel. For example, the heat flow through a film into a body
+approaches ``K_ii T_i``, the heat flow into a cold body. Therefore, the errors of Q and T_q may be
+much larger than the error of x. In the original equations, terms cancel at low frequencies instead
+of high frequencies::
 
     (K_ee + s E_ee) T_e = B_e q - (K_ei + s E_ei) T_i,
     Q = (K_ii + s E_ii) T_i + (K_ie + s E_ie) T_e - B_i' q,    T_q = B_i' T_i + B_e' T_e,
@@ -35,15 +37,15 @@ from kc2spice.rom.intermediate_reduction import build_intermediate_model
 from kc2spice.rom.linear_model import LinearModel, Norm, Port
 
 FREQUENCIES = 40  # number of frequencies at which smooth responses of heat flows are compared
-DECADES = 4.0  # number of decades that the compared frequencies cover, up to the end of the band
-# desired error and largest permitted error of the reference response, relative to the tolerance
+DECADES = 4.0  # number of decades below the end of the band in which responses are compared
+# requested error and largest permitted error of the reference response, relative to the tolerance
 REFERENCE_SHARE = 0.01, 0.3
 
 
 def make_driven_model(
     model: LinearModel, parts: PrescribedTemperatures, *, stored: bool = True
 ) -> LinearModel:
-    """Return the model of the temperatures ``T_e`` with the inputs ``B_e`` and ``-K_ei``.
+    """Return the model of temperatures ``T_e`` with inputs ``B_e`` and ``-K_ei``.
 
     If ``stored`` is true, the model also has the inputs ``E_ei``. Each column of an input matrix is
     a port.
@@ -62,7 +64,7 @@ def make_driven_model(
 
 @dataclass(frozen=True, eq=False)
 class FlowReference:
-    """Heat flows and temperatures of a full model at prescribed temperatures and heat flows.
+    """Response of a full model to prescribed temperatures and heat flows.
 
     Attributes
     ----------
@@ -104,8 +106,8 @@ class FlowReference:
     def compute_error(self, model: LinearModel, parts: PrescribedTemperatures) -> float:
         """Return the largest relative error of the response of a reduced ``model``.
 
-        ``parts`` is the division of the reduced model. The error includes the uncertainty of the
-        reference.
+        ``parts`` describes the division of the unknowns of the reduced model. The error includes
+        the uncertainty of the reference.
         """
         response = _compute_response(model, parts, self.frequency)
         base = EntryScales.from_response(self.response).compute_error_divisors(
@@ -121,11 +123,12 @@ def _project_on_responses(
 ) -> tuple[LinearModel, PrescribedTemperatures, float]:
     """Project a large model on its responses in the ``band`` [Hz].
 
-    Return the smaller model, its division, and its error, which is far below the ``tolerance``.
+    Return the smaller model, the division of its unknowns, and its error. The error is far below
+    the ``tolerance``.
     """
     limits = (share * tolerance for share in REFERENCE_SHARE)
     space = build_intermediate_model(make_driven_model(model, parts).pencil, band, *limits)
-    assert space.basis is not None  # the basis is None only for small models
+    assert space.basis is not None  # only small models have no basis
     n, at, others = len(parts.at), parts.at, parts.others
     W, _ = np.linalg.qr(np.hstack([space.basis, parts.psi]))
     V = np.zeros((model.order, n + W.shape[1]))
@@ -147,7 +150,7 @@ def _compute_response(
 
     The result has the shape (n, ports, ports) and the entries of :attr:`FlowReference.response`.
     The module docstring contains two equivalent forms of the equations. At each frequency, the form
-    with the smaller terms is used, because its rounding errors are smaller.
+    with the smaller terms is used, because smaller terms have smaller rounding errors.
     """
     K, E = map(sparse.csc_array, model.pencil.coefficients)
     at, others, count = parts.at, parts.others, len(parts.shares)
@@ -155,7 +158,7 @@ def _compute_response(
     K_ei, E_ei = K[others][:, at].toarray(), E[others][:, at].toarray()
     K_ee, E_ee = parts.inner.pencil.coefficients
     b, c = np.split(parts.inner.B, [count], axis=1)
-    direct = parts.shares - b.T @ parts.psi  # B_i'
+    direct = parts.shares - b.T @ parts.psi  # the matrix B_i' of the equations
     result = []
     for s in 2j * np.pi * frequency:
         coupling = K_ei + s * E_ei

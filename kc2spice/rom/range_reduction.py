@@ -1,9 +1,9 @@
 """Reduction over ranges of parameters: task, reduced model and certificate.
 
 The input of a reduction is a function that returns the full-order model for given values of the
-parameters. The result is a :class:`ModelOverRanges`. The reductions are in
-:mod:`kc2spice.rom.resonators_over_ranges` for resonators, and in
-:mod:`kc2spice.rom.heat_range_reduction` for heat networks.
+parameters. The result is a :class:`ModelOverRanges`. The module
+:mod:`kc2spice.rom.resonators_over_ranges` reduces mechanical and piezoelectric models. The module
+:mod:`kc2spice.rom.heat_range_reduction` reduces thermal models.
 """
 
 from __future__ import annotations
@@ -22,11 +22,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class RangeTask:
-    """Task of a reduction: full-order models ``full(values)``, ranges, and required accuracy.
+    """Task of a reduction over ranges: full-order models and required accuracy.
 
-    The largest relative error in the ``band`` [Hz], measured in the ``norm``, must be at most
-    ``tolerance``. The function ``progress`` is called with the number of computed full models and
-    the number of required full models.
+    ``full(values)`` returns the full-order model for values of the parameters. ``axes`` contains
+    the ranges of the parameters. The largest relative error in the ``band`` [Hz], measured in the
+    ``norm``, must be at most ``tolerance``. The function ``progress`` is called with the number of
+    computed full models and the number of required full models.
     """
 
     full: Full
@@ -41,8 +42,8 @@ class RangeTask:
 class ModelOverRanges(ABC):
     """Reduced-order model that is valid over ranges of parameters.
 
-    ``defaults``, ``units`` and ``descriptions`` are keyed by parameter. These three mappings are
-    empty for a body of a scene, because the keys of the body contain the same information.
+    ``defaults``, ``units`` and ``descriptions`` are keyed by parameter. For a body of a scene, the
+    three mappings are empty, because the keys of the body contain the same information.
     """
 
     ports: tuple[Port, ...]
@@ -55,23 +56,23 @@ class ModelOverRanges(ABC):
     @property
     @abstractmethod
     def parameter_axes(self) -> dict[str, ParameterAxis]:
-        """Axis of each parameter, with its range, keyed by the name of the parameter."""
+        """Axis with the range of each parameter, keyed by the name of the parameter."""
 
     @abstractmethod
     def evaluate(self, values: Values) -> LinearModel:
-        """Return the reduced model for ``values`` of all parameters.
+        """Return the reduced model for given ``values`` of all parameters.
 
         Raises
         ------
-        UsageError : a parameter is missing or outside of its range.
+        UsageError : a parameter has no value, or a value outside of the parameter's range.
         """
 
 
 def record_model_values(full: Full) -> tuple[Full, list[tuple[Values, Mapping[str, float]]]]:
-    """Return a function like ``full`` that records the values of each computed model.
+    """Return a function that calls ``full`` and records the facts of each model.
 
-    The second result is the list of records: pairs of the parameter values and the facts of the
-    model.
+    The second result is the list of records. A record contains the parameter values and the
+    ``facts`` (characteristic values) of the model.
     """
     facts: list[tuple[Values, Mapping[str, float]]] = []
 
@@ -89,8 +90,8 @@ def certify_over_ranges(
 ) -> Certificate:
     """Return the certificate of a reduced model over the parameter ranges.
 
-    ``error`` is the largest difference to ``checks`` full-order models that the reduction did not
-    use.
+    ``error`` is the largest relative difference from full-order models that the reduction did not
+    use. ``checks`` is the number of compared full-order models.
     """
     return Certificate(
         band_hz=task.band,

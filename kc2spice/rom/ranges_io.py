@@ -1,4 +1,4 @@
-"""JSON records in the files of parametric models: ports, certificate and parameters."""
+"""JSON records of parametric models: ports, certificate and parameters."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def parse_ranges(record: Mapping[str, Any]) -> dict[str, Any]:
     ValueError : the record is damaged, or a string contains a line break, which would begin a new
     statement in a netlist.
     """
-    from pydantic import TypeAdapter  # imported late: few commands read parametric models
+    from pydantic import TypeAdapter  # imported here, because few commands read parametric models
 
     texts = TypeAdapter(dict[str, str])
     units, words = map(texts.validate_python, (record["units"], record["descriptions"]))

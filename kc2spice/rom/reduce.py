@@ -1,15 +1,15 @@
-"""Reduction of linear models: to a required tolerance over a band, or to a prescribed order.
+"""Reduction of linear models to a tolerance over a band, or to a prescribed order.
 
 The result is a reduced model with a certificate.
 
 The reduction has two steps. The first step (:mod:`kc2spice.rom.intermediate_reduction`) replaces
 the full-order model by an intermediate model that is far more accurate than the tolerance. The
-second step computes bases of the intermediate model with the reductors that suit the model. The
-second step also selects the smallest order whose error estimate is within the tolerance, and proves
-the stability and passivity of the reduced model.
+second step computes bases of the intermediate model with all suitable reductors, and selects the
+smallest order whose error estimate is within the tolerance. Then the stability and passivity of the
+reduced model are proven.
 
-Rigid-body modes are separated first and remain exact. The error estimate is the sum of two errors:
-the largest difference between the reduced and the intermediate model, and the error of the
+Rigid-body modes are separated before the reduction and remain exact. The error estimate is the sum
+of the error of the intermediate model, and of the largest difference between the reduced and the
 intermediate model. The difference is computed at and beside every resonance and at every notch.
 """
 
@@ -42,7 +42,7 @@ from kc2spice.rom.refinement import find_lower_order
 from kc2spice.rom.stability import StabilityProof, prove_stability
 from kc2spice.rom.structural_reduction import approximate_causally, reduce_to_first_order
 
-# largest frequency [Hz]; the square of its angular frequency is a finite float
+# largest frequency [Hz] of a band; the square of the angular frequency must be a finite float
 MAX_FREQUENCY = 1e30
 # Smallest tolerance: ten times MIN_ERROR_ESTIMATE.
 # Solutions of the full-order model are hardly more accurate than this tolerance.
@@ -50,11 +50,11 @@ MIN_TOLERANCE = 1e-10
 # requested error of the intermediate model, as a small share of the tolerance; found by trials
 INTERMEDIATE_SHARE = 0.02
 # Largest permitted error of the intermediate model, as a share of the tolerance.
-# The permitted error applies if rounding errors prevent the requested error.
+# If rounding errors prevent the requested error, the largest permitted error is the limit.
 MAX_INTERMEDIATE_SHARE = 0.5
 # Smallest share of the tolerance that must remain after rounding errors are subtracted.
 # If only a quarter of the tolerance remains, the reduced model needs one or two additional states.
-# If less than a quarter remains, the error estimate exceeds the tolerance, with a warning.
+# If less than a quarter remains, the reduction warns, and the error estimate exceeds the tolerance.
 MIN_REMAINING_SHARE = 0.25
 # Requested error of the intermediate model if the order is prescribed, found by trials.
 FIXED_ORDER_TARGET = 1e-8
@@ -71,22 +71,23 @@ def reduce_model(
     method: str | Reductor | None = None,
     solver: DirectSolver | str | None = None,
 ) -> LinearModel:
-    """Return the smallest reduced model within ``tolerance``, or a model of the given ``order``.
+    """Reduce a linear model to a relative error ``tolerance``, or to an ``order``.
 
-    The result has the ports of ``fom``, the full-order model. The certificate contains the error
-    over ``band`` [Hz], in the ``norm`` of :class:`Certificate`.
+    For a ``tolerance``, the result is the smallest reduced model within the tolerance. The result
+    has the ports of the full-order model ``fom``. The certificate contains the error estimate over
+    ``band`` [Hz] in the given ``norm``.
 
     * If ``order`` is given, a symmetric positive definite model is reduced by block Arnoldi at
       s0 = 0 (Schütz, Maeter and Bechtold, Actuators 10 (2021) 279, section 2.3).
     * Models whose ports are signals are also reduced to first-order models by balanced truncation.
       The first-order model is used if it has fewer states and the full model is not proven passive.
-    * Structural damping is replaced by viscous damping of each mode, or by relaxations if they are
-      much more accurate. The error estimate includes the error of this replacement. The function
-      warns if the error of the replacement exceeds the tolerance.
-    * The inertia of a symmetric model with only real poles is omitted if this reduces the number of
-      states without a change of the response.
+    * Structural damping is replaced by viscous damping of each mode, or by relaxations where
+      relaxations are much more accurate. The error estimate includes the error of the replacement.
+      The function warns if the error of the replacement exceeds the tolerance.
+    * The inertia of a symmetric model with only real poles is omitted if the model without inertia
+      has fewer states and the same response.
     * Rounding errors of the full model's matrix entries may change the response by more than
-      ``tolerance``. The error estimate then includes this change, and the function warns.
+      ``tolerance``. If so, the error estimate includes the change, and the function warns.
 
     Parameters
     ----------
@@ -101,16 +102,16 @@ def reduce_model(
         Lowest and highest frequency in Hz. The default is the band of the model. If the model has
         no band, the band ends a little above the fifth natural frequency.
     norm : "pointwise" or "peak", default "pointwise"
-        Divisor of the relative error: the entry's size at the same frequency, or the entry's
-        largest size in the band.
+        Divisor of the error of each response entry: the size of the entry at the same frequency
+        (pointwise), or the largest size of the entry in the band (peak).
     contact : bool, default False
-        Whether the model gets a third more states, which represent the part of the response above
-        the band that a contact excites.
+        Whether the reduced model has a third more states, which represent the response above the
+        band that contacts excite.
     method : str or Reductor, optional
         Method of reduction. By default, response POD and the variants of balanced truncation that
         suit the model are tried.
     solver : callable or "pardiso", optional
-        Direct solver, see :func:`kc2spice.reduce`. By default CHOLMOD and SuperLU are used.
+        Direct solver, as for :func:`kc2spice.reduce`. The default is CHOLMOD or SuperLU.
 
     Returns
     -------
@@ -119,10 +120,9 @@ def reduce_model(
 
     Raises
     ------
-    UsageError : both or none of ``tolerance`` and ``order`` are given; the band is empty; the norm
-        is unknown; the tolerance is below rounding errors; the order exceeds the largest possible
-        order; the model is too large for this machine; or an output contains derivatives of an
-        input.
+    UsageError : both or none of ``tolerance`` and ``order`` are given, or one of them is out of
+        range; the band is empty; the norm is unknown; the model is too large for the free memory;
+        or an output contains derivatives of an input.
     SimulationError : the tolerance cannot be met, or a point of the band is a pole.
 
     Examples
@@ -144,7 +144,7 @@ def reduce_model(
 
 
 def reduce_to_target(fom: LinearModel, target: ReductionTarget) -> LinearModel:
-    """Reduce a model so that it meets the requirements ``target``."""
+    """Return a reduced model that meets the requirements ``target``."""
     require_valid(target)
     if fom.structural:
         return _reduce_structural_damping(fom, target)
@@ -159,8 +159,8 @@ class ReductionTarget:
     """Requirements on a reduced-order model, and the method of reduction.
 
     If ``keep_form`` is true, only congruences are used. If ``exact`` is true, the intermediate
-    model must be accurate enough for the tolerance. ``space`` is the Krylov subspace of the model
-    at s = 0, if it is known from a reduction to another order.
+    model must be accurate enough for the tolerance. ``space`` is the Krylov subspace at s = 0 from
+    an earlier reduction of the same model, if there is one.
     """
 
     tolerance: float | None
@@ -193,7 +193,7 @@ def _reduce_viscous_damping(fom: LinearModel, target: ReductionTarget) -> Linear
 def choose_band(
     fom: LinearModel, pencil: Pencil, band: tuple[float, float] | None
 ) -> tuple[float, float]:
-    """Return the prescribed ``band`` [Hz], or otherwise the model's band or the default band."""
+    """Return the prescribed ``band`` [Hz], or the model's band, or the default band."""
     if not pencil.B.any() or not pencil.C.any():
         letter = "C" if pencil.B.any() else "B"
         raise UsageError(
@@ -224,9 +224,9 @@ def make_verified_first_step(
     """Return the intermediate model and the stability proof of the full-order model.
 
     The proof also covers passivity. If ``target.exact`` is false, any error of the intermediate
-    model is accepted, because a later target limits the error.
+    model is accepted. The caller then checks the error.
     """
-    # The required memory is checked again later if the stiffness matrix proves to be indefinite.
+    # If the stiffness matrix proves to be indefinite, the required memory is checked again later.
     require_memory_for_factors(
         pencil.assemble_bordered_matrix(1.0, 1.0, 1.0), definite=allows_cholesky(pencil)
     )
@@ -240,7 +240,7 @@ def make_verified_first_step(
         if target.order is not None and by_krylov and is_definite(pencil):
             result = make_nested_model(pencil, target.order, target.space)
         else:
-            # a prescribed order may exceed the number of states of a deflated model
+            # a deflated model may have fewer states than the prescribed order
             deflated = target.order is None
             result = build_intermediate_model(pencil, band, goal, limit, deflated=deflated)
     finally:
@@ -256,7 +256,7 @@ def make_verified_first_step(
 
 
 def list_methods(task: ReductionTask, target: ReductionTarget) -> list[Reductor]:
-    """Return the prescribed method of reduction, or otherwise all methods that suit the model."""
+    """Return the prescribed reduction method, or all suitable methods by default."""
     if target.method is not None:
         return [find_reductor(target.method)]
     if not task.intermediate.proof:
@@ -270,7 +270,7 @@ def find_basis_of_order(
     target: ReductionTarget,
     bases: dict[str, list[ReducedBasis]] | None = None,
 ) -> tuple[ReducedBasis, int]:
-    """Return the basis with the smallest error at a prescribed order, and this order.
+    """Return the basis with the smallest error at a prescribed order, and the order.
 
     ``bases`` contains bases that are already computed, keyed by the name of the reductor. The
     function adds new bases to ``bases``.
@@ -291,7 +291,7 @@ def find_basis_of_order(
 def find_smallest_basis(
     task: ReductionTask, reductors: Sequence[Reductor], target: ReductionTarget
 ) -> tuple[ReducedBasis, int]:
-    """Return the basis that needs the fewest states for the tolerance, and its order."""
+    """Return the basis that needs the fewest states for the tolerance, and the order."""
     assert target.tolerance is not None
     tolerance = _subtract_rounding_error(target.tolerance, task.intermediate)
     if target.method is not None:
@@ -303,9 +303,9 @@ def find_smallest_basis(
 
 
 def _subtract_rounding_error(tolerance: float, intermediate: IntermediateModel) -> float:
-    """Subtract the rounding error from the tolerance.
+    """Return the part of the tolerance that rounding errors leave for the reduction.
 
-    If the difference is too small for a reduction, return the tolerance itself.
+    If the difference is too small for a reduction, the result is the whole tolerance.
     """
     remaining = tolerance - intermediate.floor
     attainable = max(MIN_REMAINING_SHARE * tolerance, intermediate.error / MAX_INTERMEDIATE_SHARE)
@@ -337,10 +337,10 @@ def _compute_prescribed_basis(task: ReductionTask, reductor: Reductor) -> Reduce
 
 
 def warn_of_rounding_errors(rom: LinearModel, floor: float, tolerance: float | None) -> None:
-    """Warn if rounding errors of the full model's entries change its response too much.
+    """Warn if rounding errors of the matrix entries change the response too much.
 
-    The function warns if this relative change ``floor``, or the error estimate of ``rom``, exceeds
-    the ``tolerance``.
+    ``floor`` is the relative change of the full model's response. The function warns if ``floor``,
+    or the error estimate of ``rom``, exceeds the ``tolerance``.
     """
     if tolerance is None:
         return
@@ -364,7 +364,7 @@ def warn_of_rounding_errors(rom: LinearModel, floor: float, tolerance: float | N
 def _make_congruence(
     target: ReductionTarget,
 ) -> Callable[[LinearModel, float, tuple[float, float]], LinearModel]:
-    """Return a function that reduces a model by a congruence, within a tolerance over a band."""
+    """Return a function that reduces a model to a tolerance by a congruence."""
 
     def reduce_by_congruence(
         fom: LinearModel, tolerance: float, band: tuple[float, float]

@@ -1,4 +1,4 @@
-"""Tasks of reductors, and the bases that contain the reduced models of every order.
+"""Tasks of reductors, and bases that define the reduced models of every order.
 
 A reduction has two steps (Lehner and Eberhard, Multibody Syst. Dyn. 17 (2007) 157). The first step
 makes an intermediate model that is far more accurate than the tolerance. The second step computes a
@@ -30,7 +30,7 @@ from kc2spice.rom.response import Response
 from kc2spice.rom.stability import StabilityProof, prove_stability
 from kc2spice.rom.state_space import restore_time_unit, to_schur_form
 
-# Smallest error estimate, because responses from direct solutions are hardly more accurate.
+# Smallest error estimate. The responses of direct solutions are hardly more accurate than this.
 MIN_ERROR_ESTIMATE = 1e-11
 # Safety factor of errors at sample frequencies, because errors between samples may be larger.
 # With the factor 1.15, error estimates of 500 random models are one to three times the true errors.
@@ -39,7 +39,8 @@ SAFETY_FACTOR = 1.15
 
 T = TypeVar("T")
 Coordinates = Literal["intermediate", "first order", "full order"]
-# largest relative distance of a dependent vector from the span of other vectors
+# largest distance of a linearly dependent vector from the span of earlier vectors, relative to its
+# norm
 DEPENDENT_VECTOR = 1e-10
 
 
@@ -47,10 +48,10 @@ DEPENDENT_VECTOR = 1e-10
 class ReductionTask:
     """Full-order model ``fom`` to be reduced, and its ``intermediate`` model.
 
-    ``pencil`` contains the matrices of the full-order model without constraints and infinite poles.
-    The ``estimator`` computes errors in a band and a norm. The ``tolerance`` is None if the order
-    is prescribed. ``shared`` contains computed values that are the same for all tolerances, see
-    :meth:`share`.
+    ``pencil`` contains the matrices of the full-order model after constraints and infinite poles
+    are eliminated. The ``estimator`` computes errors in a band and a norm. The ``tolerance`` is
+    None if the order is prescribed. ``shared`` contains computed values that are the same for all
+    tolerances; :meth:`get_shared_value` adds the values.
 
     Examples
     --------
@@ -74,7 +75,7 @@ class ReductionTask:
         norm: Norm,
         tolerance: float | None = None,
     ) -> ReductionTask:
-        """Create the task with an error estimator for a band [Hz] and a norm."""
+        """Create a task whose error estimator measures errors in a band [Hz] and a norm."""
         return cls(fom, pencil, intermediate, intermediate.make_estimator(band, norm), tolerance)
 
     @property
@@ -96,13 +97,14 @@ class ReductionTask:
     def pencil_without_rigid_modes(self) -> Pencil:
         """Matrices of the intermediate model without rigid-body modes.
 
-        If damping couples rigid-body modes to other motions, the matrices include them.
+        If damping couples rigid-body modes to other motions, the matrices include the rigid-body
+        modes.
         """
         return self.response.core
 
     @property
     def is_collocated(self) -> bool:
-        """Whether the model equals its dual, because its matrices are symmetric and ``C = B'``."""
+        """Whether the matrices of the model are symmetric and ``C = B'``."""
         return self.pencil.is_symmetric and self.pencil.is_collocated
 
     @property
@@ -111,7 +113,9 @@ class ReductionTask:
         return self.response.pencil.size * self.response.pencil.degree
 
     def get_shared_value(self, name: str, compute: Callable[[], T]) -> T:
-        """Return the shared value ``name``. The first call computes it by ``compute``.
+        """Return the shared value ``name``, which ``compute`` returns at the first call.
+
+
 
         Tasks of the same model that differ only in the tolerance share the value.
         """
@@ -121,7 +125,7 @@ class ReductionTask:
 
     @property
     def model(self) -> LinearModel:
-        """Linear model with the matrices of :attr:`core`.
+        """Linear model with the matrices :attr:`pencil_without_rigid_modes`.
 
         The dense matrices are ``M E K B C D``, or ``A E B C D`` for a first-order model.
         """
@@ -132,9 +136,9 @@ class ReductionTask:
 
     @property
     def first_order_response(self) -> Response:
-        """Response of the model :attr:`core` in the first-order form ``x' = A x + B u``.
+        """First-order response ``x' = A x + B u`` without rigid-body modes.
 
-        Rates are divided by the end of the band.
+        All rates are divided by the angular frequency at the end of the band.
         """
         return self.get_shared_value(
             "first order",
@@ -151,14 +155,15 @@ class ReductionTask:
     def project(
         self, V: np.ndarray, W: np.ndarray | None = None, *, fixed: int = 0
     ) -> ReducedBasis:
-        """Project :attr:`model` on the basis V, by a Galerkin or Petrov-Galerkin projection.
+        """Project :attr:`model` on V by a Galerkin or Petrov-Galerkin projection.
 
         Parameters
         ----------
         V : (n, k) array
             Real basis vectors, the most important vector first. The model of order q uses the first
-            q vectors. The scale of the columns has no influence: they are scaled to a norm near
-            one. Columns that are almost linearly dependent are orthogonalised one after another.
+            q vectors. The scale of the columns has no effect, because all columns are scaled to
+            norms near one. Columns that are almost linearly dependent are orthogonalised one after
+            another.
         W : (n, k) array, optional
             Real test vectors, by default V. With W = V, the projection is a congruence, which
             preserves symmetry, stability and passivity of definite matrices.
@@ -167,8 +172,8 @@ class ReductionTask:
 
         Raises
         ------
-        UsageError : V or W is not a real matrix of finite numbers with one row for each coordinate
-            of :attr:`model`; its columns are linearly dependent; or ``fixed`` exceeds the number of
+        UsageError : V or W is not a real matrix of finite numbers, has a wrong number of rows, or
+            has linearly dependent columns. The error also occurs if ``fixed`` exceeds the number of
             columns.
         """
         V = require_vectors(V, "V", (self.pencil_without_rigid_modes.size, None))
@@ -206,7 +211,7 @@ class ReductionTask:
         return ReducedBasis(self, pencil, fixed, congruence=W is None, vectors=vectors)
 
     def prepend_rigid_modes(self, pencil: Pencil) -> Pencil:
-        """Prepend the rigid-body modes to the unknowns of a projection of :attr:`core`."""
+        """Prepend the rigid-body modes to the unknowns of a model without these modes."""
         if self.pencil_without_rigid_modes is self.response.pencil:
             return pencil
         return pencil.prepend_rigid_body_modes(
@@ -214,7 +219,7 @@ class ReductionTask:
         )
 
     def add_rigid_body_vectors(self, V: np.ndarray) -> np.ndarray:
-        """Convert basis vectors V of :attr:`core` to basis vectors of the intermediate model.
+        """Extend basis vectors V without rigid-body modes to the intermediate model.
 
         The rigid-body modes are the first vectors in the result.
         """
@@ -225,7 +230,7 @@ class ReductionTask:
     def state_to_displacement(self) -> np.ndarray | None:
         """Matrix that converts first-order states to unknowns of the intermediate model.
 
-        The first-order states are the same as in :meth:`convert_from_first_order`. The matrix is
+        The first-order states have the scaled time of :attr:`first_order_response`. The matrix is
         None if the unknowns also depend directly on the input.
         """
         pencil, free = (
@@ -248,7 +253,7 @@ class ReductionTask:
         return np.asarray(scipy.linalg.block_diag(*rows))
 
     def convert_from_first_order(self, pencil: Pencil) -> Pencil:
-        """Convert a projection of :attr:`first_order` to SI units, and prepend rigid-body modes."""
+        """Convert a projected first-order model to SI units, and prepend rigid-body modes."""
         if free := self.response.pencil.free:
             rigid = to_schur_form(self.response.pencil.truncate_to_order(free), self.band[1])
             pencil = pencil.prepend_rigid_body_modes(rigid)
@@ -256,7 +261,7 @@ class ReductionTask:
 
 
 def _mask_independent_columns(V: np.ndarray, free: int) -> np.ndarray:
-    """Return a mask of the columns of V that are linearly independent of earlier columns.
+    """Return a mask of the columns of V that do not depend on earlier columns.
 
     The first ``free`` rows are ignored.
     """
@@ -272,12 +277,12 @@ def _mask_independent_columns(V: np.ndarray, free: int) -> np.ndarray:
 class ReducedBasis:
     """Projection of a model on a basis, with the most important basis vector first.
 
-    The reduced-order model of order q consists of the first q unknowns of the ``pencil``. Every
-    reduced model contains the first ``fixed`` unknowns: rigid-body modes, and static responses of
-    conservative ports. If ``congruence`` is true, the projection preserves the form of the
-    matrices. ``origin`` is the beginning of the method description in the certificate. ``vectors``
-    contains the basis vectors as columns, or is None if they are unknown. ``coordinates`` names the
-    model in whose unknowns the basis vectors are expressed.
+    The matrices of the reduced-order model of order q are the leading q x q blocks of the
+    ``pencil``. Every reduced model contains the first ``fixed`` unknowns: rigid-body modes, and
+    static responses of conservative ports. If ``congruence`` is true, the projection preserves the
+    form of the matrices. ``origin`` is the beginning of the method description in the certificate.
+    ``vectors`` contains the basis vectors as columns, or is None if the basis vectors are unknown.
+    ``coordinates`` names the model in whose unknowns the basis vectors are expressed.
     """
 
     task: ReductionTask
@@ -294,7 +299,7 @@ class ReducedBasis:
         return self.pencil.size
 
     def states(self, order: int) -> int:
-        """Return the number of first-order states of the reduced model of this order."""
+        """Return the number of first-order states of the reduced model of a given order."""
         return order * self.pencil.degree
 
     @property
@@ -306,7 +311,7 @@ class ReducedBasis:
         return self.pencil.degree == 1 and self.pencil.is_symmetric and self.pencil.is_collocated
 
     def get_response_of_order(self, order: int) -> Response:
-        """Return the frequency response of the reduced model of this order."""
+        """Return the frequency response of the reduced model of a given order."""
         if order not in self.responses:
             self.responses[order] = Response(self.pencil.truncate_to_order(order))
         return self.responses[order]
@@ -319,8 +324,8 @@ class ReducedBasis:
     def expand_basis(self, order: int) -> np.ndarray | None:
         """Return the first ``order`` basis vectors in unknowns of the full-order model.
 
-        The result has the shape (n, order), or is None if the vectors are unknown or cannot be
-        expressed in unknowns of the full-order model.
+        The result has the shape (n, order). The result is None if the vectors are unknown, or
+        cannot be expressed in unknowns of the full-order model.
         """
         task, V = self.task, self.vectors
         if V is None or task.pencil.size != task.fom.order:
@@ -336,7 +341,7 @@ class ReducedBasis:
         return None if frame is None else np.asarray(frame @ V)
 
     def estimate_model_error(self, order: int, limit: float = np.inf) -> float:
-        """Estimate the largest relative error of a reduced model of this order in the band.
+        """Estimate the largest relative error of the model of a given order in the band.
 
         The result is the largest error of any transfer function. If this error exceeds ``limit``,
         the result may be any number above ``limit``.
@@ -348,7 +353,7 @@ class ReducedBasis:
         return max(exact + SAFETY_FACTOR * difference, MIN_ERROR_ESTIMATE)
 
     def prove_order_stability(self, order: int) -> StabilityProof:
-        """Prove the stability and passivity of the reduced model of this order."""
+        """Prove the stability and passivity of the reduced model of a given order."""
         response = self.get_response_of_order(order)
         poles = None if response.has_decoupling_congruence else response.poles
         return prove_stability(response.pencil, self.task.band, poles)
@@ -359,10 +364,10 @@ class ReducedBasis:
         return not self.congruence or self.prove_order_stability(self.size).stable is not False
 
     def is_acceptable(self, order: int, tolerance: float) -> bool:
-        """Return whether the reduced model of this order is accurate enough and stable.
+        """Return whether the reduced model of a given order is accurate enough and stable.
 
-        The reduced model must meet the tolerance, and it must be stable if the intermediate model
-        is stable. Only the result of a congruence may lack a proof of stability.
+        A reduced model of a stable intermediate model must be stable. Only the result of a
+        congruence may lack a proof of stability.
         """
         if not self.estimate_model_error(order, tolerance) <= tolerance:
             return False

@@ -1,7 +1,7 @@
 """Public function and class for the reduction of models.
 
 :func:`reduce` computes one reduced model. :class:`Reduction` computes several reduced models of one
-full model, with the same factorisations and solutions of the full model.
+full model, and factorises and solves the full model only once.
 """
 
 from __future__ import annotations
@@ -48,7 +48,8 @@ if TYPE_CHECKING:
     from kc2spice.rom.affine import AffineModel
     from kc2spice.rom.range_reduction import ModelOverRanges
 
-# default of the smallest tolerance; a tenth of it costs one or two more full-order solutions
+# default of the smallest tolerance; for a tenth of this value, one or two more full-order solutions
+# are needed
 DEFAULT_MIN_TOLERANCE = 1e-6
 
 
@@ -93,17 +94,17 @@ def reduce(
 ) -> LinearModel | ModelOverRanges:
     """Reduce a linear model to a tolerance or to a number of states.
 
-    The reduced model has the same ports in the same sequence. The ``certificate`` of the reduced
-    model contains the largest error of any transfer function over ``band`` with respect to
-    ``model``. If ``order`` is given, a symmetric definite model is reduced by block Arnoldi at
-    s0 = 0 (Schütz, Maeter and Bechtold, Actuators 10 (2021) 279, section 2.3).
+    The reduced model has the ports of ``model``, in the same order. The ``certificate`` of the
+    reduced model contains the largest error of any transfer function over ``band``, compared with
+    ``model``. If ``order`` is given, a symmetric definite model is reduced by block Arnoldi at s0 =
+    0 (Schütz, Maeter and Bechtold, Actuators 10 (2021) 279, section 2.3).
 
     Parameters
     ----------
     model : LinearModel or AffineModel
-        Full model of n unknowns, in SI units. An affine model is reduced over the ranges of its
-        parameters within a ``tolerance``. The arguments ``order``, ``contact`` and ``method`` do
-        not apply to an affine model.
+        Full model of n unknowns, in SI units. An affine model is reduced to a ``tolerance`` over
+        the ranges of all parameters. The arguments ``order``, ``contact`` and ``method`` do not
+        apply to an affine model.
     tolerance : float, optional
         Largest permitted relative error over the band. The smallest model within the tolerance is
         returned.
@@ -115,35 +116,35 @@ def reduce(
         band of the model. If the model has no band, the band ends a little above the fifth natural
         frequency.
     norm : "pointwise" or "peak", optional
-        Divisor of the relative error: the entry's size at the same frequency (``"pointwise"``), or
-        the entry's largest size in the band (``"peak"``). The default is ``"peak"`` for models
-        whose ports are all signals, and ``"pointwise"`` for all other models.
+        Divisor of the error of each response entry: the size of the entry at the same frequency
+        (``"pointwise"``), or the largest size of the entry in the band (``"peak"``). The default is
+        ``"peak"`` for models whose ports are all signals, and ``"pointwise"`` for all other models.
     contact : bool, default False
-        Whether the reduced model also represents the responses above the band that a contact
-        excites, as the models of scenes do.
+        Whether the reduced model also represents responses above the band, which contacts excite.
+        The models of scenes represent such responses.
     method : str or Reductor, optional
         Method of reduction: ``"response POD"``, ``"response POD of both sides"``,
         ``"balanced truncation"``, ``"balanced truncation of outputs as they are"``,
         ``"balanced truncation over the band"``, ``"balanced truncation by congruence"``,
-        ``"block Krylov"``, ``"rational Krylov"``, ``"IRKA"``, or one of
+        ``"block Krylov"``, ``"rational Krylov"``, ``"IRKA"``, or a method that is registered by
         :func:`kc2spice.register_reductor`. By default, response POD and the variants of balanced
         truncation that suit the model are tried.
     parameters : mapping, optional
-        Must be empty. Parameters are stated elsewhere: in a :class:`kc2spice.AffineModel`, or in
-        the key ``rom.parameters`` of a body of a scene.
+        Must be empty. The parameters of a model are stated in a :class:`kc2spice.AffineModel`, or
+        in the key ``rom.parameters`` of a body of a scene.
     solver : callable or "pardiso", optional
         Direct solver that replaces CHOLMOD and SuperLU. ``solver(matrix)`` factorises a sparse
-        matrix. The method ``solve(rhs)`` of the returned object solves for right-hand sides of
-        shape (n, k), like ``scipy.sparse.linalg.splu``. ``"pardiso"`` needs
-        ``pip install 'kc2spice[fast]'``.
+        matrix. As for ``scipy.sparse.linalg.splu``, the returned object must have a method
+        ``solve(rhs)`` for right-hand sides of shape (n, k). ``"pardiso"`` needs ``pip install
+        'kc2spice[fast]'``.
 
     Returns
     -------
     LinearModel or ModelOverRanges
         Reduced model with the ports of ``model`` and with a ``certificate``. For an affine model,
         the result is a :class:`kc2spice.rom.range_reduction.ModelOverRanges`. The method
-        ``at(values)`` of a ``ModelOverRanges`` returns the reduced model for given values of the
-        parameters. The function :func:`kc2spice.parametric_subcircuit` writes the netlist of a
+        ``evaluate(values)`` of a ``ModelOverRanges`` returns the reduced model for given values of
+        the parameters. The function :func:`kc2spice.parametric_subcircuit` writes the netlist of a
         ``ModelOverRanges``.
 
     Raises
@@ -156,7 +157,7 @@ def reduce(
     Examples
     --------
     Four masses of 1 g in a row, joined by springs of 2000 N/m, have their first resonance at 78 Hz.
-    The static compliance at the tip is that of four springs in series, 0.002 m/N.
+    The static compliance at the tip equals the compliance of four springs in series, 0.002 m/N.
 
     >>> import numpy as np
     >>> import kc2spice as kc
@@ -193,7 +194,7 @@ def reduce(
             method=method,
             solver=solver,
         )
-    # imported late, because models without parameters do not need this module
+    # imported here, because models without parameters do not need the module
     from kc2spice.rom.affine import AffineModel, reduce_affine
 
     if isinstance(model, AffineModel):
@@ -238,9 +239,9 @@ def _reject_unused_options(**options: object) -> None:
 class Reduction:
     """Several reductions of one full-order model over the same band.
 
-    The full-order model is factorised and solved once. The solution of the full-order model is
-    accurate enough for reduced models with an error of at least ``tolerance``. If :meth:`reduce` is
-    called with a smaller tolerance, the full-order model is solved again.
+    The full-order model is factorised and solved only once. The solutions of the full-order model
+    are accurate enough for reduced models with an error of at least ``tolerance``. If
+    :meth:`reduce` is called with a smaller tolerance, the full-order model is solved again.
 
     Parameters
     ----------
@@ -258,8 +259,8 @@ class Reduction:
         Method for all reduced models. By default, response POD and the variants of balanced
         truncation that suit the model are tried.
     points : sequence of floats, optional
-        Expansion points in Hz. With ``points`` instead of ``method``, the basis consists of
-        rational Krylov vectors at these points.
+        Expansion points in Hz. If ``points`` are given instead of ``method``, the basis consists of
+        rational Krylov vectors at the expansion points.
     solver : callable or "pardiso", optional
         Direct solver, as for :func:`kc2spice.reduce`.
 
@@ -268,7 +269,7 @@ class Reduction:
     band : tuple of two floats
         Lowest and highest frequency in Hz.
     norm : str
-        Norm of the relative error: ``"pointwise"`` or ``"peak"``.
+        Norm of the relative error, ``"pointwise"`` or ``"peak"``.
 
     Raises
     ------
@@ -340,15 +341,15 @@ class Reduction:
 
     @property
     def points(self) -> tuple[float, ...]:
-        """Expansion points [Hz] of the basis of the intermediate model, in the sequence of use.
+        """Expansion points [Hz] of the basis of the intermediate model, in order of use.
 
-        The tuple is empty for a full model that is so small that it is its own intermediate model.
+        The tuple is empty if the full model is small enough to be its own intermediate model.
         """
         return self._intermediate.points
 
     @property
     def basis(self) -> np.ndarray | None:
-        """Basis vectors (n, k) of the intermediate model in unknowns of the full-order model.
+        """Basis vectors (n, k) of the intermediate model in full-order unknowns.
 
         The basis is None if constraints or massless unknowns were eliminated from the full model.
         """
@@ -363,8 +364,9 @@ class Reduction:
     def hankel(self) -> np.ndarray:
         """Hankel singular values of the intermediate model, in descending order.
 
-        Balanced truncation to order q has an error of at most ``2 * sum(hankel[q:])``. Here, the
-        error is the largest singular value, at any frequency, of the difference of the responses.
+        Balanced truncation to order q has an error of at most ``2 * sum(hankel[q:])``. The error in
+        this bound is the largest singular value of the difference of the responses at any
+        frequency.
 
         Raises
         ------
@@ -387,7 +389,7 @@ class Reduction:
         order: int | None = None,
         method: str | Reductor | None = None,
     ) -> LinearModel:
-        """Return the smallest model within a tolerance, or the best of a prescribed order.
+        """Return the smallest model within a tolerance, or the best model of an order.
 
         Parameters
         ----------
@@ -395,11 +397,11 @@ class Reduction:
             Largest permitted relative error over the band.
         order : int, optional
             Number of unknowns of the reduced model. Exactly one of ``tolerance`` and ``order`` is
-            required. Unlike :func:`kc2spice.reduce`, this method tries all congruences. A reduction
-            to a ``tolerance`` may be more accurate at the same order, because its basis is
-            improved.
+            required. Unlike :func:`kc2spice.reduce`, :meth:`reduce` tries all congruences for an
+            ``order``. A reduction to a ``tolerance`` improves the basis, and may therefore be more
+            accurate at the same order.
         method : str or Reductor, optional
-            Method for this reduced model only.
+            Method for the returned model, by default the method of the object.
 
         Returns
         -------
@@ -423,7 +425,10 @@ class Reduction:
         return certify_with_full_order(rom, self._proof)
 
     def error(self, order: int) -> float:
-        """Return the error estimate of the reduced model of an order. See :meth:`reduce`."""
+        """Return the error estimate of the reduced model of a given order.
+
+        The reduced model is the result of :meth:`reduce`.
+        """
         target = replace(self._target, tolerance=None, order=order)
         require_valid(target)
         basis, order = self._find_basis_of_order(target)
@@ -433,7 +438,8 @@ class Reduction:
         """Return the error estimate of a reduced model in the norm *peak*.
 
         Errors are relative to the peak of each entry of the response. A model with an inaccurate
-        notch therefore has a small error in this norm, but a large error in the norm *pointwise*.
+        notch therefore has a small error in the norm *peak*, but a large error in the norm
+        *pointwise*.
         """
         estimator = self._intermediate.make_estimator(self.band, "peak")
         difference = estimator.estimate_model_error(Response(rom.pencil.make_dense()))
@@ -441,7 +447,7 @@ class Reduction:
         return max(estimate, MIN_ERROR_ESTIMATE) + self._intermediate.floor
 
     def _find_basis_of_order(self, target: ReductionTarget) -> tuple[ReducedBasis, int]:
-        """Return the basis with the smallest error at a prescribed order, and this order."""
+        """Return the basis with the smallest error at a prescribed order, and the order."""
         with use_solver(self._solver):
             return find_basis_of_order(
                 self._task, list_methods(self._task, target), target, self._bases
@@ -450,7 +456,7 @@ class Reduction:
     def _find_basis_within(
         self, tolerance: float, target: ReductionTarget
     ) -> tuple[ReducedBasis, int]:
-        """Return the basis that needs the fewest states for a tolerance, and its order."""
+        """Return the basis that needs the fewest states for a tolerance, and the order."""
         if not self._is_accurate_within(tolerance):
             self._compute_intermediate(target)
         task = replace(self._task, tolerance=tolerance)

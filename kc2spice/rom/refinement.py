@@ -1,9 +1,9 @@
-"""Fits of reduced models in the norm *peak*, so that fewer states meet the tolerance.
+"""Fits that reduce the largest error of reduced models in the norm *peak*.
 
 The fitted parameters are the output matrix of a projection, or the rates and gains of a model with
-real poles. A fit reduces the largest error of the model, so that fewer states are enough. The fits
-are minimax fits with Lawson's weights: C. L. Lawson, Contributions to the Theory of Linear Least
-Maximum Approximations (1961).
+real poles. A fitted model meets a tolerance with fewer states. The fits are minimax fits with
+Lawson's weights: C. L. Lawson, Contributions to the Theory of Linear Least Maximum Approximations
+(1961).
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from kc2spice.rom.response import Response
 
 # limits and factors of the fits, found by trials
 MAX_ORDER = 150  # largest order for which the output matrix is fitted
-MAX_FIT_PARAMETERS = 60  # largest number of rates and gains of a relaxing model that is fitted
+MAX_FIT_PARAMETERS = 60  # largest number of fitted rates and gains of a relaxing model
 MAX_ROUNDS = 12  # largest number of updates of the weights
 # squared factor by which an update multiplies a weight at frequencies without error
 MIN_WEIGHT = 0.05
 # Number of successive orders whose fit may fail before the search ends.
-# A fit of a lower order may succeed after a failure, because errors may increase with the order.
+# Errors may increase with the order, so a fit of a lower order may succeed after a failure.
 MAX_FAILURES = 4
-HOPELESS_RATIO = 1.5  # error relative to the tolerance above which a fit ends without success
-# Error relative to the tolerance below which a fit ends successfully.
-# The error estimate may be slightly larger than the error of the fit.
+HOPELESS_RATIO = 1.5  # ratio of error to tolerance above which a fit ends without success
+# Ratio of error to tolerance below which a fit ends successfully. The error estimate may be
+# slightly larger than the error of the fit.
 SUFFICIENT_RATIO = 0.97
 
 
 def find_lower_order(basis: ReducedBasis, order: int, tolerance: float) -> tuple[ReducedBasis, int]:
-    """Return a fitted basis that meets the tolerance at a lower order, and this order.
+    """Return a fitted basis that meets the tolerance at a lower order, and the order.
 
     If no fit succeeds, return ``basis`` and ``order``.
     """
@@ -52,9 +52,10 @@ def find_lower_order(basis: ReducedBasis, order: int, tolerance: float) -> tuple
 def fit_output_matrix(
     basis: ReducedBasis, order: int, tolerance: float
 ) -> tuple[ReducedBasis, int]:
-    """Fit the output matrix C of models of lower order to minimise their largest error.
+    """Minimise the largest error of models of lower order by fitted output matrices C.
 
-    Return the fitted basis and its order, or the arguments if no fit succeeds.
+    The result is the fitted basis of the lowest possible order, and the order. If no fit succeeds,
+    the arguments are returned.
     """
     estimator = basis.task.estimator
     s = choose_snapshots(estimator, estimator.exact).s
@@ -87,10 +88,11 @@ def fit_output_matrix(
 
 
 def fit_relaxations(basis: ReducedBasis, order: int, tolerance: float) -> tuple[ReducedBasis, int]:
-    """Fit the rates and gains of relaxing models of lower order, which are always passive.
+    """Minimise the largest error of relaxing models by fitted rates and gains.
 
-    Return the fitted basis and its order, or the arguments if no fit succeeds. Models with
-    rigid-body modes or with fixed static responses of ports are not fitted.
+    Relaxing models are always passive. The result is the fitted basis of the lowest possible order,
+    and the order. If no fit succeeds, the arguments are returned. Models with rigid-body modes or
+    with fixed static responses of ports are not fitted.
     """
     estimator, ports = basis.task.estimator, basis.pencil.B.shape[1]
     if basis.fixed or basis.pencil.free:

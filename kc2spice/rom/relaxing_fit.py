@@ -5,10 +5,10 @@ rank one (first Foster form),
 
     H(s) = D + sum_k g_k g_k' / (s + r_k),    r_k >= 0,
 
-and is stable and passive for all rates ``r_k`` and gains ``g_k``. For the same tolerance, a model
-with optimal rates and gains needs one state fewer than a projection. The fit starts from the rates
-and gains of a projection. The fit optimises ``log r_k`` and ``g_k`` by nonlinear least squares with
-the weights of Lawson's minimax fit.
+and is stable and passive for all rates ``r_k`` and gains ``g_k``. A model with optimal rates and
+gains often needs one state fewer than a projection with the same error. The fit starts from the
+rates and gains of a projection. The fit optimises ``log r_k`` and ``g_k`` by nonlinear least
+squares with the weights of Lawson's minimax fit.
 
 Source: C. L. Lawson, Contributions to the Theory of Linear Least Maximum Approximations (1961).
 """
@@ -20,10 +20,11 @@ import scipy
 
 MAX_ROUNDS = 25  # largest number of updates of the weights
 ROUND_EVALUATIONS = 30  # largest number of evaluations of the residuals per update of the weights
-# number of updates after which a fit ends if its error exceeds HOPELESS_RATIO times ``enough``
+# number of weight updates after which an error above HOPELESS_RATIO times ``enough`` ends the fit
 CHECKED_ROUNDS = 4
 HOPELESS_RATIO = 1.5
-MIN_WEIGHT_FACTOR = 0.02  # squared factor of one update of a weight if the error is zero
+# squared factor by which an update multiplies a weight at frequencies without error
+MIN_WEIGHT_FACTOR = 0.02
 
 
 def fit_minimax(
@@ -114,9 +115,10 @@ def _evaluate_model(
 def _compute_slopes(
     x: np.ndarray, count: int, s: np.ndarray, upper: tuple[np.ndarray, np.ndarray]
 ) -> np.ndarray:
-    """Return the derivatives of :func:`_evaluate_model` with respect to ``log r_k`` and ``g_k``.
+    """Return the derivatives of the model with respect to ``log r_k`` and ``g_k``.
 
-    The result has the shape (n, entries, unknowns).
+    The model is the result of :func:`_evaluate_model`. The derivatives have the shape (n, entries,
+    unknowns).
     """
     rates, gains = np.exp(x[:count]), x[count:].reshape(count, -1)
     answer = 1 / (s[:, None] + rates)
@@ -131,7 +133,7 @@ def _compute_slopes(
 
 
 def _stack_parts(values: np.ndarray) -> np.ndarray:
-    """Stack the real and imaginary parts of ``values`` (n, entries, ...) along the first axis.
+    """Stack real and imaginary parts of ``values`` (n, entries, ...) along axis 0.
 
     The result has the shape (2 n entries, ...).
     """

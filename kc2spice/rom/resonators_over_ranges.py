@@ -2,20 +2,20 @@
 
 The coefficients are natural frequencies, gains and capacitances over ranges of the parameters. The
 input is a :class:`~kc2spice.rom.parametric_models.DenseParametricModel`, a model with small dense
-matrices. At many points of the ranges, this module computes the modes of the dense model in the
-band and a little above it. Ritz vectors, which are orthogonal to the modes, represent the remaining
-response to the ports' loads.
+matrices. At many points of the ranges, this module computes the modes of the dense model up to a
+frequency a little above the band. Ritz vectors, which are orthogonal to these modes, represent the
+remaining response to loads at the ports.
 
 Modes whose frequencies are close to each other anywhere in the ranges form a block. The frame of a
-block is the basis of its modes that is nearest to the frame in the middle of the ranges, so that it
-rotates smoothly with the parameters. Therefore, the coefficients do not jump if natural frequencies
-cross or repel each other. All other modes are separate resonators. The stiffness of a block is ``L
-L'`` with a Cholesky factor L. Polynomials approximate the logarithms of three quantities: the
-diagonal of L, the diagonal of the Cholesky factor of the clamped capacitances, and the damping.
-Masses, stiffness and damping are therefore positive everywhere in the ranges, which proves that the
-model is passive. Sources: P. H. Schoenemann, Psychometrika 31 (1966) 1 (nearest frame); T. Kato,
-Perturbation Theory for Linear Operators, II.4 (invariant subspaces are analytic as long as a
-gap separates them).
+block is a basis of the modes of the block. The frame is the basis that is nearest to the frame in
+the middle of the ranges, and therefore rotates smoothly with the parameters. As a consequence, the
+coefficients do not jump if natural frequencies cross or repel each other. Modes outside of blocks
+are separate resonators. The stiffness of a block is ``L L'`` with a Cholesky factor L. Polynomials
+approximate the logarithms of three quantities: the diagonal of L, the diagonal of the Cholesky
+factor of the clamped capacitances, and the damping. Stiffness, damping and clamped capacitances are
+therefore positive everywhere in the ranges, which proves that the model is passive. Sources: P. H.
+Schoenemann, Psychometrika 31 (1966) 1 (nearest frame); T. Kato, Perturbation Theory for Linear
+Operators, II.4 (invariant subspaces are analytic as long as a gap separates them).
 
 If a port moves a body without a support, the port excites rigid-body modes. The stiffness of a
 rigid-body mode is zero and has no logarithm. Therefore, the rigid-body modes get a soft support
@@ -55,57 +55,62 @@ from kc2spice.rom.response import Response
 from kc2spice.rom.soft_support import SOFT_SUPPORT, SOFT_SUPPORT_RATIO, ZERO_FREQUENCY_RATIO
 from kc2spice.rom.stability import prove_stability
 
-# frequency below which all modes are retained, relative to the end of the band
+# ratio of frequency to the end of the band below which all modes are retained
 MODE_BAND_RATIO = 1.2
 # Largest number of additional modes above MODE_BAND_RATIO times the end of the band.
-# The retained modes end at the widest gap between the frequencies of the additional modes.
+# The highest retained mode is the mode below the widest gap between natural frequencies.
 EXTRA_MODES = 8
 # largest gain of a mode at a port that counts as zero, relative to the largest gain at the port
 ZERO_GAIN = 1e-9
-GRID_POINTS = {0: 1, 1: 33, 2: 13, 3: 7, 4: 5}  # points per axis, keyed by number of axes
+# number of grid points per axis, keyed by number of axes
+GRID_POINTS = {0: 1, 1: 33, 2: 13, 3: 7, 4: 5}
 # highest total degree of the polynomials, keyed by number of axes
 MAX_DEGREES = {0: 0, 1: 16, 2: 10, 3: 6, 4: 4}
-# Values of the gap that are tried one after another.
-# Modes form one block if the logarithms of their squared frequencies differ by less than the gap.
+# Values of the gap between blocks that are tried one after another. Modes form one block if the
+# logarithms of their squared frequencies differ by less than the gap.
 MODE_GAPS = 0.03, 0.1, 0.3, 0.8, np.inf
 # Largest number of blocks of Ritz vectors.
 # The blocks are the static responses and their derivatives with respect to the squared frequency.
 KRYLOV_BLOCKS = 4
-# smallest overlap of the frame of a block with its frame in the middle of the ranges
+# smallest overlap of the frame of a block with the frame in the middle of the ranges
 MIN_OVERLAP = 0.2
 CHECK_POINTS = 16  # number of random points in the ranges for error estimates of the fit
-SUBSPACE_SHARE = 0.3  # share of the tolerance that is available for the error of the subspace
-# a rigid-body mode has no effect on a port below this gain, relative to the port's largest gain
+SUBSPACE_SHARE = 0.3  # share of the tolerance for the error of the subspace
+# largest gain of a rigid-body mode at a port that counts as zero, relative to the port's largest
+# gain
 RIGID_ROUNDING = 1e-6
-LAST_GAP = 8.0  # assumed ratio of squared frequencies above the last mode if all modes are retained
-MIN_GAP_GAIN = 0.02  # smallest increase of the logarithm of a gap that justifies one more mode
+# assumed ratio of squared frequencies between the highest mode of the dense model and the next mode
+LAST_GAP = 8.0
+# smallest increase of the gap, on a logarithmic scale, that justifies one more retained mode
+MIN_GAP_GAIN = 0.02
 # largest squared norm of a dependent Ritz vector, relative to the largest squared norm
 DEPENDENT_VECTOR = 1e-9
-# number of full models that only check the result, in addition to one at a corner of the ranges
+# number of full models at random points that only check the result; one more is at a corner
 FULL_CHECKS = 4
 RESONATOR_SHARE = 0.4  # share of the tolerance for the difference of resonators and dense model
 SAFETY_FACTOR = 1.5  # safety factor of errors that are computed at points of the ranges
 COEFFICIENT_RESOLUTION = 1e-3  # resolution of rounded coefficients, relative to tolerance
-# Additional factor of the resolution of coefficients for models with several ports.
-# At notches of the response between two ports, large terms cancel.
+# Additional factor of the resolution of coefficients for models with several ports, because large
+# terms cancel at notches of the response between two ports.
 NOTCH_RESOLUTION = 1e-2
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ResonatorsOverRanges(ParameterPolynomials, ModelOverRanges):
-    """Resonators ``z'' + E z' + L L' z = g u``, ``y = g' z + D u`` over ranges of parameters.
+    """Resonators ``z'' + E z' + L L' z = g u``, ``y = g' z + D u`` over ranges.
 
-    The damping matrix is ``E = alpha + beta L L'``. The vector ``T`` (terms,) contains the products
-    of polynomials for the values of the parameters. The fields contain coefficients:
+    The damping matrix is ``E = alpha + beta L L'``. For given values of the parameters, the vector
+    ``T`` (terms,) contains products of polynomials of the parameters. The fields contain
+    coefficients of these products:
 
     * ``exp(T diagonal)`` (q,) is the diagonal of L. ``T below`` (q, q) contains the entries of L
       below the diagonal, in blocks of the sizes ``blocks``.
     * ``T gain`` (q, ports) is g.
-    * In the same way, ``capacitance`` and ``shared`` give the diagonal and the other entries of the
-      Cholesky factor of D at the electrical ports.
-    * ``exp(T rayleigh)`` (2,), multiplied by the powers of ``losses``, is alpha and beta. If an
-      item of ``damped`` is false, alpha or beta is zero instead.
-    * ``facts`` contains the coefficients of the polynomials for the facts of the model.
+    * ``exp(T capacitance)`` is the diagonal of the Cholesky factor of D at the electrical ports.
+      ``T shared`` contains the other entries of this factor.
+    * ``exp(T rayleigh)`` (2,), multiplied by the powers of ``losses``, is alpha and beta. If the
+      corresponding item of ``damped`` is false, alpha or beta is zero.
+    * ``facts`` contains the coefficients of polynomials for the characteristic values of the model.
     """
 
     blocks: tuple[int, ...]
@@ -120,7 +125,7 @@ class ResonatorsOverRanges(ParameterPolynomials, ModelOverRanges):
 
     @property
     def order(self) -> int:
-        """Number of resonators, each of which has a displacement and a velocity."""
+        """Number of resonators; each resonator has a displacement and a velocity."""
         return int(self.diagonal.shape[1])
 
     @property
@@ -129,7 +134,7 @@ class ResonatorsOverRanges(ParameterPolynomials, ModelOverRanges):
         return [k for k, port in enumerate(self.ports) if port.electrical]
 
     def evaluate(self, values: Values) -> LinearModel:
-        """Return the resonators as a linear model, for ``values`` of all parameters."""
+        """Return the resonators as a linear model, for given ``values`` of all parameters."""
         T = self.compute_products(values)
         L = np.tensordot(T, self.below, 1) + np.diag(np.exp(T @ self.diagonal))
         pair = np.where(self.damped, np.exp(T @ self.rayleigh), 0.0).tolist()
@@ -153,20 +158,19 @@ class ResonatorsOverRanges(ParameterPolynomials, ModelOverRanges):
 
 
 def reduce_over_ranges(task: RangeTask) -> ResonatorsOverRanges:
-    """Reduce the full models of a task to resonators over the ranges of the parameters.
+    """Reduce the full models of a task to resonators over the parameter ranges.
 
     The certificate is valid for all values in the ranges. The error in the certificate is the
-    largest relative difference, in the norm of the task, times :data:`SAFETY_FACTOR`. The
-    resonators are compared with full models at :data:`FULL_CHECKS` points and at a corner of the
-    ranges. The reduction does not use the full models of this comparison. At other points, the
-    resonators are compared with the dense model. The result contains the ``facts`` of the full
-    models.
+    largest relative difference between the resonators and other models, in the norm of the task,
+    times :data:`SAFETY_FACTOR`. At :data:`FULL_CHECKS` points and at a corner of the ranges, the
+    other models are full models that the reduction does not use. At further points, the other model
+    is the dense model. The result contains the ``facts`` of the full models.
 
     Raises
     ------
     UsageError : the model is not a symmetric second-order model with proportional damping and
-        collocated ports; the cells of the mesh change within the ranges; or the band begins at 0 Hz
-        and a port can move the body as a rigid body.
+        collocated ports; the number of mesh cells changes within the ranges; or the band begins at
+        0 Hz and a port excites a rigid-body mode.
     SimulationError : the tolerance is not met.
     """
     full, facts = record_model_values(task.full)
@@ -193,11 +197,11 @@ def reduce_over_ranges(task: RangeTask) -> ResonatorsOverRanges:
 
 
 def _reduce_and_check(task: RangeTask) -> tuple[ResonatorsOverRanges, float]:
-    """Return the resonators, and :data:`SAFETY_FACTOR` times their largest error.
+    """Return resonators, and their largest error times :data:`SAFETY_FACTOR`.
 
-    The error is the largest difference to full models. If the dense model or the resonators differ
-    too much from full models, the reduction is repeated with more full models and polynomials of a
-    higher degree. The results of each degree are compared with different full models.
+    The error is the largest relative difference from full models. If this error is too large, the
+    reduction is repeated with more full models and polynomials of a higher degree. The results of
+    each degree are compared with different full models.
     """
     axes, band, tolerance = task.axes, task.band, task.tolerance
     sobol = scipy.stats.qmc.Sobol(len(axes), seed=11)
@@ -236,10 +240,10 @@ def _compute_largest_difference(
     model: DenseParametricModel | ResonatorsOverRanges,
     checks: Sequence[tuple[Values, ErrorEstimator, float]],
 ) -> float:
-    """Return the largest relative difference of a reduced model to the full models.
+    """Return the largest relative difference between a reduced model and full models.
 
-    Each item of ``checks`` contains values of the parameters, the error estimator of the full model
-    at these values, and the error of this estimator.
+    Each item of ``checks`` contains parameter values, an error estimator for the full model with
+    these values, and the error of the estimator.
     """
     return max(
         estimator.estimate_model_error(Response(model.evaluate(values).pencil)) + error
@@ -254,9 +258,8 @@ def interpolate_model_facts(
 ) -> dict[str, np.ndarray]:
     """Fit polynomials to the ``facts`` (characteristic numbers) of full models.
 
-    The polynomials have the highest degree for which there are enough full models. Return the
-    coefficients (terms,) of each fact, for the products of polynomials with ``exponents`` (terms,
-    axes).
+    The number of full models limits the degree of the polynomials. The result contains coefficients
+    (terms,) of each fact, for the products of polynomials with ``exponents`` (terms, axes).
     """
     x = [[axis.compute_coordinate(values[axis.name]) for axis in axes] for values, _ in known]
     total = exponents.sum(axis=1, initial=0)
@@ -277,15 +280,14 @@ def make_resonators(
 ) -> tuple[ResonatorsOverRanges, float]:
     """Convert a dense parametric model to resonators over the same ranges.
 
-    The second result is the largest difference of the resonators from ``dense_model`` at points of
-    the ranges. The function selects the fewest Ritz vectors, the smallest blocks and the lowest
-    degree of polynomials that meet the tolerance.
+    The second result is the largest relative difference between the resonators and ``dense_model``
+    at points of the ranges. The function selects the fewest Ritz vectors, the smallest blocks and
+    the lowest degree of polynomials that meet the tolerance.
 
     Raises
     ------
-    UsageError : the band begins at 0 Hz, and a port can move the body as a rigid body.
-    SimulationError : no common basis is accurate enough over the parameter ranges for the
-    tolerance.
+    UsageError : the band begins at 0 Hz, and a port excites a rigid-body mode.
+    SimulationError : no resonators meet the tolerance over the parameter ranges.
     """
     modes = _ModesOverRanges(dense_model, band)
     points = list(_yield_check_points(dense_model, band, norm))
@@ -317,7 +319,7 @@ def make_resonators(
 
 
 def make_range_error(problem: str, name: str, got: str, tolerance: float) -> SimulationError:
-    """Return the error for a model whose parameter ranges are too wide for the tolerance."""
+    """Return the error about parameter ranges that are too wide for the tolerance."""
     return SimulationError(
         problem,
         where=name,
@@ -332,7 +334,7 @@ def _compute_values_at(
 ) -> dict[str, float]:
     """Return the parameter values at coordinates ``x`` of the first axes.
 
-    All other parameters have the value in the middle of their range.
+    Each other parameter has the value in the middle of its range.
     """
     known = {
         axis.name: axis.value(float(v)) for axis, v in zip(parameter_axes.values(), x, strict=False)
@@ -343,7 +345,7 @@ def _compute_values_at(
 def _yield_check_points(
     dense_model: DenseParametricModel, band: tuple[float, float], norm: Norm
 ) -> Iterator[tuple[np.ndarray, ErrorEstimator]]:
-    """Yield points of the ranges, each with an error estimator that uses the dense model.
+    """Yield points of the ranges, each with an error estimator for the dense model.
 
     The points are the middle of the ranges, all corners, and random points.
     """
@@ -359,7 +361,7 @@ def _yield_check_points(
 
 @dataclass(frozen=True, eq=False)
 class _DenseModes:
-    """Modes of a dense model: squared frequencies (n,) and M-orthonormal mode shapes (n, n)."""
+    """Modes of a dense model: squared frequencies (n,) and mode shapes (n, n)."""
 
     model: LinearModel
     w2: np.ndarray
@@ -369,7 +371,7 @@ class _DenseModes:
 class _ModesOverRanges:
     """Modes of a dense model over the ranges of its parameters.
 
-    ``count`` is the number of retained modes, which include all modes in the band.
+    ``count`` is the number of retained modes. All modes in the band are retained.
     """
 
     def __init__(self, dense_model: DenseParametricModel, band: tuple[float, float]) -> None:
@@ -383,7 +385,7 @@ class _ModesOverRanges:
             p.w2[self.free] < ZERO_FREQUENCY_RATIO * p.w2[self.free + 1] for p in points
         ):
             self.free += 1
-        # if a port moves the body, the rigid-body modes are retained
+        # if a port excites a rigid-body mode, all rigid-body modes are retained
         self.moved = any(map(self._excites_rigid_body, points))
         if self.moved and band[0] <= 0:
             raise UsageError(
@@ -402,7 +404,7 @@ class _ModesOverRanges:
         self.count = int(counts[np.argmax(gaps - MIN_GAP_GAIN * np.arange(len(counts)))])
 
     def compute_elastic_modes(self, x: np.ndarray) -> _DenseModes:
-        """Return the modes at coordinates ``x`` that :meth:`_isolate_elastic_modes` selects."""
+        """Return the modes at coordinates ``x``, without unsupported rigid-body modes."""
         return self._isolate_elastic_modes(self._compute_all_modes(x))
 
     def _compute_all_modes(self, x: np.ndarray) -> _DenseModes:
@@ -422,7 +424,7 @@ class _ModesOverRanges:
         return bool((largest > RIGID_ROUNDING * share.max(axis=0)).any())
 
     def _isolate_elastic_modes(self, p: _DenseModes) -> _DenseModes:
-        """Remove the rigid-body modes, or replace them by a soft support."""
+        """Remove the rigid-body modes, or give these modes a soft support."""
         if self.moved:
             soft = np.full(self.free, (2 * np.pi * self.soft_support_frequency) ** 2)
             w2 = np.concatenate([soft, p.w2[self.free :]])
@@ -431,7 +433,7 @@ class _ModesOverRanges:
 
 
 class _ReducedSpace:
-    """Subspace of the retained modes, and of Ritz vectors that represent the other modes.
+    """Subspace of the retained modes, and of Ritz vectors for the other modes.
 
     The Ritz vectors span ``sum_i phi_i phi_i' B / (w_i^2 - s)^j`` over the other modes i, for j up
     to ``moments``. ``phi_i`` are the mode shapes and ``w_i`` the natural frequencies. The shift s
@@ -448,7 +450,7 @@ class _ReducedSpace:
         size[size == 0] = 1.0
         w, T = np.linalg.eigh(sum((a / size).T @ (a / size) for a in answers))
         large = w > max(DEPENDENT_VECTOR * w[-1], 0.0)
-        # the subspace has at most as many vectors as the dense model has unknowns
+        # the number of vectors of the subspace is at most the number of unknowns of the dense model
         large[: max(0, len(w) - rest.size)] = False
         self.T = T[:, large] / size[:, None]
         pairs = list(map(self._compute_ritz_modes, modes.points))
@@ -457,13 +459,13 @@ class _ReducedSpace:
         self._blocks_by_range: dict[tuple[int, int], tuple[np.ndarray, np.ndarray] | None] = {}
 
     def _project_responses(self, p: _DenseModes) -> np.ndarray:
-        """Return the responses to the ports' loads, in coordinates of the modes not retained."""
+        """Return responses to port loads, in coordinates of the modes not retained."""
         k = self.modes.count
         load, share = p.V[:, k:].T @ p.model.B, self.unit / (p.w2[k:, None] - self.shift)
         return np.hstack([share**j * load for j in range(1, self.moments + 1)])
 
     def _compute_ritz_modes(self, p: _DenseModes) -> tuple[np.ndarray, np.ndarray]:
-        """Return squared frequencies (q,) and shapes (n, q) of retained modes and Ritz vectors."""
+        """Return squared frequencies and shapes of retained modes and Ritz vectors."""
         k = self.modes.count
         U, _, R = np.linalg.svd(self._project_responses(p) @ self.T, full_matrices=False)
         W = U @ R
@@ -471,19 +473,19 @@ class _ReducedSpace:
         return np.r_[p.w2[:k], ritz], np.hstack([p.V[:, :k], p.V[:, k:] @ (W @ Q)])
 
     def project_model(self, x: np.ndarray) -> LinearModel:
-        """Return the projection of the model on this subspace at coordinates ``x`` of the axes."""
+        """Return the projection of the model on the subspace at coordinates ``x``."""
         p = self.modes.compute_elastic_modes(x)
         w2, Z = self._compute_ritz_modes(p)
         B = Z.T @ p.model.B
         return replace(p.model, M=np.eye(len(w2)), K=np.diag(w2), B=B, C=B.T)
 
     def _make_block(self, a: int, b: int) -> tuple[np.ndarray, np.ndarray] | None:
-        """Compute the stiffness and the gain of a block of modes at all points of the grid.
+        """Compute stiffness and gain of a block of modes at all points of the grid.
 
-        The block contains the modes a to b - 1. Return its stiffness (points, n, n) and its gain
-        (points, n, ports). At each point, the frame of the block is the nearest to the frame in the
-        middle of the ranges. The result is None if a frame differs too much from the frame in the
-        middle.
+        The block contains the modes a to b - 1. The result consists of the stiffness (points, n, n)
+        and the gain (points, n, ports) of the block. At each point, the frame of the block is the
+        frame that is nearest to the frame in the middle of the ranges. The result is None if any
+        frame differs too much from the frame in the middle.
         """
         if (a, b) not in self._blocks_by_range:
             M, first, rows = self.modes.points[0].model.M, self.Z[0][:, a:b], []
@@ -503,10 +505,10 @@ class _ReducedSpace:
     def fit_polynomials(
         self, gap: float, degree: int, tolerance: float
     ) -> ResonatorsOverRanges | None:
-        """Fit polynomials to the coefficients of blocks of modes, which ``gap`` separates.
+        """Fit polynomials to the coefficients of blocks of modes.
 
-        The squared frequencies of two blocks differ by at least ``gap`` on a logarithmic scale. The
-        result is None if the mode shapes of a block do not change smoothly.
+        The logarithms of the squared frequencies of two blocks differ by more than ``gap``. The
+        result is None if the mode shapes of a block change too much within the ranges.
         """
         modes, dense_model = self.modes, self.modes.dense_model
         separated = np.log(self.w2[:, 1:] / self.w2[:, :-1]).min(axis=0) > gap
@@ -527,7 +529,7 @@ class _ReducedSpace:
         )
 
         def fit_rounded_coefficients(values: np.ndarray, grain: float | np.ndarray) -> np.ndarray:
-            """Fit ``values`` (points, …), and round the coefficients to multiples of ``grain``."""
+            """Fit ``values`` (points, …), and round coefficients to multiples of ``grain``."""
             c = np.tensordot(fit, values, 1)
             return np.asarray(np.round(c / grain) * grain)
 

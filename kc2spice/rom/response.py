@@ -1,4 +1,4 @@
-"""Frequency responses of dense pencils, and frequencies at which responses are sampled."""
+"""Frequency responses of dense pencils, and choice of sample frequencies."""
 
 from __future__ import annotations
 
@@ -25,37 +25,39 @@ CANCELLATION_ROUNDING = 1e-13
 COUPLING_ROUNDING = 1e-9
 # Smallest damping ratio of a resonance whose peak can be sampled.
 # Below this damping ratio, no floating-point frequency is close enough to the peak.
-# Errors are then computed beside the peak, at the relative distance FLANK_DISTANCE.
+# Errors of such resonances are computed beside the peak, at the relative distance FLANK_DISTANCE.
 MIN_DAMPING_RATIO = 1e-7
 FLANK_DISTANCE = 1e-4
-MIN_VISIBLE_TERM = 1e-10  # smallest term of a visible pole in an entry, relative to the entry
+# smallest contribution of a visible pole to an entry of the response, relative to the entry
+MIN_VISIBLE_TERM = 1e-10
 VISIBLE_GRID = 50  # number of frequencies at which the peaks of entries are determined
 # distances of sample frequencies from a resonance, in half-widths of the resonance
 RESONANCE_OFFSETS = np.array([0.0, 0.25, 0.5, 1.0, 2.0, 5.0, 15.0, 60.0])
 # number of frequencies in the linear grid and in the logarithmic grid of a band; found by trials
 GRID_FREQUENCIES = 200
-# smallest and largest model whose eigenvectors are computed; found by trials
-MIN_UNKNOWNS = 12  # number of unknowns above which eigenvectors are computed
-MAX_STATES = 2000  # largest number of first-order states
+# limits of the size of models whose eigenvectors are computed, found by trials
+MIN_UNKNOWNS = 12  # largest number of unknowns for which direct solutions are faster
+MAX_STATES = 2000  # largest number of first-order states for which eigenvectors are computed
 DECOUPLING_TOLERANCE = 1e-10  # largest relative difference between decoupled and direct solutions
 # ratio of successive squared frequencies above which the lower mode is a rigid-body mode
 RIGID_MODE_RATIO = 1e8
 # Largest condition number of the eigenvectors with which a model is decoupled.
-# The eigenvectors of an unsupported body do not span its states; their condition number is larger.
+# Eigenvectors of an unsupported body do not span all states, so their condition number is larger.
 MAX_CONDITION = 1e10
 Modes: TypeAlias = tuple[np.ndarray, np.ndarray, tuple[np.ndarray, ...]]
 
 
 class Response:
-    """Frequency response of a dense pencil, computed in decoupled coordinates if possible.
+    """Frequency response of a dense pencil, in decoupled coordinates if possible.
 
-    In decoupled coordinates, the matrices of the pencil are diagonal. The coordinates must be
-    well-conditioned. ``modes`` is ``(T, L, diagonals)``, so that the unknowns are
-    ``x = T diag(1 / sum_k s^k diagonals_k) L B``. ``modes`` is None if there are no decoupled
-    coordinates. If ``decoupled`` is true, T is a real congruence (``L = T'``). If rigid-body modes
-    are not coupled to other unknowns, they are solved separately, and ``core`` is the pencil of the
-    other unknowns. Otherwise ``core`` is the whole pencil. ``zero`` (outputs, inputs) is a mask of
-    the entries that are known to be zero by symmetry.
+    In decoupled coordinates, the matrices of the pencil are diagonal. Decoupled coordinates are
+    used only if they are well-conditioned. With ``modes = (T, L, diagonals)``, the unknowns are ``x
+    = T diag(1 / sum_k s^k diagonals_k) L B``. ``modes`` is None if there are no decoupled
+    coordinates. If :attr:`has_decoupling_congruence` is true, T is a real congruence (``L = T'``).
+    If rigid-body modes are not coupled to other unknowns, they are solved separately. The pencil
+    ``core`` then contains only the other unknowns. If rigid-body modes are coupled or absent,
+    ``core`` is the whole pencil. ``zero`` (outputs, inputs) is a mask of the entries that are known
+    to be zero by symmetry.
     """
 
     def __init__(
@@ -75,12 +77,12 @@ class Response:
 
     @cached_property
     def _decoupling(self) -> Modes | None:
-        """Prescribed modes, or modes of a congruence that decouples the pencil, or None."""
+        """Prescribed modes, or modes of a decoupling congruence, or None."""
         return self._prescribed_modes or _diagonalise_pencil(self.core)
 
     @cached_property
     def modes(self) -> Modes | None:
-        """Modes as decoupled coordinates; None if the model cannot be decoupled."""
+        """Modes as decoupled coordinates, or None if the model cannot be decoupled."""
         use_eigenvectors = MIN_UNKNOWNS < self.core.size <= MAX_STATES / self.core.degree
         return self._decoupling or (_compute_eigenvectors(self.core) if use_eigenvectors else None)
 
@@ -94,7 +96,7 @@ class Response:
 
     @property
     def is_decoupled(self) -> bool:
-        """Whether decoupled coordinates exist, or are unnecessary because of few unknowns."""
+        """Whether decoupled coordinates exist, or the model is too small to need them."""
         return self.modes is not None or self.core.size <= MIN_UNKNOWNS
 
     def states(self, s: np.ndarray) -> np.ndarray:
@@ -151,12 +153,12 @@ class Response:
     def compute_error_scales(
         self, frequency: np.ndarray, H: np.ndarray | None = None
     ) -> EntryScales:
-        """Return the scales for errors of the response H over ``frequency`` [Hz]."""
+        """Return the scales for relative errors of the response H over ``frequency`` [Hz]."""
         H = self.transfer(2j * np.pi * frequency) if H is None else H
         return EntryScales.from_response(H, self.find_entry_peaks(frequency, H), self.zero)
 
     def _compute_mode_responses(self, s: np.ndarray) -> np.ndarray:
-        """Compute the responses ``1 / sum_k s^k diagonals_k`` of the modes at all values ``s``.
+        """Compute the mode responses ``1 / sum_k s^k diagonals_k`` at all values ``s``.
 
         The result has the shape (len(s), n).
         """
@@ -204,17 +206,17 @@ class Response:
         return self._oscillating_poles[:2]
 
     def select_in_band(self, band: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
-        """Return the frequencies [Hz] and damping ratios of the resonances inside the band."""
+        """Return frequencies [Hz] and damping ratios of the resonances in the band."""
         frequency, ratio = self.resonances
         inside = _mask_inside_band(frequency, band)
         return frequency[inside], ratio[inside]
 
     def select_visible(self, band: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
-        """Return the frequencies [Hz] and damping ratios of the visible resonances in the band.
+        """Return frequencies [Hz] and damping ratios of visible resonances in the band.
 
-        In every entry of the response, a zero cancels an invisible resonance. An invisible
-        resonance belongs to a mode that no input excites or no output measures, or to a rigid-body
-        mode whose stiffness is a rounding error.
+        An invisible resonance has no peak in any entry of the response. The mode of an invisible
+        resonance is not excited by any input, or not measured by any output. The mode may also be a
+        rigid-body mode whose stiffness is a rounding error.
         """
         frequency, ratio, mode = self._oscillating_poles
         inside = _mask_inside_band(frequency, band)
@@ -238,8 +240,8 @@ class Response:
 class DirectResponse(Response):
     """Frequency response of a dense pencil, computed directly at each frequency.
 
-    If conductances differ by many orders of magnitude, the matrix is almost singular. Direct
-    solutions then have smaller rounding errors than solutions by modes.
+    If conductances differ by many orders of magnitude, the matrix is almost singular. For almost
+    singular matrices, direct solutions have smaller rounding errors than solutions by modes.
     """
 
     modes = None
@@ -251,11 +253,11 @@ class DirectResponse(Response):
 
 
 def _compute_eigenvectors(pencil: Pencil) -> Modes | None:
-    """Compute decoupled coordinates of a pencil from eigenvectors of its first-order form.
+    """Compute decoupled coordinates from eigenvectors of the first-order form.
 
-    The eigenvectors are those of ``P(shift)^-1`` times the inertia matrix, because this eigenvalue
-    problem is also suitable for unknowns without inertia. The result is None if the responses in
-    decoupled coordinates differ from direct solutions by more than rounding errors.
+    The eigenvectors of ``P(shift)^-1`` times the inertia matrix are used, which also exist for
+    unknowns without inertia. The result is None if the responses in decoupled coordinates differ
+    from direct solutions by more than rounding errors.
     """
     sizes = find_largest_entry(pencil.coefficients[0]), find_largest_entry(pencil.coefficients[-1])
     if not all(sizes):
@@ -281,29 +283,32 @@ def _compute_eigenvectors(pencil: Pencil) -> Modes | None:
         exact = pencil.states(s)
     except SimulationError:
         return None
-    with np.errstate(all="ignore"):  # s may be a pole
+    with np.errstate(all="ignore"):  # a sample frequency may be a pole
         apart = np.abs(Response(pencil, result).states(s) - exact).max(axis=1)
     return result if (apart < DECOUPLING_TOLERANCE * np.abs(exact).max(axis=1)).all() else None
 
 
 def _compute_finite_poles(rest: np.ndarray, inertia: np.ndarray) -> np.ndarray:
-    """Return the finite poles from the diagonals that :func:`_compute_eigenvectors` returns."""
+    """Return the finite poles of first-order equations in decoupled coordinates.
+
+    The arguments are the diagonals that :func:`_compute_eigenvectors` returns.
+    """
     finite = _mask_finite_poles(rest)
     return np.asarray(-rest[finite] / inertia[finite])
 
 
 def _mask_finite_poles(rest: np.ndarray) -> np.ndarray:
-    """Return a mask of the entries of ``rest`` whose pole ``-rest / inertia`` is finite."""
+    """Return a mask of the entries of ``rest`` with a finite pole ``-rest / inertia``."""
     return np.asarray(np.abs(1 - rest) * INFINITE_POLE_RATIO > 1)
 
 
 def _mask_inside_band(frequency: np.ndarray, band: tuple[float, float]) -> np.ndarray:
-    """Return a mask of the frequencies [Hz] in the band, except zero within rounding errors."""
+    """Return a mask of the frequencies [Hz] in the band that are not almost zero."""
     return np.asarray((frequency > max(band[0], 1e-6 * band[1])) & (frequency < band[1]))
 
 
 def _diagonalise_pencil(pencil: Pencil) -> Modes | None:
-    """Diagonalise a symmetric pencil by a real congruence; return None if this is impossible.
+    """Diagonalise a symmetric pencil by a real congruence, or return None.
 
     The congruence consists of the eigenvectors of ``M phi = mu K phi`` with a definite K. The
     problem ``M phi = mu K phi`` is better conditioned than the problem with the inverse of M.
@@ -313,7 +318,7 @@ def _diagonalise_pencil(pencil: Pencil) -> Modes | None:
     rest, inertia = pencil.coefficients[0], pencil.coefficients[-1]
     try:
         mu, T = scipy.linalg.eigh(inertia, rest)
-        # the pencil has a rigid-body mode, whose stiffness is a rounding error
+        # the stiffness of a rigid-body mode is only a rounding error
         if (mu[1:] > RIGID_MODE_RATIO * np.abs(mu[:-1])).any():
             raise scipy.linalg.LinAlgError
         ends = np.ones(pencil.size), mu
@@ -327,8 +332,8 @@ def _diagonalise_pencil(pencil: Pencil) -> Modes | None:
         return T, T.T, ends
     damping = T.T @ pencil.coefficients[1] @ T
     diagonal = np.diag(damping).copy()
-    # The limit of the coupling of two modes is relative to the damping of both modes.
-    # If damping couples an undamped mode to another mode, the pencil is not decoupled.
+    # The largest accepted coupling of two modes is relative to the damping of both modes. If
+    # damping couples an undamped mode to another mode, the pencil is not decoupled.
     limit = COUPLING_ROUNDING * np.sqrt(np.abs(np.outer(diagonal, diagonal)))
     if (np.abs(damping - np.diag(diagonal)) > limit).any():
         return None
@@ -352,7 +357,7 @@ def make_frequency_grid(band: tuple[float, float], count: int, static: bool) -> 
 def sample_resonances(
     frequency: np.ndarray, ratio: np.ndarray, widths: np.ndarray = RESONANCE_OFFSETS
 ) -> np.ndarray:
-    """Return sample frequencies [Hz] at resonances and on both sides of them.
+    """Return sample frequencies [Hz] at resonances and on both sides of resonances.
 
     ``frequency`` and ``ratio`` are the resonance frequencies [Hz] and damping ratios. ``widths``
     contains the distances of the samples from a resonance, in half-widths of the resonance.
@@ -372,9 +377,9 @@ def sample_resonances(
 def drop_points_near_poles(
     points: np.ndarray, frequency: np.ndarray, ratio: np.ndarray
 ) -> np.ndarray:
-    """Omit the frequencies in ``points`` that are too close to nearly undamped resonances.
+    """Omit the frequencies in ``points`` too close to nearly undamped resonances.
 
-    The smallest relative distance is :data:`FLANK_DISTANCE`.
+    The smallest permitted relative distance is :data:`FLANK_DISTANCE`.
     """
     sharp = frequency[ratio < MIN_DAMPING_RATIO]
     if not sharp.size:
@@ -391,7 +396,7 @@ def sample_band(
     static: bool,
     widths: np.ndarray | tuple[float, ...] = (0.0,),
 ) -> np.ndarray:
-    """Choose sample frequencies [Hz]: a grid over the band, and resonances in the band.
+    """Choose sample frequencies [Hz]: a grid over the band, and resonances.
 
     On both sides of each resonance, there are samples at distances of ``widths`` half-widths.
     Samples too close to undamped poles are omitted.

@@ -1,9 +1,8 @@
 """Rigid-body modes of a model, and their exact separation from all other unknowns.
 
-Here, rigid-body modes include integrators. The response of rigid-body modes grows without bound as
-the frequency approaches zero. Rigid-body modes and their damping are computed once. The stiffness
-of rigid-body modes is set to exactly zero, and the modes are separated from all other unknowns.
-Reduction bases and response peaks refer to the other unknowns only.
+In this module, rigid-body modes include integrators. The response of rigid-body modes grows without
+bound as the frequency approaches zero. The stiffness of rigid-body modes is set to exactly zero.
+Reduction bases and response peaks exclude rigid-body modes.
 """
 
 from __future__ import annotations
@@ -26,20 +25,22 @@ from kc2spice.rom.pencil import (
     is_symmetric,
 )
 
-# Bound of the rounding error of a matrix entry, divided by ``n eps`` times the size of the entry.
-# Stiffness, damping and coupling below the bounds of their rounding errors count as zero.
+# Bound of the rounding error of a matrix entry, relative to ``n eps`` times the entry. Stiffness,
+# damping and coupling below the bounds of their rounding errors count as zero.
 ROUNDING_FACTOR = 8.0
 # Largest magnitude of a pole that counts as zero, relative to the end of the band.
-# The rounding error of a double pole is the square root of eps.
+# The relative rounding error of a double pole is about the square root of eps.
 ZERO_POLE_RATIO = 1e-6
 # largest slow real pole of a damped rigid-body mode, relative to the end of the band
 SLOW_POLE_RATIO = 1e-2
-# largest energy that counts as a rounding error, relative to its change by random rounding
+# largest energy that counts as a rounding error, relative to the effect of random rounding on the
+# energy
 ENERGY_FACTOR = 30.0
 ENERGY_MARGIN = 4.0  # safety factor of the change of an energy due to random rounding
-# frequency, relative to the resonance of a support, at which a support changes the response by 1e-4
+# ratio of frequency to resonance frequency of a support at which the support changes the response
+# by 1e-4
 SUPPORT_RATIO = 100.0
-# multiple of the limit for singular matrices above which a matrix counts as regular
+# factor above the limit for singular matrices at which a matrix counts as regular
 REGULAR_FACTOR = 10.0
 # largest rate of a chain of integrators due to rounding errors, relative to the end of the band
 CHAIN_RATE_RATIO = 1e-9
@@ -48,12 +49,12 @@ Rounding: TypeAlias = tuple[np.ndarray, ...]
 
 
 class RigidBodySplit(NamedTuple):
-    """Model ``pencil`` whose first ``pencil.free`` coordinates are its rigid-body modes.
+    """Model ``pencil`` whose first ``pencil.free`` coordinates are rigid-body modes.
 
-    ``columns`` contains the basis vectors of the coordinates in the original unknowns. If
-    ``static`` is true, the other coordinates have a static response. ``projected`` is the pencil
-    before rounding errors were set to zero. If the form of the matrices is not preserved,
-    ``projected`` is None.
+    ``columns`` contains the basis vectors of all coordinates, expressed in the original unknowns.
+    If ``static`` is true, the other coordinates have a static response. ``projected`` is the pencil
+    with its rounding errors, before these errors are set to zero. If the form of the matrices is
+    not preserved, ``projected`` is None.
     """
 
     pencil: Pencil
@@ -69,13 +70,13 @@ def split_rigid_body(
 
     If there are no rigid-body modes, the result contains the unchanged pencil.
 
-    Symmetric and dissipative models have rigid-body modes X with ``K X = 0`` and ``X'K = 0``. A
-    congruence ``V'PV`` preserves the form of these symmetric and dissipative models. In the
-    congruence, the other coordinates are orthogonal to X in the inertia. Damping may couple both
-    groups of coordinates. All other models are converted to first-order models. The rigid-body
-    modes of first-order models are separated by the invariant subspaces of the poles near zero,
-    relative to ``omega`` [rad/s]. ``rounding`` contains bounds of the rounding errors, if they are
-    known.
+    Symmetric and dissipative models have rigid-body modes X with ``K X = 0`` and ``X'K = 0``. For
+    symmetric and dissipative models, a congruence ``V'PV`` preserves the form of the matrices. The
+    inertia matrix does not couple X to the other coordinates, but damping may do so. All other
+    models are converted to first-order models. In a first-order model, the invariant subspaces of
+    the poles near zero separate the rigid-body modes. Whether a pole is near zero is decided
+    relative to ``omega`` [rad/s]. ``rounding`` contains bounds of the rounding errors of matrix
+    entries, if known.
     """
     rest, inertia = pencil.coefficients[0], pencil.coefficients[-1]
     X = _compute_null_space(rest, (rounding or _bound_rounding(pencil))[0])
@@ -97,7 +98,7 @@ def split_rigid_body(
 
 
 def split_driven_modes(pencil: Pencil, free: int, rounding: Rounding) -> RigidBodySplit:
-    """Set rounding errors of rigid-body modes to zero, and omit modes that no input drives.
+    """Omit undriven rigid-body modes, and set rounding errors of the others to zero.
 
     The rigid-body modes are the first ``free`` unknowns of the pencil. ``rounding`` contains bounds
     of the rounding errors of all matrix entries.
@@ -110,7 +111,7 @@ def split_driven_modes(pencil: Pencil, free: int, rounding: Rounding) -> RigidBo
 def _split_congruently(
     pencil: Pencil, X: np.ndarray, others: np.ndarray, rounding: Rounding
 ) -> RigidBodySplit:
-    """Project on the rigid-body modes X that an input drives, and on the motions ``others``."""
+    """Project on the driven rigid-body modes of X, and on the motions ``others``."""
     X = _select_driven_modes(pencil, X, rounding)
     V = np.hstack([X, others])
     result, projected = project_with_rigid_body(pencil, V, X.shape[1], rounding)
@@ -118,7 +119,7 @@ def _split_congruently(
 
 
 def select_rigid_body_part(pencil: Pencil, omega: float) -> Pencil | None:
-    """Return the pencil of the rigid-body modes, or None if there are none."""
+    """Return the pencil of the rigid-body modes, or None without rigid-body modes."""
     if pencil.free and not pencil.has_uncoupled_rigid_modes:
         pencil = _project_obliquely(convert_to_first_order(pencil, omega), omega)[0]
     return pencil.truncate_to_order(pencil.free) if pencil.free else None
@@ -133,8 +134,8 @@ def _bound_rounding(pencil: Pencil) -> Rounding:
 def _compute_null_space(K: np.ndarray, rounding: np.ndarray) -> np.ndarray:
     """Compute orthonormal columns X with ``K X = 0`` within ``rounding``.
 
-    ``rounding`` contains a bound for each entry of K, so that rounding errors of large entries do
-    not hide small entries.
+    ``rounding`` contains one bound for each entry of K. Rounding errors of large entries therefore
+    do not hide small entries.
     """
     rows = rounding.max(axis=1)
     rows = 1 / np.where(rows > 0, rows, 1.0)[:, None]
@@ -143,7 +144,7 @@ def _compute_null_space(K: np.ndarray, rounding: np.ndarray) -> np.ndarray:
     noise = rows * rounding * columns
     lu, _, singular = scipy.linalg.lapack.dgetrf(rows * K * columns)
     inverse = 0.0 if singular else scipy.linalg.lapack.dgecon(lu, 1.0)[0]
-    # the estimated inverse condition number is in another norm, so it has a safety factor
+    # the condition number is estimated in another norm, which requires a safety factor
     if inverse > REGULAR_FACTOR * np.sqrt(len(K)) * np.linalg.norm(noise):
         return np.empty((len(K), 0))
     _, size, Vt = np.linalg.svd(rows * K * columns)
@@ -157,8 +158,8 @@ def _select_zero_energy_motions(
     """Select the motions in X whose elastic energy is only a rounding error.
 
     X has the shape (n, motions). By default, the rounding error of the energy is estimated for
-    random rounding of the entries of K. If bounds ``rounding`` of these entries are known, they
-    determine the rounding error instead.
+    random rounding of the entries of K. If ``rounding`` contains bounds of the rounding errors of
+    the entries, the bounds are used instead.
     """
     if not X.size or not is_symmetric(K):
         return X
@@ -174,10 +175,10 @@ def _select_zero_energy_motions(
 
 
 def estimate_energy_rounding(P: Matrix, V: np.ndarray) -> np.ndarray:
-    """Estimate the rounding errors of ``V'PV`` (k, k) due to random rounding of the matrix P.
+    """Estimate the effect of random rounding of the matrix P on ``V'PV`` (k, k).
 
-    The rounding errors of the entries of P are independent, so the squares of their effects add up:
-    ``eps (sum_ij v_ik^2 P_ij^2 v_jl^2)^(1/2)``.
+    The rounding errors of the entries of P are independent, so the squares of the effects of all
+    entries add up: ``eps (sum_ij v_ik^2 P_ij^2 v_jl^2)^(1/2)``.
     """
     squares = V**2
     return np.asarray(
@@ -186,10 +187,10 @@ def estimate_energy_rounding(P: Matrix, V: np.ndarray) -> np.ndarray:
 
 
 def estimate_hidden_frequency(pencil: Pencil, X: np.ndarray, low: float) -> float:
-    """Return the frequency [Hz] below which rounding errors hide the resonance of a support.
+    """Return the frequency [Hz] below which rounding errors hide a support resonance.
 
-    A support of the rigid-body modes X (n, modes) is hidden if its stiffness is not larger than the
-    random rounding errors of K. Without rigid-body modes, the frequency is zero.
+    A support of the rigid-body modes X (n, modes) is hidden if the stiffness of the support is
+    within the random rounding errors of K. Without rigid-body modes, the result is zero.
 
     The reduced model omits the stiffness of the modes X. If the omitted stiffness slightly exceeds
     the rounding errors, the body has a support whose stiffness is inaccurate. The function then
@@ -205,7 +206,7 @@ def estimate_hidden_frequency(pencil: Pencil, X: np.ndarray, low: float) -> floa
     ):
         return 0.0
     i, j, value = scipy.sparse.find(K)
-    # extended precision, because the energies of soft modes are small differences of large numbers
+    # energies of soft modes are small differences of large numbers, and need extended precision
     exact = np.asarray(X, dtype=np.longdouble)
     force = np.zeros(exact.shape, dtype=np.longdouble)
     np.add.at(force, i, value.astype(np.longdouble)[:, None] * exact[j])
@@ -228,15 +229,15 @@ def estimate_hidden_frequency(pencil: Pencil, X: np.ndarray, low: float) -> floa
 
 
 def _is_force_free(P: np.ndarray, X: np.ndarray, rounding: np.ndarray) -> bool:
-    """Return whether ``P X`` is zero within the ``rounding`` errors of the entries of P."""
+    """Return whether ``P X`` is zero within the ``rounding`` errors of P."""
     return bool((np.abs(P @ X) <= rounding.sum(axis=1)[:, None] * np.abs(X).max(axis=0)).all())
 
 
 def _select_driven_modes(pencil: Pencil, X: np.ndarray, rounding: Rounding) -> np.ndarray:
     """Select the rigid-body modes in X that an input drives.
 
-    All modes are returned if inputs and outputs are not collocated, or if damping acts on the
-    modes.
+    If inputs and outputs are not collocated, or if damping acts on the modes, all modes are
+    returned.
     """
     *between, inertia = pencil.coefficients
     damped = not all(_is_force_free(P, X, R) for P, R in zip(between, rounding, strict=False))
@@ -260,8 +261,8 @@ def project_with_rigid_body(
 ) -> tuple[Pencil, Pencil]:
     """Project a dense pencil on V, whose first ``free`` columns are rigid-body modes.
 
-    Both results contain ``V'PV``. In the first result, entries that are only rounding errors are
-    set to zero. The second result contains these entries unchanged.
+    In the first result, entries of ``V'PV`` that are only rounding errors are set to zero. The
+    second result is ``V'PV`` with unchanged entries.
     """
     result, parts = pencil.project_exactly(V), []
     for P, noise in zip(result.coefficients, rounding or _bound_rounding(pencil), strict=True):
@@ -276,9 +277,9 @@ def project_with_rigid_body(
 def _project_obliquely(pencil: Pencil, omega: float) -> tuple[Pencil, np.ndarray]:
     """Separate the poles near zero by right and left invariant subspaces.
 
-    Return a pencil whose first unknowns belong to the poles near zero, and its basis. In the first
-    unknowns, the rates of integrators are exactly zero. If the separation is not possible, the
-    pencil is returned unchanged.
+    Return a pencil whose first unknowns belong to the poles near zero, and the basis of the pencil.
+    The rates of integrators among these first unknowns are exactly zero. If the separation is not
+    possible, the pencil is returned unchanged.
     """
     rest, inertia = pencil.coefficients
     try:
@@ -327,8 +328,8 @@ def _find_slow_subspace(rest: np.ndarray, inertia: np.ndarray, omega: float) -> 
 def _order_chains(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Rotate A to a block triangular matrix ``Q'AQ`` with exact zeros.
 
-    The coordinates form chains of integrators: the first coordinates are constant, the rates of the
-    next coordinates depend only on the first, and so on.
+    The coordinates form chains of integrators. The first coordinates are constant. The rates of all
+    other coordinates depend only on coordinates that come earlier in the chain.
     """
     A, Q, start = A.copy(), np.eye(len(A)), 0
     while start < len(A):

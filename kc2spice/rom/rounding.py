@@ -1,4 +1,4 @@
-"""Effects of rounding errors in the matrix entries of a model on its response."""
+"""Effects of rounding errors of the matrix entries on the response of a model."""
 
 from __future__ import annotations
 
@@ -22,17 +22,19 @@ from kc2spice.rom.response import (
 
 # smallest relative change of a response due to rounding errors that the certificate mentions
 STATED_UNCERTAINTY = 1e-9
-ZERO_ENTRY_FACTOR = 100.0  # largest response that counts as zero, relative to its rounding error
+# largest ratio of a response entry to its rounding error at which the entry counts as zero
+ZERO_ENTRY_FACTOR = 100.0
 # the following numbers were found by trials
 ZERO_FREQUENCIES = 50  # number of frequencies at which entries are tested for zero
 ZERO_SHARE = 0.5  # share of the tested frequencies at which a zero entry must be negligible
-# effects of rounding are evaluated at this number of lowest, and of sharpest resonances
+# number of lowest resonances, and of sharpest resonances, at which effects of rounding are
+# evaluated
 CHECKED_RESONANCES = 8
 RANDOM_TRIALS = 4  # largest number of trials with random units of the unknowns
-# Share of the target error below which the effect of rounding is negligible.
-# The effects of rounding in different trials differ by a factor of less than 10.
+# Ratio of the effect of rounding to the target error below which the effect is negligible. The
+# effects of rounding in different trials differ by a factor of less than 10.
 NEGLIGIBLE_SHARE = 0.01
-TRIAL_FACTOR = 3.0  # safety factor of the largest change in a few trials
+TRIAL_FACTOR = 3.0  # safety factor for the largest change in RANDOM_TRIALS trials
 
 
 def estimate_rounding_uncertainty(
@@ -42,13 +44,13 @@ def estimate_rounding_uncertainty(
     dual: np.ndarray | None = None,
     zero: np.ndarray | bool = False,
 ) -> np.ndarray:
-    """Estimate the relative change of a response due to rounding of the matrix entries.
+    """Estimate the relative change of a response due to rounded matrix entries.
 
     The result (frequencies,) is the largest relative change of any entry of the response at each
     ``frequency`` [Hz]. By default, this function solves the model and its dual. If more accurate
     solutions ``states`` (frequencies, n, inputs) and ``dual`` are given, the function uses them
-    instead. If an entry is ``zero`` by symmetry, its change is relative to the other entries in its
-    row and column.
+    instead. The change of an entry that is ``zero`` by symmetry is relative to the other entries in
+    the same row and column.
     """
     x = pencil.states(2j * np.pi * frequency) if states is None else states
     H = pencil.C @ x + pencil.D
@@ -63,11 +65,11 @@ def estimate_rounding_uncertainty(
 def estimate_rounding_change(
     pencil: Pencil, frequency: np.ndarray, x: np.ndarray, dual: np.ndarray | None = None
 ) -> np.ndarray:
-    """Estimate the change of a response due to rounding of the matrix entries.
+    """Estimate the change of a response due to rounded matrix entries.
 
-    The result has the shape (frequencies, outputs, inputs). Each estimated change is the root of
-    the sum of the squares of ``eps |y_i P_ij x_j|`` with the matrix entries ``P_ij``. ``x``
-    (frequencies, n, inputs) contains the states, and ``y`` the states of the dual model.
+    The result has the shape (frequencies, outputs, inputs). Each estimate is the square root of the
+    sum of ``(eps |y_i P_ij x_j|)^2`` over all matrix entries ``P_ij``. ``x`` (frequencies, n,
+    inputs) contains the states, and ``y`` the states of the dual model.
     """
     s = 2j * np.pi * frequency
     y = x if pencil.is_symmetric and pencil.is_collocated else dual
@@ -83,12 +85,11 @@ def estimate_rounding_change(
 def find_zero_entries(
     pencil: Pencil, V: np.ndarray, response: Response, band: tuple[float, float]
 ) -> np.ndarray | bool:
-    """Return a mask (outputs, inputs) of the response entries that are zero by symmetry.
+    """Return a mask (outputs, inputs) of response entries that are zero by symmetry.
 
     ``response`` is the response of the projection on V. In the response of the projection, an entry
-    that is zero by symmetry is negligible at nearly all frequencies of the band. At sharp
-    resonances of modes with equal frequencies, the entry may be as large as the effect of rounding
-    of the matrix entries.
+    that is zero by symmetry is negligible at nearly all frequencies of the band. The entry may be
+    as large as a rounding error at sharp resonances of modes with equal frequencies.
     """
     at, ratio = response.select_visible(band)
     chosen = np.union1d(np.argsort(at)[:CHECKED_RESONANCES], np.argsort(ratio)[:CHECKED_RESONANCES])
@@ -122,11 +123,11 @@ def find_zero_entries(
 
 
 def describe_uncertainty(at: np.ndarray, size: np.ndarray, tolerance: float) -> str:
-    """Describe the effect of matrix rounding on the response, for the certificate.
+    """Describe the effect of rounded matrix entries on the response.
 
-    ``size`` is the relative change of the response at the frequencies ``at`` [Hz]. The description
-    is empty if the change is negligible. If the change exceeds ``tolerance``, the function also
-    warns.
+    The certificate contains the description. ``size`` is the relative change of the response at the
+    frequencies ``at`` [Hz]. The description is empty if the change is negligible. If the change
+    exceeds ``tolerance``, the function also warns.
     """
     worst = int(size.argmax())
     effect = f"changes the response by {size[worst]:.1e} at {at[worst]:.5g} Hz"
@@ -140,11 +141,11 @@ def describe_uncertainty(at: np.ndarray, size: np.ndarray, tolerance: float) -> 
 
 
 def estimate_removed_stiffness(projected: Pencil, free: Pencil, band: tuple[float, float]) -> float:
-    """Return the relative change of the response due to removed stiffness of rigid-body modes.
+    """Return the relative change of the response by removed rigid-body stiffness.
 
-    The removed stiffness is a rounding error. The pencil ``projected`` contains this stiffness, and
-    ``free`` does not. The change is evaluated at the lowest relevant frequency, where the change is
-    largest.
+    The removed stiffness of rigid-body modes is a rounding error. The pencil ``projected`` contains
+    this stiffness, and ``free`` does not. The change is evaluated at the lowest frequency of the
+    band, where the change is largest.
     """
     s = 2j * np.pi * make_frequency_grid(band, 2, False)[:1]
     H = free.transfer(s)
@@ -158,14 +159,14 @@ def add_rounding_floor(
     model: IntermediateModel,
     target: float,
 ) -> IntermediateModel:
-    """Add the effect of rounding errors on the resonances to an intermediate model.
+    """Return an intermediate model with the effect of rounding errors on resonances.
 
-    The attribute ``floor`` of the returned model is the effect of rounding errors. If the unknowns
-    of the full model have other units, its exact response is the same, but its matrix entries have
-    other rounding errors. The full model in random units is projected on the same basis, and the
-    floor is computed from the change of the response. Thin bodies are sensitive to rounding errors,
-    because their elastic forces are small differences of large forces. If the change in a trial is
-    negligible relative to ``target``, the error of the model, no further trials are made.
+    The attribute ``floor`` of the returned model is the effect of rounding errors. A change of the
+    units of the unknowns changes the rounding errors of the full model's matrix entries, but not
+    the exact response. Therefore, the full model in random units is projected on the same basis,
+    and the floor is computed from the change of the response. Thin bodies are sensitive to rounding
+    errors, because their elastic forces are small differences of large forces. The trials end early
+    if the change is negligible relative to ``target``, the required error of the model.
     """
     exact = model.response
     at, ratio = exact.select_visible(band)

@@ -1,8 +1,8 @@
 """Soft support for the rigid-body modes of models that need positive stiffness.
 
 The rigid-body modes of a body without a support have no stiffness. With a soft support, each
-rigid-body mode has a resonance frequency ``f_s`` far below the band. The relative error of the
-response at the frequency f is ``(f_s / f)^2``.
+rigid-body mode has a resonance frequency ``f_s`` far below the band. The soft support causes a
+relative error of ``(f_s / f)^2`` in the response at the frequency f.
 """
 
 from __future__ import annotations
@@ -17,20 +17,21 @@ from kc2spice.rom.linear_model import LinearModel
 # Resonance frequency on the soft support, relative to the lower end of the band.
 # The soft support causes a relative error in the band of at most SOFT_SUPPORT_RATIO squared.
 SOFT_SUPPORT_RATIO = 1e-4
-# name of the fact that contains a model's resonance frequency on its soft support
+# key of the mapping ``facts`` of a model: resonance frequency on the soft support
 SOFT_SUPPORT = "soft_support_hz"
-# largest squared frequency of a rigid-body mode (a rounding error), relative to the next mode's
+# largest squared frequency of a rigid-body mode, divided by the squared frequency of the next mode
 ZERO_FREQUENCY_RATIO = 1e-6
 MAX_COUPLING = 1e-8  # largest relative coupling of modes by damping that counts as a rounding error
-# a rigid-body mode has no effect on a port below this gain, relative to the port's largest gain
+# largest gain of a rigid-body mode at a port that counts as zero, relative to the port's largest
+# gain
 RIGID_ROUNDING = 1e-6
 
 
 def support_softly(rom: LinearModel, band: tuple[float, float]) -> LinearModel:
-    """Give the rigid-body modes of a model a soft support, in modal coordinates.
+    """Return a model in modal coordinates with a soft support of its rigid-body modes.
 
-    The model is returned unchanged if it has no rigid-body modes, if damping couples its modes, or
-    if the band begins at 0 Hz.
+    The model is returned unchanged if it is unsymmetric, of first order, or has no rigid-body
+    modes. The same applies if damping couples elastic modes, or if the band begins at 0 Hz.
 
     Parameters
     ----------
@@ -62,7 +63,7 @@ def support_softly(rom: LinearModel, band: tuple[float, float]) -> LinearModel:
     K, E, M = rom.pencil.make_dense().coefficients
     try:
         w2, V = scipy.linalg.eigh(K, M)
-    except np.linalg.LinAlgError:  # a mode has no inertia
+    except np.linalg.LinAlgError:  # the mass matrix is singular
         return rom
     free = 0
     while free + 1 < w2.size and w2[free] < ZERO_FREQUENCY_RATIO * w2[free + 1]:

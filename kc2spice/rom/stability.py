@@ -1,4 +1,4 @@
-"""Proofs of stability and passivity, from the matrices of a model or from its poles.
+"""Proofs of stability and passivity from the matrices or poles of a model.
 
 The proofs apply to full-order and reduced-order models, and do not depend on the method of
 reduction.
@@ -36,9 +36,9 @@ class StabilityProof:
     """Stability and passivity of a model, and the evidence for both.
 
     If ``stable`` is true, no pole is in the right half-plane, so that no motion grows
-    exponentially. However, the displacement of a free rigid body may increase linearly. ``stable``
-    is None if the stability is unknown. If ``passive`` is true, the ports are proven to deliver no
-    net energy. ``proof`` describes the evidence for both properties.
+    exponentially. Even if ``stable`` is true, the displacement of a free rigid body may increase
+    linearly. ``stable`` is None if the stability is unknown. If ``passive`` is true, the ports are
+    proven to deliver no net energy. ``proof`` describes the evidence for both properties.
     """
 
     stable: bool | None
@@ -51,16 +51,17 @@ def prove_stability(
 ) -> StabilityProof:
     """Prove the stability and passivity of a full or reduced model, if possible.
 
-    If possible, the proof uses the form of the matrices. A second-order model cannot gain energy if
-    M and K are symmetric positive semi-definite and ``E + E' >= 0``. Gyroscopic terms are allowed
-    in E, because they are skew-symmetric. If also ``C = B'`` and D >= 0, the model is passive, with
-    the powers force times velocity and voltage times current. A first-order model cannot gain
-    energy if E is symmetric positive semi-definite and ``A + A' <= 0``. If also ``C = B'`` and D >=
-    0, the first-order model is passive, with the power input times output.
+    The proof first uses the form of the matrices. A second-order model cannot gain energy if M and
+    K are symmetric positive semi-definite and ``E + E' >= 0``. Gyroscopic terms are allowed in E,
+    because they are skew-symmetric. If ``C = B'`` and D >= 0 are also true, the second-order model
+    is passive. The powers of the ports are force times velocity, and voltage times current. A
+    first-order model cannot gain energy if E is symmetric positive semi-definite and ``A + A' <=
+    0``. If ``C = B'`` and D >= 0 are also true, the first-order model is passive, and the power of
+    a port is input times output.
 
-    If the form of the matrices proves nothing, the poles show whether the model is stable, and
-    passivity is unknown. The poles of models with more than ``MAX_POLE_STATES`` states are not
-    computed. If ``poles`` [1/s] are known, they are used.
+    If the form of the matrices does not prove stability, the poles show whether the model is
+    stable. Poles do not prove passivity. The poles of models with more than ``MAX_POLE_STATES``
+    states are not computed. The caller passes ``poles`` [1/s] if the poles are known.
     """
     try:
         dissipates = is_dissipative(pencil)
@@ -92,10 +93,10 @@ def prove_stability(
 
 
 def _compute_poles(pencil: Pencil, omega: float) -> np.ndarray:
-    """Compute all poles [1/s]. The poles of rigid-body modes are computed separately.
+    """Compute all poles [1/s]; compute the poles of rigid-body modes separately.
 
-    In a joint computation, only half of the digits of the two poles of a rigid-body mode would be
-    correct.
+    A computation of all poles together would halve the number of correct digits of the double poles
+    of rigid-body modes.
     """
     result = (
         pencil
@@ -113,12 +114,12 @@ def _compute_poles(pencil: Pencil, omega: float) -> np.ndarray:
 
 
 def is_dissipative(pencil: Pencil) -> bool:
-    """Return whether the matrices prove that only the ports can increase the stored energy."""
+    """Return whether the matrices prove that a model cannot create energy."""
     rest, *others = pencil.coefficients
     order = pencil.elimination_order
     if not is_semidefinite(others[-1], order):
         return False
-    # with proportional damping, the damping matrix needs no separate proof
+    # Rayleigh damping with non-negative factors is semidefinite if M and K are semidefinite
     if pencil.rayleigh is None or min(pencil.rayleigh) < 0:
         loss = others[0] if others[1:] else rest
         if not is_semidefinite(loss if isinstance(loss, SchurComplement) else loss + loss.T, order):
@@ -132,14 +133,15 @@ def is_dissipative(pencil: Pencil) -> bool:
 
 
 def is_semidefinite(matrix: Matrix, order: np.ndarray | None = None) -> bool:
-    """Return whether a matrix is symmetric positive semidefinite within rounding errors.
+    """Return whether a matrix is symmetric and positive semidefinite.
 
     ``order`` is the elimination order for a sparse matrix, if it is known.
     """
     if isinstance(matrix, SchurComplement):
         if not matrix.is_symmetric:
             return False
-        if is_semidefinite(-matrix.pp):  # electric potentials increase the stiffness
+        # the elimination of electric potentials increases the stiffness
+        if is_semidefinite(-matrix.pp):
             return is_semidefinite(matrix.uu)
         blocks = [[matrix.uu, matrix.up], [matrix.pu, matrix.pp]]
         return is_semidefinite(scipy.sparse.csc_array(scipy.sparse.block_array(blocks)))
@@ -161,8 +163,8 @@ def _is_positive_by_lanczos(matrix: Matrix, empty: np.ndarray, spread: float) ->
     that x exceeds the smallest eigenvalue by more than ``e spread`` is below
     ``1.648 sqrt(n) exp(-sqrt(e) (2 k - 1))``. For ``e = x / spread``, this expression is a bound of
     the probability that an eigenvalue is negative. For a mass matrix with a unit diagonal, x is
-    about 0.1. The proof then needs about 80 matrix-vector products, which take a tenth of the time
-    of a factorisation. The result is False if x is so small that more than
+    about 0.1. The proof for such a mass matrix needs about 80 matrix-vector products, which take a
+    tenth of the time of a factorisation. The result is False if x is so small that more than
     :data:`MAX_LANCZOS_STEPS` steps would be necessary.
 
     Source: J. Kuczynski, H. Wozniakowski, SIAM J. Matrix Anal. Appl. 13 (1992) 1094.
@@ -196,8 +198,8 @@ def _is_sparse_semidefinite(matrix: Matrix, order: np.ndarray | None = None) -> 
     """Return whether a sparse matrix is positive semidefinite within rounding errors.
 
     The diagonal of the matrix is first scaled to one. The matrix is semidefinite if Lanczos steps
-    show that all eigenvalues are positive. Otherwise, a small multiple of eps is added to the
-    diagonal, and the matrix is semidefinite if it then has a Cholesky factor.
+    show that all eigenvalues are positive. If Lanczos steps do not show this, a small multiple of
+    eps is added to the diagonal. If the sum has a Cholesky factor, the matrix is semidefinite.
     """
     if not find_largest_entry(matrix):
         return True

@@ -15,25 +15,26 @@ from kc2spice.rom.pencil import (
 from kc2spice.rom.stability import is_semidefinite
 
 ABCD = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-# largest relative eigenvalue or singular value of M, E or an algebraic block that counts as zero
+# largest eigenvalue or singular value of a matrix that counts as zero, relative to the largest one
 MASSLESS = 1e-13
 # largest relative asymmetry, or coupling of modes by damping, that counts as a rounding error
 COUPLING = 1e-10
 
 
 def convert_to_state_space(pencil: Pencil, top_hz: float | None = None) -> ABCD:
-    """Convert a model to state-space matrices: ``x' = A x + B u``, ``y = C x + D u``.
+    """Convert a model to ``x' = A x + B u``, ``y = C x + D u``; return A, B, C and D.
 
-    Return A, B, C and D. If a stored energy is defined for the model, the states are scaled so that
-    their squares are energies. The matrix A then satisfies ``A + A' <= 0`` for a dissipative model,
-    ``A = -A'`` for a model without losses, and ``A = A'`` for a symmetric first-order model. For a
-    decoupled second-order model, A contains one 2 x 2 block for each mode. Displacements are scaled
-    by ``top_hz`` [Hz], the end of the band, or by the ratio of stiffness to mass.
+    If a stored energy is defined for the model, the square of each scaled state is an energy. With
+    these states, ``A + A' <= 0`` for a dissipative model, ``A = -A'`` for a model without losses,
+    and ``A = A'`` for a symmetric first-order model. For a decoupled second-order model, A contains
+    one 2 x 2 block for each mode. Displacements without a modal stiffness are scaled by the angular
+    frequency of ``top_hz`` [Hz], the end of the band. Without ``top_hz``, the ratio of stiffness to
+    mass gives the scale factor.
 
     Raises
     ------
-    UsageError : the response contains derivatives of the input, or the block of massless unknowns
-        is singular.
+    UsageError : an output depends on derivatives of the input, or the equations do not determine
+        the massless unknowns.
     """
     pencil = pencil.make_dense()
     if pencil.degree == 1:
@@ -46,7 +47,7 @@ def convert_to_state_space(pencil: Pencil, top_hz: float | None = None) -> ABCD:
     )
     omega = 2 * np.pi * top_hz if top_hz is not None else float(np.sqrt(top))
     if is_semidefinite(M):
-        # the inertia of a rigid-body mode may be small in the units of its unknown
+        # without scaled unknowns, the inertia of a rigid-body mode may seem to be zero
         for item in (pencil, pencil.scale_unknowns(omega)):
             mass = np.linalg.eigvalsh(item.coefficients[2])
             if mass[0] > MASSLESS * mass[-1]:
@@ -65,7 +66,7 @@ def convert_to_state_space(pencil: Pencil, top_hz: float | None = None) -> ABCD:
 
 
 def _normalise_mass(pencil: Pencil) -> Pencil:
-    """Multiply the equations by the inverse of a regular M, so that M becomes a unit matrix."""
+    """Multiply the equations of a model by the inverse of its regular mass matrix M."""
     K, E, M = pencil.coefficients
     solved = np.linalg.solve(M, np.hstack([K, E, pencil.B]))
     n = len(M)
@@ -91,7 +92,8 @@ def _make_modal_state_space(pencil: Pencil, omega: float) -> ABCD:
     if (np.abs(E - np.diag(np.diag(E))) <= COUPLING * scale).all():
         E = np.diag(np.diag(E))
     A = np.block([[np.zeros_like(K), np.diag(w)], [-K / w, -E]])
-    pairs = np.arange(2 * len(M)).reshape(2, len(M)).T.ravel()  # z1, z1', z2, z2', ...
+    # order of states: z1, z1', z2, z2', ...
+    pairs = np.arange(2 * len(M)).reshape(2, len(M)).T.ravel()
     drive, read = np.vstack([np.zeros_like(B), B]), np.hstack([C / w, np.zeros_like(C)])
     return A[np.ix_(pairs, pairs)], drive[pairs], read[:, pairs], pencil.D
 
@@ -99,9 +101,9 @@ def _make_modal_state_space(pencil: Pencil, omega: float) -> ABCD:
 def _normalise_modes(M: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
     """Return mass-normalised coordinates T with ``T'MT = 1``.
 
-    If K is symmetric, T also diagonalises K, and the second result contains the eigenvalues.
-    Otherwise the second result is None. If K is definite, the modes are computed from
-    ``M phi = mu K phi``, so that the lowest modes are accurate.
+    If K is symmetric, T also diagonalises K, and the second result contains the eigenvalues. If K
+    is not symmetric, the second result is None. For a definite K, the eigenvalue problem ``M phi =
+    mu K phi`` gives accurate low modes.
     """
     if find_largest_entry(K - K.T) > COUPLING * find_largest_entry(K):
         return scipy.linalg.solve_triangular(scipy.linalg.cholesky(M), np.eye(len(M))), None
@@ -116,7 +118,7 @@ def _normalise_modes(M: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarr
 def _eliminate_static(pencil: Pencil) -> Pencil:
     """Eliminate the coordinates of a model that have neither mass nor damping.
 
-    In the result, the remaining coordinates without mass come last.
+    The last coordinates of the result have damping, but no mass.
     """
     K, E, M = pencil.coefficients
     mass, V = scipy.linalg.eigh(M)
@@ -143,8 +145,8 @@ def _eliminate_last_unknowns(
 ) -> ABCD:
     """Eliminate all unknowns after the first r from ``P x = B u``, ``y = C x + D u``.
 
-    If the equations do not determine these unknowns, the function raises an error with the reason
-    ``why``.
+    If the equations do not determine the unknowns to be eliminated, the function raises an error
+    with the reason ``why``.
     """
     if r == len(P):
         return P, B, C, D
@@ -182,7 +184,7 @@ def _make_energy_state_space(pencil: Pencil) -> ABCD:
 
 
 def _is_singular(matrix: np.ndarray, reference: np.ndarray) -> bool:
-    """Return whether a matrix is singular within rounding errors of the ``reference``."""
+    """Return whether a matrix is singular, relative to the entries of ``reference``."""
     return bool(
         np.linalg.svd(matrix, compute_uv=False)[-1] <= MASSLESS * find_largest_entry(reference)
     )
@@ -201,8 +203,8 @@ def _make_improper_error(why: str) -> UsageError:
 def to_schur_form(pencil: Pencil, top: float) -> Pencil:
     """Convert a model to ``x' = A x + B u`` with A in real Schur form.
 
-    Rates are divided by the angular frequency of ``top`` [Hz]. Other functions compute Gramians and
-    eigenvectors from this form.
+    Rates are divided by the angular frequency of ``top`` [Hz]. The Schur form is used to compute
+    Gramians and eigenvectors.
     """
     omega = 2 * np.pi * top
     A, B, C, D = convert_to_state_space(pencil, top)
@@ -211,7 +213,10 @@ def to_schur_form(pencil: Pencil, top: float) -> Pencil:
 
 
 def restore_time_unit(pencil: Pencil, top: float) -> Pencil:
-    """Convert a first-order model from the scaled time of :func:`to_schur_form` to SI units."""
+    """Convert a first-order model with scaled time to SI units.
+
+    The scaled time is the time of :func:`to_schur_form`.
+    """
     omega = 2 * np.pi * top
     rest, one = pencil.coefficients
     return Pencil((omega * rest, one), omega * pencil.B, pencil.C, pencil.D, free=pencil.free)

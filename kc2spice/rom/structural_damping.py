@@ -1,21 +1,21 @@
 """Passive models of a constant loss factor, with a relaxing stiffness.
 
 Structural damping ``K (1 + j eta)`` loses the same share of energy at every frequency. No causal
-model has exactly the stiffness ``K (1 + j eta)``. By the Kramers-Kronig relation, the stiffness
-increases with frequency if the loss factor is constant (A. K. Jonscher, Nature 267 (1977) 673):
+model has exactly the stiffness ``K (1 + j eta)``. By the Kramers-Kronig relation, a constant loss
+factor requires a stiffness that increases with frequency (A. K. Jonscher, Nature 267 (1977) 673):
 
     chi(s) = (s / w0)^m / cos phi,    phi = arctan eta,    m = 2 phi / pi
 
-is the factor of stiffness, which equals ``1 + j eta`` at ``s = j w0``. A model of finite order
-approximates it by a spring in parallel with springs in series with dampers (generalised Maxwell
-model),
+is the factor of stiffness. This factor equals ``1 + j eta`` at ``s = j w0``. A model of finite
+order approximates the factor. This generalised Maxwell model is a spring in parallel with branches
+of a spring and a damper in series,
 
     chi(s) = c_0 + sum_k c_k s / (s + r_k),    all c_k >= 0.
 
-The generalised Maxwell model is passive. The amplitudes ``c_k`` are fitted over the band by
-non-negative least squares. For each term and each unknown, the model has one inner displacement:
-the displacement of the damper times ``sqrt(c_k)``. With these inner displacements ``q_k``, the
-stiffness ``K chi`` is represented by a symmetric model with constant matrices:
+A generalised Maxwell model is passive. The amplitudes ``c_k`` are fitted over the band by
+non-negative least squares. For each term and each unknown, the model has one inner displacement
+``q_k``: the displacement of the damper times ``sqrt(c_k)``. With inner displacements, a symmetric
+model with constant matrices represents the stiffness ``K chi``:
 
     M x'' + E x' + (c_0 + sum c_k) K x - sum sqrt(c_k) K q_k = B u
     (1 / r_k) K q_k' + K (q_k - sqrt(c_k) x) = 0
@@ -38,7 +38,7 @@ from kc2spice.core.errors import UsageError
 from kc2spice.rom.linear_model import LinearModel
 
 BAND_EXTENSION = 6.0  # factor by which the relaxation rates extend beyond both ends of the band
-# largest number of decades over which a fit extends, up to the end of the band
+# largest number of decades below the end of the band over which a factor is fitted
 DEFAULT_DECADES = 4.0
 POINTS_PER_DECADE = 40  # number of frequencies per decade at which amplitudes are fitted
 # The largest number of relaxations is MAX_PER_DECADE for each decade, plus ADDITIONAL_RELAXATIONS.
@@ -48,7 +48,7 @@ ADDITIONAL_RELAXATIONS = 8
 
 @dataclass(frozen=True, eq=False)
 class RelaxingStiffness(EqualByContent):
-    """Relaxing factor of stiffness ``constant + sum_k amplitudes_k s / (s + rates_k)``.
+    """Factor of stiffness ``constant + sum_k amplitudes_k s / (s + rates_k)``.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class RelaxingStiffness(EqualByContent):
     amplitudes, rates : (k,) arrays
         Amplitudes ``c_k > 0`` and rates ``r_k > 0`` [1/s] of the relaxations.
     error : float
-        Largest relative difference to the target of the fit in the band.
+        Largest relative difference from the target of the fit in the band.
     """
 
     constant: float
@@ -72,12 +72,12 @@ class RelaxingStiffness(EqualByContent):
 
     @property
     def instantaneous_factor(self) -> float:
-        """Factor of stiffness immediately after a sudden displacement, ``c_0 + sum_k c_k``."""
+        """Factor of stiffness just after a sudden displacement, ``c_0 + sum_k c_k``."""
         return float(self.constant + self.amplitudes.sum())
 
 
 def compute_causal_loss_factor(frequency: np.ndarray, loss_factor: float, at: float) -> np.ndarray:
-    """Return the complex factor of stiffness of a causal model with a constant loss factor.
+    """Return the complex stiffness factor of a causal, constant loss factor.
 
     Parameters
     ----------
@@ -116,18 +116,19 @@ def fit_relaxing_stiffness(
     at : float
         Frequency [Hz] at which the real part of the stiffness is K.
     band : pair of float
-        Ends of the band [Hz]. In a band from zero, the loss factor is constant above a
-        ten-thousandth of the upper end.
+        Ends of the band [Hz]. In a band that begins at zero, the loss factor is constant only above
+        a ten-thousandth of the upper end.
     error : float
-        Largest allowed product of the relative difference and ``sensitivity`` in the band.
+        Largest allowed product of the relative error of the stiffness and ``sensitivity`` in the
+        band.
     sensitivity : callable, optional
-        Function that returns the relative change of the response per relative change of the
-        stiffness (n,) at frequencies (n,) [Hz]. For example, the sensitivity at a resonance is the
-        Q factor. The default is 1.
+        Function of frequencies (n,) [Hz] that returns the ratio (n,) of the relative change of the
+        response to the relative change of the stiffness. For example, the sensitivity at a
+        resonance is the Q factor. The default is 1.
     noncausal : bool
-        Whether the target of the fit is ``1 + j eta`` at all frequencies, instead of
-        :func:`compute_causal_loss_factor`. The error of a passive model in the band from f1 to f2
-        is then at least about ``eta / pi log(f2 / f1)``.
+        If true, the target of the fit is ``1 + j eta`` at all frequencies. Otherwise, the target is
+        the result of :func:`compute_causal_loss_factor`. For the target ``1 + j eta`` in the band
+        from f1 to f2, the error of a passive model is at least about ``eta / pi log(f2 / f1)``.
 
     Returns
     -------
@@ -173,7 +174,7 @@ def _fit_amplitudes(
 ) -> RelaxingStiffness:
     """Fit non-negative amplitudes of relaxations with given rates by least squares.
 
-    The sum of the squares of weighted relative differences to ``target`` is minimised.
+    The fit minimises the sum of the squares of weighted relative differences from ``target``.
     """
     s = 2j * np.pi * f[:, None]
     columns = np.column_stack([np.ones(f.size), s / (s + rates)])
@@ -191,7 +192,8 @@ def add_structural_damping(model: LinearModel, stiffness: RelaxingStiffness) -> 
     Parameters
     ----------
     model : LinearModel
-        Small, symmetric second-order model. Its matrices become dense, and its damping remains.
+        Small, symmetric second-order model. The result has dense matrices and retains the damping
+        of ``model``.
     stiffness : RelaxingStiffness
         Relaxing factor of K, with k relaxations.
 
@@ -199,8 +201,8 @@ def add_structural_damping(model: LinearModel, stiffness: RelaxingStiffness) -> 
     -------
     LinearModel
         Symmetric model with ``(1 + k) n`` unknowns: n displacements with mass, and ``k n`` inner
-        displacements. The certificate of ``model`` is not changed. The caller must add the error of
-        ``stiffness``, multiplied by the Q factor at resonances.
+        displacements. The result has the certificate of ``model``, without the error of
+        ``stiffness``. The caller must add this error, multiplied by the Q factor at resonances.
 
     Raises
     ------
@@ -227,19 +229,19 @@ def add_structural_damping(model: LinearModel, stiffness: RelaxingStiffness) -> 
 
 
 def _make_corner_matrix(inner: int) -> np.ndarray:
-    """Return a matrix (1 + inner, 1 + inner) whose only nonzero entry is the first, a one."""
+    """Return a matrix (1 + inner, 1 + inner) of zeros, with a one as first entry."""
     result = np.zeros((1 + inner, 1 + inner))
     result[0, 0] = 1.0
     return result
 
 
 def _make_spring_matrix(stiffness: RelaxingStiffness) -> np.ndarray:
-    """Return the stiffness matrix (1 + k, 1 + k) of unit springs to inner displacements."""
+    """Return the matrix (1 + k, 1 + k) of springs to inner displacements, for K = 1."""
     result = np.diag(np.r_[stiffness.instantaneous_factor, np.ones(stiffness.rates.size)])
     result[0, 1:] = result[1:, 0] = -np.sqrt(stiffness.amplitudes)
     return result
 
 
 def _make_damper_matrix(stiffness: RelaxingStiffness) -> np.ndarray:
-    """Return the damping matrix (1 + k, 1 + k) of dampers from inner displacements to ground."""
+    """Return the damping matrix (1 + k, 1 + k) of the inner displacements, for K = 1."""
     return np.diag(np.r_[0.0, 1 / stiffness.rates])

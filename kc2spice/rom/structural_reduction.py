@@ -1,17 +1,17 @@
 """Reduction of models with structural damping, and removal of negligible inertia.
 
 Structural damping means a complex stiffness ``K + j H``, or ``K (1 + j eta)`` for one material. A
-body with structural damping loses the same share of energy at every frequency. A causal model loses
-the same share of energy at every frequency only if its stiffness changes with frequency. Therefore,
-a circuit can only approximate structural damping by a passive model. Each mode j gets the viscous
-damping ``h_j / w_j``, which is exact at its resonance frequency w_j. Relaxations are used instead
-if they are more accurate (:mod:`kc2spice.rom.lossy_modes`). The error estimate includes the error
-of the passive approximation. The losses of several materials couple modes. The coupling of modes i
-and j becomes viscous damping ``h_ij / (w_i w_j)^(1/2)``.
+body with structural damping loses the same share of energy at every frequency. A causal model with
+a constant stiffness cannot lose the same share of energy at every frequency. Therefore, this module
+approximates structural damping by a passive model. Each mode j gets the viscous damping ``h_j /
+w_j``, which is exact at the resonance frequency w_j. Modes get relaxations instead if relaxations
+are more accurate (:mod:`kc2spice.rom.lossy_modes`). The error estimate includes the error of the
+passive approximation. The losses of several materials couple modes. This coupling of the modes i
+and j becomes the viscous damping ``h_ij / (w_i w_j)^(1/2)``.
 
-The poles of an RC ladder or of an overdamped chain are real. If the inertia of a model with real
-poles has a negligible effect in the band, the model ``E x' + K x = B u`` replaces the model with
-inertia. The model without inertia has half as many states per unknown, and is also passive.
+The poles of an RC ladder or of an overdamped chain are real. If inertia has a negligible effect on
+a model with real poles in the band, the model ``E x' + K x = B u`` without inertia replaces the
+model. The model without inertia has one state per unknown instead of two, and is also passive.
 
 Sources: S. H. Crandall, J. Sound Vib. 11 (1970) 3; D. J. Ewins, Modal Testing (2000), 2.4.
 """
@@ -52,12 +52,12 @@ DIRECT_SOLUTIONS = 6  # number of direct solutions of the full model that check 
 # Sets of relaxation rates that are tried, relative to a reference frequency.
 # The reference is the resonance frequency of the mode or the end of the band, whichever is lower.
 RELAXATION_RATES = ((1.0,), tuple(np.geomspace(0.03, 3.0, 7)))
-# Lowest frequencies of comparison in a band from zero, relative to the end of the band.
-# Structural damping causes a loss even at frequencies close to zero.
+# Lowest sample frequencies if the band begins at zero, relative to the end of the band. Structural
+# damping causes a loss even at frequencies close to zero.
 LOWEST_FREQUENCIES = 10.0 ** -np.arange(9.0, 4.0, -1.0)
-# largest error with relaxations that justifies their use, relative to the error without relaxations
+# largest ratio of the error with relaxations to the error without at which relaxations are used
 MAX_ERROR_RATIO = 0.5
-# largest error of a mode that gets no relaxations, relative to the error limit
+# largest error of a mode that needs no relaxations, relative to the error limit
 UNCHANGED_SHARE = 0.1
 REAL_POLE_TOLERANCE = 1e-6  # largest relative imaginary part of a real pole
 ZERO_DAMPING = 1e-12  # largest relative eigenvalue of a damping matrix that counts as zero
@@ -71,16 +71,16 @@ def approximate_causally(
     band: tuple[float, float],
     norm: Norm,
 ) -> LinearModel:
-    """Reduce a model with structural damping to a passive model that approximates it.
+    """Approximate a model with structural damping by a passive reduced model.
 
     Parameters
     ----------
-    reduced : function that reduces a model with viscous damping by a congruence, to a tolerance
-        over a band.
+    reduced : function that reduces a model with viscous damping to a tolerance over a band, by a
+        congruence.
 
     Raises
     ------
-    UsageError : the model is of first order, or its mass matrix is not definite.
+    UsageError : the model is of first order, or has no definite mass matrix.
     """
     search = _PassiveModelSearch(model, reduced, band, norm)
     error = search.reduce(VISCOUS_SHARE * tolerance)
@@ -121,7 +121,7 @@ def approximate_causally(
 
 
 def _describe_loss(model: LinearModel) -> str:
-    """Return the words `` of FACTOR`` for a loss factor; empty if the factor is 0."""
+    """Return the words `` of FACTOR`` for a loss factor, or "" without a loss factor."""
     return f" of {model.loss_factor:g}" if model.loss_factor else ""
 
 
@@ -135,7 +135,7 @@ class _PassiveModelSearch:
     norm: Norm
 
     def reduce(self, within: float) -> float:
-        """Reduce the model with viscous damping, and return the error of the reduced model.
+        """Reduce the model with viscous damping, and return the error of the result.
 
         ``within`` is the tolerance. If the resonance peaks with structural damping are lower than
         the peaks of the reduced viscous model, the reduction is repeated with a smaller tolerance.
@@ -146,8 +146,8 @@ class _PassiveModelSearch:
         return self.estimate_model_error(self.dashpot_modes)
 
     def _reduce(self, within: float) -> None:
-        """Reduce the model with viscous damping to a tolerance, and compute its modes."""
-        # within the band, this viscous damping is at most as large as the structural damping
+        """Reduce the model with viscous damping to a tolerance, and compute the modes."""
+        # the viscous damping ``beta H`` is at most as large as the structural damping in the band
         beta = 1 / (2 * np.pi * self.band[1])
         viscous, other = make_loss_viscous(self.full, beta)
         self.small = small = self.reduced(viscous, within, self.band)
@@ -184,7 +184,7 @@ class _PassiveModelSearch:
 
     @cached_property
     def dashpot_modes(self) -> list[Oscillator]:
-        """Modes with one viscous damper each. Rigid-body modes have no damper."""
+        """Modes with one viscous damper each, and rigid-body modes without a damper."""
         share = self._largest_decoupled_share
         return [
             make_viscous_oscillator(k, share * h)
@@ -195,7 +195,7 @@ class _PassiveModelSearch:
 
     @cached_property
     def _largest_decoupled_share(self) -> float:
-        """Largest share of each mode's loss that can be subtracted without a negative loss."""
+        """Largest share of the diagonal of H whose removal leaves H semidefinite."""
         losses = np.diag(self.H)
         lossy = losses > ZERO_DAMPING * losses.max(initial=0.0)
         if not lossy.any():
@@ -205,7 +205,7 @@ class _PassiveModelSearch:
         return float(np.clip(least, 0.0, 1.0))
 
     def model(self, modes: Sequence[Oscillator]) -> LinearModel:
-        """Return the passive model that consists of ``modes`` and of losses that couple them."""
+        """Return the passive model that consists of ``modes`` and of coupling losses."""
         rest = self.H - self._largest_decoupled_share * np.diag(np.diag(self.H))
         pace = np.sqrt(np.where(self.squares > 0, self.squares, 1.0))
         rest = np.where(np.outer(self.squares, self.squares) > 0, rest, 0.0)
@@ -222,10 +222,10 @@ class _PassiveModelSearch:
     def add_relaxations(
         self, relative_rates: Sequence[float], tolerance: float
     ) -> list[Oscillator]:
-        """Return the modes, with relaxations where these considerably reduce the error.
+        """Return the modes, with relaxations where relaxations greatly reduce the error.
 
         ``relative_rates`` are the rates of the relaxations, relative to the resonance frequency of
-        the mode or to the end of the band.
+        the mode or to the end of the band, whichever is lower.
         """
         frequency, exact = self._sample_lossy_response(self.dashpot_modes)
         s = 2j * np.pi * frequency
@@ -258,7 +258,7 @@ class _PassiveModelSearch:
         return [trial if use else mode for trial, mode, use in both]
 
     def compute_deviation(self, modes: Sequence[Oscillator]) -> float:
-        """Return the largest relative error of ``modes`` with respect to structural damping."""
+        """Return the largest relative error of ``modes`` compared with structural damping."""
         frequency, exact = self._sample_lossy_response(modes)
         response = self.model(modes).transfer(frequency)
         return float(
@@ -268,7 +268,7 @@ class _PassiveModelSearch:
         )
 
     def estimate_model_error(self, modes: Sequence[Oscillator]) -> float:
-        """Return the error estimate of the model of ``modes`` with respect to the full model."""
+        """Return the error estimate of ``modes`` compared with the full model."""
         known = self.small.certificate
         assert known is not None
         return max(
@@ -292,9 +292,9 @@ class _PassiveModelSearch:
         return float(errors.max())
 
     def _sample_lossy_response(self, modes: Sequence[Oscillator]) -> tuple[np.ndarray, np.ndarray]:
-        """Return sample frequencies [Hz], and the response with structural damping there.
+        """Return sample frequencies [Hz] and the response with structural damping.
 
-        The frequencies include those at which errors are large.
+        The frequencies include frequencies at which errors are probably large.
         """
         response = Response(self.model(modes).pencil.make_dense())
         frequency = choose_adaptive_frequencies(response, self.band, False, self.norm)
@@ -304,10 +304,10 @@ class _PassiveModelSearch:
         return frequency, self.damped_model.transfer(2j * np.pi * frequency)
 
     def _compute_peak_ratio(self) -> float:
-        """Return the ratio of (peak with viscous damping) to (peak with structural damping).
+        """Return the ratio of peaks with viscous damping to peaks with structural damping.
 
-        The error of the reduction is relative to the peaks with viscous damping, so this error must
-        be multiplied by the ratio of the peaks.
+        The error of the reduction is relative to peaks with viscous damping. Multiplied by the
+        ratio, the error is relative to peaks with structural damping.
         """
         if self.norm == "pointwise":
             return 1.0
@@ -318,14 +318,14 @@ class _PassiveModelSearch:
         return float((peaks / (EntryScales.from_response(exact).peak + np.finfo(float).tiny)).max())
 
 
-NO_RELAXATIONS = np.empty(0), np.empty(0)  # amplitudes and rates of relaxations
+NO_RELAXATIONS = np.empty(0), np.empty(0)  # empty amplitudes and rates of relaxations
 
 
 def make_loss_viscous(model: LinearModel, beta: float) -> tuple[LinearModel, tuple[float, float]]:
     """Replace the structural damping H of a model by viscous damping ``beta H``.
 
-    Return the model with viscous damping, and the factors of M and K in the proportional part of
-    its damping.
+    The second result contains the factors alpha and beta of other damping ``alpha M + beta K``,
+    which are zero without such damping.
     """
     if model.first_order:
         raise UsageError(
@@ -379,8 +379,8 @@ def reduce_to_first_order(
 ) -> LinearModel:
     """Replace a reduced model with real poles by a passive first-order model.
 
-    The function ``reduced`` reduces ``model`` without its inertia. If the poles are not real, or if
-    the first-order model does not have fewer states, ``reduced_model`` is returned.
+    The function ``reduced`` reduces ``model`` without inertia. If the poles are not real, or if the
+    first-order model does not have fewer states, the result is ``reduced_model``.
     """
     known = reduced_model.certificate
     if known is None or any(port.domain is ACCELERATION for port in model.ports):
@@ -426,7 +426,7 @@ def reduce_to_first_order(
 
 
 def _is_singular(E: np.ndarray) -> bool:
-    """Return whether a semidefinite damping matrix is singular, so that a motion is undamped."""
+    """Return whether a semidefinite damping matrix is singular."""
     diagonal = E.diagonal()
     if diagonal.min(initial=np.inf) <= ZERO_DAMPING * diagonal.max(initial=0.0):
         return True

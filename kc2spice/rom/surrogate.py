@@ -1,4 +1,4 @@
-"""Surrogate models that agree with a full-order model over a band within rounding errors."""
+"""Surrogate models that agree with a full model within rounding errors."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ CHECKED_FREQUENCIES = 10  # number of direct solutions that check a surrogate mo
 def make_surrogate(
     model: LinearModel, band: tuple[float, float], *, blocks: int = 10
 ) -> tuple[LinearModel, float]:
-    """Reduce a full model to a surrogate model that agrees with it over ``band`` [Hz].
+    """Reduce a full model to a surrogate with the same response in ``band`` [Hz].
 
-    The surrogate model is a projection on Krylov vectors at s = 0. All entries of its response are
-    compared with ``CHECKED_FREQUENCIES`` direct solutions of the full model at irregular
-    frequencies in the band. The second result is the largest relative error at these frequencies.
+    The surrogate model is a projection on Krylov vectors at s = 0. The full model is solved
+    directly at ``CHECKED_FREQUENCIES`` irregular frequencies in the band. The second result is the
+    largest relative error of the surrogate model at these frequencies.
 
     Raises
     ------
     SimulationError : the largest relative error exceeds both ``TARGET_ERROR`` and the rounding
-        error of the direct solutions. The caller must then solve the full model.
+        error of the direct solutions. After this error, the caller must solve the full model.
     """
     small = reduce_model(model, order=blocks * len(model.inputs), band=band)
-    golden = (np.sqrt(5) - 1) / 2  # irrational, so that checked frequencies are irregular
+    golden = (np.sqrt(5) - 1) / 2  # an irrational factor makes the checked frequencies irregular
     frequency = band[0] + (band[1] - band[0]) * np.sort(
         golden * np.arange(1, CHECKED_FREQUENCIES + 1) % 1
     )
@@ -51,7 +51,7 @@ def make_surrogate(
 
 
 def _estimate_solution_rounding(pencil: Pencil, frequency: float, exact: np.ndarray) -> float:
-    """Estimate the relative rounding error of a direct solution ``exact`` (outputs, inputs).
+    """Estimate the relative rounding error of the direct solution ``exact``.
 
     The result is the largest relative change of the solution in trials with random units of the
     unknowns. Thin bodies have large rounding errors, because their elastic forces are small

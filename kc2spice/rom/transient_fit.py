@@ -1,4 +1,4 @@
-"""Fit of a Foster network without negative elements to a measured thermal transient.
+"""Fit of a Foster network with positive elements to a measured thermal transient.
 
 If a power P is switched on or off at t = 0, the temperature is::
 
@@ -7,14 +7,14 @@ If a power P is switched on or off at t = 0, the temperature is::
 The fit has four steps:
 
 1. The R_k for a logarithmic grid of time constants t_k are fitted by non-negative least squares
-   (C. L. Lawson, R. J. Hanson, Solving Least Squares Problems, 1974, chapter 23). No network
-   describes the samples better than the fitted sum. Most R_k are zero.
+   (C. L. Lawson, R. J. Hanson, Solving Least Squares Problems, 1974, chapter 23). No other network
+   with time constants on the grid describes the samples better. Most R_k are zero.
 2. The noise of the samples is estimated from the differences of successive residuals of the fitted
-   sum. Differences of successive residuals contain no slow deviation.
-3. Neighbouring time constants on the grid are merged into one. The logarithms of all R_k and t_k
+sum, which contain no slow deviations. 3. Neighbouring time constants on the grid are merged into
+one. The logarithms of all R_k and t_k
    are refined by bounded least squares.
-4. Two neighbouring time constants are merged, and all R_k and t_k are refined again. Of all pairs,
-   the pair is merged whose merger describes the samples best. The merging is repeated until one
+4. Two neighbouring time constants are merged, and all R_k and t_k are refined again. The merged
+pair is the pair whose mean describes the samples best. The merging is repeated until one
    time constant remains. The result is the sum with the smallest Bayesian information criterion,
    ``sum (residual / noise)^2 + parameters log(samples)`` (G. Schwarz, Ann. Statist. 6 (1978) 461).
 """
@@ -36,8 +36,8 @@ SHORTEST = 1 / 3  # smallest time constant, relative to the first time after the
 LONGEST = 10.0  # largest time constant, relative to the last time of the samples
 MOST_CONSTANTS = 12  # largest number of time constants of a network: two for each of six decades
 POLISH = 200  # largest number of function evaluations in a refinement
-# Tolerances at which a refinement ends, for the sum of squares, the parameters and the gradient.
-# The tolerances are so small that rounding errors of the samples do not change printed digits.
+# Tolerances of the sum of squares, the parameters and the gradient at which a refinement ends. The
+# tolerances are so small that rounding errors of the samples do not change printed digits.
 EXACT = {"ftol": 1e-14, "xtol": 1e-11, "gtol": 1e-14}
 # Number of groups of samples per decade of time.
 # The fit compares the mean of the samples in a group with the mean of the network's response.
@@ -46,11 +46,11 @@ GROUPS_PER_DECADE = 50
 # smallest noise relative to the largest temperature rise, for samples with nine digits
 ROUNDING = 1e-9
 EMPTY = 1e-9  # largest resistance that counts as zero, relative to the largest resistance
-# limit of a resistance in a refinement: logarithm of its ratio to the total resistance
+# largest magnitude of the logarithm of (resistance / total resistance) in a refinement
 SPREAD = 50.0
 INSIDE = 1e-9  # smallest distance of start values from the limits of the logarithms
 NNLS_STEPS = 30  # largest number of iterations of the non-negative least squares per time constant
-# responses with time constants above this share of the last time have not settled
+# ratio of time constant to last time above which a response has not settled
 UNSETTLED = 1 / 3
 
 
@@ -58,8 +58,8 @@ UNSETTLED = 1 / 3
 class StepSamples(EqualByContent):
     """Samples of a thermal transient: temperatures divided by the power [K/W].
 
-    ``time`` (n,) [s] is the time after the power step, and ``value`` (n,) the sample at this time.
-    Deviations of a fit are multiplied by ``weight`` (n,). If ``offset`` is true, the temperature
+    ``value`` (n,) contains the samples at the times ``time`` (n,) [s] after the power step.
+    Residuals of a fit are multiplied by ``weight`` (n,). If ``offset`` is true, the temperature
     before the step is unknown.
     """
 
@@ -70,7 +70,7 @@ class StepSamples(EqualByContent):
 
     @cached_property
     def _sample_groups(self) -> tuple[np.ndarray, np.ndarray]:
-        """Index of the first sample of each group, and scale factor of the group."""
+        """Index of the first sample of each group, and scale factor of each group."""
         after = self.time > 0
         number = np.full(len(self.time), -1)
         logs = np.log10(self.time[after] / self.time[after].min())
@@ -82,8 +82,8 @@ class StepSamples(EqualByContent):
         """Return weighted means of the rows of a table over groups of samples.
 
         The table (n, columns) has one row for each sample. The result has the shape (groups,
-        columns). The sum of the squared means is the weighted sum of the squares of all rows,
-        without the scatter within the groups.
+        columns). The means are scaled: the sum of their squares equals the weighted sum of the
+        squares of all rows, minus the scatter within the groups.
         """
         first, scale = self._sample_groups
         return np.asarray(
@@ -93,7 +93,7 @@ class StepSamples(EqualByContent):
 
 @dataclass(frozen=True, eq=False)
 class TransientFit(EqualByContent):
-    """Foster network that is fitted to a thermal transient, and the residuals of the fit.
+    """Foster network fitted to a thermal transient, and residuals of the fit.
 
     ``start`` [K/W] is the temperature before the step, divided by the power. ``residual`` (n,)
     contains the weighted residuals. ``noise`` is the standard deviation of the noise in the
@@ -112,7 +112,7 @@ class TransientFit(EqualByContent):
 
 
 def fit_transient(samples: StepSamples) -> TransientFit:
-    """Fit the Foster network with the smallest Bayesian information criterion to samples.
+    """Fit a Foster network to samples by the Bayesian information criterion.
 
     Examples
     --------
@@ -121,7 +121,7 @@ def fit_transient(samples: StepSamples) -> TransientFit:
     >>> noise = 0.003 * np.random.default_rng(1).standard_normal(60)
     >>> value = network.compute_step_response(time) + noise
     >>> fit = fit_transient(StepSamples(time, value, np.ones(60), offset=False))
-    >>> len(fit.network.resistance), round(fit.network.total, 1)
+    >>> len(fit.network.resistance), round(fit.network.total_resistance, 1)
     (2, 3.0)
     """
     after = samples.time[samples.time > 0]
@@ -142,9 +142,9 @@ def fit_transient(samples: StepSamples) -> TransientFit:
 
 
 def compute_unsettled_share(network: FosterNetwork, last: float) -> float:
-    """Return the share of a network's resistance that has not settled at the ``last`` time [s].
+    """Return the share of a network's resistance that is unsettled at ``last`` [s].
 
-    The resistances that belong to long time constants have not settled.
+    Resistances with long time constants have not settled.
     """
     slow = network.time_constant > UNSETTLED * last
     return float(network.resistance[slow].sum()) / network.total_resistance
@@ -158,7 +158,7 @@ def _compute_information_criterion(fit: TransientFit) -> float:
 
 
 def _fit_resistances(samples: StepSamples, constants: np.ndarray) -> tuple[np.ndarray, float]:
-    """Fit non-negative resistances for given time constants, and the value before the step."""
+    """Fit non-negative resistances for given time constants, and the start value."""
     columns = compute_step_basis(samples.time, constants)
     if samples.offset:
         one = np.ones((len(samples.time), 1))
@@ -197,7 +197,7 @@ def _merge_neighbours(grid: np.ndarray, resistance: np.ndarray) -> np.ndarray:
 def _merge_best_pair(samples: StepSamples, constants: np.ndarray) -> np.ndarray:
     """Replace two neighbouring time constants by their geometric mean.
 
-    Of all pairs, the pair is chosen whose replacement describes the samples best.
+    The replaced pair is the pair whose mean describes the samples best.
     """
     logs = np.sort(np.log(constants))
     trials = list[tuple[float, np.ndarray]]()
@@ -237,7 +237,7 @@ def _refine_network(
         """Return the derivatives of the residuals with respect to ``x``."""
         R, t, _ = split_parameters(x)
         ratio = time[:, None] / t
-        # d/d(log R) = R (1 - exp(-t/t_k)), d/d(log t_k) = -R (t/t_k) exp(-t/t_k)
+        # derivatives: d/d(log R) = R (1 - exp(-t/t_k)), d/d(log t_k) = -R (t/t_k) exp(-t/t_k)
         table = [-R * np.expm1(-ratio), -R * ratio * np.exp(-ratio)]
         table += [np.ones((len(time), 1))] if samples.offset else []
         return samples.average_groups(np.hstack(table))

@@ -1,4 +1,4 @@
-"""Analysis command of a scene, and the cards that the command needs."""
+"""SPICE command of the analysis of a scene, and the cards that the command needs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from kc2spice.scene.results import NOISE_WAVE
 
 @dataclass(frozen=True)
 class AnalysisCards:
-    """SPICE command of an analysis, and the cards of the source that the command names."""
+    """SPICE command of an analysis, and cards of the input of a noise analysis."""
 
     command: AnalysisCommand
     items: tuple[Item, ...] = ()
@@ -43,7 +43,7 @@ def make_analysis_cards(build: BuiltScene) -> AnalysisCards:
             make_transient_command(scene.stop_time, step, uic=bool(scene.initial_states))
         )
     if selected.type == "ac":
-        # for two points on a linear scale, ngspice computes only the first point
+        # ngspice computes only the first of two points on a linear scale
         points = 3 if (selected.points, selected.scale) == (2, "linear") else selected.points
         command = make_ac_command(
             selected.start, float(selected.stop or 0.0), points, selected.scale

@@ -1,8 +1,7 @@
-"""Catalogue of commercial parts, with data-sheet values and the source and date of the data.
+"""Catalogue of commercial parts, with data-sheet values, sources and dates.
 
-``catalogue.toml`` contains one table for each part number. A part number is accepted in place of
-the name of a scene. The scene of a part number contains the part in a test circuit for this kind of
-part.
+``catalogue.toml`` contains one table for each part number. A part number is accepted instead of the
+name of a scene. The scene of a part number contains the part in a test circuit.
 """
 
 from __future__ import annotations
@@ -23,9 +22,10 @@ class CataloguePart:
     """Commercial part, with the TOML text of a scene that contains the part.
 
     ``keys`` are the lines of the part's table in the scene. ``band`` contains the first and the
-    last frequency of the scene's analysis; for a transient, ``band`` is empty. ``redundant`` are
-    data-sheet values that no key of the part contains. ``assumed`` describes values that the data
-    sheet does not contain. A part without ``keys`` has a built-in ``scene``.
+    last frequency of the scene's analysis. For analyses other than ``ac``, ``band`` is empty.
+    ``redundant`` contains data-sheet values that the model does not use, for comparison.
+    ``assumed`` describes values that the data sheet does not contain. If a part has no ``keys``,
+    ``scene`` is the name of a built-in scene.
     """
 
     number: str
@@ -43,12 +43,12 @@ class CataloguePart:
 
     @property
     def title(self) -> str:
-        """Manufacturer, part number and device."""
+        """Title of the part: manufacturer, part number and device."""
         return f"{self.maker} {self.number}: {self.device}"
 
     @property
     def searched_text(self) -> str:
-        """Searched text: number, manufacturer, device and kind of the part in lower case."""
+        """Text for searches: number, manufacturer, device and kind in lower case."""
         return f"{self.number} {self.maker} {self.device} {self.kind}".casefold()
 
     @property
@@ -58,7 +58,7 @@ class CataloguePart:
 
     @property
     def rated_voltage(self) -> str:
-        """Value of the key ``voltage`` for the test circuit, as a string; may be empty."""
+        """Value of the key ``voltage`` for the test circuit, or "" without this key."""
         lines = (line.split('"')[1] for line in self.keys.splitlines() if "voltage =" in line)
         return next(lines, "")
 
@@ -101,7 +101,7 @@ def read_catalogue() -> Mapping[str, CataloguePart]:
 
 
 def find_part(name: str) -> CataloguePart | None:
-    """Return the part with this number in any letter case; None for an unknown number."""
+    """Return the part with a number in any letter case, None for an unknown number."""
     parts = read_catalogue()
     numbers = {number.casefold(): number for number in parts}
     number = numbers.get(name.casefold())
@@ -109,11 +109,13 @@ def find_part(name: str) -> CataloguePart | None:
 
 
 def search_parts(words: str = "") -> list[CataloguePart]:
-    """Return the parts whose number, manufacturer, device or kind contain all ``words``.
+    """Return the parts that match all ``words``.
+
+    The words may occur in the part number, manufacturer, device or kind.
 
     Raises
     ------
-    UsageError : no part matches.
+    UsageError : no part matches the words.
 
     Examples
     --------

@@ -36,22 +36,23 @@ class Check:
     """Check that ``value`` does not exceed ``limit``.
 
     ``advice`` states what to do if the check is violated. The value is NaN if the run did not reach
-    the checked event. ``action`` is the effect of a violation on the run. Time steps that are too
-    large violate a check with ``coarse``; tighter tolerances may reduce the steps. A check with
-    ``wiring`` compares the netlist with the scene; in an edited deck, a difference may be
-    intentional. ``suggested`` contains dotted keys with values that avoid the violation, if such
-    values are known and the scene does not set the keys. A check with ``discretisation`` compares a
-    model with a finer model at the frequencies of the run. In a transient, ``verify`` includes such
-    a check unless ``verify`` solves the scene with the finer model.
+    the checked event. ``action`` is the effect of a violation on the run. If ``coarse`` is true,
+    time steps that are too large cause a violation, and tighter tolerances may reduce the steps. If
+    ``wiring`` is true, the check compares the netlist with the scene. A difference may be
+    intentional in an edited deck. ``suggested`` contains dotted keys with values that avoid the
+    violation. ``suggested`` is empty if no values are known, or if the scene sets the keys. If
+    ``discretisation`` is true, the check compares a model with a finer model at the frequencies of
+    the run. In a transient, the command ``verify`` includes this check, unless ``verify`` solves
+    the scene with the finer model.
 
-    The value of a check with ``loaded`` is the relative error of a reduced body under the loads
-    that a transient has recorded. In a check of a motion, ``distance`` is the smallest distance
-    from the limit, on either side, and ``travel`` the range of the motion. ``distance`` and
+    If ``loaded`` is true, the value is the relative error of a reduced body under the recorded
+    loads of a transient. In a check of a motion, ``distance`` is the smallest distance of the
+    motion from the limit, on either side. ``travel`` is the range of the motion. ``distance`` and
     ``travel`` have the unit of the check.
 
-    ``found`` and ``accepted`` describe the value and its limit in the quantities of the scene. If a
-    check with both texts is violated, a value in the scene is the cause, and the run writes no
-    files.
+    ``found`` describes the value, and ``accepted`` describes the limit, in the quantities of the
+    scene. If both ``found`` and ``accepted`` are set, a violation is due to a value in the scene,
+    and the run writes no files.
     """
 
     name: str
@@ -72,7 +73,7 @@ class Check:
 
     @property
     def passed(self) -> bool:
-        """Whether the value is within the limit; False for NaN."""
+        """Whether the value is within the limit (False for NaN)."""
         return self.value <= self.limit
 
     @property
@@ -88,12 +89,12 @@ class Check:
 
 @dataclass(frozen=True, eq=False)
 class RunEnergyBalance(EqualByContent):
-    """Energy balance of a run.
+    """Balance of the energies of a part or of a whole run.
 
     ``entries`` [J] are the energies at the end of the run. ``missing`` [J] is the largest error of
     the balance at any time. ``limit`` is the largest accepted ratio of ``missing`` to ``scale``
     [J]. For a linear part, ``exact`` contains two arrays for each wave: the values of the run, and
-    the exact response of the part to its loads.
+    the exact response to the loads.
     """
 
     entries: dict[str, float]
@@ -126,12 +127,12 @@ def require_passed(checks: tuple[Check, ...], where: str) -> None:
 
     Raises
     ------
-    SimulationError : a check with this action is violated.
+    SimulationError : a check with the action ``"fail"`` is violated.
     """
     for check in checks:
         if check.is_fatal:
             value, limit = format_value_and_limit(check.value, check.limit, check.unit)
-            # the name of a check with blanks may contain scene keys, whose underscores must remain
+            # a check name with blanks may contain scene keys, whose underscores must remain
             name = check.name if " " in check.name else check.name.replace("_", " ")
             cause, colon, action = check.advice.partition(": ")
             if "(" in cause:
@@ -148,15 +149,16 @@ def require_passed(checks: tuple[Check, ...], where: str) -> None:
 def compute_motion_error_limit(solver: SolverKeys) -> float:
     """Return the largest accepted relative error of motions that ngspice computes.
 
-    The error is the difference to the motion in the reference solution. At the usual tolerances,
-    the errors are 1e-5 to 3e-5. The errors are proportional to ``(reltol chgtol)^0.55``.
+    The error is the difference from the motion in the reference solution. At the usual tolerances
+    ``reltol`` and ``chgtol``, the errors are 1e-5 to 3e-5. The errors are proportional to ``(reltol
+    chgtol)^0.55``.
     """
     return float(4e-5 * (solver.reltol * solver.chgtol / 1e-12) ** 0.55)
 
 
 @dataclass(frozen=True)
 class Gate:
-    """Error limit of a result: its largest accepted difference between two solutions.
+    """Error limit of a result: largest accepted difference between two solutions.
 
     ``result`` is the name of a metric or a wave, or a prefix of names with a final ``*``.
     ``limits`` contains the largest accepted difference for each pair of solutions. ``measure``
@@ -169,10 +171,10 @@ class Gate:
     * *spectral*: difference of each entry of a response divided by its magnitude, at least 1e-6 of
       the peak of the entry.
 
-    ``share`` is the compared fraction of the time or frequency range, counted from its start. The
-    difference of a gate with ``is_main`` is the error of the scene in ``errors``. In a transient, a
-    gate with ``discretisation`` compares the run with a solution in which only this part has a
-    finer mesh.
+    ``share`` is the compared fraction of the time or frequency range, counted from the start of the
+    range. If ``is_main`` is true, the difference is the error of the scene in ``errors``. If
+    ``discretisation`` is true, a transient is compared with a solution in which only the part of
+    the gate has a finer mesh.
     """
 
     description: str

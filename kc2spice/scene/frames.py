@@ -1,10 +1,9 @@
 """Reference frames of displacements: the ground, or an accelerated frame.
 
 If the acceleration pin (kind ``m/s2``) of a body is joined, the body is fixed to an accelerated
-frame. The displacements of the body, and of all nets that parts couple to the body, are then
-relative to this frame, and ``gnd`` is the origin of the frame. The equation of motion of a mass m
-with the displacement x along the unit vector e contains the force F and the acceleration a of the
-frame::
+frame. The displacements of this body, and of all nets that parts couple to this body, are relative
+to the accelerated frame. The pin ``gnd`` is then the origin of the frame. In a frame with the
+acceleration a, a force F moves a mass m by the displacement x along the unit vector e::
 
     m x'' = F - m a . e
 """
@@ -25,12 +24,12 @@ MOTION_UNITS = (TRANSLATION.across.pin_unit, VELOCITY.pin_unit)
 
 
 def find_frames(scene: Scene) -> dict[tuple[str, str], AcceleratedFrame]:
-    """Return the accelerated frame of each pin whose displacement is relative to such a frame.
+    """Return the accelerated frame of each pin that is in an accelerated frame.
 
     Raises
     ------
-    UsageError : a part couples nets in different frames, a part with inertia does not take the
-        acceleration of its frame into account, or a direction is not known.
+    UsageError : a part couples nets in different frames, a part with inertia ignores the
+        acceleration of its frame, or the direction of an acceleration is not known.
     """
     bodies = {}
     for part in scene.bodies:
@@ -80,7 +79,7 @@ def _find_body_frames(part: Part, scene: Scene) -> dict[str, AcceleratedFrame]:
 
 
 def _compute_cosine(a: tuple[float, ...] | None, b: tuple[float, ...] | None) -> float | None:
-    """Return the cosine of the angle between two unit vectors; None if one is unknown."""
+    """Return the cosine of the angle between two vectors, None if one is unknown."""
     if a is None or b is None:
         return None
     return float(sum(map(mul, a, b)))
@@ -89,7 +88,7 @@ def _compute_cosine(a: tuple[float, ...] | None, b: tuple[float, ...] | None) ->
 def _list_moving_pins(part: Part, scene: Scene, *, listening: bool = False) -> list[str]:
     """Return the moving pins of a part that are not on ground.
 
-    With ``listening``, the result includes signal inputs for a displacement or a velocity.
+    If ``listening`` is true, the result includes signal inputs for a displacement or a velocity.
     """
     result = []
     for terminal in scene.pins(part.name):
@@ -102,7 +101,7 @@ def _list_moving_pins(part: Part, scene: Scene, *, listening: bool = False) -> l
 def _set_frame(
     known: dict[str, AcceleratedFrame], net: str, frame: AcceleratedFrame, where: str
 ) -> None:
-    """Store the reference frame of a net in ``known``; reject a net in two different frames."""
+    """Store the frame of a net in ``known``; reject a net in two different frames."""
     if net == "0":
         return
     first = known.setdefault(net, frame)
@@ -121,7 +120,7 @@ def _set_frame(
 def _copy_frame_to_moving_nets(
     part: Part, scene: Scene, known: dict[str, AcceleratedFrame]
 ) -> None:
-    """Store the reference frame of one net of a part for all moving nets of the part."""
+    """Assign the frame of one moving net of a part to all moving nets of the part."""
     nets = scene.get_nets(part.name, _list_moving_pins(part, scene))
     frame = next(filter(None, map(known.get, nets)), None)
     if frame is not None:
@@ -152,7 +151,7 @@ def _require_one_frame(part: Part, scene: Scene, known: Mapping[str, Accelerated
 
 
 def _describe_frame(frame: AcceleratedFrame | None) -> str:
-    """Describe a frame in words; the frame of the ground is None."""
+    """Describe a frame in words; ``frame`` is None for the frame of the ground."""
     return (
         "the frame of the ground" if frame is None else f"the frame that {frame.description} shakes"
     )
@@ -207,7 +206,7 @@ def _require_inertial_force(
 
 
 def describe_frames(scene: Scene) -> Iterator[str]:
-    """Yield a description of the reference frame of each displacement, for ``explain``."""
+    """Yield the text of ``explain`` about the reference frames of displacements."""
     nets: dict[str, list[str]] = {}
     for (part, pin), net in scene.nets.items():
         end = scene.terminals[part, pin]

@@ -1,4 +1,4 @@
-"""Highest frequency of a scene, up to which the parts resolve their physics."""
+"""Highest frequency of a scene, up to which the models of its parts are accurate."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ def highest_frequency(scene: GovernedScene, constant: float = 0.0) -> float:
 
     In an ``ac`` or ``noise`` analysis, the result is the end of the frequency range. In a ``dc`` or
     ``op`` analysis, the result is zero. In a transient, the result is the largest frequency of all
-    sines, carriers and waves with edges. The frequency of a wave with edges is the frequency below
-    which the wave has 99.9 % of its energy. If the scene has a ``resolved_frequency``, the
-    result is this frequency.
+    sines, carriers and waves with edges. The frequency of a wave with edges is the limit below
+    which the wave has 99.9 % of its energy. If the scene has a ``resolved_frequency``, the result
+    is this frequency.
 
     Parameters
     ----------

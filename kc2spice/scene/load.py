@@ -1,4 +1,4 @@
-"""Functions that load and check scenes from the gallery, from TOML files or from mappings."""
+"""Functions that load and check scenes from names, TOML files or mappings."""
 
 from __future__ import annotations
 
@@ -56,8 +56,8 @@ def load_scene(
         Strings ``dotted.key=value``, or a mapping of dotted keys to values. A value in a string is
         TOML (``80``, ``"80 V"``, ``[0, 1e5]``), a quantity (``80 V``) or a bare word
         (``antiparallel``). Numbers are in SI units. A string may also be the path of a TOML file
-        with such keys. Entries of a list are counted from 0, or from its end by negative
-        numbers: ``beam.layers[0].thickness``, ``disc.layers[-1].material``.
+        that contains dotted keys and values. List entries are counted from 0; negative numbers
+        count from the end of the list: ``beam.layers[0].thickness``, ``disc.layers[-1].material``.
 
     Returns
     -------
@@ -73,7 +73,7 @@ def load_scene(
     --------
     >>> import kc2spice as kc
     >>> scene = kc.load_scene("impact", ["impact.velocity=-50 cm/s"])
-    >>> scene.name, scene.part("impact").keys.velocity
+    >>> scene.name, scene.get_part("impact").keys.velocity
     ('impact', -0.5)
     """
     if isinstance(scene, Scene) and not overrides:
@@ -113,7 +113,7 @@ def load_scene(
         result = _make_scene(data, source)
         return replace(result, workspace=scene.workspace) if isinstance(scene, Scene) else result
     except UsageError as problem:
-        # an absolute path, or a line of a netlist, is not a key that the source can locate
+        # an absolute path, or a line of a netlist, is not a key of the scene file
         where = problem.where
         if (
             where is not None
@@ -162,7 +162,7 @@ def _require_known_parts(
 
 
 def _suggest_part(keys: Mapping[str, Any], tables: Mapping[str, Any], parts: Sequence[str]) -> str:
-    """Suggest the first part of the scene that has the first one of the ``keys``."""
+    """Suggest the first part whose part type has the first of the ``keys``."""
     word = next(iter(keys), "")
     owners = (part for part in parts if f"{part}.{word}" in _list_part_keys(part, tables[part]))
     owner = next(owners, None)
@@ -199,11 +199,11 @@ def _make_scene(data: dict[str, Any], source: SceneFile) -> Scene:
 def _suggest_probed_result(
     data: Mapping[str, Any], source: SceneFile, error: UsageError
 ) -> str | None:
-    """Suggest a result of the scene for a probe without the key ``of``; None for other errors."""
+    """Suggest a result for a probe without the key ``of``, or None for other errors."""
     probe = re.fullmatch(r"probes\.(\w+)\.of", error.where or "")
     if probe is None or not error.message.endswith("is missing"):
         return None
-    # imported here, because only this error lists the results of a scene
+    # imported here, because only the error about a missing key ``of`` lists the results of a scene
     from kc2spice.scene.probed_results import list_all_results
 
     with suppress(UsageError):
@@ -218,7 +218,7 @@ def _suggest_probed_result(
 def _make_parts(
     data: Mapping[str, Any], types: Mapping[str, PartType], home: Path
 ) -> tuple[dict[str, Part], Analysis | None]:
-    """Return all parts, and the analysis that a part generates, if any."""
+    """Return all parts, and the analysis that a part generates, or None."""
     parts = {}
     for name, kind in types.items():
         short = () if "part" in data[name] else tuple(data)
@@ -246,7 +246,7 @@ def _make_parts(
 
 
 def _with_default_drive(scene: Scene) -> Scene:
-    """Return the scene, with an added 1 V source if nothing drives its ``ac`` analysis.
+    """Return the scene, and add a 1 V source if no part drives its ``ac`` analysis.
 
     Raises
     ------
@@ -281,10 +281,10 @@ def _with_default_drive(scene: Scene) -> Scene:
 
 
 def _advise_drive(scene: Scene, ports: Sequence[tuple[str, str]]) -> str:
-    """Return a hint with the table of a source that can drive the ``ac`` analysis.
+    """Return a hint that contains a table for a source of the ``ac`` analysis.
 
-    The source drives one of the ``ports``, or otherwise the first pin of the scene with a force, a
-    current or another flow.
+    The source drives the first of the ``ports``. Without ports, the source drives the first pin of
+    the scene that has a flow, such as a force or a current.
     """
     for part in scene.parts.values():
         for pin in part.type.pins(part, scene):
@@ -364,7 +364,7 @@ def _make_unknown_key_error(name: str, data: Mapping[str, Any]) -> UsageError:
 
 
 def _list_part_keys(name: str, table: Mapping[str, Any]) -> list[str]:
-    """Return the dotted keys of the part ``name``; empty for an unknown part type."""
+    """Return the dotted keys of the part ``name``, none for an unknown part type."""
     kind = find_part_type(str(table.get("part", DEFAULT_TYPES.get(name))))
     keys = () if kind is None else list_keys(kind.schema)
     return [".".join((name, *path)) for path, _ in keys]
@@ -377,7 +377,7 @@ def _suggest_part_type(typed: object) -> str | None:
 
 
 def _find_part_type(name: str, table: Mapping[str, Any]) -> PartType:
-    """Return the part type that the key ``part`` of a table, or the table's name, determines."""
+    """Return the part type that the key ``part`` or the name of a table determines."""
     selected = table.get("part", DEFAULT_TYPES.get(name))
     if selected is None:
         near = did_you_mean(name, [*SceneKeys.model_fields, *DEFAULT_TYPES])
@@ -417,10 +417,10 @@ def _make_part(
 ) -> Part:
     """Return the part that a table describes.
 
-    ``at`` is the path of the table in the file if the path is not the name of the table. If the
-    name of the table implies the part type, ``short`` contains the names of all tables of the
-    scene, because some keys may then depend on other tables. ``tables`` are all tables of the
-    scene; errors suggest pins of their parts.
+    ``at`` is the path of the table in the file, by default ``(name,)``. If the name of the table
+    implies the part type, ``short`` contains the names of all tables of the scene. Some keys of a
+    part without the key ``part`` may depend on other tables. ``tables`` are all tables of the
+    scene; errors suggest pins from ``tables``.
     """
     pins = table.get("pins", {})
     if not isinstance(pins, Mapping) or not all(isinstance(v, str) for v in pins.values()):
@@ -433,11 +433,11 @@ def _make_part(
 
 
 def _list_pins(name: str, table: Mapping[str, Any], kind: PartType, home: Path) -> list[str]:
-    """Return the pin names of a part that is alone in a scene.
+    """Return the pin names of a part that is the only part of a scene.
 
     The result is empty if the pins depend on other parts.
     """
-    with suppress(Exception):  # the pins are a suggestion only
+    with suppress(Exception):  # after an error, the message only lacks a suggestion
         part = _make_part(name, {**table, "pins": {}}, kind, home)
         alone = Scene(SceneKeys(name=name), {name: part}, home=home)
         return [pin.name for pin in kind.pins(part, replace(alone, ports="all"))]
@@ -445,7 +445,7 @@ def _list_pins(name: str, table: Mapping[str, Any], kind: PartType, home: Path) 
 
 
 def _suggest_target(name: str, tables: Mapping[str, Any], home: Path) -> str:
-    """Return the first pin of another part; ``gnd`` if no other part of the scene has pins."""
+    """Return the first pin of another part, or ``gnd`` if no other part has pins."""
     for other, table in tables.items():
         if other != name and other not in SceneKeys.model_fields and isinstance(table, Mapping):
             with suppress(UsageError):
@@ -468,7 +468,7 @@ def _make_pins_error(
         stated = pins[wrong_pin]
         targets = stated if isinstance(stated, (list, tuple)) else [stated]
         names = [item for item in targets if isinstance(item, str)]
-        # 0 is ground in netlists
+        # 0 is the ground node of netlists
         names += [GROUND if 0 in targets else _suggest_target(name, tables, home)]
         target = names[0]
         return UsageError(
@@ -514,7 +514,7 @@ def _validate_table(
 
 
 def _complete_tables(table: Mapping[str, Any], schema: type[BaseModel]) -> dict[str, Any]:
-    """Return a copy of ``table`` in which defaults of the schema complete the inner tables.
+    """Return a copy of ``table`` with defaults for missing keys of inner tables.
 
     For example, ``ring = { outer = "6 mm" }`` changes only the outer diameter of the default ring.
     """

@@ -25,7 +25,7 @@ from kc2spice.scene.settings import ProbeKeys
 
 
 class Metrics(NamedTuple):
-    """Metrics of a run: their values, and the SI units of metrics with a unit.
+    """Values of the metrics of a run, and SI units of metrics with a unit.
 
     The units are keyed by dotted name.
     """
@@ -37,10 +37,9 @@ class Metrics(NamedTuple):
 def compute_metrics(waves: Waveforms, build: BuiltScene, *, partial: bool = False) -> Metrics:
     """Return the metrics of all probes and parts of a run.
 
-    With ``partial``, the waves are those of an interrupted run, and metrics whose waves are missing
-    are omitted.
-    If several parts have a metric of the same name, the name of the part precedes the name of the
-    metric: ``left.kick_stroke_m``.
+    If ``partial`` is true, the waves are from an interrupted run, and metrics whose waves are
+    missing are omitted. If several parts have a metric of the same name, the name of the part
+    precedes the name of the metric: ``left.kick_stroke_m``.
     """
     return _split_metrics(_list_metrics(waves, build, partial=partial))
 
@@ -84,7 +83,7 @@ def _list_metrics(waves: Waveforms, build: BuiltScene, *, partial: bool) -> dict
 
 
 def _covers_probe(probe: ProbeKeys, waves: Waveforms, window: tuple[float, float] | None) -> bool:
-    """Return whether the waves of an interrupted run contain all points that a probe reads."""
+    """Return whether the waves of an interrupted run contain all points of a probe."""
     low, high = waves.scale.real.min(), waves.scale.real.max()
     places = [*probe.read_positions.values(), *(filter(math.isfinite, window or ()))]
     return probe.of in waves and all(low <= place <= high for place in places)
@@ -106,7 +105,7 @@ def _find_reference_pressure(probe: ProbeKeys, build: BuiltScene) -> float:
 
 
 def select_sound_levels(build: BuiltScene, metrics: Mapping[str, Any]) -> dict[str, SoundLevel]:
-    """Return those ``metrics`` of a run that probes compute as sound pressure levels."""
+    """Return the ``metrics`` of a run that probes compute as sound pressure levels."""
     result = {}
     for name, probe in build.scene.probes.items():
         if probe.take == "spl":
@@ -119,8 +118,8 @@ def _evaluate_probe(name: str, probe: ProbeKeys, build: BuiltScene, waves: Wavef
 
     Raises
     ------
-    UsageError : the run does not contain the probed wave, or the probe reads a time or frequency
-        outside of the range of the run.
+    UsageError : the run does not contain the probed wave, or the probe reads a point outside of the
+        range of the run.
     """
     unit, reference = _find_probe_unit(probe, build, waves), _find_reference_pressure(probe, build)
     window, where = find_probe_window(probe, build.scene), f"probes.{name}"

@@ -1,8 +1,8 @@
 """Classes of scenes, parts and builds, and the base class of all part types.
 
-A scene contains parts, keyed by name, which are joined at typed pins. The classes are in one module
-because scene, part, part type and build refer to each other. Other modules define part types and
-register them (:mod:`kc2spice.scene.parttype`).
+A scene contains parts, keyed by name. The pins of parts have units and are joined to nets. The
+classes are in one module because scene, part, part type and build refer to each other. Other
+modules define part types and register them (:mod:`kc2spice.scene.parttype`).
 """
 
 from __future__ import annotations
@@ -88,11 +88,12 @@ ControllerFunction = Callable[[float, Mapping[str, float]], float]
 class Terminal:
     """Pin of a part, with the units that 1 V and 1 A represent.
 
-    1 V on the pin represents one ``unit``, and 1 A represents one ``flow``. For a signal, ``flow``
-    is ``"-"``. A pin that the scene does not join is joined to the target ``default`` (``"gnd"`` or
-    ``"part.pin"``). A ``required`` pin must be joined. ``signal_out`` marks a pin that sets a
-    signal. ``rated`` [V] is the largest voltage that an electrode withstands; None if unknown.
-    ``kind_key`` is the key of the part whose value sets the units of the pin.
+    A voltage of 1 V on the pin represents one ``unit``, and a current of 1 A represents one
+    ``flow``. For a signal, ``flow`` is ``"-"``. A pin that the scene does not join is joined to the
+    target ``default`` (``"gnd"`` or ``"part.pin"``). A ``required`` pin must be joined.
+    ``signal_out`` marks a pin that sets a signal. ``rated`` [V] is the largest voltage that an
+    electrode withstands, or None if unknown. ``kind_key`` is the key of the part whose value sets
+    the units of the pin.
     """
 
     name: str
@@ -111,7 +112,7 @@ class Terminal:
 
     @classmethod
     def make_rate_pin(cls, name: str, domain: Domain, default: str | None = None) -> Terminal:
-        """Return a pin for the rate of the across quantity of a domain, such as a velocity."""
+        """Return a pin for the rate of a domain's across quantity, such as a velocity."""
         assert domain.rate is not None, f"{domain.name} has no rate"
         return cls(name, domain.rate.pin_unit, domain.flow_unit, default)
 
@@ -134,17 +135,17 @@ class Terminal:
 
     @property
     def needs_path(self) -> bool:
-        """Whether an operating point exists only with a path from the pin to the reference."""
+        """Whether an operating point requires a path from the pin to the reference."""
         return self.domain is not None and bool(self.domain.path_to_reference)
 
     @property
     def domain(self) -> Domain | None:
-        """Physical domain of the pin; None for a signal."""
+        """Physical domain of the pin, or None for a signal."""
         return find_domain(self.unit, self.flow)
 
     @property
     def across(self) -> Quantity | None:
-        """Across quantity of the pin; None for a signal without a domain."""
+        """Across quantity of the pin, or None for a signal without a domain."""
         return find_across_quantity(self.unit)
 
 
@@ -152,9 +153,9 @@ class Terminal:
 class Part(Generic[KeysT]):
     """Part of a scene with its checked keys and the targets of its pins.
 
-    ``keys`` is an instance of the schema of the part type. ``at`` is empty if the scene contains a
-    table for this part. If another part has generated this part, ``at`` is the path of this part's
-    keys in the table of the other part.
+    ``keys`` is an instance of the schema of the part type. ``at`` is the path of the part's keys in
+    the file, if another part has generated this part. For a part with its own table in the scene,
+    ``at`` is empty.
     """
 
     name: str
@@ -168,7 +169,7 @@ class Part(Generic[KeysT]):
 
         Raises
         ------
-        TypeError : the keys are no instance of ``schema``.
+        TypeError : the keys are not an instance of ``schema``.
         """
         if not isinstance(self.keys, schema):
             raise TypeError(
@@ -189,12 +190,12 @@ class Part(Generic[KeysT]):
 
     @property
     def is_body(self) -> bool:
-        """Whether the part is a body: its keys ``rom`` state how its model is reduced."""
+        """Whether the part is a body, which has keys ``rom`` for a model reduction."""
         return hasattr(self.keys, "rom")
 
     @property
     def parameter_ranges(self) -> Mapping[str, tuple[float | str, float | str]]:
-        """Ranges of those keys of a body that become parameters of its netlist."""
+        """Ranges of the keys of a body that become parameters of the body's netlist."""
         rom: RomKeys | None = getattr(self.keys, "rom", None)
         return (rom.parameters if rom else None) or {}
 
@@ -211,7 +212,7 @@ class Part(Generic[KeysT]):
         expected: str | None = None,
         hint: str | None = None,
     ) -> UsageError:
-        """Return an error about a key of the part; about the part itself if ``key`` is empty."""
+        """Return an error about a key of the part, or about the part if ``key`` is empty."""
         where = f"{self.name}.{key}" if key else self.name
         return wrong(where, message, got, expected, hint)
 
@@ -224,10 +225,12 @@ class Part(Generic[KeysT]):
 class PartRecord(Generic[T]):
     """Record of the properties of a part that are known before any model is built.
 
-    Each field is the result of one method of :class:`PartType`. The module
-    :mod:`kc2spice.scene.resolve` calls each of these methods once. ``rest`` is the result of the
-    method :meth:`PartType.equilibrium_conditions`. All other fields have the name of their method.
-    The class of ``shared_data`` is defined in the package of the part.
+    Each field except ``part`` is the result of one method of :class:`PartType`, which
+    :mod:`kc2spice.scene.resolve` calls once. Three fields differ in name from their methods:
+    ``rest`` is the result of
+    :meth:`PartType.equilibrium_conditions`, ``reduction`` of :meth:`PartType.choose_reduction`, and
+    ``highest_frequency`` of :meth:`PartType.make_frequency_estimator`. The class of ``shared_data``
+    is defined in the package of the part.
     """
 
     part: Part
@@ -272,13 +275,13 @@ class SceneSource(Protocol):
 class DeclaredScene:
     """First stage of a scene: the checked keys and parts that its file declares.
 
-    ``frame`` contains the keys outside of parts. ``parts`` are in the order of the file; parts that
-    another part creates come directly after that part. ``home`` is the folder of the file.
-    ``ports`` selects the ports of bodies: the needed ports, all declared ports for an export
-    (:attr:`Part.declares_ports`), or all ports for documentation. ``resolved_frequency`` [Hz] is
-    the highest frequency up to which the parts resolve their physics, or None if the analysis
-    determines it. ``workspace`` is a cache of large results, such as meshes. Scenes that are
-    derived from this scene use the same cache.
+    ``frame`` contains the keys outside of parts. ``parts`` contains first the parts of the file, in
+    the order of the file, and then generated parts. ``home`` is the folder of the file. ``ports``
+    selects the ports of bodies: needed ports, for an export all ports that files declare
+    (:attr:`Part.declares_ports`), or for documentation all ports. ``resolved_frequency`` [Hz] is
+    the frequency up to which the models of the parts are accurate. If ``resolved_frequency`` is
+    None, the analysis determines this frequency. ``workspace`` is a cache of large results, such as
+    meshes. Scenes that are derived from a scene use the cache of that scene.
     """
 
     frame: SceneKeys
@@ -335,7 +338,7 @@ class DeclaredScene:
 
     @property
     def checks(self) -> CheckActions:
-        """Action of each failed check: the run fails, prints a warning, or continues."""
+        """Effect of each failed check: the run fails, prints a warning, or continues."""
         return self.frame.checks
 
     @property
@@ -365,24 +368,24 @@ class DeclaredScene:
         return tuple(part for part in self.parts.values() if part.is_body)
 
     def list_parts(self, *types: str) -> tuple[Part, ...]:
-        """Return all parts of these part types, in the order of the scene."""
+        """Return all parts of the given part types, in the order of the scene."""
         return tuple(part for part in self.parts.values() if part.type.name in types)
 
     def list_parts_with_schema(self, kind: str, schema: type[S]) -> tuple[Part[S], ...]:
-        """Return all parts of the part type ``kind``, typed with keys of the class ``schema``."""
+        """Return all parts of the type ``kind``, typed with keys of the class ``schema``."""
         return tuple(part.with_schema(schema) for part in self.list_parts(kind))
 
     def find_only_part(self, *types: str) -> Part | None:
-        """Return the only part of these part types; None if there is no such part, or several."""
+        """Return the only part of the given part types, or None without exactly one part."""
         result = self.list_parts(*types)
         return result[0] if len(result) == 1 else None
 
     def get_part(self, name: str, where: str = "scene") -> Part:
-        """Return the part with this name.
+        """Return the part with a given name.
 
         Raises
         ------
-        UsageError : the scene has no part with this name.
+        UsageError : the scene has no part with the given name.
         """
         if name not in self.parts:
             raise unknown("the scene has no such part", name, self.parts, where)
@@ -395,8 +398,8 @@ class DeclaredScene:
 
         Raises
         ------
-        UsageError : the scene does not contain the named part; or the key has no value, and the
-            scene contains no part of the type ``kind``, or several.
+        UsageError : the scene does not contain the named part. The error also occurs if the key has
+            no value and the scene does not contain exactly one part of the type ``kind``.
         """
         name, table = getattr(part.keys, key, None), DEFAULT_TABLES.get(kind, kind)
         if name is not None:
@@ -423,9 +426,9 @@ class DeclaredScene:
         return part.type.is_subcircuit(part, self)
 
     def is_target(self, part: str, pin: str) -> bool:
-        """Return whether any part names this pin as the target of one of its own pins.
+        """Return whether a pin of any part is joined explicitly to the given pin.
 
-        If so, the default target of this pin does not apply.
+        The default target of a pin does not apply if the pin itself is a target.
         """
         targets = chain.from_iterable(other.pins.values() for other in self.parts.values())
         return f"{part}.{pin}" in targets
@@ -436,11 +439,11 @@ class GovernedScene(DeclaredScene):
     """Second stage of a scene, with the parts that other parts move, copy or start.
 
     A governed part is a part that another part moves, copies or gives an initial state. ``movers``
-    maps each moved part to the part that prescribes all its motion. ``initial_states`` contains the
-    states at t = 0 that keys prescribe, keyed by part. ``without_cards`` are the parts without
-    cards in the deck, because another part copies or moves them. ``records`` contains the record of
-    each part, keyed by name. ``frames`` contains the reference frame of each pin whose displacement
-    is relative to an accelerated frame.
+    maps the name of each moved part to the name of the part that prescribes its motion.
+    ``initial_states`` contains the states at t = 0 that keys prescribe, keyed by part.
+    ``without_cards`` are the parts that have no cards in the deck, because another part copies or
+    moves these parts. ``records`` contains the record of each part, keyed by name. ``frames``
+    contains the reference frame of each pin whose displacement is relative to an accelerated frame.
     """
 
     records: Mapping[str, PartRecord[object]] = field(default_factory=dict)
@@ -452,7 +455,8 @@ class GovernedScene(DeclaredScene):
     def get_record(self, part: Part) -> PartRecord[object] | None:
         """Return the record of a part.
 
-        The result is None if the part of this name in the scene is another object, with other keys.
+        The result is None if the scene contains another object of the same name, whose keys may
+        differ.
         """
         result = self.records.get(part.name)
         return result if result is not None and result.part is part else None
@@ -460,9 +464,9 @@ class GovernedScene(DeclaredScene):
 
 @dataclass(frozen=True, eq=False)
 class JoinedScene(GovernedScene):
-    """Third stage of a scene, with the targets of those pins that keys of parts join.
+    """Third stage of a scene, with the pins that the keys of parts join.
 
-    ``joins`` maps each part to the targets of its pins.
+    ``joins`` maps the name of each part to the targets of the part's pins.
     """
 
     joins: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
@@ -472,8 +476,8 @@ class JoinedScene(GovernedScene):
 class WiredScene(JoinedScene):
     """Fourth stage of a scene, in which pins are joined to nets.
 
-    ``terminals`` contains every pin, keyed by ``(part, pin)``, and ``nets`` the netlist node of
-    every pin; ``"0"`` is ground.
+    ``terminals`` contains every pin, keyed by ``(part, pin)``. ``nets`` contains the netlist node
+    of every pin; the node ``"0"`` is ground.
     """
 
     terminals: Mapping[tuple[str, str], Terminal] = field(default_factory=dict)
@@ -488,18 +492,18 @@ class WiredScene(JoinedScene):
         return self.nets[part, pin]
 
     def get_nets(self, part: str, pins: Iterable[str]) -> list[str]:
-        """Return the netlist nodes of these ``pins`` of a part, in the same order."""
+        """Return the netlist nodes of the ``pins`` of a part, in the same order."""
         return [self.nets[part, pin] for pin in pins]
 
     def list_joined_pins(self, part: str, pin: str) -> tuple[tuple[str, str], ...]:
-        """Return the other pins on the net of a pin; empty for a pin on ground."""
+        """Return the other pins on the net of a pin, or no pins if the pin is on ground."""
         net = self.nets[part, pin]
         if net == "0":
             return ()
         return tuple(key for key, other in self.nets.items() if other == net and key != (part, pin))
 
     def list_joined_types(self, part: str, pin: str) -> set[str]:
-        """Return the names of the part types of the other parts on the net of a pin."""
+        """Return the part types, by name, of the other pins on the net of a pin."""
         return {self.parts[name].type.name for name, _ in self.list_joined_pins(part, pin)}
 
 
@@ -508,12 +512,12 @@ class Scene(WiredScene):
     """Resolved scene with the records of all its parts.
 
     The base classes are the stages of :func:`kc2spice.scene.resolve.resolve`. A method of a part
-    type receives the scene at one of these stages. ``numerics`` are the numerical requirements of
-    all parts. ``period`` [s] is the common period of all drives; None if there is no common period.
+    type receives the scene at one of its stages. ``numerics`` are the numerical requirements of all
+    parts. ``period`` [s] is the common period of all drives, or None if there is no common period.
     ``meters`` contains the names of the ammeters at pins. ``names`` contains the names of all other
-    nodes and cards, keyed by ``(part, *words)`` (:meth:`Build.get_inner_name`). ``tables`` are the
-    tables of the file with all overrides. ``source`` is the text of the file, in which
-    :meth:`where` searches for keys.
+    nodes and cards, keyed by ``(part, *words)`` (:meth:`BuiltScene.get_inner_name`). ``tables`` are
+    the tables of the file with all overrides. ``source`` locates keys in the text of the file for
+    :meth:`where`.
     """
 
     numerics: tuple[NumericalRequirements, ...] = ()
@@ -524,18 +528,18 @@ class Scene(WiredScene):
     source: SceneSource | None = None
 
     def where(self, key: str) -> str:
-        """Return file, line and name of a key; for a scene without a file, only the name."""
+        """Return file, line and name of a key, or only the name if the scene has no file."""
         return key if self.source is None else self.source.locate_key(key)
 
     def select_overridden_key(self, first: str, second: str) -> str:
-        """Return the key ``first`` if overrides set only this key; otherwise ``second``."""
+        """Return the key ``first`` if overrides set only this key, otherwise ``second``."""
         if self.source is None or self.source.overrides_key(second):
             return second
         return first if self.source.overrides_key(first) else second
 
     @property
     def equilibrium_conditions(self) -> dict[str, EquilibriumConditions]:
-        """Equilibrium conditions that are known before models are built, keyed by part name."""
+        """Equilibrium conditions before models are built, keyed by part name."""
         return {name: record.rest for name, record in self.records.items()}
 
     def __repr__(self) -> str:
@@ -546,9 +550,9 @@ class Scene(WiredScene):
 def compute_scene_hash(scene: Scene) -> str:
     """Return a hash, 16 hexadecimal digits, of all values that determine the netlist.
 
-    The names and titles of scenes, error limits, actions of checks, and keys without a value do not
-    change the hash. A new optional key therefore leaves old hashes unchanged. Numbers are hashed
-    with all digits: scenes with equal hashes have netlists that are equal bit by bit.
+    The name and title of the scene, error limits, actions of checks, and keys without a value do
+    not change the hash. A new optional key therefore leaves old hashes unchanged. Numbers are
+    hashed with all digits, so scenes with equal hashes have identical netlists.
     """
     without = {"name", "title", "checks", "gates", "bench"}
     content = scene.frame.model_dump(mode="json", exclude=without, exclude_none=True)
@@ -560,7 +564,7 @@ def compute_scene_hash(scene: Scene) -> str:
         if part.declares_ports:
             declaring.append(part.name)
     content["parts"] = parts
-    # A body that is the only part of its scene always has all of its ports.
+    # A body without other parts in its scene always has all its ports.
     if scene.ports == "declared" and len(parts) > 1 and declaring:
         content["every_port"] = declaring
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
@@ -569,10 +573,11 @@ def compute_scene_hash(scene: Scene) -> str:
 
 @dataclass(frozen=True)
 class BuildRecord:
-    """Record of one part of a build; a part without cards has no results.
+    """Results and equilibrium conditions of one part of a build.
 
     The fields are the results of :meth:`PartType.equilibrium_after_build`,
-    :meth:`PartType.vectors` and :meth:`PartType.settable`.
+    :meth:`PartType.vectors` and :meth:`PartType.settable_quantities`. A part without cards in the
+    deck has no results.
     """
 
     rest: EquilibriumConditions
@@ -582,20 +587,20 @@ class BuildRecord:
 
 @dataclass(frozen=True)
 class BuiltScene:
-    """Scene with the models of its parts, from which netlist, metrics and checks follow.
+    """Scene with the models of its parts, and data for netlist, metrics and checks.
 
-    ``models`` contains the results of :meth:`PartType.build`, and ``libraries`` the names of the
-    subcircuits; both are keyed by part. ``trust`` states whether the user trusts included netlists.
-    ``unchecked_parts`` are parts whose parameters in the deck differ from their keys; for these
-    parts, there are neither checks nor an energy balance. ``functions`` are Python functions that
-    set sources. ``largest_step`` is the upper limit of the time step of a transient. ``records``
-    contains the build records of the parts
+    ``models`` contains the results of :meth:`PartType.build`, keyed by part. ``libraries`` contains
+    the names of the subcircuits, keyed by part. ``trust`` states whether the user trusts included
+    netlists. ``unchecked_parts`` are parts whose parameters in the deck differ from the keys of the
+    scene. Unchecked parts have no checks and no energy balance. ``functions`` are Python functions
+    that set sources. ``largest_step`` is the upper limit of the time step of a transient.
+    ``records`` contains the build records of the parts
     (:func:`kc2spice.scene.resolve.add_results_and_sources`). ``results`` are the results that the
-    simulator saves. ``dc_sweep`` is the sweep of a dc analysis, and ``noise_output`` the output of
-    a noise analysis. ``laws`` are the equations of the parts
+    simulator saves. ``dc_sweep`` is the sweep of a dc analysis. ``noise_output`` is the output of a
+    noise analysis. ``laws`` are the equations of the parts
     (:func:`kc2spice.equations.scene_laws.get_scene_laws`). ``linearised`` contains the eigenmodes
     of the scene at the start of a transient
-    (:func:`kc2spice.workflow.time_step.with_linearised_scene`). ``workspace`` contains large
+    (:func:`kc2spice.workflow.time_step.with_linearised_scene`). ``workspace`` is a cache of large
     results of the latest run.
     """
 
@@ -624,7 +629,7 @@ class BuiltScene:
 
         Raises
         ------
-        TypeError : the part has no model, or its model is no instance of ``kind``.
+        TypeError : the part has no model, or its model is not an instance of ``kind``.
         """
         result = self.models.get(part.name)
         if not isinstance(result, kind):
@@ -678,48 +683,52 @@ class BuiltScene:
         return PartResult(f"v({self.get_net(part, pin)})", factor, si)
 
     def find_meter_name(self, part: Part, pin: str) -> str | None:
-        """Return the name of the ammeter at a pin; None if the pin has no ammeter."""
+        """Return the name of the ammeter at a pin, or None if the pin has no ammeter."""
         return self.scene.meters.get((part.name, pin))
 
     def get_inner_name(self, part: Part, *words: str) -> str:
-        """Return the netlist name of an inner node or card (:meth:`PartType.list_inner_names`).
+        """Return the netlist name of an inner node or card.
 
-        The name consists of the words, joined by ``_``. If this name is in use, the result is a
-        similar name.
+        The method :meth:`PartType.list_inner_names` returns the ``words`` of each inner node or
+        card.
+
+        The name consists of the words, joined by ``_``. If the name is in use, a number is added.
         """
         return self.scene.names[part.name, *words]
 
 
 class PartType(Generic[KeysT]):
-    """Base class of all part types; ``schema`` is the class of the keys of a part.
+    """Base class of all part types.
 
-    ``name`` is the value of the key ``part`` in scene files. The command ``scenes --parts`` prints
-    ``title``. A subclass overrides the methods that it needs.
+    ``schema`` is the class of the keys of a part. ``name`` is the value of the key ``part`` in
+    scene files. ``title`` describes the part type in the output of ``kc2spice scenes --parts``. A
+    subclass overrides the methods that it needs.
 
-    The class of the argument ``scene`` is the stage at which a method is called. A
-    :class:`DeclaredScene` contains checked keys. A :class:`GovernedScene` also contains the parts
-    that other parts move or copy, and a :class:`JoinedScene` the joins that keys imply. A
-    :class:`WiredScene` also contains pins and nets, and a :class:`Scene` the records of all parts.
-    Only a :class:`Build` contains models. All quantities are in SI units.
+    The class of the argument ``scene`` states the stage of the scene at which a method is called. A
+    :class:`DeclaredScene` contains checked keys. A :class:`GovernedScene` also states which parts
+    other parts move or copy. A :class:`JoinedScene` also contains the joins that keys imply. A
+    :class:`WiredScene` also contains pins and nets. A :class:`Scene` also contains numerical
+    requirements. Only a :class:`BuiltScene` contains models. All quantities are in SI units.
     """
 
     name: str
     title: str
     schema: type[KeysT]
-    # tables of a small example scene (TOML), for ``scenes --parts`` and the docs
+    # TOML tables of a small example scene, for ``kc2spice scenes --parts`` and the documentation
     example: str = ""
-    # origin of the model, which ``explain`` prints
+    # origin of the model, printed by the command ``explain``
     source: ClassVar[str] = "circuit"
-    # whether the names of the results depend on the model
+    # whether the names of the part's results depend on the model
     results_of_model: ClassVar[bool] = False
     # whether the part adds the force ``-m a`` of an accelerated frame at its pins
     follows_frames: ClassVar[bool] = False
     #: whether files declare the ports of the bodies of this type
     ports_of_files: ClassVar[bool] = False
     # Dotted keys whose values are numbers of elements or of series terms.
-    # ``verify`` also solves the scene with doubled numbers, and compares both solutions.
+    # The command ``verify`` also solves the scene with doubled numbers, and compares both
+    # solutions.
     discretisations: ClassVar[tuple[str, ...]] = ()
-    # names of the resistors of the subcircuit that are noise sources, or a description of the noise
+    # names of the resistors that are noise sources in the subcircuit, or a description of the noise
     noise: tuple[str, ...] | str = ()
 
     # --- scene: keys, pins, further parts ---------------------------------------------------------
@@ -727,23 +736,23 @@ class PartType(Generic[KeysT]):
     def generate_tables(
         self, part: Part[KeysT], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
-        """Return the tables of further parts that this part generates.
+        """Return the tables of further parts that the part generates.
 
         ``data`` contains all tables of the scene. The entry ``at`` of a generated table is the path
-        of its keys in the file, such as ``("kick", "drive")``. A generated table ``analysis`` is
-        used if the scene contains no analysis.
+        of the table's keys in the file, such as ``("kick", "drive")``. A generated table
+        ``analysis`` is used if the scene contains no analysis.
         """
         return {}
 
     def pins(self, part: Part[KeysT], scene: JoinedScene) -> tuple[Terminal, ...]:
         """Return the pins of the part in the order of its subcircuit.
 
-        This method is called before the pins are joined to nets. By default, a part has no pins.
+        The method is called before the pins are joined to nets. By default, a part has no pins.
         """
         return ()
 
     def default_joins(self, part: Part[KeysT], scene: GovernedScene) -> Mapping[str, str]:
-        """Return the targets to which keys of the part join its pins, keyed by pin.
+        """Return the targets that keys of the part imply for its pins, keyed by pin.
 
         A target in the table ``pins`` overrides the target that this method returns.
         """
@@ -757,32 +766,33 @@ class PartType(Generic[KeysT]):
     def governed_parts(
         self, part: Part[KeysT], scene: DeclaredScene
     ) -> Mapping[str, InitialState | Governed]:
-        """Return the parts that this part moves, copies or starts, keyed by name.
+        """Return how the part governs other parts, keyed by name.
 
-        The value for another part is the :class:`State` [m/s, m] in which it starts, ``"moved"`` if
-        this part prescribes all its motion, or ``"copied"`` if this part writes its cards. This
-        method is called first, because the methods of other parts depend on the result.
+        The value for a part that starts in a prescribed state is its :class:`InitialState` [m/s,
+        m]. The value is ``"moved"`` for a part whose motion is prescribed. The value is
+        ``"copied"`` for a part whose cards are written by the governing part. The method is called
+        before all other methods, because other methods depend on the result.
         """
         return {}
 
     def list_inner_names(self, part: Part[KeysT], scene: WiredScene) -> Iterable[tuple[str, ...]]:
         """Return the words that form the name of each inner node and each further card.
 
-        :meth:`Build.get_inner_name` returns the complete names.
+        :meth:`BuiltScene.get_inner_name` returns the complete names.
         """
         return ()
 
     def shared_data(self, part: Part[KeysT], scene: GovernedScene) -> object:
         """Return data for other part types of the same package.
 
-        The class of the data is defined in this package. For example, a loudspeaker shares its
-        parameters with the part type of its box. The data depend only on keys and on governed
-        parts. Other parts read ``scene.record(part).shared_data``.
+        The class of the data is defined in the package of the part. For example, a loudspeaker
+        shares its parameters with the part type of its box. The data depend only on keys and on
+        governed parts. Other parts read ``scene.get_record(part).shared_data``.
         """
         return None
 
     def equilibrium_conditions(self, part: Part[KeysT], scene: WiredScene) -> EquilibriumConditions:
-        """Return the constraints and loads of the part, before its model is built.
+        """Return the constraints and loads of a part whose model is not built yet.
 
         An operating point exists only if the ``paths`` of all parts together connect each
         displacement, temperature or pressure pin to the reference. By default, the part connects
@@ -798,32 +808,32 @@ class PartType(Generic[KeysT]):
         """Return the directions of motion at the pins, keyed by pin.
 
         A direction is a unit vector (x, y, z) in the coordinates of the scene. Pins with unknown
-        direction are absent. The directions determine the inertia forces in accelerated frames.
+        direction are absent from the result. The directions determine the inertia forces in
+        accelerated frames.
         """
         return {}
 
     def pins_with_mass(self, part: Part[KeysT], scene: JoinedScene) -> tuple[str, ...]:
         """Return the pins at which the part has a mass.
 
-        This method is called if a pin of the part moves with an accelerated frame, as on a body
-        with an acceleration port. The part must then add the force ``-m a`` of the frame at the
-        returned pins (:attr:`follows_frames`); otherwise the scene is rejected.
+        The method is called if a pin of the part moves with an accelerated frame, as on a body with
+        an acceleration port. A part with mass at such pins must add the force ``-m a`` of the frame
+        (:attr:`follows_frames`). A scene is rejected if a part with mass does not add this force.
         """
         return ()
 
     def problems(self, part: Part[KeysT], scene: GovernedScene) -> Iterable[UsageError]:
-        """Yield the errors of the part in this scene; the ``where`` of each is a dotted key.
+        """Yield the errors of the part; the ``where`` of each error is a dotted key.
 
-        The key ``checks.plausible`` determines whether errors of implausible keys
-        (:func:`kc2spice.scene.plausibility.check_range`) stop the run, are warnings, or are
-        ignored.
+        Errors about implausible values (:func:`kc2spice.scene.plausibility.check_range`) stop the
+        run, are warnings, or are ignored, according to the key ``checks.plausible``.
         """
         return ()
 
     # --- models and netlist -----------------------------------------------------------------------
 
     def choose_reduction(self, part: Part[KeysT], scene: Scene) -> RomKeys | None:
-        """Return the settings of the part's model reduction; None if there is no reduction."""
+        """Return the settings of the part's model reduction, or None without a reduction."""
         return None
 
     def build(
@@ -831,24 +841,25 @@ class PartType(Generic[KeysT]):
     ) -> object:
         """Build the model of the part: fields, reduced matrices or tables.
 
-        With ``full``, the result is a more accurate model of the same class, with which ``verify``
-        solves the scene: the full :class:`kc2spice.rom.linear_model.LinearModel`, or a table with
-        more nodes. The result is then None if there is no more accurate model.
+        If ``full`` is true, the result is a more accurate model of the same class, with which
+        ``verify`` solves the scene. Examples are the full
+        :class:`kc2spice.rom.linear_model.LinearModel`, or a table with more nodes. If ``full`` is
+        true and no more accurate model exists, the result is None.
         """
         return None
 
     def subcircuit_name(self, part: Part[KeysT], scene: Scene) -> str:
         """Return the name of the part's subcircuit.
 
-        The name is the name of the part type. If the scene contains several parts of the type, the
-        name is the name of the part.
+        The subcircuit has the name of the part type. If the scene contains several parts of the
+        type, the subcircuit has the name of the part.
         """
         return self.name if len(scene.list_parts(self.name)) == 1 else part.name
 
     def subcircuits(
         self, part: Part[KeysT], build: BuiltScene, header: Header
     ) -> tuple[Subcircuit, ...]:
-        """Return the subcircuits that the part needs; its own subcircuit is the last one."""
+        """Return the subcircuits that the part needs; the part's subcircuit comes last."""
         return ()
 
     def is_subcircuit(self, part: Part[KeysT], scene: DeclaredScene) -> bool:
@@ -875,43 +886,42 @@ class PartType(Generic[KeysT]):
     ) -> Mapping[str, SweptSource | SampledSource | float]:
         """Return the sources and initial node voltages that an analysis can set.
 
-        The result maps a key to the source that a dc sweep of this key varies, or to the Python
-        function that sets a source during the simulation. The result also maps a node to its
-        initial voltage [V] (``.ic``).
+        The value for a key is the source that a dc sweep of the key varies, or a source that a
+        Python function sets. The value for a node is its initial voltage [V] (``.ic``).
         """
         return {}
 
     def has_ac_source(self, part: Part[KeysT], scene: DeclaredScene) -> bool:
         """Return whether the part is a source of small signals in an ``ac`` analysis.
 
-        This method is called when the scene is loaded. If no part drives an ``ac`` analysis, a
+        The method is called when the scene is loaded. If no part drives an ``ac`` analysis, a
         source of 1 V is added at the only free electrical port.
         """
         return False
 
     def numerics(self, part: Part[KeysT], scene: WiredScene) -> Iterable[NumericalRequirements]:
-        """Return what the part requires of the simulation, such as time steps and tolerances.
+        """Return the numerical requirements of the part, such as time steps.
 
-        Examples of requirements are time steps for the frequency and edges of a source, for a
-        carrier or for a contact, and options of the simulator.
+        Requirements are time steps, tolerances and options of the simulator. For example, a source
+        requires time steps for its frequency and edges.
         """
         return ()
 
     def rails(self, part: Part[KeysT]) -> tuple[float, float]:
-        """Return the limits [V] of the part's output voltage; infinite if it has no supplies."""
+        """Return the limits [V] of the part's output voltage, infinite without supplies."""
         return -math.inf, math.inf
 
     def voltage(self, part: Part[KeysT], scene: DeclaredScene) -> Waveform | None:
         """Return the waveform of the voltage [V] that the part prescribes, or None.
 
-        The voltage is that of pin ``out`` relative to pin ``ret``.
+        The result is the voltage of pin ``out`` relative to pin ``ret``.
         """
         return None
 
     def make_frequency_estimator(
         self, part: Part[KeysT], scene: DeclaredScene
     ) -> HighestFrequency | None:
-        """Return a function that computes the highest frequency [Hz] in the waves of the part.
+        """Return a function that computes the highest frequency [Hz] of the part's waves.
 
         Nearly all energy of the waves is below this frequency. The argument of the function is the
         time constant [s] of the filter through which the waves act on other parts.
@@ -921,29 +931,29 @@ class PartType(Generic[KeysT]):
     def equilibrium_after_build(
         self, part: Part[KeysT], build: BuiltScene
     ) -> EquilibriumConditions:
-        """Return the constraints and loads of the part, after its model is built.
+        """Return the constraints and loads of a part whose model is built.
 
-        By default, the result is that of :meth:`equilibrium_conditions`. A body overrides this
-        method if its constraints can only be determined from its matrices.
+        By default, the result equals the result of :meth:`equilibrium_conditions`. A body overrides
+        this method if its constraints can only be determined from its matrices.
         """
         return build.scene.records[part.name].rest
 
     def vectors(self, part: Part[KeysT], build: BuiltScene) -> Mapping[str, PartResult]:
         """Return the ngspice vectors of the part's results, keyed by result name.
 
-        Each result is a :class:`Vector`: an expression of voltages and currents of the netlist,
-        with a factor to SI units and the SI unit. Probes, plots and :meth:`metrics` read these
-        results.
+        Each result is a :class:`PartResult`: an expression of voltages and currents of the netlist,
+        with a factor to SI units and the SI unit. Probes, plots and :meth:`metrics` read the
+        results of parts.
         """
         return {}
 
     def forces(
         self, part: Part[KeysT], build: BuiltScene, waves: Waveforms
     ) -> Mapping[str, np.ndarray]:
-        """Return the force waveform [N] that the part exerts at each of its mechanical pins.
+        """Return the waveform of the force [N] that the part exerts at each pin.
 
         The forces are keyed by pin. The force at a pin is the sum of all force results of the part
-        at this pin. Pins without a result are absent.
+        at this pin. Pins without a force result are absent.
         """
         result = {}
         for pin in build.scene.pins(part.name):
@@ -958,10 +968,11 @@ class PartType(Generic[KeysT]):
     def corrected_waves(
         self, part: Part[KeysT], build: BuiltScene, waves: Waveforms
     ) -> Mapping[str, np.ndarray]:
-        """Return waveforms that replace waveforms of the netlist, such as a pressure off axis.
+        """Return corrected waveforms that replace waveforms of the netlist.
 
-        The waveforms are computed from other ``waves``, with effects that the netlist does not
-        contain.
+        The corrected waveforms are computed from other ``waves``, and contain effects that the
+        netlist neglects. An example of a corrected waveform is a sound pressure off the axis of a
+        source.
         """
         return {}
 
@@ -978,7 +989,7 @@ class PartType(Generic[KeysT]):
     def main_metrics(
         self, part: Part[KeysT], build: BuiltScene
     ) -> Mapping[str, ProbeKeys | LargestRealPartFrequency]:
-        """Return, as probes, the metrics that every simulator can compute."""
+        """Return probes for the metrics of the part that every simulator can compute."""
         return {}
 
     def checks(
@@ -987,8 +998,9 @@ class PartType(Generic[KeysT]):
         """Return the checks of the waveforms of a run.
 
         The checks test physical laws that the netlist does not contain. If a transient has saved
-        all terms of the energy balance, the result includes the balance. For ``verify``, the result
-        includes error limits (:class:`kc2spice.scene.checks.Gate`) of the most important results.
+        all terms of the energy balance, the result includes the balance. The result also includes
+        error limits (:class:`kc2spice.scene.checks.Gate`) of the most important results, which the
+        command ``verify`` uses.
         """
         return ()
 
@@ -997,9 +1009,9 @@ class PartType(Generic[KeysT]):
     ) -> Iterable[Check | str]:
         """Compare the model with a model on a mesh with half the element size.
 
-        ``most`` is the largest number of unknowns of the finer mesh; a plane mesh may have
-        :data:`kc2spice.core.mesh_error.PLANE_UNKNOWN_RATIO` times as many. The results are checks
-        of the differences between both models, or texts that state why there is no check. Mesh keys
+        ``most`` is the largest number of unknowns of the finer mesh. A plane mesh may have
+        :data:`kc2spice.core.mesh_error.PLANE_UNKNOWN_RATIO` times ``most`` unknowns. The results
+        are checks of the differences between both models, or reasons for missing checks. Mesh keys
         that ``build`` refines with ``full = True`` need no check.
         """
         return ()
@@ -1013,14 +1025,14 @@ class PartType(Generic[KeysT]):
     def law(self, part: Part[KeysT], build: BuiltScene) -> Equations | MissingEquations | None:
         """Return the part's equations for the independent time integrator.
 
-        If the part has no equations, return the reason, or None.
+        If the part has no equations, the result is the reason, or None.
         """
         return None
 
     def figures(
         self, part: Part[KeysT], build: BuiltScene, waves: Waveforms
     ) -> Iterable[Figure | FileWriter]:
-        """Return figures for the report, and writers of further files with arrays or fields."""
+        """Return figures for the report, and functions that write further files."""
         return ()
 
     def outline(self, part: Part[KeysT], scene: Scene) -> Iterable[Shape]:
@@ -1033,20 +1045,20 @@ class PartType(Generic[KeysT]):
     # --- text for explain -------------------------------------------------------------------------
 
     def notes(self, part: Part[KeysT], scene: Scene) -> Iterator[str | NeglectedEffect]:
-        """Return texts about the model of the part, and the effects that the model neglects."""
+        """Return texts about the model of the part, and neglected effects."""
         yield self.title
 
     def describe_discretisation(self, part: Part[KeysT], build: BuiltScene) -> str:
-        """Return a description of the part's mesh error; empty for a part without a mesh."""
+        """Return a description of the part's mesh error, or "" for a part without a mesh."""
         text = describe_mesh_errors(build.facts(part))
         return f"error estimate of its mesh: {text}" if text else ""
 
 
 def find_flows(vectors: Mapping[str, PartResult], pin: str) -> dict[str, tuple[PartResult, float]]:
-    """Return the results of a part that are flows at a pin, with their signs.
+    """Return the flows of a part at a pin, each with its sign.
 
     The sign is 1 if the flow leaves the part at the pin, and -1 if the flow enters the part. The
-    results are currents or forces, keyed by name.
+    flows are currents or forces, keyed by result name.
     """
     result = {}
     for name, vector in vectors.items():

@@ -1,9 +1,8 @@
 """Formation of the nets of a scene from joined pins, and checks of the joins.
 
-The target of a pin is ``"gnd"`` or ``"part.pin"``. All pins that are joined directly or through
-other pins form one net. The node of a net is named after the net's first pin in the order of the
-scene. One allocator assigns all names at the top level of a deck, so that nodes and cards have
-different names.
+The target of a pin is ``"gnd"`` or ``"part.pin"``. Pins that are joined directly, or through other
+pins, form one net. A net gets the name of its first pin in the order of the scene. One allocator
+assigns all names of nodes and cards in a deck, so these names are unique.
 """
 
 from __future__ import annotations
@@ -37,28 +36,28 @@ METER_SUFFIX = "meter"  # suffix of the names of ammeters
 
 
 def join_parts(scene: Scene) -> Scene:
-    """Return the scene with its nets and the reference frame of each net.
+    """Return the scene with nets and with the reference frames of pins.
 
     Parts in an accelerated frame have additional pins for the acceleration of the frame. The
-    additional pins are joined after the frames have been determined.
+    additional pins are joined after the frames are determined.
 
     Raises
     ------
-    UsageError : an unknown part or pin; pins of one part whose names differ only in letter case;
-        pins of different kinds on one net; a required pin that is not joined. Also: a part whose
-        two pins are joined to each other; two outputs on one net; a loop of ideal sources;
-        displacements in different frames. ``where`` is a dotted key.
+    UsageError : a part or pin is unknown; names of pins of one part differ only in letter case; a
+        net contains pins of different kinds or two outputs; or a required pin is not joined. The
+        error also occurs if both pins of a part are on one net, ideal sources form a loop, or a net
+        is in two reference frames. The ``where`` of the error is a dotted key.
     """
     scene = _with_nets(replace(scene, frames={}, nets={}))
     if frames := find_frames(scene):
         scene = _with_nets(replace(scene, frames=frames))
-        # additional pins may change the names of nodes
+        # the additional pins may change the names of nodes
         scene = replace(scene, frames=find_frames(scene))
     return scene
 
 
 def add_default_joins(scene: Scene) -> Scene:
-    """Return the scene with the targets to which the keys of parts join their pins."""
+    """Return the scene with the pin targets that the keys of parts imply."""
     joins = {}
     for name, record in scene.records.items():
         joins[name] = record.part.type.default_joins(record.part, scene)
@@ -76,7 +75,7 @@ def with_equilibrium_conditions(scene: Scene) -> Scene:
 
 
 def _with_nets(scene: Scene) -> Scene:
-    """Return the scene with its nets and with all names in its netlist."""
+    """Return the scene with all nets, and with all names of nodes and cards."""
     scene = add_default_joins(scene)
     terminals = {}
     for part in scene.parts.values():
@@ -103,7 +102,7 @@ def _with_nets(scene: Scene) -> Scene:
     return scene
 
 
-# Names that other programs use for the first and for the second pin of a part with two pins.
+# names in other programs for the first pin and for the second pin of a part with two pins
 _FIRST_PIN_NAMES = ("p", "plus", "pos", "positive", "1", "+", "in", "anode", "top", "hot")
 _SECOND_PIN_NAMES = (
     "n",
@@ -121,7 +120,7 @@ _SECOND_PIN_NAMES = (
 
 
 def _suggest_pin(typed: str, pins: Sequence[str]) -> str | None:
-    """Suggest a pin if ``typed`` is a name of pins in other programs, such as ``anode``."""
+    """Suggest a pin if other programs call the pin ``typed``, such as ``anode``."""
     if len(pins) >= 2:
         for names, pin in ((_FIRST_PIN_NAMES, pins[0]), (_SECOND_PIN_NAMES, pins[1])):
             if typed.lower() in names:
@@ -154,7 +153,7 @@ def _list_joins(part: Part, scene: Scene) -> Iterator[tuple[str, str, str]]:
 
 
 def _find_target(target: str, scene: Scene, where: str) -> Pin:
-    """Return the pin that a target such as ``part.pin`` names; reject an unknown target."""
+    """Return the pin of a target such as ``part.pin``; reject an unknown target."""
     if target in (GROUND, "0"):
         return _GROUND_PIN
     name, dot, pin = target.partition(".")
@@ -216,7 +215,7 @@ def _require_same_kind(a: Pin, b: Pin, scene: Scene, where: str) -> None:
 
 
 def _suggest_kind(part: str, terminal: Terminal, other: Terminal) -> str | None:
-    """Suggest the value of a key with which a pin gets the same units as the pin ``other``."""
+    """Suggest a key value that gives a pin the same units as the pin ``other``."""
     units = other.unit, other.flow
     kinds = [name for name, (domain, _) in QUANTITIES.items() if domain.units == units]
     if not terminal.kind_key or not kinds:
@@ -227,8 +226,8 @@ def _suggest_kind(part: str, terminal: Terminal, other: Terminal) -> str | None:
 def _suggest_target(pin: Pin, choices: Sequence[str], scene: Scene) -> str:
     """Suggest one of the ``choices`` as the target of a pin.
 
-    If the part has two pins and its other pin is joined, suggest ground. The first of the
-    ``choices`` may be on the net of the other pin.
+    For a part with two pins whose other pin is joined, suggest ground. The ``choices`` may be on
+    the net of the other pin.
     """
     ends = {end for part, end in scene.terminals if part == pin[0]}
     joined = len(ends) == 2 and not ends.isdisjoint({*scene.parts[pin[0]].pins} - {pin[1]})
@@ -237,12 +236,12 @@ def _suggest_target(pin: Pin, choices: Sequence[str], scene: Scene) -> str:
 
 
 def _are_compatible(a: Terminal, b: Terminal) -> bool:
-    """Return whether two pins have equal units and, unless they are signals, equal flows."""
+    """Return whether two pins have equal units and flows; signals need equal units."""
     return a.unit == b.unit and (a.flow == b.flow or "-" in (a.flow, b.flow))
 
 
 def _require_one_kind(net: list[Pin], scene: Scene) -> None:
-    """Reject a net with pins of different kinds that are joined through a signal pin."""
+    """Reject a net in which a signal pin joins pins of different kinds."""
     for a, b in combinations(() if _GROUND_PIN in net else net, 2):
         _require_same_kind(a, b, scene, f"{a[0]}.pins.{a[1]}")
 
@@ -263,7 +262,7 @@ def _require_distinct_pin_names(terminals: Mapping[Pin, Terminal]) -> None:
 
 
 def _name_nets(groups: list[list[Pin]], scene: Scene) -> dict[Pin, str]:
-    """Return the netlist node of each pin; a node is named after the first pin on its net."""
+    """Return the netlist node of each pin, named after the first pin of its net."""
     names, nets = NameAllocator(("0", GROUND)), dict[Pin, str]()
     for group in groups:
         preferred = group[0], "_".join(group[0]).lower()
@@ -293,8 +292,9 @@ def _with_inner_names(scene: Scene) -> Scene:
 def list_metered_pins(part: Part, scene: Scene) -> dict[str, Domain]:
     """Return the pins of a part at which a flow can be measured, with their domains.
 
-    Pins on ground are excluded. In a domain whose flow is a power, the reference pin, such as
-    ``ambient``, is also excluded, because its flow is the sum of the flows at the other pins.
+    Pins on ground are excluded. If the flow of a domain is a power, the reference pin, such as
+    ``ambient``, is also excluded. The flow at a reference pin is the sum of the flows at the other
+    pins.
     """
     result: dict[str, Domain] = {}
     for pin in scene.pins(part.name):
@@ -307,10 +307,10 @@ def list_metered_pins(part: Part, scene: Scene) -> dict[str, Domain]:
 
 
 def list_power_input_pins(part: Part, scene: Scene) -> dict[str, Domain]:
-    """Return the pins through which power enters a part; all these pins have one domain.
+    """Return the pins of one domain through which power enters a part.
 
-    The domain is electrical if the part has electrical pins. Otherwise, the domain is that of the
-    first pin.
+    For a part with electrical pins, the domain is electrical. For all other parts, the domain of
+    the first pin is used.
     """
     pins = list_metered_pins(part, scene)
     domains = [*pins.values()]
@@ -321,10 +321,10 @@ def list_power_input_pins(part: Part, scene: Scene) -> dict[str, Domain]:
 def _list_metered_pins(scene: Scene) -> Iterator[Pin]:
     """Yield the pins of subcircuits at which a probe needs an ammeter.
 
-    A probe of ``PART.power`` needs ammeters at all powered pins. A probe of ``PART.PIN.current``,
-    or of another flow such as ``PART.PIN.force``, needs an ammeter at the pin. A probe of
-    ``PART.current`` needs an ammeter at the first pin. ``PART.force`` is a result of the part
-    itself.
+    A probe of ``PART.power`` needs ammeters at all pins of :func:`list_power_input_pins`. A probe
+    of ``PART.PIN.current``, or of another flow such as ``PART.PIN.force``, needs an ammeter at the
+    pin. A probe of ``PART.current`` needs an ammeter at the first pin. A probe of ``PART.force``
+    needs no ammeter, because parts compute this result.
     """
     for of in scene.probed_results:
         name, _, quantity = of.partition(".")
@@ -335,7 +335,7 @@ def _list_metered_pins(scene: Scene) -> Iterator[Pin]:
         for pin, domain in list_metered_pins(part, scene).items():
             flow = domain.through_variable.name
             first = domain is ELECTRICAL and pin == next(iter(powered))
-            # a body may report this current without an ammeter
+            # the current of a body may be known from the other part at the pin, without an ammeter
             paired = part.is_body and not domain.reference
             if (
                 (quantity == "power" and pin in powered)
@@ -350,7 +350,7 @@ def _list_metered_pins(scene: Scene) -> Iterator[Pin]:
 
 
 def _reports_pin_current(body: Part, pin: str, scene: Scene) -> bool:
-    """Return whether the only other part at a body's pin has a result for the pin's current."""
+    """Return whether the only other part at a body's pin reports the pin's current."""
     build = BuiltScene(scene, {})
     records = {}
     for name, _ in scene.list_joined_pins(body.name, pin):
@@ -372,8 +372,8 @@ def _make_unjoined_error(
 ) -> UsageError:
     """Return the error about a required pin that is not joined.
 
-    If possible, the hint names a target pin that is not joined either. A target that is already
-    joined could short-circuit a voltage, such as a bias, and ground would clamp a motion.
+    If possible, the hint names a target pin that is also not joined. A joined target could
+    short-circuit a voltage, such as a bias voltage. The target ground would clamp a motion.
     """
     fitting: list[Pin] = []
     waiting: list[Pin] = []
@@ -387,7 +387,8 @@ def _make_unjoined_error(
         hint = f'add  pins = {{ {pin} = "{names[0]}" }}  to [{name}]'
     elif fitting:
         hint = f'connect this pin, for example  pins = {{ {pin} = "{names[0]}" }}  in [{name}]'
-        if terminal.domain is ELECTRICAL:  # a load resistor does not short-circuit another net
+        # the hint suggests a load resistor, which causes no short circuit
+        if terminal.domain is ELECTRICAL:
             hint = (
                 f'add a part at this pin, such as [{name}_load] with part = "resistor", '
                 f'resistance = "1 MOhm", pins = {{ a = "{name}.{pin}" }}'
@@ -424,7 +425,7 @@ def _require_one_output_per_net(scene: Scene) -> None:
 
 
 def _require_pins_on_distinct_nets(scene: Scene) -> None:
-    """Reject a part whose two pins are on one net, because the part would have no effect."""
+    """Reject a part without effect, whose two pins are on one net."""
     for part in scene.parts.values():
         pins = scene.pins(part.name)
         if len(pins) != 2 or pins[0].kind != pins[1].kind or pins[0].flow == "-":
@@ -442,7 +443,7 @@ def _require_pins_on_distinct_nets(scene: Scene) -> None:
 
 
 def _reject_source_loops(scene: Scene) -> None:
-    """Reject loops of ideal sources, because their currents have no unique value."""
+    """Reject loops of ideal sources, in which currents have no unique value."""
     union = DisjointGroups(["0", *scene.nets.values()])
     for part in scene.parts.values():
         for plus, minus in scene.records[part.name].rest.ideal:
@@ -460,7 +461,7 @@ def _reject_source_loops(scene: Scene) -> None:
 
 
 def _require_ground(scene: Scene) -> None:
-    """Reject parts without a connection to ground, because their potentials are not unique."""
+    """Reject parts without a connection to ground, whose potentials are not unique."""
     union = DisjointGroups(["0", *scene.nets.values()])
     first: dict[str, str] = {}
     for (part, _), net in scene.nets.items():
@@ -477,7 +478,7 @@ def _require_ground(scene: Scene) -> None:
 
 
 class DisjointGroups:
-    """Disjoint groups of members, which can be joined."""
+    """Disjoint groups of members, with a method that joins two groups."""
 
     def __init__(self, members: Iterable[Hashable]) -> None:
         self._groups = {member: [member] for member in members}
@@ -487,7 +488,7 @@ class DisjointGroups:
         return self._groups[a] is self._groups[b]
 
     def join(self, a: Hashable, b: Hashable) -> None:
-        """Join the groups that contain two members."""
+        """Join the groups of the members ``a`` and ``b`` into one group."""
         first, second = self._groups[a], self._groups[b]
         if first is not second:
             first += second

@@ -1,4 +1,4 @@
-"""Results of a noise analysis: contributions of parts, metrics, checks and figures."""
+"""Results of noise analyses: contributions of parts, metrics, checks and figures."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def compute_noise_by_part(waves: Waveforms) -> dict[str, np.ndarray]:
 
 
 def compute_noise_metrics(waves: Waveforms, build: BuiltScene) -> dict[str, Any]:
-    """Return the rms value of the output noise, and of the noise that each part causes.
+    """Return the rms values of the output noise, and of the noise from each part.
 
     The rms values are integrals over the frequency range of the analysis.
     """
@@ -52,7 +52,7 @@ def _compute_rms_value(f: np.ndarray, density: np.ndarray) -> float:
 def check_noise(waves: Waveforms) -> Iterator[Check]:
     """Check that the rms noise hardly changes if every second frequency is omitted.
 
-    A large change means that the frequency steps do not resolve a resonance.
+    The change is large if the frequency steps do not resolve a resonance.
     """
     if (f := waves["frequency"].real).size > 4:
         even = f.size - (f.size + 1) % 2
@@ -74,7 +74,7 @@ def check_noise(waves: Waveforms) -> Iterator[Check]:
 
 
 def plot_noise(waves: Waveforms, unit: str) -> Iterator[Figure]:
-    """Plot the spectral density of the output noise, and the rms noise up to each frequency."""
+    """Plot the spectral density of the output noise, and the cumulative rms noise."""
     f, density = waves["frequency"].real, np.abs(waves[NOISE_WAVE])
     label, factor = get_axis_label_and_factor("frequency", f)
     log = bool(f[0] > 0 and f[-1] / f[0] > 20)

@@ -1,9 +1,9 @@
-"""Numerical settings of a scene, and the plan of a run that lists these settings.
+"""Numerical settings of a scene, and the plan of a run.
 
-A key that trades computing time for accuracy is a numerical setting. Its declaration contains a
-:class:`kc2spice.core.quantities.RefinementRule`. The key ``error_budget`` and the command ``bench``
-vary the settings. The plan of a run also lists parts, nets and neglected effects. The command
-``explain`` prints the plan.
+A key that trades computing time for accuracy is a numerical setting. The declaration of such a key
+contains a :class:`kc2spice.core.quantities.RefinementRule`. The key ``error_budget`` and the
+command ``bench`` vary the settings. The plan of a run lists parts, nets, neglected effects and
+numerical settings. The command ``explain`` prints the plan.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from kc2spice.scene.settings import Analysis, RomKeys, SolverKeys
 
 MAX_STEP_KEY = "solver.max_step"
 MAX_TIME_POINTS = 2e5  # largest number of time points of a transient with the finest time step
-# Factor by which each refinement step of a transient raises the upper end of a reduction's band.
-# Voltage steps and contacts excite modes above the band.
+# Factor by which each refinement step of a transient multiplies the upper band limit of a
+# reduction. Voltage steps and contacts excite modes above the band.
 BAND_GROWTH = 2.0
 
 
@@ -36,13 +36,14 @@ BAND_GROWTH = 2.0
 class NumericalSetting:
     """Numerical setting: its key, its value and its refinement rule.
 
-    ``name`` is the dotted name of the key. ``low`` and ``high`` bound the value. ``finer`` contains
-    the values of further keys that a refined setting needs. If the setting is the tolerance of a
-    reduction, ``band`` is the frequency band [Hz] of the reduction. Each refinement step multiplies
-    the highest frequency of the band by ``wider``. If the setting is the number of points of a
-    logarithmic frequency grid, ``decades`` is the width of the grid in decades. A refined grid
-    contains all points of the coarser grid. ``model`` marks a setting that does not change the
-    computing time of the simulator. ``mesh`` marks a setting for the fineness of a mesh.
+    ``name`` is the dotted name of the key. ``low`` and ``high`` are the limits of the value.
+    ``finer`` contains further keys that are changed together with a refined setting, and their
+    values. If the setting is the tolerance of a reduction, ``band`` is the frequency band [Hz] of
+    the reduction. Each refinement step multiplies the highest frequency of the band by ``wider``.
+    If the setting is the number of points of a logarithmic frequency grid, ``decades`` is the width
+    of the grid in decades. A refined grid contains all points of the coarser grid. ``model`` is
+    true for a setting that does not change the computing time of the simulator. ``mesh`` is true
+    for a setting that determines the fineness of a mesh.
     """
 
     name: str
@@ -123,14 +124,14 @@ def _list_settings(build: BuiltScene) -> Iterator[NumericalSetting]:
 
 
 def _count_decades(analysis: Analysis) -> float:
-    """Return the number of decades of a logarithmic frequency range; 0 for a linear range."""
+    """Return the number of decades of a logarithmic frequency range, 0 if linear."""
     if analysis.scale == "linear":
         return 0.0
     return math.log10(float(analysis.stop or analysis.start) / analysis.start)
 
 
 def _list_settings_of_keys(keys: BaseModel, prefix: str) -> Iterator[NumericalSetting]:
-    """Yield the numerical settings in a table and its inner tables, except tables ``rom``."""
+    """Yield the numerical settings in a table and in inner tables, except ``rom``."""
     for name, declared in type(keys).model_fields.items():
         value = getattr(keys, name)
         if isinstance(value, BaseModel) and not isinstance(value, RomKeys):
@@ -141,12 +142,12 @@ def _list_settings_of_keys(keys: BaseModel, prefix: str) -> Iterator[NumericalSe
 
 
 def _rule_applies(rule: RefinementRule, keys: BaseModel) -> bool:
-    """Return whether a refinement rule applies to a table with these keys."""
+    """Return whether a refinement rule applies to a table with the given keys."""
     return all(getattr(keys, name) == value for name, value in rule.when)
 
 
 def _list_reduction_settings(build: BuiltScene) -> Iterator[NumericalSetting]:
-    """Yield a setting for the table ``rom`` of the scene, and for the ``rom`` of each body."""
+    """Yield a setting for each table ``rom`` of the scene or of a body."""
     scene = build.scene
     timed = scene.analysis.type == "transient"
     known: set[str] = set()
@@ -183,13 +184,13 @@ def _list_reduction_settings(build: BuiltScene) -> Iterator[NumericalSetting]:
 
 
 def _uses_scene_reduction(part: Part, scene: Scene) -> bool:
-    """Return whether the scene's table ``rom`` applies to ``part`` and all other bodies."""
+    """Return whether all bodies have the same reduction as ``part``."""
     reduction = scene.records[part.name].reduction
     return all(record.reduction in (None, reduction) for record in scene.records.values())
 
 
 def _make_setting(name: str, value: float, declared: FieldInfo) -> NumericalSetting:
-    """Return the setting of a key with the rule and the bounds in the key's declaration."""
+    """Return the setting of a key, with rule and limits from the key's declaration."""
     rule = _find_rule(declared)
     assert rule is not None
     low, high = 0.0, math.inf
@@ -206,14 +207,14 @@ def _make_setting(name: str, value: float, declared: FieldInfo) -> NumericalSett
 
 
 def _find_rule(declared: FieldInfo) -> RefinementRule | None:
-    """Return the refinement rule of a key; None if the key has no rule."""
+    """Return the refinement rule of a key, or None if the key has no rule."""
     return next((item for item in declared.metadata if isinstance(item, RefinementRule)), None)
 
 
 def refine_settings(
     selected: Sequence[NumericalSetting], steps: Mapping[str, float]
 ) -> dict[str, Any]:
-    """Return the keys of refined settings; ``steps`` are keyed by name of the setting."""
+    """Return the changed keys and values after all settings are refined by ``steps``."""
     result: dict[str, Any] = {}
     for setting in selected:
         result |= setting.refine_keys(steps.get(setting.name, 0.0))
@@ -234,7 +235,7 @@ def _describe_mesh(part: Part, build: BuiltScene) -> str:
 
 
 def _estimate_mesh_error(setting: NumericalSetting, build: BuiltScene) -> float | None:
-    """Return the error estimate of the mesh that a setting refines; None if unknown."""
+    """Return the error estimate of the mesh that a setting refines, None if unknown."""
     if not setting.mesh:
         return None
     errors: list[float] = []
@@ -248,9 +249,10 @@ def describe_plan(build: BuiltScene) -> dict[str, Any]:
     """Return the plan of a run, which becomes the entry ``plan`` of ``result.json``.
 
     ``parts`` contains the ``source`` and the description (``detail``) of the model of each part.
-    ``joins`` describes the nets, and ``frames`` the origins of displacements. ``left_out`` lists
-    each neglected effect once. ``settings`` lists the numerical settings. The ``error`` of a
-    setting is its estimated relative error, or None if it is not known before a run.
+    ``joins`` describes the nets. ``frames`` describes the reference frames of displacements.
+    ``left_out`` lists each neglected effect once. ``settings`` lists the numerical settings. The
+    ``error`` of a setting is the estimated relative error, or None if the error is not known before
+    a run.
     """
     scene = build.scene
     parts = []
@@ -268,7 +270,8 @@ def describe_plan(build: BuiltScene) -> dict[str, Any]:
     for setting in find_numerical_settings(build):
         error = _estimate_mesh_error(setting, build)
         # The tolerance of a reduction bounds the error only within the band of the reduction.
-        # In a transient, steps excite modes above the band, so that the error is not known.
+        # In a transient, voltage steps excite modes above the band, so the tolerance is no error
+        # estimate.
         if scene.analysis.is_small_signal and setting.name.endswith("rom.tolerance"):
             error = setting.value
         settings.append({"key": setting.name, "value": setting.value, "error": error})

@@ -1,4 +1,4 @@
-"""Parser of overrides of the keys of a scene: strings ``KEY=VALUE`` and TOML files."""
+"""Parser of overrides of scene keys: strings ``KEY=VALUE`` and TOML files."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ _INDEX_PATTERN = r"\[-?[0-9]{1,6}\]"
 _DOTTED_KEY = re.compile(
     rf"{_WORD_PATTERN}({_INDEX_PATTERN})*(\.{_WORD_PATTERN}({_INDEX_PATTERN})*)*"
 )
-_STRUCTURAL_KEYS = ("part", "pins")  # keys of a part that never appear in examples
+_STRUCTURAL_KEYS = ("part", "pins")  # keys of a part that never appear in examples of overrides
 _PLAIN_ARGUMENT = re.compile(r"[\w.=+:%,/-]+")  # pattern of strings that a shell reads unquoted
 _SEPARATOR = re.compile(r"[.\[]")
-# keys that exclude each other: a dotted key, and the last word of the other key
+# pairs of keys that exclude each other: a dotted key, and the last word of the excluded key
 _EXCLUSIVE_KEYS = {"rom.order": "tolerance", "rom.tolerance": "order"}
 _OVERRIDE_EXAMPLES = (
     "dotted.key=value, such as kick.drive.voltage=80 or beam.layers[0].thickness=0.2 mm"
@@ -32,7 +32,7 @@ _OVERRIDE_EXAMPLES = (
 def read_overrides(
     overrides: Sequence[str] | Mapping[str, Any], example: Callable[[str], str]
 ) -> Iterator[tuple[str, Any, str]]:
-    """Yield the key, the value and the origin of each override; errors print the origin.
+    """Yield the key, the value and the origin of each override, for error messages.
 
     ``example`` is a function that returns an example of an override for a key.
 
@@ -49,7 +49,7 @@ def read_overrides(
 
 
 def expand_overrides(texts: Sequence[str]) -> list[str]:
-    """Replace each name of a TOML file by strings ``dotted.key=value``, one for each key.
+    """Replace each TOML file name by strings ``dotted.key=value``, one for each key.
 
     Raises
     ------
@@ -84,7 +84,7 @@ def _flatten_tables(table: Mapping[str, Any], above: str = "") -> Iterator[tuple
             yield f"{above}{key}", value
 
 
-# Pattern of a key and a value that are separated by a colon or a blank, not by an equals sign.
+# pattern of a mistyped override: key and value separated by a colon or a blank
 _OTHER_SEPARATOR = re.compile(r"([A-Za-z_][\w.\[\]]*)\s*[:\s]\s*([^=:\s][^=]*)")
 
 
@@ -106,10 +106,11 @@ def _parse_override(text: str, example: Callable[[str], str]) -> tuple[str, Any]
 
 
 def write_example(name: str, tables: Mapping[str, Any], keys: Sequence[str]) -> str:
-    """Return an example of an override of the key ``name``, or of a key in the table ``name``.
+    """Return an example of an override of ``name``, the name of a key or of a table.
 
-    The value in the example is the present value in ``tables``, the tables of the scene. ``keys``
-    are the dotted keys of the part whose key is ``name``.
+    For a table, the example overrides a key in the table. The example contains the present value in
+    ``tables``, the tables of the scene. ``keys`` are the dotted keys of the part to which ``name``
+    belongs.
     """
     value: Any = tables
     for step in re.findall(rf"{_WORD_PATTERN}|{_INDEX_PATTERN}", name):
@@ -138,7 +139,7 @@ def set_key(data: dict[str, Any], name: str, value: Any, where: str) -> tuple[st
     """Set the key ``name`` in ``data``; return the path of the key.
 
     The path contains the indices of list entries. Missing tables are added, but list entries must
-    exist. ``where`` is the origin of the override, which errors print.
+    exist. ``where`` is the origin of the override, for error messages.
     """
     steps = re.findall(rf"{_WORD_PATTERN}|{_INDEX_PATTERN}", name)
     long = len(steps) > MAX_NESTING or max(map(len, steps), default=0) > LONGEST_KEY
@@ -176,11 +177,12 @@ def _suggest_list(holder: Any, key: str) -> str | None:
 def _find_key(holder: Any, step: str, so_far: str, where: str, suggestion: str | None) -> str | int:
     """Return the table key or the list index for one ``step`` of a dotted key.
 
-    ``suggestion`` is a hint about a list with a similar name.
+    ``holder`` is the value of the dotted key ``so_far``, which precedes the step. ``suggestion`` is
+    a hint about a list with a similar name.
 
     Raises
     ------
-    UsageError : ``holder``, the value of the key ``so_far``, does not contain this key or entry.
+    UsageError : ``holder`` does not contain the key or the list entry ``step``.
     """
     if step[0] != "[":
         if isinstance(holder, dict):

@@ -14,16 +14,17 @@ from kc2spice.netlist.expression import parse_vector, split_terms
 from kc2spice.netlist.powers import PowerTerm
 
 Pin = tuple[str, str]
-Powers = tuple[PowerTerm, ...]  # terms whose sum is the power of a part or at a pin
+Powers = tuple[PowerTerm, ...]  # terms whose sum is the power of a part, or the power at a pin
 DENSITY_UNIT = "/sqrt(Hz)"  # suffix of the units of spectral densities
 PERPENDICULAR_COSINE = 1e-9  # largest rounding error of the cosine of a right angle
 
 
 @dataclass(frozen=True)
 class NeglectedEffect:
-    """Effect that a model neglects, with the reason and the largest error that it causes.
+    """Effect that a model neglects, with the reason and the largest error.
 
-    If ``summarised`` is true, the summary of a run lists the effect.
+    ``error`` describes the largest error that the neglected effect causes. If ``summarised`` is
+    true, the summary of a run lists the effect.
     """
 
     effect: str
@@ -34,13 +35,13 @@ class NeglectedEffect:
 
 @dataclass(frozen=True)
 class InitialState:
-    """Initial state of a motion: velocity [m/s], and height [m] above the contact."""
+    """Initial state of a motion: velocity [m/s] and height [m] above the contact."""
 
     velocity: float
     height: float
 
 
-# What a part does with a governed part: prescribe its motion, or copy its cards.
+# States that another part prescribes the motion of a governed part, or copies its cards.
 Governed = Literal["moved", "copied"]
 
 
@@ -53,11 +54,12 @@ HighestFrequency = Callable[[float], float]
 class EquilibriumConditions:
     """Constraints and loads of a part, which determine whether an equilibrium exists.
 
-    ``paths`` are pairs of pins, or of a pin and ``gnd``, between which the part acts as a spring or
-    a clamp, or conducts heat or a flow. ``ideal`` are pairs of pins between which the part
-    prescribes the across quantity, like an ideal source. ``loaded_pins`` are pins with a constant
-    force or flow at t = 0. ``jump_key`` is the key of a prescribed motion whose velocity jumps.
-    ``inertial_pins`` are pins with a mass, whose velocity cannot jump.
+    ``paths`` are pairs of pins, or of a pin and ``gnd``. Between the pins of such a pair, the part
+    acts as a spring or clamp, or conducts heat or another flow. ``ideal`` are pairs of pins between
+    which the part prescribes the across quantity, like an ideal source. ``loaded_pins`` are pins
+    with a constant force or flow at t = 0. ``jump_key`` is the key of a prescribed motion whose
+    velocity jumps. ``inertial_pins`` are pins at which the part has a mass, so that the velocity
+    cannot jump.
     """
 
     paths: tuple[tuple[str, str], ...] = ()
@@ -69,11 +71,11 @@ class EquilibriumConditions:
 
 @dataclass(frozen=True)
 class PartResult:
-    """Result of a part: an ngspice expression, its factor to SI units, and the SI unit.
+    """Result of a part: ngspice expression, factor to SI units, and SI unit.
 
     The expression may be a sum, such as ``a+b``. A current or force leaves the part at the pins in
     ``leaves``, and enters the part at the pins in ``enters``. For a sound pressure,
-    ``level_reference`` [Pa] is the rms pressure at 0 dB. If ``corrected`` is true, the part
+    ``level_reference`` is the rms pressure [Pa] at 0 dB. If ``corrected`` is true, the part
     corrects the result after the run (:meth:`kc2spice.scene.model.PartType.corrected_waves`).
     """
 
@@ -92,7 +94,7 @@ class PartResult:
 
     @property
     def voltage(self) -> str | None:
-        """Result as a voltage in ngspice syntax, such as ``v(a,b)``; None if it is no voltage."""
+        """Voltage in ngspice syntax, such as ``v(a,b)``, or None for other results."""
         plus: list[str] = []
         minus: list[str] = []
         for sign, text in self.terms:
@@ -106,18 +108,18 @@ class PartResult:
 
     @property
     def noise_density_vector(self) -> PartResult:
-        """Vector of the spectral density of the noise of this result."""
+        """Result for the spectral density of the noise of the expression."""
         return PartResult("onoise_spectrum", abs(self.factor), f"{self.unit}{DENSITY_UNIT}")
 
 
 @dataclass(frozen=True)
 class SceneResults:
-    """Results of a scene: netlist vectors, and powers that are computed from them.
+    """Results of a scene: vectors of the netlist, and powers computed from vectors.
 
     Attributes
     ----------
-    vectors : mapping of str to Vector
-        Vectors of the netlist, keyed by the names of the results.
+    vectors : mapping of str to PartResult Vectors of the netlist, keyed by the names of the
+        results.
     powers : mapping of str to tuple of PowerTerm
         Terms of each power of a part or pin that a probe reads.
     """
@@ -143,9 +145,9 @@ class LargestRealPartFrequency:
 class SweptSource:
     """Source that a dc sweep of a key varies.
 
-    ``scale`` is the value of the source in volts or amperes for one SI unit of the key. ``range``
-    contains the first and the last value of the sweep in SI units, if they differ from the range in
-    the scene.
+    ``scale`` is the value of the source in volts or amperes for one SI unit of the key. If the part
+    changes the range of the sweep, ``range`` contains the first and the last value of the key in SI
+    units. Otherwise, ``range`` is None.
     """
 
     source: str
@@ -155,7 +157,7 @@ class SweptSource:
 
 @dataclass(frozen=True, eq=False)
 class DcSweep(EqualByContent):
-    """Sweep of a dc analysis: the key and the source that it varies.
+    """Sweep of a dc analysis, with the varied key and the varied source.
 
     Attributes
     ----------
@@ -170,9 +172,10 @@ class DcSweep(EqualByContent):
     ends : tuple of two floats
         First and last value of the key in SI units.
     values : ndarray
-        Values of the swept variable in SI units. ngspice sweeps only in one direction. A sweep
-        that returns to its start is therefore one sweep over twice the range. In the second half,
-        the source has the value ``2 last - value``, where ``last`` is the second value in ``ends``.
+        Values of the swept variable in SI units. ngspice sweeps only in one direction. A sweep to
+        ``last`` and back to the start is therefore one sweep over twice the range. In the second
+        half, the source has the value ``2 last - value``, where ``last`` is the second value in
+        ``ends``.
     """
 
     source: str
@@ -189,9 +192,9 @@ class SampledSource:
     """Python function that sets the value of a source during a transient.
 
     ``source`` is the name of the source's card in lower case. The function ``call(time, values)``
-    is called with the saved node voltages every ``period`` [s], first at t = 0. Its result becomes
-    the value of the source after the ``delay`` [s]. For a function with memory, ``reload()``
-    returns the function in its state before the first call.
+    is called with the saved node voltages every ``period`` [s], first at t = 0. The returned value
+    becomes the value of the source after the ``delay`` [s]. For a function with memory,
+    ``reload()`` returns the function in the state before the first call.
     """
 
     source: str
@@ -202,7 +205,7 @@ class SampledSource:
 
     @property
     def record_with_reset_function(self) -> SampledSource:
-        """Copy of this record with the function in its state before the first call."""
+        """Copy of the record, with the function in the state before the first call."""
         return self if self.reload is None else replace(self, call=self.reload())
 
 
@@ -218,12 +221,13 @@ class StepLimit:
 class NumericalRequirements:
     """Numerical requirements of a part: time step, tolerances and simulator options.
 
-    ``step`` is the longest time step [s] that resolves the part, for the reason in ``description``.
-    ``highest_frequency`` [Hz] is the highest frequency that the part excites in other parts. If
-    ``overrides_others`` is true, ``step`` overrides the steps of all other parts. ``reltol`` and
-    ``chgtol`` are factors, 1 or less, by which the part reduces the tolerances of the solver.
-    ``options`` maps the names of simulator options to value and reason. ``period`` [s] is the
-    period of the waves with which the part drives other parts; 0 if the waves are not periodic.
+    ``step`` is the longest time step [s] that resolves the part. ``description`` is the reason for
+    the step. ``highest_frequency`` [Hz] is the highest frequency at which the part excites other
+    parts. If ``overrides_others`` is true, ``step`` overrides the steps of all other parts.
+    ``reltol`` and ``chgtol`` are factors of at most 1, by which the part reduces the tolerances of
+    the solver. ``options`` contains the value of each simulator option and the reason for the
+    value, keyed by option. ``period`` [s] is the period of the waves with which the part drives
+    other parts, or 0 if the waves are not periodic.
     """
 
     description: str
@@ -241,7 +245,7 @@ class FrameAcceleration:
     """Acceleration signal of a reference frame, at the ``pin`` of a body.
 
     ``net`` is the netlist node of the pin. ``along`` is the cosine of the angle between the
-    acceleration and a displacement in the frame; None if one of the directions is unknown.
+    acceleration and a displacement in the frame, or None if a direction is unknown.
     """
 
     net: str
@@ -251,19 +255,19 @@ class FrameAcceleration:
 
 @dataclass(frozen=True)
 class AcceleratedFrame:
-    """Frame of reference of a net, with the accelerations that act along its motion."""
+    """Accelerated frame of a net: all accelerations along the motion of the net."""
 
     body: str
     shakes: tuple[FrameAcceleration, ...]
 
     @property
     def node_cosines(self) -> frozenset[tuple[str, float | None]]:
-        """Netlist node and cosine of each acceleration, which identify the frame."""
+        """Netlist node and cosine of each acceleration, which together identify a frame."""
         return frozenset((shake.net, shake.along) for shake in self.shakes)
 
     @property
     def description(self) -> str:
-        """Description of the accelerations, for ``explain``."""
+        """Description of the accelerations, for the command ``explain``."""
         shares = []
         for shake in self.shakes:
             pin = ".".join(shake.pin)

@@ -1,4 +1,4 @@
-"""Descriptions of part types, with pins, keys and examples, for the reference documentation."""
+"""Descriptions of part types for the reference: pins, keys and examples."""
 
 from __future__ import annotations
 
@@ -17,7 +17,11 @@ from kc2spice.scene.scene_file import list_gallery
 
 @dataclass(frozen=True)
 class PartTypeReference:
-    """Description of a part type, with an example from a built-in ``scene`` if possible."""
+    """Description of a part type, with an example.
+
+    ``scene`` is the name of the built-in scene that contains the example, or None for other
+    examples.
+    """
 
     name: str
     title: str
@@ -41,7 +45,7 @@ def describe_part_type(name: str) -> PartTypeReference:
 
     Raises
     ------
-    UsageError : no part type has this name.
+    UsageError : no part type has the given name.
 
     Examples
     --------
@@ -66,8 +70,7 @@ def describe_part_type(name: str) -> PartTypeReference:
 def _describe_type(name: str, examples: Mapping[str, tuple[str, Part, Scene]]) -> PartTypeReference:
     """Return the description of a part type.
 
-    For each part type in a built-in scene, ``examples`` contains the name of the scene, the part
-    and the scene.
+    ``examples`` maps part types to examples in built-in scenes: name of the scene, part, and scene.
     """
     kind, scene_name = load_part_types()[name], None
     pins: tuple[Terminal, ...] = ()
@@ -94,7 +97,7 @@ def _describe_type(name: str, examples: Mapping[str, tuple[str, Part, Scene]]) -
 
 
 def _find_examples() -> dict[str, tuple[str, Part, Scene]]:
-    """Return, for each part type, the first built-in scene that contains a part of this type."""
+    """Return the first part of each type in a built-in scene, keyed by part type."""
     result: dict[str, tuple[str, Part, Scene]] = {}
     for name in list_gallery():
         scene = load_scene(name)

@@ -1,11 +1,10 @@
 """Registry of part types, and results that depend on several parts of a scene.
 
 Each module in ``kc2spice.parts`` has the name of a part type. The module defines a subclass of
-:class:`kc2spice.scene.model.PartType` and passes an instance to :func:`register`. A module named
-``*_types`` registers several part types. All other modules call the methods of
-:class:`kc2spice.scene.model.PartType` and depend on no particular part type. A module is imported
-only when a scene needs its part type. Other Python packages add part types by entry points in the
-group ``kc2spice.parts``.
+:class:`kc2spice.scene.model.PartType` and passes an instance to :func:`register_part_type`. A
+module named ``*_types`` registers several part types. Modules outside of ``kc2spice.parts`` do not
+depend on particular part types. The module of a part type is imported only when a scene needs the
+part type. Other Python packages add part types by entry points in the group ``kc2spice.parts``.
 """
 
 from __future__ import annotations
@@ -31,13 +30,13 @@ SHARED_MODULE_SUFFIX = "_types"  # suffix of the names of modules that define se
 
 
 def find_current_into(part: Part, pin: str, build: BuiltScene) -> PartResult | None:
-    """Return the current into a pin, if the only other part at the pin reports the current.
+    """Return the current into a pin, if the only other part at the pin reports it.
 
-    Return None if several other parts are joined to the pin: the current is then the sum of the
+    Return None if several other parts are joined to the pin, because the current is the sum of the
     currents of these parts.
     """
     others = build.scene.list_joined_pins(part.name, pin)
-    # the current of a body is itself computed from the other parts at the pin
+    # the current of a body is computed from the other parts at the pin, not from the body
     if len(others) != 1 or build.scene.parts[others[0][0]].is_body:
         return None
     ((name, end),) = others
@@ -49,9 +48,9 @@ def find_current_into(part: Part, pin: str, build: BuiltScene) -> PartResult | N
 
 
 def find_flow_into(part: Part, pin: str, build: BuiltScene) -> PartResult | None:
-    """Return the flow into a pin: the sum of the flows out of all other parts at the pin.
+    """Return the flow into a pin, the sum of the flows out of all other parts.
 
-    Return None if one of the other parts is a body, or has no result for its flow at the pin.
+    Return None if one of the other parts is a body, or has no result for the flow at the pin.
     """
     others = build.scene.list_joined_pins(part.name, pin)
     if len(others) == 1:
@@ -75,7 +74,7 @@ def find_flow_into(part: Part, pin: str, build: BuiltScene) -> PartResult | None
 def compute_pin_forces(build: BuiltScene, waves: Waveforms) -> Mapping[tuple[str, str], np.ndarray]:
     """Return the waveforms of the forces [N] that parts exert at their pins.
 
-    The forces are keyed by part and pin. The forces are computed only once for each run.
+    The forces are keyed by part and pin. All forces are computed once for each run.
     """
 
     def compute_all_forces() -> tuple[BuiltScene, Waveforms, dict[tuple[str, str], np.ndarray]]:
@@ -85,7 +84,7 @@ def compute_pin_forces(build: BuiltScene, waves: Waveforms) -> Mapping[tuple[str
             for pin, force in part.type.forces(part, build, waves).items():
                 result[name, pin] = force
         # The cache key contains the ids of the build and of the waves.
-        # The cached tuple keeps both objects alive, so that Python does not reuse their ids.
+        # Python may reuse the ids of deleted objects, so the cached tuple keeps both objects alive.
         return build, waves, result
 
     return build.workspace.get_or_compute("forces", (id(build), id(waves)), compute_all_forces)[2]
@@ -97,7 +96,7 @@ _types: dict[str, PartType] = {}
 def register_part_type(part_type: PartType) -> PartType:
     """Register a part type under its name, so that scenes can use it.
 
-    A second type of the same name replaces the first one.
+    A new part type replaces an earlier part type of the same name.
 
     Parameters
     ----------
@@ -107,15 +106,17 @@ def register_part_type(part_type: PartType) -> PartType:
     Returns
     -------
     PartType
-        The same part type.
+        The argument ``part_type``.
 
     Raises
     ------
-    UsageError : the object is not a part type with a schema, or its name is not valid in netlists.
+    UsageError : the argument is not a part type with a schema, or has a name that is not valid in
+        netlists.
 
     Examples
     --------
-    The force of a hardening spring is 100 x + 1e10 x^3 (in N and m), which is 0.1 N at 200 um.
+    A hardening spring has the force 100 x + 1e10 x^3 (x in m, force in N). At 200 um, the force is
+    0.1 N.
 
     >>> import kc2spice as kc
     >>> from kc2spice.physics import Declaration, DeclaredPart, displacement
@@ -151,9 +152,9 @@ def list_type_names() -> tuple[str, ...]:
 
     Only modules that define several part types are imported.
 
-    ``kc2spice.parts`` contains a folder for each family of parts. The name of a module in the
-    folder is the name of its part type. The name of a module with several part types ends with
-    ``_types``. Modules whose name begins with ``_`` contain shared code.
+    ``kc2spice.parts`` contains a folder for each family of parts. A module in the folder has the
+    name of its part type. A module with several part types has a name that ends with ``_types``.
+    Modules whose name begins with ``_`` contain shared code.
     """
     modules = _list_modules()
     for name, module in modules.items():
@@ -165,7 +166,7 @@ def list_type_names() -> tuple[str, ...]:
 
 @cache
 def _list_modules() -> Mapping[str, str]:
-    """Return the full names of the modules that define part types, keyed by module name."""
+    """Return the full names of the modules of part types, keyed by module name."""
     result: dict[str, str] = {}
     for family in pkgutil.iter_modules(import_module(PARTS_PACKAGE).__path__, f"{PARTS_PACKAGE}."):
         modules = pkgutil.iter_modules(import_module(family.name).__path__)
@@ -175,10 +176,10 @@ def _list_modules() -> Mapping[str, str]:
 
 
 def find_part_type(name: str) -> PartType | None:
-    """Return the part type of this name, and load its module if necessary; None if unknown.
+    """Return the part type of a given name, or None if the name is unknown.
 
-    Modules with several part types, and other packages, are searched only if no module has the name
-    of the part type.
+    The module of the part type is imported if necessary. Modules with several part types, and other
+    packages, are searched only if no module has the name of the part type.
     """
     if name not in _types and name in _list_modules():
         import_module(_list_modules()[name])
@@ -198,7 +199,7 @@ def find_part_type(name: str) -> PartType | None:
 
 
 def load_part_types() -> Mapping[str, PartType]:
-    """Load all part types and return them by name."""
+    """Load all part types, and return all part types keyed by name."""
     return {
         name: result for name in list_type_names() if (result := find_part_type(name)) is not None
     }

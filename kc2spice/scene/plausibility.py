@@ -22,18 +22,19 @@ if TYPE_CHECKING:
 
 
 class ImplausibleError(UsageError):
-    """Error about a value that is possible but not plausible, often due to a wrong unit."""
+    """Error about a possible but implausible value, often due to a wrong unit."""
 
 
 MAX_LAYER_ASPECT = 10.0  # largest plausible thickness of a layer, relative to its width
 # largest plausible diameter of a ceramic layer, relative to the plate; wider ceramics break
 MAX_OVERHANG = 1.02
-# Voltage, relative to the rated voltage, above which the check fails; above 1, it warns.
+# Ratio of voltage to rated voltage above which the check fails. Above a ratio of 1, the check
+# warns.
 BREAKDOWN_RATIO = 10.0
-# Multiple of an upper limit below which a value probably has the right unit.
-# A wrong SI prefix would change the value by a factor of 1000.
+# A value below this multiple of its upper limit probably has the right unit. A wrong SI prefix
+# would change the value by a factor of 1000.
 MISTAKEN_UNIT_RATIO = 2.0
-LOWEST_DRIVE_RATIO = 1e-4  # voltage, relative to the rated voltage, below which the check warns
+LOWEST_DRIVE_RATIO = 1e-4  # ratio of voltage to rated voltage below which the check warns
 _MICRO_UNITS = ("F", "H")  # units in which the prefix mega is rare
 _ALTERNATIVE_UNITS = {"m": {"mm": 1e-3, "um": 1e-6}, "kg": {"g": 1e-3, "mg": 1e-6, "ug": 1e-9}}
 
@@ -43,16 +44,17 @@ def check_range(
 ) -> Iterator[UsageError]:
     """Yield an error if a value is not between ``low`` and ``high``.
 
-    ``why`` states why a value outside of these limits is not plausible.
+    ``why`` states why a value outside of the limits is not plausible.
     """
     if not low <= value <= high:
         units = _ALTERNATIVE_UNITS.get(unit, {}).items()
         fitting = next((name for name, size in units if low < value * size <= high), None)
         if high < value < MISTAKEN_UNIT_RATIO * high:
-            fitting = None  # the value is only slightly too large, so that its unit is not wrong
+            fitting = None  # a value that is only slightly too large has the right unit
         limit = high if value > high else low
         micro = format_quantity(1e-12 * value, unit).replace("µ", "u")
-        if unit in _MICRO_UNITS and 1e6 <= value < 1e9:  # probably M (mega) in place of u (micro)
+        # the user probably typed M (mega) instead of u (micro)
+        if unit in _MICRO_UNITS and 1e6 <= value < 1e9:
             fitting = None
             advice = f'write  "{micro}"  if you mean micro, not mega'
         else:
@@ -95,9 +97,9 @@ def check_layers(
 ) -> Iterator[UsageError]:
     """Yield an error for each layer with an implausible shape.
 
-    Each entry contains the width [m] and the thickness [m] of a layer, and whether the layer is a
-    ceramic. A layer must be flat. With ``plate``, a ceramic layer must not be wider than its metal
-    plate.
+    Each of the ``entries`` contains the width [m] and the thickness [m] of a layer, and whether the
+    layer is a ceramic. A layer is implausible if it is more than ``MAX_LAYER_ASPECT`` times as
+    thick as wide. If ``plate`` is true, a ceramic layer must not be wider than its metal plate.
     """
     rows = list(entries)
     metal = max((width for width, _, ceramic in rows if not ceramic), default=0.0)
@@ -114,9 +116,9 @@ def check_layers(
 
 
 def check_drive_levels(scene: Scene) -> Iterator[UsageError]:
-    """Yield an error for each source whose voltage is far above the rating of its electrode.
+    """Yield an error for each source with a voltage far above an electrode's rating.
 
-    A voltage slightly above the rated voltage, or far below it, causes only a warning.
+    A voltage slightly above the rated voltage, or far below the rated voltage, causes a warning.
     """
     rated = {name: pin.rated for (name, _), pin in scene.terminals.items() if pin.rated}
     for body, limit in rated.items():
@@ -144,7 +146,7 @@ def check_drive_levels(scene: Scene) -> Iterator[UsageError]:
 def _list_peak_voltages(body: str, scene: Scene) -> Iterator[tuple[str, float]]:
     """Yield the name and the peak voltage [V] of each source that drives a body.
 
-    Only ideal sources between ground and an electrode of ``body`` count.
+    The result contains only ideal sources between ground and an electrode of ``body``.
     """
     nets = {scene.get_net(body, pin.name) for pin in scene.pins(body) if pin.unit == "V"}
     for source in scene.list_parts("source"):
@@ -175,7 +177,11 @@ def check_model_masses(build: BuiltScene) -> Iterator[UsageError]:
 
 
 def apply_check_action(errors: Iterable[UsageError], action: str) -> Iterator[UsageError]:
-    """Yield the errors, print them as warnings, or ignore them, according to ``action``."""
+    """Yield errors, print the errors as warnings, or ignore the errors.
+
+    The ``action`` ``"fail"`` yields the errors, ``"warn"`` prints the errors, and ``"off"`` ignores
+    the errors.
+    """
     if action == "off":
         return
     for item in errors:

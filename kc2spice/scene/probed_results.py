@@ -1,7 +1,7 @@
 """Check that every probe of a scene reads an existing result.
 
-The input is a build with or without models. The error about an unknown result names the probe and
-suggests existing results.
+The check needs no models, except for results whose names depend on a model. An error names the
+probe and suggests existing results.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from kc2spice.scene.results import collect_results, find_noise_output
 def require_probed_results(build: BuiltScene) -> None:
     """Raise an error if a probe reads a result that the scene does not have.
 
-    The names of the results of some part types depend on the model. Probes of such results are
-    checked only after the model is built.
+    The names of the results of some part types depend on the model. Probes of parts of these types
+    are checked only after the model is built.
 
     Raises
     ------
-    UsageError : a result does not exist; the error contains the key of the probe and existing
-        results.
+    UsageError : a probed result does not exist. The error contains the key of the probe and
+        existing results.
     """
     scene = build.scene
     waiting = set()
@@ -43,7 +43,7 @@ def require_probed_results(build: BuiltScene) -> None:
     known = {*results.vectors, *results.powers}
     for name, probe in scene.probes.items():
         owner, dot, _ = probe.of.partition(".")
-        # a name without a dot is the name of a scale, such as time
+        # a name without a dot, such as time, is the name of a scale
         if (dot or owner in scene.parts) and probe.of not in known and owner not in waiting:
             raise _make_unknown_result_error(
                 build, probe.of, scene.where(f"probes.{name}.of"), waiting
@@ -62,7 +62,8 @@ def require_probed_results(build: BuiltScene) -> None:
 def _require_noise_output(build: BuiltScene, waiting: Collection[str]) -> None:
     """Raise an error for an unknown output of a noise analysis.
 
-    Results of the parts in ``waiting``, whose models are not built yet, are not checked.
+    If the part of the output is in ``waiting``, the output is not checked, because the model of the
+    part is not built yet.
     """
     name, where = str(build.scene.analysis.output), build.scene.where("analysis.output")
     owner, parts = name.partition(".")[0], build.scene.parts
@@ -86,7 +87,7 @@ def _make_unknown_result_error(
 ) -> UsageError:
     """Return the error about an unknown result.
 
-    ``waiting`` are the parts whose models are not built yet.
+    ``waiting`` contains the names of the parts whose models are not built yet.
     """
     owner, _, _ = name.partition(".")
     parts = build.scene.parts
@@ -98,7 +99,7 @@ def _make_unknown_result_error(
 
 
 def _make_unknown_part_error(name: str, parts: Iterable[str], where: str) -> UsageError:
-    """Return the error about a result ``name`` whose part the scene does not contain."""
+    """Return the error about a result ``name`` of a part that does not exist."""
     owner, dot, result = name.partition(".")
     near = did_you_mean(owner, parts)
     advice = near and near.replace("'?", f"{dot}{result}'?")
@@ -113,7 +114,7 @@ def _select_names_with_prefix(names: Iterable[str], prefix: str) -> list[str]:
 
 
 def _suggest_result(name: str, choices: Sequence[str]) -> str | None:
-    """Suggest a result with a similar name, such as ``r2.v`` for ``r2.voltage``."""
+    """Suggest a result with a similar name: ``r2.v`` if ``name`` is ``r2.voltage``."""
     near = list(filter(name.startswith, choices))
     near = near or _select_names_with_prefix(choices, f"{name}.")[:1]
     return f"did you mean {max(near, key=len)!r}?" if near else None
@@ -122,8 +123,8 @@ def _suggest_result(name: str, choices: Sequence[str]) -> str | None:
 def _list_results(build: BuiltScene, waiting: Collection[str]) -> list[str]:
     """Return the names of all results that a probe may read.
 
-    The names include motions at ports that are not joined. Also included are currents and powers
-    whose ammeters are added only if a probe reads the current or power.
+    The names include motions at ports that are not joined. The names also include currents and
+    powers that are measured only if a probe reads the current or power.
     """
     scene = resolve(replace(build.scene, ports="all"))
     results = collect_results(add_equilibrium_and_results(replace(build, scene=scene), waiting))
@@ -134,7 +135,7 @@ def _list_results(build: BuiltScene, waiting: Collection[str]) -> list[str]:
 
 
 def _list_metered_results(part: Part, scene: Scene, known: Collection[str]) -> Iterator[str]:
-    """Yield flows and powers of a part that probes may read in addition to ``known`` results."""
+    """Yield flows and powers of a part that are measured only for probes."""
     n, pins, powered = part.name, list_metered_pins(part, scene), list_power_input_pins(part, scene)
     separate = scene.has_subcircuit(part)
     for domain in dict.fromkeys(powered.values()):

@@ -53,7 +53,7 @@ def check_scene(scene: Scene) -> Iterator[UsageError]:
 
 
 def _check_parts(scene: Scene) -> Iterator[UsageError]:
-    """Yield the errors of parts; errors about implausible values are last."""
+    """Yield the errors of parts; errors about implausible values come last."""
     implausible = []
     for part in scene.parts.values():
         implausible_keys = check_plausible_values(part.name, part.keys)
@@ -66,7 +66,7 @@ def _check_parts(scene: Scene) -> Iterator[UsageError]:
 
 
 def _check_includes(scene: Scene) -> Iterator[UsageError]:
-    """Yield an error if netlists are included, but no part uses them."""
+    """Yield an error if the scene includes netlists, but no part uses a netlist."""
     if scene.include and not any(part.is_user_netlist for part in scene.parts.values()):
         yield UsageError(
             "no part uses these included netlists",
@@ -102,7 +102,7 @@ def _check_largest_step(scene: Scene) -> Iterator[UsageError]:
 
 
 def _check_sweep_type(scene: Scene) -> Iterator[UsageError]:
-    """Yield an error if the type of the analysis does not support its sweep."""
+    """Yield an error if ``sweep`` or ``back`` does not match the type of the analysis."""
     selected = scene.analysis
     if selected.type != "dc" and selected.sweep is not None:
         yield UsageError(
@@ -125,7 +125,7 @@ def _check_sweep_type(scene: Scene) -> Iterator[UsageError]:
 
 
 def _check_frequencies(scene: Scene) -> Iterator[UsageError]:
-    """Yield an error if the frequency range of an ``ac`` or ``noise`` analysis is invalid."""
+    """Yield an error if an ``ac`` or ``noise`` analysis has no valid frequency range."""
     selected = scene.analysis
     if not selected.is_small_signal:
         return
@@ -169,7 +169,7 @@ def _check_frequencies(scene: Scene) -> Iterator[UsageError]:
 
 
 def _check_noise_output(selected: Analysis) -> Iterator[UsageError]:
-    """Yield an error if a noise analysis has no output, or if another analysis has an output."""
+    """Yield an error if a noise analysis has no output, or another analysis has one."""
     expected = 'output = "PART.RESULT" or "PART.PIN" with type = "noise"'
     if selected.type == "noise" and selected.output is None:
         yield UsageError(
@@ -205,7 +205,7 @@ def _check_noise_start(selected: Analysis) -> Iterator[UsageError]:
 def _check_swept_key(scene: Scene) -> Iterator[UsageError]:
     """Yield an error if the key that a dc analysis sweeps belongs to no part.
 
-    Also check the units of the first and the last value of the sweep.
+    The units of the first and the last value of the sweep are also checked.
     """
     selected = scene.analysis
     name, _, _ = (selected.sweep or "").partition(".")
@@ -228,7 +228,7 @@ def _check_swept_key(scene: Scene) -> Iterator[UsageError]:
 
 
 def _check_unused_keys(selected: Analysis) -> Iterator[UsageError]:
-    """Yield an error for each key of ``analysis`` without effect in this type of analysis.
+    """Yield an error for each key of ``analysis`` that has no effect.
 
     Separate functions check the keys ``sweep``, ``back`` and ``output``.
     """
@@ -298,7 +298,7 @@ def _check_window(where: str, count: int, scene: Scene) -> Iterator[UsageError]:
 
 
 def _check_level_probe(where: str, probe: ProbeKeys, selected: Analysis) -> Iterator[UsageError]:
-    """Yield an error if a probe reads a sound pressure level that the analysis cannot compute."""
+    """Yield an error for a sound pressure level that the analysis cannot compute."""
     if probe.take != "spl":
         return
     kinds = ("ac",) if probe.at is not None else ("ac", "transient")
@@ -341,7 +341,7 @@ def _check_probe_position(where: str, place: float, scene: Scene) -> Iterator[Us
 
 
 def _find_scale_unit(scene: Scene) -> str | None:
-    """Return the unit of the time, frequency or swept key of the analysis; None if unknown."""
+    """Return the unit of the scale (time, frequency or swept key), None if unknown."""
     selected = scene.analysis
     if selected.type != "dc":
         return ANALYSIS_UNITS.get(selected.type)

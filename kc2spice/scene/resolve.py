@@ -1,8 +1,8 @@
-"""Calls of the methods of part types, in the order in which the methods depend on each other.
+"""Calls of the methods of part types, in the order of their dependences.
 
 The input is a scene with checked keys. The resolved scene contains a :class:`PartRecord` of each
-part, the nets and the reference frames. Later stages read the records and do not call the methods
-again.
+part, the nets and the reference frames. Later stages of a run read the records, so each method is
+called once.
 """
 
 from __future__ import annotations
@@ -22,10 +22,12 @@ from kc2spice.scene.results import collect_results, find_noise_output, resolve_d
 
 
 def resolve(scene: Scene) -> Scene:
-    """Return the scene with nets, reference frames and the records of all parts.
+    """Return the scene with nets, reference frames and the records of parts.
 
-    Raises ------ UsageError : pins cannot be joined;
-    :func:`kc2spice.scene.net_formation.join_parts` lists the reasons.
+    Raises
+    ------
+    UsageError : pins cannot be joined, for a reason in
+        :func:`kc2spice.scene.net_formation.join_parts`.
     """
     if any(scene.get_record(part) is None for part in scene.parts.values()):
         scene = add_governed_records(scene)
@@ -33,14 +35,15 @@ def resolve(scene: Scene) -> Scene:
 
 
 def add_results_and_sources(build: BuiltScene) -> BuiltScene:
-    """Return the build with the results of its parts, and the sources that an analysis can set.
+    """Return the build with the results of its parts and with settable sources.
 
-    The sources that can be set in a part depend on the equilibrium conditions of other parts.
+    An analysis can set settable sources, such as the source that a dc analysis sweeps. Which
+    sources of a part are settable depends on the equilibrium conditions of other parts.
 
     Raises
     ------
-    UsageError : a dc analysis cannot sweep its key, or the output of a noise analysis is invalid
-        (:func:`kc2spice.scene.results.resolve_dc_sweep`,
+    UsageError : the key ``sweep`` of a dc analysis or the key ``output`` of a noise analysis is
+        invalid (:func:`kc2spice.scene.results.resolve_dc_sweep`,
         :func:`kc2spice.scene.results.find_noise_output`).
     """
     build = add_equilibrium_and_results(build)
@@ -57,9 +60,9 @@ def add_results_and_sources(build: BuiltScene) -> BuiltScene:
 def add_equilibrium_and_results(build: BuiltScene, without: Collection[str] = ()) -> BuiltScene:
     """Return the build with equilibrium conditions and results of its parts.
 
-    The parts in ``without`` get no results. The current of a body is computed from the results of
-    the parts that are joined to the body; bodies therefore come last. Parts without cards have no
-    results.
+    The parts in ``without``, and parts without cards in the deck, get no results. The current of a
+    body is computed from the results of the parts that are joined to the body. The results of
+    bodies are therefore computed last.
     """
     records = {}
     for name, part in build.scene.parts.items():
@@ -74,7 +77,7 @@ def add_equilibrium_and_results(build: BuiltScene, without: Collection[str] = ()
 
 
 def _list_parts_with_cards(build: BuiltScene) -> list[Part]:
-    """Return the parts that have cards in the deck, because no other part copies or moves them."""
+    """Return the parts with cards in the deck: no other part copies or moves them."""
     scene = build.scene
     return [part for name, part in scene.parts.items() if name not in scene.without_cards]
 
@@ -106,7 +109,7 @@ def add_governed_records(scene: Scene) -> Scene:
 def _find_movers(
     governed_parts: Mapping[str, Mapping[str, InitialState | Governed]],
 ) -> dict[str, str]:
-    """Return for each moved part the first part that prescribes all its motion."""
+    """Return the first part that prescribes the motion of each moved part."""
     result: dict[str, str] = {}
     for owner, answer in governed_parts.items():
         for name, governed in answer.items():
@@ -120,8 +123,8 @@ def _find_initial_states(
 ) -> dict[str, InitialState]:
     """Return the states at t = 0 that keys prescribe, keyed by part.
 
-    A transient with such states does not start at an operating point. A state that another part
-    prescribes replaces a state that the part itself prescribes.
+    A transient with prescribed states does not start at an operating point. If a part and another
+    part prescribe the state of the part, the other part has precedence.
     """
     result: dict[str, InitialState] = {}
     for owner, answer in governed_parts.items():
@@ -134,17 +137,17 @@ def _find_initial_states(
 def _find_parts_without_cards(
     governed_parts: Mapping[str, Mapping[str, InitialState | Governed]],
 ) -> frozenset[str]:
-    """Return the names of the parts without cards, because other parts copy or move them."""
+    """Return the names of parts that other parts copy or move."""
     rows = chain.from_iterable(answer.items() for answer in governed_parts.values())
     return frozenset(name for name, governed in rows if isinstance(governed, str))
 
 
-# largest permitted relative deviation of a period from an integer fraction of the longest period
+# largest permitted deviation of the ratio (longest period / period) from a whole number
 PERIOD_TOLERANCE = 1e-6
 
 
 def find_period(rows: Iterable[NumericalRequirements]) -> float | None:
-    """Return the common period [s] of all drives; None if there is no common period."""
+    """Return the common period [s] of all drives, or None without a common period."""
     periods = set(map(attrgetter("period"), rows)) - {0.0}
     longest: float | None = max(periods, default=None)
     if longest is None:
@@ -177,7 +180,7 @@ def resolve_again(scene: Scene) -> Scene:
 def name_subcircuits(scene: Scene) -> dict[str, str]:
     """Return the name of the subcircuit of each part.
 
-    If parts of different types choose the same name, their subcircuits get the names of the parts.
+    If parts of different types choose the same name, each subcircuit gets the name of its part.
     """
     parts = scene.parts.values()
     names = {part.name: part.type.subcircuit_name(part, scene) for part in parts}

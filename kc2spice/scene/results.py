@@ -1,9 +1,8 @@
-"""Results, dc sweep and noise output of a scene, from the records of its parts.
+"""Results, dc sweep and noise output of a scene.
 
-The input is a build with the records of its parts. The results are netlist vectors: results of
-parts, and the flows and powers that probes read. A dc sweep varies one source. A noise analysis has
-one output. :func:`kc2spice.scene.resolve.add_results_and_sources` adds results, sweep and output to
-the build.
+The results are quantities of parts, and the flows and powers that probes read. Each result is
+computed from vectors of the netlist. :func:`kc2spice.scene.resolve.add_results_and_sources` calls
+the functions of this module.
 """
 
 from __future__ import annotations
@@ -23,19 +22,20 @@ from kc2spice.scene.net_formation import list_metered_pins, list_power_input_pin
 from kc2spice.scene.part_records import DcSweep, PartResult, Powers, SceneResults, SweptSource
 from kc2spice.scene.settings import Analysis
 
-# Name of the spectral density of the output noise, and of the metric with its rms value.
+# Name of the spectral density of the output noise, and of the metric with the rms noise.
 NOISE_WAVE = "noise"
 GROUND_VOLTAGE = "v(0)"
 
 
 def find_noise_output(build: BuiltScene) -> PartResult | None:
-    """Return the output of a noise analysis: a result, or the across quantity of a pin.
+    """Return the output of a noise analysis: a result or a pin's across quantity.
 
-    Other analyses have no output.
+    The result is None for all other analyses.
 
     Raises
     ------
-    UsageError : the output does not exist, or is not a voltage of the netlist.
+    UsageError : the output of the noise analysis does not exist, or is not a voltage of the
+        netlist.
     """
     if not build.has_noise:
         return None
@@ -61,7 +61,7 @@ def find_noise_output(build: BuiltScene) -> PartResult | None:
 def collect_results(build: BuiltScene) -> SceneResults:
     """Return the results of all parts, and the powers that probes read.
 
-    The only result of a noise analysis is the spectral density of the output.
+    The only result of a noise analysis is the spectral density of its output noise.
     """
     if build.noise_output is not None:
         return SceneResults({NOISE_WAVE: build.noise_output.noise_density_vector})
@@ -89,8 +89,8 @@ def _collect_metered_results(
     """Return the results at pins with an ammeter, in SI units.
 
     ``PART.PIN.current`` is the current into the part at the pin, and ``PART.PIN.v`` the voltage of
-    the pin. ``PART.current`` is the current at the first pin. In other domains, the names of the
-    domain's flow and across quantity replace ``current`` and ``v``.
+    the pin. ``PART.current`` is the current at the first pin. In all domains except the electrical
+    domain, the names of the domain's flow and across quantity replace ``current`` and ``v``.
     """
     result: dict[str, PartResult] = {}
     for name, pin in build.scene.meters:
@@ -105,7 +105,7 @@ def _collect_metered_results(
     for quantity_name, symbol in FLOW_SYMBOLS.items():
         for part in _list_probed_parts(build, quantity_name):
             known_as = f"{part.name}.{symbol}"
-            if known_as in known:  # an element's flow gets the same second name as a body's flow
+            if known_as in known:  # PART.current, for example, is a second name of PART.i
                 result.setdefault(f"{part.name}.{quantity_name}", known[known_as])
     for part in _list_probed_parts(build, "power"):
         result |= _collect_across_quantity(part, build)
@@ -128,7 +128,7 @@ def _collect_across_quantity(part: Part, build: BuiltScene) -> dict[str, PartRes
 
 
 def collect_powers(build: BuiltScene, known: Collection[str]) -> dict[str, Powers]:
-    """Return the terms of each power, of a part or at a pin, that a probe reads.
+    """Return the terms of each power that a probe reads, for a part or a pin.
 
     The power [W] of a source is positive if the source delivers it. The power of any other part is
     positive if the part absorbs it.
@@ -162,13 +162,13 @@ def _find_part_power(part: Part, build: BuiltScene, known: Collection[str]) -> P
 
 
 def _make_part_power_term(name: str, domain: Domain) -> PowerTerm:
-    """Return the power term for the across and the through quantity of a part."""
+    """Return the product of a part's across and through quantity as a power term."""
     across, through = domain.across.symbol, domain.through_variable.symbol
     return PowerTerm(f"{name}.{across}", f"{name}.{through}", domain.power)
 
 
 def _make_pin_power_term(part: Part, pin: str, domain: Domain, build: BuiltScene) -> PowerTerm:
-    """Return the term of the power into a part at a pin."""
+    """Return the power that flows into a part at a pin, as a power term."""
     unit = build.scene.terminals[part.name, pin].unit
     power = domain.power if unit == domain.across.pin_unit else "across * through"
     across, through = domain.across.symbol, domain.through_variable.name
@@ -188,7 +188,7 @@ def resolve_dc_sweep(build: BuiltScene) -> DcSweep | None:
 
     Raises
     ------
-    UsageError : no source depends on the key that the analysis sweeps, or the range is empty.
+    UsageError : the analysis sweeps a key that sets no source, or the range of the sweep is empty.
     """
     scene, selected = build.scene, build.scene.analysis
     if selected.type != "dc":
@@ -219,7 +219,7 @@ def _find_key_unit(part: Part, key: str) -> str:
 
 
 def _require_sweep_ends(selected: Analysis, unit: str) -> tuple[float, float]:
-    """Return the first and the last value of the sweep in SI units; reject an empty range."""
+    """Return first and last value of the sweep in SI units; reject an empty range."""
     first, last = convert_quantity(selected.from_, unit), convert_quantity(selected.to, unit)
     if first == last:  # a sweep with an empty range would never end in a simulator
         got, expected = f"{first:g} … {last:g} {unit}", "two values"

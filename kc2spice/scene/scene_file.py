@@ -1,4 +1,4 @@
-"""Reader of scene files, and search for the line that sets a key."""
+"""Reader of scene files, and search for the line of a file that sets a key."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def list_gallery() -> dict[str, Traversable]:
 
 @dataclass(frozen=True)
 class SceneFile:
-    """Text of a scene file with its overrides; it locates keys for error messages."""
+    """Text of a scene file, overrides of its keys, and methods that locate keys."""
 
     label: str
     stem: str
@@ -51,9 +51,10 @@ class SceneFile:
         return tuple(key.split(".")) in self.overrides
 
     def locate_key(self, key: str) -> str:
-        """Return the override or the line that sets a key such as ``disc.layers.0.diameter``.
+        """Return the override or the line that sets a key.
 
-        For an empty key, return the name of the scene or file.
+        An example of a key is ``disc.layers.0.diameter``. For an empty key, return the name of the
+        scene or file.
         """
         if not key:
             return self.label
@@ -68,7 +69,7 @@ class SceneFile:
 
 
 def open_scene(name_or_path: str | Path) -> SceneFile:
-    """Open a built-in scene, the scene of a part number, or a TOML file.
+    """Open a built-in scene, the scene of a catalogue part number, or a TOML file.
 
     Raises
     ------
@@ -117,7 +118,8 @@ def _make_missing_file_error(name: str, path: Path, scenes: Collection[str]) -> 
             f"a TOML file, or a built-in scene: {list_candidates(name, scenes, 'kc2spice scenes')}"
         )
         near = did_you_mean(name, scenes) or did_you_mean(name, read_catalogue())
-        with contextlib.suppress(OSError, ValueError):  # the name is too long or otherwise invalid
+        # the operating system rejects the name, such as a very long name
+        with contextlib.suppress(OSError, ValueError):
             if Path(f"{path.stem}.toml").is_file():
                 near = f"did you mean '{path.stem}.toml'?"
         hint = near or f"{listing}, kc2spice parts the part numbers"
@@ -134,7 +136,7 @@ def _make_missing_file_error(name: str, path: Path, scenes: Collection[str]) -> 
 def _add_entry_numbers(
     table: tuple[str, ...], counts: Mapping[tuple[str, ...], int]
 ) -> tuple[str, ...]:
-    """Return the path of a table, with an entry number after each list of tables."""
+    """Return the path of a table, with the entry number in each array of tables."""
     result: list[str] = []
     for end in range(1, len(table) + 1):
         result.append(table[end - 1])
@@ -146,11 +148,11 @@ def _add_entry_numbers(
 def _find_line(text: str, path: tuple[str, ...]) -> int | None:
     """Return the number of the line that sets the key with this ``path``.
 
-    If no line sets the key, return the line of the longest leading part of its path, such as the
-    header of its table.
+    If no line sets the key, return the line that sets the longest leading part of ``path``, such as
+    a table header.
     """
     table: tuple[str, ...] = ()
-    counts: dict[tuple[str, ...], int] = {}  # number of entries of each list of tables
+    counts: dict[tuple[str, ...], int] = {}  # number of the latest entry of each array of tables
     best: tuple[int, int | None] = (0, None)
     for number, line in enumerate(split_lines(text), start=1):
         line = line.strip()

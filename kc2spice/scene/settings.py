@@ -1,7 +1,7 @@
-"""Schemas of those tables of a scene that do not describe parts.
+"""Schemas of all tables of a scene except the tables of parts.
 
 Each class is the schema of a table of the scene file: analysis, probes, reduction, solver, checks
-or gates. The class contains the default and the description of every key.
+or gates. Each class contains the default and the description of every key of its table.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from kc2spice.core.quantities import (
 )
 
 Action = Literal["fail", "warn", "off"]
-# pattern of one character of the strings that are written to the netlist
+# pattern of one printable character in a string that is written to the netlist
 _PRINTABLE_CHARACTER = r"[^\x00-\x1f\x7f-\x9f\u2028\u2029]"
 PartNumber = Annotated[str, Field(min_length=1, max_length=40)]
 FileName = Annotated[str, Field(pattern=rf"^{_PRINTABLE_CHARACTER}+$", max_length=255)]
@@ -39,7 +39,7 @@ FileName = Annotated[str, Field(pattern=rf"^{_PRINTABLE_CHARACTER}+$", max_lengt
 class RomKeys(Section):
     """Keys of a model reduction: a fixed order, or an error tolerance (default).
 
-    The tolerance applies in a frequency band.
+    The error tolerance applies within the frequency band ``band``.
     """
 
     unsupported_key_hints: ClassVar[Mapping[str, str]] = {
@@ -121,7 +121,7 @@ class RomKeys(Section):
 
 
 class SolverKeys(Section):
-    """Keys of the ngspice settings that are written to the deck."""
+    """Keys of ngspice settings, which are written to the deck."""
 
     # Limit 1e-7: with a smaller tolerance, rounding errors prevent convergence in ngspice.
     reltol: Annotated[Ratio, RefinementRule(0.1, finest=1e-7)] = Field(
@@ -178,7 +178,7 @@ class SolverKeys(Section):
 
 
 class CheckActions(Section):
-    """Keys of the actions on violated checks: the run fails (exit 5), warns, or continues."""
+    """Actions on violated checks: fail the run (exit code 5), warn, or continue."""
 
     energy: Action = Field("fail", description="Action if the energy balance of a part is violated")
     touches: Action = Field(
@@ -443,7 +443,7 @@ class Analysis(Section):
     @field_validator("stop", mode="before")
     @classmethod
     def _read_stop(cls, stop: Any, info: ValidationInfo) -> Any:
-        """Convert ``stop`` to a time in a transient, or to a frequency in ``ac`` and ``noise``."""
+        """Convert ``stop`` to the time or frequency at which the analysis ends."""
         unit = ANALYSIS_UNITS.get(info.data.get("type", ""))
         if stop is None or unit is None:
             return stop
@@ -472,9 +472,9 @@ class ProbeKeys(Section):
     ``value`` is the value of the result at the frequency, time or swept value ``at``. ``frequency``
     is the mean frequency of the cycles in the last half of the run. ``spl`` is the sound pressure
     level in dB re 20 uPa in gases and 1 uPa in liquids. In an ac analysis, ``spl`` is the level at
-    the frequency ``at`` or the largest level; in a transient, ``spl`` is the level of the rms
-    pressure. A probe reads the magnitudes of complex values. With a window (``from`` and ``to``, or
-    the last ``periods``), a probe reads only the points in the window, such as a steady state.
+    the frequency ``at``, or without ``at`` the largest level. In a transient, ``spl`` is the level
+    of the rms pressure. A probe reads the magnitudes of complex values. The keys ``from`` and
+    ``to``, or ``periods``, restrict a probe to a window, such as the steady state.
     """
 
     of: str = Field(
@@ -537,7 +537,7 @@ class ProbeKeys(Section):
 
     @property
     def read_positions(self) -> dict[str, float]:
-        """Times, frequencies or swept values that the probe reads, keyed by the names of keys."""
+        """Values of the keys ``at``, ``from`` and ``to`` that the probe states, by key."""
         places = {"at": self.at, "from": self.from_, "to": self.to}
         return {key: place for key, place in places.items() if place is not None}
 
@@ -582,7 +582,7 @@ class ProbeKeys(Section):
 
 
 class SceneKeys(Section):
-    """Keys of a scene outside of its parts."""
+    """Keys of a scene that do not belong to its parts."""
 
     name: str = Field(
         pattern=r"^[A-Za-z][A-Za-z0-9_]{0,63}$",

@@ -1,4 +1,4 @@
-"""Checks before an analysis starts: paths of nets to their references, and velocity jumps."""
+"""Checks before an analysis: nets without a reference, and velocity jumps."""
 
 from __future__ import annotations
 
@@ -17,12 +17,13 @@ Pairs = tuple[tuple[str, str], ...]  # pairs of pins of one part
 
 @dataclass(frozen=True)
 class FloatingNets:
-    """Nets without a path to their reference, which can drift together.
+    """Group of nets without a path to the reference, whose values drift together.
 
-    ``nets`` are the floating nets of displacements. A sphere has no such net, because its pins are
-    a velocity and signals. ``parts`` are the parts with a pin on the nets, and ``bodies`` the
-    bodies with inertia among them. ``domain`` is the domain of the pins. In the thermal and the
-    acoustic domain, a potential floats in place of a position.
+    ``nets`` are the floating nets of displacements. A sphere has no floating displacement net,
+    because the pins of a sphere are a velocity and signals. ``parts`` are the parts with a pin on
+    the nets, and ``bodies`` are the bodies among these parts. ``domain`` is the domain of the pins.
+    In the thermal and acoustic domains, a temperature or a pressure floats instead of a
+    displacement.
     """
 
     nets: tuple[str, ...]
@@ -44,7 +45,7 @@ def find_floating_nets(
 
 
 def find_rigid_groups(scene: Scene, without: str = "") -> list[frozenset[str]]:
-    """Return groups of nets whose displacements are rigidly connected by ideal sources.
+    """Return groups of nets whose displacements ideal sources connect rigidly.
 
     The source named ``without`` is ignored. A net that no ideal source connects to another net is a
     separate group.
@@ -57,11 +58,11 @@ def find_rigid_groups(scene: Scene, without: str = "") -> list[frozenset[str]]:
 def find_start_errors(
     scene: Scene, conditions: Mapping[str, EquilibriumConditions]
 ) -> Iterator[UsageError]:
-    """Yield the errors that prevent the start of the analysis.
+    """Yield an error for each condition that prevents the start of the analysis.
 
     An error concerns a net without an operating point, or a source that makes the velocity of a
-    mass jump. The force of such a jump is an impulse, so that the computed motion would depend on
-    the time step.
+    mass jump. A velocity jump requires an infinite force, so that the computed motion would depend
+    on the time step.
 
     A part whose model is not built yet is treated as an elastic clamp.
     """
@@ -126,7 +127,7 @@ def _list_position_errors(
 def _list_loading_parts(
     group: frozenset[str], scene: Scene, conditions: Mapping[str, EquilibriumConditions]
 ) -> list[str]:
-    """Return the parts that apply a constant force or flow to nets of ``group`` at t = 0."""
+    """Return the parts that apply a constant force or flow to ``group`` at t = 0."""
     result = []
     for name, rest in conditions.items():
         if not group.isdisjoint(scene.get_nets(name, rest.loaded_pins)):
@@ -140,11 +141,11 @@ def _list_storage_errors(
     scene: Scene,
     conditions: Mapping[str, EquilibriumConditions],
 ) -> Iterator[UsageError]:
-    """Yield errors about floating temperature or pressure nets that have no operating point.
+    """Yield errors about thermal or acoustic nets that have no operating point.
 
-    Without a constant flow, such nets have an operating point, because heat or volume is only
-    stored. The losses of a part count as a constant flow, because they depend on the operating
-    point.
+    Except in ``op`` and ``dc`` analyses, a net without a constant flow is allowed, because its
+    stored heat or volume stays constant. Heat flows from the losses of a part count as constant
+    flows, because losses depend on the operating point.
     """
     kind, domain = scene.analysis.type, result.domain
     losses = [name for (name, pin), net in scene.nets.items() if pin == HEAT and net in group]
@@ -170,7 +171,7 @@ def _list_storage_errors(
 def _list_velocity_jump_errors(
     scene: Scene, conditions: Mapping[str, EquilibriumConditions]
 ) -> Iterator[UsageError]:
-    """Yield an error for each initial displacement that makes the velocity of a mass jump."""
+    """Yield an error for each initial displacement that makes a velocity jump."""
     inert: dict[str, str] = {}
     for name, rest in conditions.items():
         inert |= dict.fromkeys(scene.get_nets(name, rest.inertial_pins), name)
@@ -205,7 +206,7 @@ def _map_nets_to_units(scene: Scene) -> dict[str, str]:
 def _group_nets(scene: Scene, pairs_of_parts: Iterable[tuple[str, Pairs]]) -> list[frozenset[str]]:
     """Group the nets that are connected by pairs of pins.
 
-    Pairs of pins whose nets need no path, such as electrical nets, have no effect.
+    Pairs of pins on nets that need no path to a reference, such as electrical nets, are ignored.
     """
     union = DisjointGroups(units := _map_nets_to_units(scene))
     for name, pairs in pairs_of_parts:

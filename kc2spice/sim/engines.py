@@ -1,4 +1,4 @@
-"""Engine that runs a deck in ngspice, either as a separate process or as a library."""
+"""Engine that runs a deck in ngspice, as a separate process or as a library."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ class Engine:
 
     If Python functions set the ``sampled`` sources, ngspice runs as a library. ``refinements`` are
     further small-signal analyses. If ``from_rest`` is true, each refinement is a separate run.
-    Within one run, ngspice would search for the next operating point from the solution of the last
-    analysis, and could find a different operating point. ``timeout`` is the largest wall-clock time
-    [s] of a run.
+    In a single run, ngspice would begin each search for an operating point at the previous
+    solution, and might find another operating point. ``timeout`` is the largest wall-clock time [s]
+    of a run.
     """
 
     directory: Path
@@ -36,10 +36,10 @@ class Engine:
         """Run ``deck`` with the refinements, and return the waveforms in SI units.
 
         :func:`kc2spice.sim.ngspice.run_deck` and :func:`kc2spice.sim.shared.run_in_libngspice` list
-        the errors that are raised.
+        the possible errors.
         """
         if self.sampled:
-            # imported here, because few scenes run in the library
+            # imported here, because few scenes need libngspice
             from kc2spice.sim.shared import run_in_libngspice
 
             functions = [item.record_with_reset_function for item in self.sampled]

@@ -1,7 +1,7 @@
-"""Functions that run ngspice in batch mode, check its output, and repeat failed runs.
+"""Runs of ngspice in batch mode, with checks of the output and with retries.
 
-The exit code of ngspice does not prove that a run succeeded. Therefore, the log and the raw file of
-each run are checked. A failed run is repeated with other settings.
+The exit code of ngspice does not prove that a run succeeded. The log and the raw file of each run
+are therefore also checked. A failed run is repeated with other settings.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ from kc2spice.sim.output import (
 
 VERSION_TIMEOUT = 20.0  # time limit [s] of ``ngspice --version``
 STALL_TIME = 60.0  # time [s] without use of the processor after which a run counts as hanging
-MAX_RAW_BYTES = 8_000_000_000  # largest size of a raw file
-MIN_FREE_BYTES = 1_000_000  # free space on the disk below which a failure counts as "disk full"
+MAX_RAW_BYTES = 8_000_000_000  # largest size [bytes] of a raw file
+MIN_FREE_BYTES = 1_000_000  # free disk space [bytes] below which a failure counts as "disk full"
 POLL_INTERVAL = 0.05  # time [s] between two checks of the raw file
 # Callback whose argument is the completed fraction of a transient.
 ProgressCallback = Callable[[float], None] | None
@@ -97,7 +97,7 @@ def find_ngspice() -> Simulator:
 
 @cache
 def _make_parent_death_prefix() -> tuple[str, ...]:
-    """Return a prefix for commands; a command with this prefix ends when this process ends.
+    """Return a prefix with which a command ends when this process ends.
 
     The prefix is an empty tuple on systems without the program ``setpriv``.
     """
@@ -108,14 +108,14 @@ def _make_parent_death_prefix() -> tuple[str, ...]:
 
 
 def write_files(files: Mapping[str, str], directory: Path) -> None:
-    """Write ``files``, texts keyed by file name, to ``directory``.
+    """Write text files to ``directory``.
 
-    The file names may contain folders.
+    ``files`` contains the texts, keyed by file name; a file name may contain folders.
 
     Raises
     ------
-    UsageError : the path of a file is outside of ``directory``, or its name is not allowed. No file
-        is then written.
+    UsageError : the path of a file is outside of ``directory``, or its name is not allowed; no file
+        was written.
     """
     for filename in files:
         if reason := explain_unsafe_name(filename):
@@ -134,11 +134,11 @@ def write_files(files: Mapping[str, str], directory: Path) -> None:
 def run_deck(
     deck: Deck, directory: Path, progress: ProgressCallback = None, timeout: float | None = None
 ) -> Waveforms:
-    """Write ``deck`` to ``directory``, run it in ngspice, and return the waveforms in SI units.
+    """Run ``deck`` in ngspice in ``directory``, and return the waveforms in SI units.
 
     Parameters
     ----------
-    deck : deck of the run.
+    deck : deck to run.
     directory : folder in which ngspice runs, and which then contains deck, log and raw file.
     progress : callback whose argument is the completed fraction of the transient, 0 to 1.
     timeout : wall-clock time [s] after which the run is ended.
@@ -147,9 +147,10 @@ def run_deck(
     ------
     MissingToolError : ngspice is not installed.
     FailedRunError : ngspice failed, stopped early, or ignored or replaced a card in a deck that is
-        not trusted. The message states cause, node, time and part of the failure, and the directory
-        that contains ``NAME.log``. The error contains the waveforms up to the failure.
-    UsageError : even with the largest step, the run would write more than ``MAX_RAW_BYTES`` bytes.
+        not trusted. The error message states cause, node, time and part of the failure, and the
+        directory that contains ``NAME.log``. The error contains the waveforms up to the failure.
+    UsageError : even with the largest time step, the run would write more than ``MAX_RAW_BYTES``
+        bytes.
     SimulationError : the run exceeds ``timeout``, or the raw file is incomplete or too large. The
         raw file of a failed run is deleted.
     """
@@ -214,7 +215,7 @@ def _reject_large_deck(deck: Deck) -> None:
 def _run_ngspice(
     deck: Deck, main: Path, raw: Path, log: Path, progress: ProgressCallback, timeout: float | None
 ) -> int:
-    """Run ngspice without the user's start-up files, and return the exit code of ngspice.
+    """Run ngspice without the user's start-up files, and return the exit code.
 
     Raises
     ------
@@ -235,7 +236,8 @@ def _run_ngspice(
     spent = None
     with log.open("wb") as sink:
         streams: Any = {"stdin": subprocess.DEVNULL, "stdout": sink, "stderr": subprocess.STDOUT}
-        # Popen is not used as a context manager, whose exit would wait for a running simulator.
+        # Popen is not used as a context manager, because leaving the context would wait for
+        # ngspice.
         process = subprocess.Popen(command, cwd=main.parent, env=environment, **streams)
         try:
             # A thread waits for the end of the process.
@@ -271,7 +273,7 @@ def _run_ngspice(
 
 
 def _read_processor_time(pid: int) -> int | None:
-    """Return the processor time [clock ticks] of a process and its children; None if unknown."""
+    """Return the CPU time [clock ticks] of a process and its children, or None."""
     try:
         fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
         return sum(map(int, fields[11:15]))
@@ -295,11 +297,11 @@ def read_partial_waves(
 
 
 def convert_to_waves(deck: Deck, vectors: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return the results of a deck in SI units, keyed by name, with the scale first.
+    """Return the results of a deck in SI units, keyed by name.
 
-    The results are computed from the ngspice ``vectors``. The scale is called ``time``,
-    ``frequency`` or ``sweep``. The scale of a sweep is also in SI units: a swept displacement is in
-    metres, although its source is in um.
+    The results are computed from the ngspice ``vectors``. The first result is the scale
+    (independent variable), which is called ``time``, ``frequency`` or ``sweep``. The scale of a
+    sweep is also in SI units: a swept displacement is in metres, although its source is in um.
 
     Raises
     ------
@@ -327,7 +329,8 @@ class RetrySetting:
     """Solver settings of an attempt to run a deck.
 
     The settings consist of ngspice ``options``, and of a ``factor`` for tolerances and time steps.
-    ``cures`` are the kinds of failures that these settings may prevent, and ``why`` is the reason.
+    ``cures`` are the kinds of failures that the settings may prevent, and ``why`` is the presumed
+    reason for such failures.
     """
 
     name: str
@@ -337,13 +340,13 @@ class RetrySetting:
     factor: float = 1.0
 
     def combine(self, other: RetrySetting) -> RetrySetting:
-        """Return these settings combined with ``other`` settings; the factors are multiplied."""
+        """Return these settings combined with ``other``; the factors are multiplied."""
         options, factor = {**other.options, **self.options}, self.factor * other.factor
         return replace(self, options=options, factor=factor)
 
     @property
     def changes_text(self) -> str:
-        """Description of the settings that differ from those of the scene."""
+        """Description of the settings that differ from the scene's settings."""
         words = [f"{key}={value}" for key, value in self.options.items()]
         if self.factor != 1.0:
             words.append(f"reltol, chgtol and largest step times {self.factor:g}")
@@ -362,8 +365,8 @@ class RetrySetting:
 
 
 FIRST_SETTING = RetrySetting("the scene's own settings", (), "")
-# These retry settings were measured with the kick scene and contact penalties of 1e11 and 1e12 N/m.
-# With these contact penalties, the scene's own settings fail with "timestep too small".
+# These retry settings were tested with the kick scene and contact penalties of 1e11 and 1e12 N/m.
+# With both contact penalties, the scene's own settings fail with "timestep too small".
 # Runs with larger pivot thresholds succeed, and take 1.2 to 2 times the CPU time per time point.
 # Runs with only Gear integration, tighter tolerances or more iterations fail.
 # With larger pivot thresholds, Gear integration also damps the rounding noise.
@@ -417,7 +420,7 @@ class Attempt:
 
 @dataclass(frozen=True)
 class RunOutcome:
-    """Deck, waveforms and verdict of the successful attempt, and records of all attempts."""
+    """Deck, waveforms and verdict of a successful attempt, and all attempts."""
 
     deck: Deck
     waves: Waveforms
@@ -428,8 +431,8 @@ class RunOutcome:
 class RetriesFailedError(SimulationError):
     """Error that is raised if the last attempt to run the simulator failed.
 
-    ``violated`` are the checks that the last attempt violated. ``suggested`` contains scene keys
-    with values that would prevent these violations, except violations due to large time steps.
+    ``violated`` are the checks that the last attempt violated. ``suggested`` contains values of
+    scene keys that would prevent all violations except those due to large time steps.
     """
 
     attempts: tuple[Attempt, ...]
@@ -471,8 +474,8 @@ def run_with_retries(
 
     Raises
     ------
-    RetriesFailedError : the last attempt failed. The message contains node, time and part of the
-        failure, all settings, and possible remedies.
+    RetriesFailedError : the last attempt failed. The error message contains node, time and part of
+        the failure, all settings, and possible remedies.
     SimulationError, MissingToolError : a failure that no setting can prevent, as in
         :func:`run_deck`.
     """

@@ -1,7 +1,7 @@
 """Readers of ngspice's log and of its binary raw files.
 
-The readers find the failures and difficulties that the log reports, with their node or part, and
-ignore harmless messages. Raw files are checked for completeness.
+The readers find failures and difficulties in the log, each with its node or part, and ignore
+harmless messages. Raw files are checked for completeness.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ _FATAL_MESSAGE = re.compile(
     r"not enough memory|out of memory|no space left|^\s*error\b|\bsyntax error\b",
     re.IGNORECASE,
 )
-# Messages about difficulties in the search for the operating point.
-# In exported decks, ngspice must find the operating point without these difficulties.
+# Messages about difficulties in the search for the operating point, such as "singular matrix".
+# For exported decks, ngspice must find the operating point without such messages.
 _DIFFICULTY_MESSAGE = re.compile(
     r"singular matrix|gmin step|gmin increment|trying gmin|source stepping|supplies reduced|"
     r"transient op|nodeset",
@@ -91,7 +91,7 @@ _ADVICE_BY_CAUSE: Mapping[FailureKind | None, str] = {
 
 @dataclass(frozen=True)
 class Failure:
-    """Failure of a simulator run that its log describes.
+    """Failure of a simulator run, read from the log of the run.
 
     ``cause`` is the log line that reports the failure. ``node``, ``part`` and ``time`` [s] state
     where and when the failure occurred. ``kind`` is the kind of failure, which determines the
@@ -161,9 +161,9 @@ def list_changed_cards(text: str) -> tuple[str, ...]:
 
 
 def read_statistics(text: str) -> dict[str, float]:
-    """Return the numbers of time points and iterations, and the CPU time [s], from the log.
+    """Return numbers of time points and iterations, and CPU time [s], from the log.
 
-    ngspice prints these statistics if the deck contains ``.options acct``.
+    ngspice prints the statistics of a run if the deck contains ``.options acct``.
     """
     result = {}
     for key, pattern in _STATISTICS_PATTERNS.items():
@@ -187,9 +187,8 @@ def find_run_failure(
 ) -> FailedRunError | None:
     """Return the error for a failed run; None if the run succeeded.
 
-    ``text`` is the log, and ``code`` the exit code of the run. The last time point ``last`` [s] of
-    the run is compared with the end time of the deck, because ngspice can stop a transient early
-    without a message.
+    ``text`` is the log, and ``code`` the exit code of the run. The last time point ``last`` [s] is
+    compared with the end time of the deck, because ngspice can stop early without a message.
     """
     report, stop = find_failure(text), deck.stop
     reported = report.cause is not None or code != 0
@@ -216,10 +215,11 @@ def find_run_failure(
 
 
 def find_alteration_error(deck: Deck, where: str, text: str) -> FailedRunError | None:
-    """Return the error for a run in which ngspice has changed or ignored cards of ``deck``.
+    """Return the error for a run in which ngspice changed or ignored cards.
 
     ``text`` is the log. Return None if the deck is trusted, or if ngspice ignored only model
-    parameters that LTspice merely displays. The function then prints a warning for each message.
+    parameters that LTspice merely displays. If the function returns None, a warning is printed for
+    each message.
     """
     altered = list_changed_cards(text)
     fatal = [] if deck.trusted else [row for row in altered if not _DISPLAYED_PARAMETER.search(row)]
@@ -243,7 +243,7 @@ def find_alteration_error(deck: Deck, where: str, text: str) -> FailedRunError |
 SAME_POINT_TOLERANCE = 1e-11
 _BINARY_MARK = b"Binary:\n"
 _PLOT_MARK = b"Title:"
-_MAX_HEADER_BYTES = 1 << 20  # largest size of a plot's header in a raw file
+_MAX_HEADER_BYTES = 1 << 20  # largest size [bytes] of a plot's header in a raw file
 
 
 class _Plot(NamedTuple):
@@ -263,26 +263,26 @@ class _Plot(NamedTuple):
 
     @property
     def finite_point_mask(self) -> np.ndarray:
-        """Mask of the points that contain only finite numbers, an array of shape (points,).
+        """Mask of the points that contain only finite numbers, of shape (points,).
 
-        The imaginary part of the scale, which is in the first column, is ignored, because ngspice
-        does not initialise the imaginary part of a frequency.
+        The imaginary part of the first column, the scale, is ignored, because ngspice does not
+        initialise it for frequencies.
         """
         return np.isfinite(self.table[:, 0].real) & np.isfinite(self.table[:, 1:]).all(axis=1)
 
     def columns(self, points: int) -> dict[str, np.ndarray]:
-        """Return the first ``points`` points of all vectors, keyed by name; the scale is real."""
+        """Return the first ``points`` points of all vectors by name; the scale is real."""
         rows = self.table[:points]
         columns = map(np.array, (rows[:, 0].real, *rows[:, 1:].T))
         return dict(zip(self.names, columns, strict=True))
 
 
 def read_raw(path: Path) -> dict[str, np.ndarray]:
-    """Return the vectors of a raw file, keyed by name in lower case, with the real scale first.
+    """Return the vectors of a raw file, keyed by name in lower case.
 
-    Several analyses of one kind write plots with the same vectors. These plots are joined: their
-    points are sorted by the scale, and each scale value occurs only once. Plots with other vectors
-    are omitted.
+    The first vector is the scale, such as the time, and is real. Several analyses of one kind write
+    plots with the same vectors. Plots with the same vectors are joined: their points are sorted by
+    the scale, and each scale value occurs only once. Plots with other vectors are omitted.
 
     Raises
     ------
@@ -303,7 +303,7 @@ def read_raw(path: Path) -> dict[str, np.ndarray]:
 
 
 def join_analyses(analyses: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """Return the vectors of several analyses joined to one analysis, sorted by the scale.
+    """Return the joined vectors of several analyses, sorted by the scale.
 
     The scale is the first vector of each analysis. Each scale value occurs only once.
     """
@@ -350,16 +350,16 @@ def read_partial_vectors(path: Path) -> dict[str, np.ndarray] | None:
 
 
 def read_last_scale_value(path: Path) -> float | None:
-    """Return the scale value, such as the time, of the last complete point in a raw file.
+    """Return the scale value of the last complete point in a raw file.
 
-    Return None if the file contains no complete point.
+    The scale is the time, for example. Return None if the file contains no complete point.
     """
     plot = _read_plot(path) if path.is_file() else None
     return float(plot.table[-1, 0].real) if plot and len(plot.table) else None
 
 
 def _read_plot(path: Path, begin: int = 0) -> _Plot | None:
-    """Return the plot that starts at the byte ``begin``; None if its header is incomplete.
+    """Return the plot at the byte ``begin``; None if its header is incomplete.
 
     Raises
     ------

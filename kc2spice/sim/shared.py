@@ -1,4 +1,4 @@
-"""Simulation of decks by libngspice in this process, with sources that Python functions set.
+"""Simulation by libngspice in this process, with sources set by Python functions.
 
 The chapter "Ngspice as shared library" of the ngspice manual describes the interface.
 
@@ -60,7 +60,7 @@ _loaded_library: NgspiceLibrary | None = None
 
 @dataclass
 class _Sampler:
-    """Callbacks that call Python functions at sampling instants and set their sources.
+    """Callbacks that call Python functions at sampling instants, and set the sources.
 
     ``samples`` is the number of completed calls of each function. ``answers`` contains, for each
     source, the instant [s] at which its next value becomes effective, and this value. ``inputs``
@@ -78,7 +78,7 @@ class _Sampler:
     def call_due_functions(self, data: Any, *_: object) -> None:
         """Call the Python functions whose next sampling instant has been reached.
 
-        ngspice calls this method at each accepted time point.
+        ngspice calls :meth:`call_due_functions` at each accepted time point.
         """
         points = [data.contents.vectors[k].contents for k in range(data.contents.count)]
         time = next((point.real for point in points if point.is_scale), 0.0)
@@ -96,7 +96,7 @@ class _Sampler:
     def set_source(self, volts: Any, time: float, name: bytes, *_: object) -> None:
         """Set the voltage of a source.
 
-        A new value becomes effective in the time step that begins at its instant.
+        A new value becomes effective in the time step that begins at the instant of the change.
         """
         key = name.decode().lower()
         if key in self.answers and time > self.answers[key][0] * (1 + 1e-12):
@@ -124,9 +124,8 @@ def run_in_libngspice(
     """Run the transient ``deck`` in libngspice, and return the waveforms in SI units.
 
     The arguments of the ``sampled`` functions are the time and the saved node voltages, keyed by
-    their names in ngspice. Each function sets an ``EXTERNAL`` source. ngspice places a time point
-    at each sampling instant and at each change of a source, even if the deck has no breakpoint at
-    this time.
+    their names in ngspice. Each function sets an ``EXTERNAL`` source. ngspice places time points at
+    sampling instants and at changes of sources, even where the deck has no breakpoint.
 
     Raises
     ------
@@ -171,7 +170,7 @@ def run_in_libngspice(
 
 
 def _flatten_deck(deck: Deck, file: str) -> list[str]:
-    """Return the lines of a deck's file and of the files it includes, without ``.meas`` cards.
+    """Return the lines of a deck and of included files, without ``.meas`` cards.
 
     libngspice would evaluate ``.meas`` cards with parameters before any time point exists.
     """
@@ -190,9 +189,9 @@ def _flatten_deck(deck: Deck, file: str) -> list[str]:
 class NgspiceLibrary:
     """Private copy of libngspice, which simulates one circuit at a time.
 
-    ``log`` contains the lines that ngspice has printed since :meth:`load`. ``dead`` is true after
-    ngspice has requested to be unloaded. ``broken`` is the first exception that a callback has
-    raised. The exception is stored, because an exception cannot propagate through C code.
+    ``log`` contains the lines that ngspice has printed since :meth:`load_deck`. ``dead`` is true
+    after ngspice has requested to be unloaded. ``broken`` is the first exception that a callback
+    has raised. The exception is stored, because an exception cannot propagate through C code.
 
     Raises
     ------
@@ -210,7 +209,8 @@ class NgspiceLibrary:
             _SEND_CHAR(self._on_text),
             _EXIT(self._on_exit),
             _SEND_DATA(self._guard_callback("call_due_functions")),
-            _SEND_INIT(lambda *_: 0),  # without this callback, ngspice does not send time points
+            # without an initialisation callback, ngspice does not send time points
+            _SEND_INIT(lambda *_: 0),
             _SOURCE(self._guard_callback("set_source")),
             _SYNC(self._guard_callback("limit_step")),
         )
@@ -231,7 +231,7 @@ class NgspiceLibrary:
         return self._send_command("run")
 
     def vectors(self) -> dict[str, np.ndarray]:
-        """Return the vectors of the last analysis, keyed by the same names as in batch mode."""
+        """Return the vectors of the last analysis, with their names in batch mode."""
         with tempfile.TemporaryDirectory(prefix="kc2spice-") as folder:
             raw = Path(folder) / "out.raw"
             self._send_command("set filetype=binary")
@@ -280,7 +280,7 @@ class NgspiceLibrary:
 
 
 def _load_private_copy() -> ctypes.CDLL:
-    """Load libngspice from a private copy of its file, so that its global variables are separate.
+    """Load libngspice from a private copy of its file, with separate global variables.
 
     If the path of the file is unknown, the library is loaded without a copy.
     """
@@ -317,7 +317,7 @@ def _load_private_copy() -> ctypes.CDLL:
 
 @contextmanager
 def _hide_start_up_files() -> Iterator[None]:
-    """Hide the user's start-up files: ngspice finds empty files with their names first."""
+    """Hide the user's start-up files behind empty files that ngspice finds first."""
     variables = ("HOME", "SPICE_SCRIPTS", "SPICE_USERINIT_DIR")
     previous = {name: os.environ[name] for name in variables if name in os.environ}
     with tempfile.TemporaryDirectory(prefix="kc2spice-") as folder, chdir(folder):

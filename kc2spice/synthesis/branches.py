@@ -22,7 +22,7 @@ _LEAK_COMMENT = "* Rleak gives a floating pin its operating point; no other dire
 
 
 def write_branch_cards(network: ParallelBranches, model: LinearModel) -> list[Line]:
-    """Return the cards of a network between the two pins of the port of ``model``."""
+    """Return the cards of a network between the two pins of the model's port."""
     plus, minus = model.ports[0].terminals
     result: list[Line] = []
     first = plus

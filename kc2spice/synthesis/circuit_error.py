@@ -1,9 +1,9 @@
-"""Estimate of the circuit error: the difference of the responses of a subcircuit and its model.
+"""Circuit error: difference between the responses of a subcircuit and its model.
 
-The cards of the library are solved by nodal analysis (:mod:`kc2spice.netlist.nodal`). The compared
-frequencies are the lowest frequency of the model's band, a grid over the band, every resonance with
-its flanks, and further frequencies near the largest errors. The error estimate of a library is the
-error estimate of its model plus this circuit error.
+The cards of the library are solved by nodal analysis (:mod:`kc2spice.netlist.nodal`). Responses are
+compared at the lowest frequency of the band, on a grid over the band, at resonances and their
+flanks, and near the largest errors. The error estimate of a library is the error estimate of its
+model plus the circuit error.
 """
 
 from __future__ import annotations
@@ -29,26 +29,27 @@ MICRO = TRANSLATION.across.factor
 # lowest compared frequency of a band that begins at zero, relative to the upper end of the band
 LOWEST_FREQUENCY_RATIO = 1e-6
 GRID_POINTS = 40  # number of points of the linear grid, and of the logarithmic grid
-POINTS_PER_DECADE = 3  # number of points per decade below both grids
-FLANK_HALF_WIDTHS = (0.0, 1.0)  # distances of frequencies from a resonance, in half-widths
+POINTS_PER_DECADE = 3  # number of points per decade at frequencies below both grids
+FLANK_HALF_WIDTHS = (0.0, 1.0)  # distances of compared frequencies from a resonance, in half-widths
 # Number of frequencies with the largest errors near which additional frequencies are compared.
 # Near each frequency with a large error, PEAK_FREQUENCIES frequencies are compared.
 REFINED_PEAKS = 4
 PEAK_FREQUENCIES = 9
-# largest product of the squared number of unknowns and the number of frequencies
+# largest permitted product of the squared number of unknowns and the number of frequencies
 MAX_WORK = 4e8
 MIN_FREQUENCIES = 24  # smallest number of compared frequencies, for the largest circuits
-# Errors below this share of the tolerance are negligible, because error estimates have two digits.
+# Errors below NEGLIGIBLE_SHARE times the tolerance are negligible: error estimates have two digits.
 NEGLIGIBLE_SHARE = 0.01
 # Number of times that the matrices are randomly rounded, to find the largest effect of rounding.
-# Circuit errors up to PERTURBATION_SPREAD times this effect count as rounding errors of the model.
+# Circuit errors up to PERTURBATION_SPREAD times the largest effect of rounding count as rounding
+# errors of the model.
 PERTURBATION_COUNT = 4
 PERTURBATION_SPREAD = 10.0
 
 
 @dataclass(frozen=True)
 class CircuitDeviation:
-    """Largest relative error of a circuit, and the ``frequency`` [Hz] at which it occurs."""
+    """Largest relative error of a circuit, and the ``frequency`` [Hz] of this error."""
 
     error: float
     frequency: float = 0.0
@@ -62,10 +63,10 @@ def estimate_circuit_error(
     norm: Norm = "pointwise",
     values: Mapping[str, float] | None = None,
 ) -> CircuitDeviation:
-    """Estimate the largest relative difference between the responses of a subcircuit and its model.
+    """Estimate the largest relative difference of subcircuit and model responses.
 
     The ``norm`` defines the divisor of the difference, as described in
-    :class:`kc2spice.rom.linear_model.Certificate`. The ports have the loads of
+    :class:`kc2spice.rom.linear_model.Certificate`. The ports have the unit loads of
     :func:`kc2spice.synthesis.realize.make_unit_load_cards`. The compared response of an
     acceleration port is the force into its pin.
 
@@ -156,7 +157,7 @@ def accelerates_frame(port: Port) -> bool:
 
 
 def _make_unit_load(port: Port) -> dict[str, float]:
-    """Return the SI unit load at a port, as a value keyed by its node or its clamp current."""
+    """Return the load of one SI unit at a port, keyed by its node or clamping source."""
     node = port.terminals[0].lower()
     unit = (
         port.domain.get_quantity(port.domain.input_side).pin_value_per_si_unit
@@ -167,7 +168,7 @@ def _make_unit_load(port: Port) -> dict[str, float]:
 
 
 def _get_response_vector(port: Port) -> str:
-    """Return the node or the clamp current that is the response of a port."""
+    """Return the response of a port: its node, or the current of its clamping source."""
     node = port.terminals[0].lower()
     return f"i(held_{node})" if port.conservative and not port.is_flow_driven else node
 
@@ -180,8 +181,8 @@ def _find_accelerated_mass(model: LinearModel, port: Port) -> float:
 def compute_reaction_mass(model: LinearModel, port: Port) -> float:
     """Return the mass [kg] that an acceleration pin moves.
 
-    The mass is the value ``mass_kg`` of the model. If the model does not state this value, the mass
-    is computed from the matrices: at high frequencies, ``y'' = C A B a`` with the acceleration a.
+    The mass is the value ``mass_kg`` of the model. If the model does not state ``mass_kg``, the
+    mass is C A B, because at high frequencies ``y'' = C A B a`` with the acceleration a.
     """
     known = model.facts.get("mass_kg")
     if known is not None:
@@ -192,10 +193,10 @@ def compute_reaction_mass(model: LinearModel, port: Port) -> float:
 
 @dataclass
 class _RelativeErrorFunction:
-    """Function that returns the relative error of a circuit at each of several frequencies [Hz].
+    """Relative error of a circuit as a function of the frequency [Hz].
 
-    The first call determines the peaks of the response, to which the errors of all calls are
-    relative.
+    The first call determines the peaks of the response, which are references for the errors of all
+    calls.
     """
 
     circuit_response: CircuitResponse
@@ -238,10 +239,11 @@ def _select_frequencies(exact: Response, band: tuple[float, float], unknowns: in
 
 
 def require_circuit_tolerance(part: Subcircuit, model: LinearModel, tolerance: float) -> None:
-    """Raise an error if the error estimate of a part with its circuit exceeds the tolerance.
+    """Raise an error if a part with its circuit exceeds the error tolerance.
 
-    Rounding of the model's matrices may change the response by as much as the circuit error. A
-    better circuit is then impossible, and the function only prints a warning.
+    The function only prints a warning if rounding of the model's matrices changes the response as
+    much as the circuit error does. In that case, rounding errors of the matrices limit the accuracy
+    of every circuit.
 
     Raises
     ------
@@ -272,10 +274,10 @@ def require_circuit_tolerance(part: Subcircuit, model: LinearModel, tolerance: f
 
 
 def estimate_rounding_effect(model: LinearModel, frequency: float) -> float:
-    """Return the largest relative change of a model's response due to rounding of its matrices.
+    """Return the largest relative change of a response due to rounded matrices.
 
-    The largest change of all response entries in :data:`PERTURBATION_COUNT` random roundings is
-    returned.
+    The function compares all response entries of :data:`PERTURBATION_COUNT` models with randomly
+    rounded matrices.
     """
     random = np.random.default_rng(0)
     unit = np.finfo(float).eps

@@ -42,7 +42,7 @@ OUTWARDS_TEXT = (
 
 
 def wrap_comment(text: str) -> list[str]:
-    """Return a text as netlist comment lines; all lines after the first line are indented."""
+    """Return a text as netlist comment lines, indented after the first line."""
     words: dict[str, Any] = {"break_long_words": False, "break_on_hyphens": False}
     lines = textwrap.wrap(format_comment(text), 96, subsequent_indent="  ", **words)
     return list(map("* {}".format, lines))
@@ -51,8 +51,8 @@ def wrap_comment(text: str) -> list[str]:
 def write_rom_comments(reduction: ReductionSummary, certificate: Certificate) -> tuple[str, ...]:
     """Return comment lines that state the error estimate of a reduced model.
 
-    The lines also state the circuit error and the errors of the compliance above the band. If
-    stability or passivity is not proven, the lines state this too.
+    The lines also state the circuit error and the errors of the compliance above the band. The
+    lines also state whether stability or passivity is not proven.
     """
     errors = [f"{error:.2g} at {f:g} Hz" for f, error in certificate.above]
     compliance = f"; error of the compliance there: {', '.join(errors)}" if errors else ""
@@ -66,7 +66,7 @@ def write_rom_comments(reduction: ReductionSummary, certificate: Certificate) ->
 
 
 def write_mesh_error_text(facts: Mapping[str, float]) -> str:
-    """Return the text of the mesh error estimate, or the note that it is not estimated."""
+    """Return the text of the mesh error estimate, or a note that there is none."""
     text = describe_mesh_errors(facts)
     return f"error estimate of the full model: {text}" if text else NOT_ESTIMATED
 
@@ -87,11 +87,10 @@ def write_part_header(
     """Return the header of a part: all comment lines above its ``.subckt`` card.
 
     The header consists of the title, an instance card to copy, the origin, and comments about a
-    reduced model (``rom``) and the mesh. After the comment about the mesh, it states sign
-    convention, validity and rating, and has one line for each pin and each parameter. ``title`` is
-    ``NAME: DESCRIPTION``.
-    ``mesh`` is the text of the mesh error estimate. ``sign`` is the sign convention of mechanical
-    pins. ``heat`` describes the heat pins.
+    reduced model (``rom``) and the mesh. The lines after the comment about the mesh state sign
+    convention, validity and rating, and describe each pin and each parameter. ``title`` is
+    ``NAME: DESCRIPTION``. ``mesh`` is the text of the mesh error estimate. ``sign`` is the sign
+    convention of mechanical pins. ``heat`` describes the heat pins.
     """
     sign = sign if TRANSLATION.flow_unit in map(attrgetter("flow"), pins) else FLOW_TEXT
     ends = map(attrgetter("name"), pins)
@@ -118,7 +117,7 @@ def list_netlist_pins(port: Port) -> tuple[Pin, ...]:
 
 
 def format_parameter_defaults(params: Iterable[Param]) -> dict[str, str]:
-    """Return the default values of parameters in the syntax of netlists, keyed by name."""
+    """Return the default values of parameters in netlist syntax, keyed by name."""
     return {require_name(p.name): format_number(p.default) for p in params}
 
 
@@ -138,8 +137,8 @@ def render_library(
     """Return the subcircuit of a part whose cards are in ``templates/TEMPLATE.j2``.
 
     :func:`write_part_header` makes the header of the subcircuit. The template can use the
-    ``values`` and the text ``card``. This text contains the words of the ``.subckt`` card: the
-    name, the pins, and the parameters with default values.
+    ``values`` and the text ``card``. ``card`` contains the words of the ``.subckt`` card: the name,
+    the pins, and the parameters with default values.
     """
     pins = tuple(Pin(item.name, item.unit, item.flow) for item in terminals)
     settings = map("=".join, format_parameter_defaults(params).items())

@@ -9,9 +9,9 @@ with the heat flows ``q`` [W] into the ports and the temperature rises ``T`` [K]
 the pin ``ambient``. Every mode j is a thermal resistance R_j in parallel with a heat capacity C_j.
 The modes are scaled so that the largest ``|a_kj|`` of each mode is one. For a model with one port,
 the modes are connected in series (Foster's form). For several ports, the factors a_kj multiply heat
-flows and temperatures as ideal transformers do. The circuit is therefore passive for all positive
-R_j and C_j. A model with the matrices of :class:`kc2spice.rom.heat_network.HeatLadder` becomes a
-ladder (Cauer's form). (E. Kuh and R. Rohrer, Theory of Linear Active Networks, 1967, chapter 6.)
+flows and temperatures as ideal transformers do. The circuit is passive for all positive R_j and
+C_j. A model with the matrices of :class:`kc2spice.rom.heat_network.HeatLadder` becomes a ladder
+(Cauer's form). (E. Kuh and R. Rohrer, Theory of Linear Active Networks, 1967, chapter 6.)
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from kc2spice.rom.heat_network import HeatLadder, find_heat_ladder
 from kc2spice.rom.linear_model import LinearModel, Port
 
 # Largest eigenvalue of K that counts as zero, relative to the largest of all eigenvalues.
-# No path conducts the heat of a mode with a zero eigenvalue away.
+# A mode with a zero eigenvalue has no path that conducts its heat away.
 ZERO_EIGENVALUE = 1e-13
 # Largest time constant that counts as zero, relative to the largest time constant of all modes.
 # A mode with a zero time constant has no heat capacity.
@@ -61,9 +61,9 @@ class HeatModes:
     """Modes of a heat model.
 
     ``resistance`` and ``capacity`` contain the thermal resistance [K/W] and the heat capacity [J/K]
-    of each mode. ``share``, an array of shape (modes, ports), contains the contribution of each
-    mode to the temperature of each port, relative to the temperature of the mode. ``direct`` is the
-    matrix D of the model [K/W]: the thermal resistances without heat capacity between the ports.
+    of each mode. ``share[j, k]`` is the contribution of mode j to the temperature of port k,
+    relative to the temperature of the mode. ``direct`` is the matrix D of the model [K/W]: the
+    thermal resistances without heat capacity between the ports.
     """
 
     resistance: np.ndarray
@@ -77,9 +77,9 @@ def estimate_leak_share(model: LinearModel) -> float:
     """Return the relative temperature error that the leak of an insulated body causes.
 
     In the netlist of a body without a heat path, each heat capacity C has the leakage conductance
-    ``C LEAK_RATE``. If one port has a prescribed temperature, and the thermal resistance from it to
-    another port is R, the share ``R C LEAK_RATE`` of the heat flow passes through the leak. The
-    function returns the largest share of all pairs of ports.
+    ``C LEAK_RATE``. Between two ports with the thermal resistance R, of which one has a prescribed
+    temperature, the share ``R C LEAK_RATE`` of the heat flow passes through the leak. The function
+    returns the largest share of all pairs of ports.
     """
     K, E = model.pencil.make_dense().coefficients
     values, vectors = np.linalg.eigh(0.5 * (K + K.T))
@@ -99,10 +99,11 @@ def is_heat_model(model: LinearModel) -> bool:
 
 
 def compute_heat_modes(model: LinearModel) -> HeatModes:
-    """Return the modes of a heat model that at least one port excites, slowest mode first.
+    """Return the modes of a heat model that a port excites, slowest mode first.
 
     The mode shapes x satisfy ``E x = t K x`` with the time constants t. If K is singular, no path
-    conducts the heat of some modes away. Such modes have the resistance of a leak.
+    conducts the heat of some modes away. A mode without a heat path has the thermal resistance of a
+    leak instead.
 
     Raises
     ------
@@ -148,7 +149,8 @@ def decouple_heat(model: LinearModel) -> tuple[np.ndarray, np.ndarray]:
     if capacity.size and capacity[0] <= ZERO_EIGENVALUE * np.abs(E).max():
         raise _make_not_passive_error(model, "a matrix E and a matrix K that are both singular")
     shapes = conducted
-    for _ in range(2):  # twice, so that the shapes are orthonormal even if K is almost singular
+    # the loop runs twice, so that the shapes are orthonormal even if K is almost singular
+    for _ in range(2):
         times, turned = scipy.linalg.eigh(shapes.T @ E @ shapes, shapes.T @ K @ shapes)
         shapes = shapes @ turned
     times = np.where(times > ZERO_TIME * times.max(initial=0.0), times, 0.0)
@@ -161,10 +163,10 @@ def decouple_heat(model: LinearModel) -> tuple[np.ndarray, np.ndarray]:
 
 
 def diagonalise_heat_model(model: LinearModel) -> LinearModel:
-    """Return a heat model in modal coordinates, which its netlist also uses.
+    """Return a heat model in the modal coordinates of its netlist.
 
-    The matrices E and K are then diagonal. Modes whose rates differ by many orders of magnitude
-    therefore cause no rounding errors in each other.
+    The matrices E and K of the returned model are diagonal. With diagonal matrices, modes whose
+    rates differ by many orders of magnitude cause no rounding errors in each other.
     """
     modes = compute_heat_modes(model)
     return replace(
@@ -183,10 +185,11 @@ def diagonalise_heat_model(model: LinearModel) -> LinearModel:
 
 
 def _separate_stored_heat(E: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return a basis of the temperatures without a heat path, and a basis of all others.
+    """Return two bases of the temperatures: one without and one with a heat path.
 
-    The first basis spans the null space of K. The second basis spans the complement that is
-    E-orthogonal to this null space. The modes in both subspaces are therefore independent.
+    The first basis spans the null space of K. The second basis spans the E-orthogonal complement of
+    the null space of K. The modes in one subspace are therefore independent of the modes in the
+    other subspace.
     """
     scale = np.sqrt(np.maximum(np.diag(K), 0.0))
     scale = 1 / np.where(scale > 0, scale, 1.0)
@@ -203,7 +206,7 @@ def _separate_stored_heat(E: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.
 
 
 def _make_not_passive_error(model: LinearModel, got: str) -> UsageError:
-    """Make the error for a heat model whose matrices are not those of a passive network."""
+    """Make the error about a heat model that is not a passive network."""
     return UsageError(
         "this model is not a passive heat model",
         where=model.name,
@@ -217,8 +220,8 @@ def _make_not_passive_error(model: LinearModel, got: str) -> UsageError:
 def write_heat_model(model: LinearModel, base: str) -> tuple[list[str], list[Line]]:
     """Return comments and the cards of a heat model between its ports and ``base``.
 
-    The network is a ladder if the model has the matrices of a ladder. Otherwise, the network
-    consists of modes.
+    If the model has the matrices of a ladder (Cauer's form), the network is this ladder; otherwise,
+    the network consists of modes.
     """
     about = _NETWORK_COMMENT.format(base=base).split("\n")
     ladder = find_heat_ladder(model)
@@ -287,7 +290,7 @@ def _coupled_cards(modes: HeatModes, base: str) -> Iterator[Line]:
 
 
 def write_heat_port_cards(modes: HeatModes, base: str) -> Iterator[Line]:
-    """Yield the cards of all ports, which sum the temperatures of the modes."""
+    """Yield the cards that sum the temperatures of the modes at each port."""
     names = [port.terminals[0] for port in modes.ports]
     for k, pin in enumerate(names):
         yield f"\n* Port {pin}: its temperature rise u is the sum of the modes (1 V = 1 K)."

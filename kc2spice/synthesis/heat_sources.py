@@ -1,4 +1,4 @@
-"""Netlist cards of the heat flows from the losses of a resonator model.
+"""Netlist sources of the heat flows that the losses of a resonator model cause.
 
 A mode with the equation ``m z'' + d z' + w^2 z = sum_k g_k u_k`` dissipates the power ``d z'^2``
 [W]. In the netlist, the rate ``z'`` of a mode with inertia is a voltage. A mode without inertia is
@@ -23,7 +23,7 @@ _HEAT_COMMENT = (
     "",
     f"* Losses of the modes as heat flows, whose sum leaves by {HEAT}: 1 A is 1 W",
 )
-_SMALLEST_DAMPING = "1p"  # smallest value of the parameter ``damping`` as a divisor
+_SMALLEST_DAMPING = "1p"  # smallest divisor in place of the parameter ``damping``
 
 
 def write_heat_meter() -> Iterator[Line]:

@@ -41,18 +41,19 @@ if TYPE_CHECKING:
 
 
 # Capacitance [F] for each state of a fast mode.
-# This capacitance converts the simulator's charge tolerance chgtol to a displacement tolerance.
+# The capacitance converts the simulator's charge tolerance chgtol to a displacement tolerance.
 STATE_CAPACITANCE = 1e-6
 STATE_CONDUCTANCE = 1.0  # conductance [S] for the state of a massless mode
 EQUAL_GAIN_TOLERANCE = 1e-6  # largest relative difference of gains that count as equal
 # Value of 1 / Q of a mode below which the states are q and q + q'/w instead of q and q'/w.
-# With q and q'/w, ngspice (pivrel 1e-3) would choose no diagonal pivots at an operating point.
+# With the states q and q'/w, ngspice (pivrel 1e-3) chooses no diagonal pivots at an operating
+# point.
 # Without diagonal pivots, the factorised matrix of 178 modes would have 80 times as many fill-ins.
 # Without diagonal pivots, the solution for 178 modes would take 100 times as long.
 # The test tests/spice/test_realize.py counts the fill-ins.
 LIGHT_DAMPING = 1e-3
-# Largest contribution of a mode to the response of a port that counts as zero.
-# The contribution is relative to the largest contribution of all modes.
+# Contributions of a mode to the response of a port are negligible below NEGLIGIBLE_GAIN.
+# NEGLIGIBLE_GAIN is relative to the largest contribution of all modes.
 NEGLIGIBLE_GAIN = 1e-9
 
 
@@ -60,11 +61,11 @@ NEGLIGIBLE_GAIN = 1e-9
 class StepWeights:
     """Weights of the modes of a body in the simulator's time step control.
 
-    Time step control limits the charge error of each capacitor, which represents an error of the
-    motion. Modes at or above ``full`` times the lowest mode frequency have capacitors of 1 uF. For
-    slower modes, the capacitance is proportional to the frequency raised to ``power``. A capacitor
-    represents the fraction ``share`` of the clamped capacitance. The voltage of this capacitor
-    includes the charge of the modes.
+    The charge error of each capacitor represents an error of the motion, and time step control
+    limits this charge error. Modes at or above ``full`` times the lowest mode frequency have
+    capacitors of 1 uF. For slower modes, the capacitance is proportional to the frequency raised to
+    ``power``. A capacitor represents the fraction ``share`` of the clamped capacitance. The voltage
+    of the capacitor for the clamped capacitance includes the charge of the modes.
     """
 
     full: float
@@ -72,7 +73,7 @@ class StepWeights:
     share: float
 
     def capacitances(self, omega: np.ndarray, slowest: float) -> np.ndarray:
-        """Return the capacitances [F] of modes at the frequencies ``omega`` [rad/s].
+        """Return the capacitances [F] of modes with angular frequencies ``omega`` [rad/s].
 
         ``slowest`` is the lowest mode frequency [rad/s] of the body.
         """
@@ -123,9 +124,9 @@ def write_resonators(
 
     The default ``weights`` give ``C = 1 uF min(1, (w / 3 w_1)^2)``. Time step control limits the
     charge error, which is ``C`` times the displacement error. The capacitances of slow modes are
-    small, because slow modes have little influence on a contact, but ring long after the contact.
-    If 1 / Q is below :data:`LIGHT_DAMPING`, ``p_j = q_j + q_j' / w_j``, see :func:`_write_mode`. A
-    mode without inertia has only the state q with ``C q' = -G q + (G s / w^2) sum_k g_k u_k`` and
+    small, because slow modes hardly affect a contact, but ring long after it. If 1 / Q is below
+    :data:`LIGHT_DAMPING`, ``p_j = q_j + q_j' / w_j``, see :func:`_write_mode`. A mode without
+    inertia has only the state q with ``C q' = -G q + (G s / w^2) sum_k g_k u_k`` and
     ``C = G d / w^2``.
     """
     order = order_observable_modes(model)
@@ -184,7 +185,7 @@ def write_resonators(
 
 
 def write_losses(model: Resonators, terminals: Sequence[PortTerminal], base: str) -> Iterator[Line]:
-    """Yield the ammeter at the heat pin, and the heat sources of all modes with losses.
+    """Yield the ammeter at the heat pin, and the heat sources of lossy modes.
 
     :func:`write_resonators` defines the symbols. A mode with inertia has the velocity ``z' = w p /
     s`` and dissipates the power ``d z'^2``. A mode without inertia dissipates the power ``(w^2 /
@@ -210,7 +211,7 @@ def write_losses(model: Resonators, terminals: Sequence[PortTerminal], base: str
 def _describe_resonators(
     terminals: Sequence[PortTerminal], base: str, weights: StepWeights
 ) -> list[str]:
-    """Return netlist comments that explain the circuit equations and the reference pin."""
+    """Return netlist comments about the circuit equations and the reference pin."""
     words: dict[str, Any] = {
         "full": weights.full,
         "power": weights.power,
@@ -230,8 +231,8 @@ def _describe_resonators(
 def _write_mode(j: int, omega: float, damp: float, farad: float, base: str) -> Iterator[Line]:
     """Yield the cards of the two integrators of one mode.
 
-    If 1 / Q is below :data:`LIGHT_DAMPING`, the second state is ``p = q + q' / w``. The voltage
-    from node p to node q is then the velocity.
+    If 1 / Q is below :data:`LIGHT_DAMPING`, the second state is ``p = q + q' / w``. With this
+    second state, the voltage from node p to node q is the velocity.
     """
     q, p, turn, loss = f"q{j}", f"p{j}", farad * omega, farad * damp
     light = damp < LIGHT_DAMPING * omega
@@ -269,13 +270,14 @@ def describe_branch(
     gains: np.ndarray,
     terminals: Sequence[PortTerminal],
 ) -> str:
-    """Return a mode's equivalent circuit elements at a port as text for a netlist comment.
+    """Return text about a mode's equivalent circuit at a port, for a netlist comment.
 
     The mode has the equation ``z'' + damp z' + omega^2 z = g v``, and contributes ``g z`` to the
     charge or displacement of the port. At an electrical port, the mode is equivalent to L = 1/g^2,
-    R = damp/g^2 and C = g^2/omega^2 in series. At a mechanical port, it is equivalent to the mass m
-    = 1/g^2, the damper c = damp/g^2 and the spring k = omega^2/g^2. The text is empty if every gain
-    of the mode is a rounding error, compared with the largest of the ``gains`` of all modes.
+    R = damp/g^2 and C = g^2/omega^2 in series. At a mechanical port, the mode is equivalent to the
+    mass m = 1/g^2, the damper c = damp/g^2 and the spring k = omega^2/g^2. The text is empty if
+    every gain of the mode is a rounding error, compared with the largest of the ``gains`` of all
+    modes.
     """
     size = np.abs(gain)
     size = np.where(size > NEGLIGIBLE_GAIN * np.abs(gains).max(axis=0), size, 0.0)
@@ -309,7 +311,7 @@ def _write_massless_mode(j: int, omega: float, damp: float, base: str) -> Iterat
 def find_largest_gains(gain: np.ndarray, terminals: Sequence[PortTerminal]) -> np.ndarray:
     """Return the largest gain of each mode at the displacement ports.
 
-    For a mode without gain at these ports, the largest gain at all ports is returned.
+    For a mode without gain at the displacement ports, the largest gain at all ports is returned.
     """
     mechanical = [t.port.domain is TRANSLATION for t in terminals]
     scale = np.abs(gain[:, mechanical]).max(axis=1, initial=0.0)

@@ -1,4 +1,4 @@
-"""Parameter ranges of subcircuits: cards that check the ranges, and sample points in the ranges."""
+"""Parameter ranges of subcircuits: range checks, and sample points in the ranges."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ RANGE_STOPS = """
 
 
 def list_parameters(model: ModelOverRanges) -> list[Param]:
-    """List the netlist parameters of a model, in the order of ``model.parameter_axes``."""
+    """List the netlist parameters in the order of ``model.parameter_axes``."""
     result = []
     for name, axis in model.parameter_axes.items():
         default, unit = model.defaults.get(name, axis.middle_value), model.units.get(name, "-")
@@ -34,7 +34,7 @@ def list_parameters(model: ModelOverRanges) -> list[Param]:
 def sample_range(
     model: ModelOverRanges, parameters: Sequence[Param]
 ) -> Iterator[tuple[LinearModel, dict[str, float]]]:
-    """Yield the linear model at each corner of the parameter range and at random points in it.
+    """Yield the linear model at each corner and at random points of a parameter range.
 
     Each linear model is paired with the values of the netlist parameters at its point.
     """
@@ -56,12 +56,12 @@ def write_parameter_card(name: str, expression: str) -> Parameters:
 
 
 def write_range_checks(parameters: Sequence[Param]) -> Iterator[Line]:
-    """Yield a ``.param`` card for each parameter: 1 within its range, otherwise -1."""
+    """Yield ``.param`` cards that are 1 within the range of a parameter, otherwise -1."""
     yield "* 1 within the range of a parameter, -1 outside of it"
     for k, p in enumerate(parameters, 1):
         room = 1e-9 * (p.high - p.low)
         low, high = format_number(p.low - room), format_number(p.high + room)
-        # Within the range, the product of both differences is not negative.
+        # Within the range, the product of the differences to both ends is not negative.
         # The operators || and && are not used, because simulators spell them differently.
         yield write_parameter_card(
             f"inside{k}", f"(({p.name}-{low})*({high}-{p.name})>=0 ? 1 : -1)"

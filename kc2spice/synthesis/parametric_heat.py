@@ -1,4 +1,4 @@
-"""Subcircuits of heat networks whose elements depend on parameters of the subcircuit.
+"""Subcircuits of heat networks whose elements depend on netlist parameters.
 
 The coordinates are the modes (:mod:`kc2spice.synthesis.heat_netlist`) of the model at the default
 values p_0 of the parameters. With the factors ``f_t(p)`` of :mod:`kc2spice.rom.matrix_terms`, the
@@ -170,8 +170,8 @@ class _ModalNetwork:
     """Modes at the default values of the parameters, and changes of K and E.
 
     ``changes`` are the texts of the differences ``f_t(p) - f_t(p_0)``. ``stiff`` and ``stored`` are
-    the matrices K_t and E_t by which these differences are multiplied. Both arrays have the shape
-    (changes, modes, modes).
+    the matrices K_t and E_t by which the ``changes`` are multiplied. ``stiff`` and ``stored`` have
+    the shape (changes, modes, modes).
     """
 
     modes: HeatModes

@@ -1,7 +1,8 @@
 """Subcircuits of resonators whose elements depend on parameters of the subcircuit.
 
-The element values are ``.param`` expressions. A simulator evaluates these expressions only once,
-when it expands the subcircuit. A run therefore takes no longer than with constant values.
+The element values are ``.param`` expressions. A simulator evaluates ``.param`` expressions only
+once, when it expands the subcircuit. A run with parameters therefore takes no longer than a run
+with constant values.
 """
 
 from __future__ import annotations
@@ -172,7 +173,7 @@ def parametric_subcircuit(
 
 
 def _describe_resonators(ports: Sequence[Port], base: str) -> str:
-    """Return the netlist comment that explains the circuit equations and the reference pin."""
+    """Return the netlist comment about the circuit equations and the reference pin."""
     domains = port_domains(ports)
     if not has_other_reference(domains):
         return _RESONATOR_COMMENT.format(
@@ -214,7 +215,7 @@ def require_parametric_form(ports: Iterable[Port], parameters: Sequence[str], na
 def _write_parameter_cards(
     model: ResonatorsOverRanges, parameters: Sequence[Param]
 ) -> Iterator[Line]:
-    """Yield the ``.param`` cards of coordinates, of their polynomials, and of element values."""
+    """Yield the ``.param`` cards of coordinates, polynomials and element values."""
     axis_parameters = parameters[: len(model.axes)]
     yield from write_range_checks(parameters)
     yield from _write_coordinate_cards(model, axis_parameters)
@@ -237,7 +238,7 @@ def _write_parameter_cards(
 def _write_coordinate_cards(
     model: ResonatorsOverRanges, parameters: Sequence[Param]
 ) -> Iterator[Parameters]:
-    """Yield the cards of the coordinates x1, x2, ... and of their Chebyshev polynomials."""
+    """Yield the cards of the coordinates x1, x2, ... and their Chebyshev polynomials."""
     highest = model.exponents.max(axis=0, initial=0) if len(parameters) else []
     for k, (p, axis, top) in enumerate(zip(parameters, model.axes, highest, strict=True), 1):
         slope = 2 / np.log(axis.high / axis.low)
@@ -251,7 +252,7 @@ def _write_coordinate_cards(
 
 
 def _name_chebyshev_factors(exponents: np.ndarray) -> list[str]:
-    """Return the names of the Chebyshev polynomials; ``exponents`` is the degree on each axis."""
+    """Return the parameter names of Chebyshev polynomials of degrees ``exponents``."""
     result = []
     for k in np.flatnonzero(exponents):
         result.append(f"x{k + 1}" if exponents[k] == 1 else f"t{k + 1}_{exponents[k]}")
@@ -259,7 +260,7 @@ def _name_chebyshev_factors(exponents: np.ndarray) -> list[str]:
 
 
 def _write_polynomial(terms: Sequence[str], coefficients: np.ndarray) -> str:
-    """Return the text of a polynomial: the sum of ``terms`` times nonzero ``coefficients``."""
+    """Return the text of a polynomial: the sum of ``terms`` times ``coefficients``."""
     text = ""
     for value, term in zip(coefficients, terms, strict=True):
         if value:
@@ -315,7 +316,7 @@ def _write_block_parameters(
 def _write_capacitance_cards(
     model: ResonatorsOverRanges, polynomial: Polynomial
 ) -> Iterator[Parameters]:
-    """Yield the ``.param`` cards of the capacitances ``c`` and of their Cholesky factor ``f``."""
+    """Yield the ``.param`` cards of the capacitances c and of their Cholesky factor f."""
     electrodes = range(len(model.electrical_ports))
     for k in electrodes:
         yield write_parameter_card(
@@ -332,14 +333,14 @@ def _write_capacitance_cards(
 def _write_dot_product(row: str, column: str, indices: Iterable[int]) -> str:
     """Return the text of the scalar product of two rows of a Cholesky factor.
 
-    ``row`` and ``column`` are the beginnings of the entries' parameter names. ``indices`` are the
-    numbers of the entries whose products are summed.
+    ``row`` and ``column`` are the prefixes of the parameter names of the entries. ``indices`` are
+    the numbers of the entries whose products are summed.
     """
     return "+".join(f"{row}_{n}*{column}_{n}" for n in indices)
 
 
 def _find_nonzero_entries(model: ResonatorsOverRanges) -> tuple[np.ndarray, np.ndarray]:
-    """Return masks of the nonzero entries of L and of the stiffness ``L L'``; shape (q, q)."""
+    """Return masks, of shape (q, q), of nonzero entries of L and of L L'."""
     lower = model.below.any(axis=0) | np.eye(model.order, dtype=bool)
     return lower, lower @ lower.T
 
@@ -347,9 +348,9 @@ def _find_nonzero_entries(model: ResonatorsOverRanges) -> tuple[np.ndarray, np.n
 class _PortAndModeWriter:
     """Writer of the cards for the ports and modes of a model with parameters.
 
-    ``rom`` is the model at the default values of the parameters. This model determines how the
-    states are scaled, as in :func:`kc2spice.synthesis.realize.subcircuit`. The equation for the
-    rate of state p_i of mode i is::
+    ``rom``, the model at the default values of the parameters, determines how the states are
+    scaled, as in :func:`kc2spice.synthesis.realize.subcircuit`. The equation for the rate of state
+    p_i of mode i is::
 
         C p_i' = -C / w_i sum_j (s_i / s_j) (k_ij q_j + e_ij w_j p_j) + (C s_i / w_i) sum_k g_ik u_k
     """
@@ -380,7 +381,7 @@ class _PortAndModeWriter:
             at += size
 
     def _connect_port(self, k: int, t: PortTerminal) -> PortTerminal:
-        """Return the terminal ``t`` of port k, with the sources that make the port's output."""
+        """Return the terminal ``t`` of port k, with the sources of the port's output."""
         if not t.port.electrical:
             sums = list[Transconductance]()
             for i in range(1, self.model.order + 1):
@@ -430,7 +431,7 @@ class _PortAndModeWriter:
         return f"\n* Mode {at + 1}, at the defaults: {describe_mode(omega[0], damp)}{branch}"
 
     def _write_mode(self, i: int) -> Iterator[Line]:
-        """Yield the elements of mode i, and the sources that add its charge to the electrodes."""
+        """Yield the elements of mode i, and the sources of its charge at the electrodes."""
         base, damped = self.base, self.model.damped
         c, w, s = self.farad[i - 1], self.omega[i - 1], self.scale[i - 1]
         yield Element.from_words(f"Cq{i}", f"q{i}", base, c)
@@ -457,5 +458,5 @@ class _PortAndModeWriter:
 
 
 def _name_capacitance(k: int, n: int) -> str:
-    """Return the name of the parameter for the capacitance between the electrodes k and n."""
+    """Return the parameter name of the capacitance between electrodes k and n."""
     return f"c{max(k, n) + 1}_{min(k, n) + 1}"

@@ -62,7 +62,7 @@ _NOISE_COMMENT = """\
 * provides this noise. No other resistor in this subcircuit has noise."""
 DAMPING_PARAMETER = Param("damping", 1.0, "-", "scale of the damping of all modes")
 # Fraction of an error estimate below which an additional error is negligible.
-# Error estimates have three digits, so such small errors do not change an error estimate.
+# Error estimates have three digits, so that smaller additional errors do not change them.
 NEGLIGIBLE_ERROR = 1e-3
 # largest eigenvalue of the damping matrix that counts as zero, relative to the largest eigenvalue
 NEGLIGIBLE_LOSS = 1e-14
@@ -130,8 +130,9 @@ def subcircuit(
     ------
     UsageError : ``rom`` is not a linear model, a port is unknown, a pin has a name that the
         subcircuit uses internally, the model has no state-space form, or no passive network has
-        the capacitances between the electrodes. With ``noise``, also if the matrices are not
-        symmetric. With ``heat``, also if the damping couples the modes.
+        the capacitances between the electrodes. With ``noise``, an error is also raised if the
+        matrices are not symmetric. With ``heat``, an error is also raised if the damping couples
+        the modes.
 
     Examples
     --------
@@ -245,7 +246,7 @@ def _make_heat_subcircuit(rom: LinearModel, name: str, header: Header, rating: s
 
 
 def list_heat_pins(rom: LinearModel, name: str) -> tuple[tuple[Pin, ...], str]:
-    """Return the pins of a heat model, and the name of the reference pin, which is last.
+    """Return the pins of a heat model, and the name of the last, the reference pin.
 
     Raises
     ------
@@ -261,7 +262,7 @@ def list_heat_pins(rom: LinearModel, name: str) -> tuple[tuple[Pin, ...], str]:
 
 
 def make_heat_header_texts(rating: str) -> dict[str, Any]:
-    """Return title, rating and validity of a heat model, as texts for the library header."""
+    """Return title, rating and validity of a heat model for the library header."""
     return {
         "title": "reduced heat model",
         "rating": RATED_BY_HEAT if rating == UNRATED else rating,
@@ -285,10 +286,10 @@ def make_subcircuit(
 ) -> Subcircuit:
     """Return the subcircuit of a reduced model, with a header.
 
-    ``cards`` contains comments about the circuit, and the cards of its elements. A circuit of
-    passive elements needs no pivot cards, and ``base`` is then empty. ``losses`` are the cards of
-    the heat flows from losses, which follow the cards of the elements. With ``losses``, the
-    subcircuit has heat pins. ``words`` are title, rating and validity for the header.
+    ``cards`` contains comments about the circuit, and the cards of its elements. For a circuit of
+    passive elements, which needs no pivot cards, ``base`` is empty. ``losses`` are the cards of
+    heat flows from losses; they follow the cards of the elements. With ``losses``, the subcircuit
+    has heat pins. ``words`` are title, rating and validity for the header.
 
     The error estimate in the header is the circuit error plus the error estimate of the
     certificate. The circuit is compared with ``rom`` at the default values of the parameters, and
@@ -341,7 +342,7 @@ def _summarise_reduction(
     certificate: Certificate,
     compared: Iterable[tuple[LinearModel, Mapping[str, float]]],
 ) -> ReductionSummary:
-    """Return the order, the band and the error estimate of a reduced model with its circuit.
+    """Return order, band and error estimate of a reduced model with its circuit.
 
     The circuit is compared with each model in ``compared`` at the parameter values of that model.
     """
@@ -361,8 +362,8 @@ def _summarise_reduction(
 def _decouple_states(rom: LinearModel, dense: bool) -> Resonators | BlockModel:
     """Return the model as resonators if possible, otherwise as blocks of states.
 
-    Undamped states without inertia respond at once to an input. In blocks of states, the matrix D
-    contains their response.
+    Undamped states without inertia respond at once to an input. The matrix D of blocks of states
+    contains the response of undamped states without inertia.
     """
     modal = None if dense else _decouple_modes(rom)
     if modal is not None:
@@ -374,11 +375,10 @@ def _decouple_states(rom: LinearModel, dense: bool) -> Resonators | BlockModel:
 
 
 def _decouple_modes(rom: LinearModel) -> Resonators | None:
-    """Return the model as resonators; None if this is not possible.
+    """Return the model as resonators; None if the model has no resonator form.
 
-    A model with coupled modes cannot be written as resonators. The same is true for a model in
-    which a port is a signal, or the output of a port requires the velocity of a state without
-    inertia.
+    Resonators require modes that are not coupled, and ports that are not signals. No port's output
+    may require the velocity of a state without inertia.
     """
     result = compute_resonators(rom)
     if result is None or not is_conservative(rom):
@@ -392,16 +392,16 @@ def _decouple_modes(rom: LinearModel) -> Resonators | None:
 
 
 def is_conservative(rom: LinearModel) -> bool:
-    """Return whether every port of the model is conservative, and so exchanges energy."""
+    """Return whether all ports of the model are conservative: they exchange energy."""
     return all(map(attrgetter("conservative"), rom.ports))
 
 
 def _add_noise_forces(rom: LinearModel) -> LinearModel:
     """Return ``rom`` with additional inputs for the noise forces of its losses.
 
-    The columns b of the input matrix B for these inputs satisfy ``E = sum b b'``, where E is the
-    damping matrix. Each noise force therefore has the spectral density that belongs to a damping
-    coefficient of one.
+    The columns b of the input matrix for the noise forces satisfy ``E = sum b b'``, where E is the
+    damping matrix. Each noise force therefore has the spectral density of the noise of a unit
+    damping coefficient.
 
     Raises
     ------
@@ -429,7 +429,7 @@ def _add_noise_forces(rom: LinearModel) -> LinearModel:
 def make_unit_load_cards(
     model: LinearModel, library: Subcircuit, load: Port, tag: str = ""
 ) -> tuple[list[Element], dict[str, tuple[str, float]]]:
-    """Return the cards of a subcircuit instance with a unit load, and its response vectors.
+    """Return the cards of a subcircuit with a unit load, and its response vectors.
 
     The response vectors are keyed by port. Each response vector consists of the name of an ngspice
     vector and of the factor that converts the vector to SI units. As in

@@ -1,10 +1,10 @@
-"""Estimate of the number of time points and the CPU time of a run in which bodies ring.
+"""Estimate of time points and CPU time of a run in which bodies ring.
 
 The time step control of the simulator resolves every mode that rings. A contact also excites modes
-above the band of the reduction. In a time step ``h``, the error of the trapezoidal rule relative to
-the amplitude is ``(w h)^3 / 12``. While a mode with the angular frequency ``w`` rings, the time
-steps are therefore ``(12 reltol)^(1/3) / w``. Without damping, the ringing lasts until the end of
-the run.
+above the band of the reduction. In a time step ``h``, the error of the trapezoidal rule for a mode
+with the angular frequency ``w`` is ``(w h)^3 / 12``, relative to the amplitude. While the mode
+rings, the time steps are therefore ``(12 reltol)^(1/3) / w`` for the relative tolerance ``reltol``.
+Without damping, the ringing lasts until the end of the run.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ from kc2spice.scene.model import BuiltScene
 # Natural logarithm of the ratio of the initial amplitude to the amplitude at which ringing ends.
 LOG_AMPLITUDE_RATIO = math.log(1e3)
 # Number of time points above which a warning is printed.
-# With 24 states, this number of time points takes half a minute.
+# A body with 24 states needs half a minute of CPU time for MANY_POINTS time points.
 MANY_POINTS = 3e5
 # CPU time [s] of ngspice per time point is POINT_SECONDS plus STATE_SECONDS for each state.
-# Both CPU times were measured on a 2.5 GHz processor with kick_and_catch, 24 and 178 states.
+# Both CPU times were measured on a 2.5 GHz processor with kick_and_catch for 24 and 178 states.
 POINT_SECONDS = 5e-5
 STATE_SECONDS = 1.4e-6
 
 
 @dataclass(frozen=True)
 class RingingEstimate:
-    """Estimate of the effort that the ringing of a body causes in a run.
+    """Estimate of the computing time that the ringing of a body causes in a run.
 
     ``points`` is the number of time points, and ``seconds`` the CPU time [s]. ``frequency`` is the
     frequency [Hz] of the fastest mode that rings until the end of the run.
@@ -56,7 +56,7 @@ class RingingEstimate:
 
 
 def estimate_time_per_point(states: int) -> float:
-    """Return the CPU time [s] of ngspice per time point for a body with ``states`` states."""
+    """Return the CPU time [s] per time point for a body with ``states`` states."""
     return POINT_SECONDS + STATE_SECONDS * states
 
 
@@ -80,8 +80,9 @@ def estimate_ringing(
     -------
     RingingEstimate or None
         Number of time points and CPU time; None if the modes of the model are unknown. The number
-        is ``sum_i w_i (t_i - t_{i-1}) / (12 reltol)^(1/3)``, with the fastest mode first. Here
-        ``t_i`` is the time until which mode i or a faster mode rings, and ``t_0`` is zero.
+        of time points is ``sum_i w_i (t_i - t_{i-1}) / (12 reltol)^(1/3)``, with the fastest mode
+        first. Here ``t_i`` is the time until which mode i or a faster mode rings, and ``t_0`` is
+        zero.
     """
     model = compute_resonators(rom)
     if model is None:
@@ -100,7 +101,7 @@ def estimate_ringing(
 
 
 def warn_of_long_run(build: BuiltScene, deck: Deck) -> None:
-    """Print a warning before a run that needs more than :data:`MANY_POINTS` time points.
+    """Print a warning before a run that needs more than MANY_POINTS time points.
 
     The number of time points depends on the largest time step. If a contact determines the time
     steps, the number of time points depends on the ringing of a body.
@@ -126,7 +127,7 @@ def warn_of_long_run(build: BuiltScene, deck: Deck) -> None:
 
 
 def _warn_of_ringing(build: BuiltScene, deck: Deck) -> None:
-    """Print a warning if the ringing of a body needs more than :data:`MANY_POINTS` time points."""
+    """Print a warning if a body's ringing needs more than MANY_POINTS time points."""
     scene = build.scene
     for name, model in build.models.items():
         if not isinstance(model, LinearModel):

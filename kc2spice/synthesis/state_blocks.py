@@ -1,4 +1,4 @@
-"""Netlist cards for linear models that cannot be written as resonators: blocks of states."""
+"""Netlist cards of blocks of states, for models that have no resonator form."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ from kc2spice.synthesis.terminals import (
 if TYPE_CHECKING:
     from kc2spice.rom.decoupled_blocks import BlockModel
 FREE_LEAK = 1e-12  # leakage conductance [S] at each state of an integrating block
-# Smallest singular value of a block below which the block counts as integrating.
-# The singular value is relative to the upper end of the band [rad/s].
+# A block counts as integrating if its smallest singular value is below INTEGRATOR_RATIO.
+# INTEGRATOR_RATIO is relative to the upper end of the band [rad/s].
 # A constant input makes the states of an integrating block grow without limit.
 INTEGRATOR_RATIO = 1e-11
 _STATES_COMMENT = """\
@@ -140,7 +140,7 @@ def _write_output_cards(t: PortTerminal, index: int, base: str) -> Iterator[Line
 def _balance_block(
     block: np.ndarray, drive: np.ndarray, omega: float
 ) -> tuple[np.ndarray, bool, np.ndarray]:
-    """Scale the states of a block; return the block, whether it integrates, and the scales.
+    """Return a block with scaled states, whether the block integrates, and the scales.
 
     The block of a complex pair of poles becomes ``[[a, w], [-w, a]]``. The scaled states are about
     1 for a constant input of 1. ``drive`` contains the rows of B for the states of the block, and

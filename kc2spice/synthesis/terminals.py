@@ -1,4 +1,4 @@
-"""Terminals of a subcircuit: the pins of its ports, and the cards between pins and states."""
+"""Pins of a subcircuit's ports, and the cards between pins and states."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 # leakage conductance [S] at a signal input, so that an input without a source is zero
 INPUT_LEAK = 1e-18
 LEAK_POINTS = 60  # number of frequencies in the search for the smallest charge per volt
-# An entry of D below this fraction of the largest entry in its row counts as a rounding error.
+# Ratio of an entry of D to the largest entry in its row below which it counts as a rounding error.
 CROSS_ROUNDING = 1e-13
 # Value of the product C B, relative to its terms, below which C B counts as zero.
 # If C B is not zero, the rate of an output jumps when an input jumps.
@@ -114,9 +114,9 @@ class PortTerminal:
     ``column`` is the number of the port's column in the matrix B, and ``row`` the number of its row
     in the matrix C. ``clamped`` is the clamped capacitance [F] of the port. If ``capacitance`` is
     not empty, this expression replaces the value of ``clamped``. The sources in ``sums`` add the
-    states to the output of the port. The sources in ``through`` add the inputs of ports to this
-    output. The names of the port's nodes end with ``tag``. ``leak`` is the leakage conductance [S]
-    between the pins.
+    states to the output of the port. The sources in ``through`` add the inputs of ports to the
+    output of the port. The names of the port's nodes end with ``tag``. ``leak`` is the leakage
+    conductance [S] between the pins.
     """
 
     port: Port
@@ -189,7 +189,7 @@ class PortTerminal:
     def weigh_input(
         self, label: str, row: np.ndarray | Sequence[Value], base: str
     ) -> Transconductance:
-        """Return the source that adds this port's input, multiplied by its weight in ``row``."""
+        """Return the source of the port's input, multiplied by its weight in ``row``."""
         value = row[self.column or 0]
         if self.input_unit != 1.0 and value:
             value = scale_value(self.input_unit, value)
@@ -222,9 +222,10 @@ class StateNodes:
 def write_weighted_sources(
     terminals: Iterable[PortTerminal], row: np.ndarray, base: str, *, mark: str = ""
 ) -> tuple[Transconductance, ...]:
-    """Return sources whose total current is the sum of the port inputs weighted by ``row``.
+    """Return sources whose total current is the weighted sum of the port inputs.
 
-    The label of a source consists of the letters ``mark`` and the number of the input.
+    ``row`` contains the weights. The label of a source consists of the letters ``mark`` and the
+    number of the input.
     """
     result = []
     for t in terminals:
@@ -239,11 +240,11 @@ def mask_charge_ports(rom: LinearModel) -> list[bool]:
 
 
 def make_terminals(rom: LinearModel, D: np.ndarray, where: str) -> list[PortTerminal]:
-    """Return the terminals of a model's ports, with clamped capacitances from the matrix D.
+    """Return the terminals of a model's ports, with capacitances from the matrix D.
 
     Raises
     ------
-    UsageError : a port has a wrong number of pins, or a capacitance is negative.
+    UsageError : a port has a wrong number of pins, or a clamped capacitance is negative.
     """
     several = sum(mask_charge_ports(rom)) > 1
     result, column, row = [], 0, 0
@@ -291,7 +292,7 @@ def _compute_pin_capacitance(domain: Domain | None, stored: Any) -> float:
 
 
 def _find_leak_conductance(rom: LinearModel, port: Port) -> float:
-    """Return the leakage conductance [S] of an electrode without a clamped capacitance.
+    """Return the leakage conductance [S] of an electrode without clamped capacitance.
 
     The conductance is ``LEAK_RATE`` times the smallest charge per volt of the electrode within the
     band.
@@ -344,12 +345,12 @@ def get_flow_node_pattern(pin: Pin) -> str:
 
 
 def require_distinct_pins(pins: Iterable[Pin], inner: Iterable[str], name: str) -> None:
-    """Raise an error if two pins have the same name, or a pin has the name of an internal node."""
+    """Raise an error if a pin has the name of another pin or of an internal node."""
     require_distinct(list(map(attrgetter("name"), pins)), "|".join(inner), where=checked_name(name))
 
 
 def find_reference_pin(ports: Sequence[Port]) -> Pin:
-    """Return the pin that is the reference of all pins that do not belong to pairs.
+    """Return the reference pin of all pins that do not belong to pairs.
 
     In a model with mechanical ports, the reference pin is called ``base``. If a pin of a port is
     already called ``base``, the reference pin is called ``ground``.
@@ -365,7 +366,7 @@ def find_reference_pin(ports: Sequence[Port]) -> Pin:
 
 
 def port_domains(ports: Iterable[Port]) -> list[Domain]:
-    """Return the physical domains of ports without repetitions, in the order of the ports."""
+    """Return the different physical domains of ports, in the order of the ports."""
     return list(filter(None, dict.fromkeys(map(attrgetter("domain"), ports))))
 
 
@@ -375,8 +376,8 @@ class OutputSourceWriter:
 
     At an electrical port without a clamped capacitance, the sources provide the current ``y' = C A
     z + C B u``. At an acceleration port, the sources provide the force ``m a - y''`` with ``y'' =
-    C A^2 z + C A B u``. At such a port, C B must be zero, which is true if all moving parts have
-    inertia.
+    C A^2 z + C A B u``. At an acceleration port, C B must be zero, as in all models whose moving
+    parts have inertia.
     """
 
     terminals: Sequence[PortTerminal]
@@ -408,7 +409,7 @@ class OutputSourceWriter:
         return replace(t, sums=self._weigh_states(row), through=self._weigh_inputs_only(direct))
 
     def _make_acceleration_terminal(self, t: PortTerminal) -> PortTerminal:
-        """Return the terminal of an acceleration port with the sources of the port's force."""
+        """Return the terminal of an acceleration port with the sources of its force."""
         row, states = self.states.C[t.row], self.states
         jump = np.abs(row @ states.B) > NEGLIGIBLE_JUMP * (np.abs(row) @ np.abs(states.B))
         at_once = np.abs(self.D[t.row] - self.rom.D[t.row]) > CROSS_ROUNDING * np.abs(self.D).max()
@@ -433,7 +434,7 @@ class OutputSourceWriter:
     def _connect_unclamped_electrode(self, t: PortTerminal, direct: np.ndarray) -> PortTerminal:
         """Connect an electrode without clamped capacitance to the sources of its current.
 
-        The electrode has no clamped capacitance.
+        ``direct`` contains the direct effect of each port input on the charge of the electrode.
         """
         if direct.any():
             raise UsageError(
@@ -462,8 +463,8 @@ class OutputSourceWriter:
 def write_port_cards(terminals: Sequence[PortTerminal], base: str, share: float) -> Iterator[Line]:
     """Yield the cards of all ports.
 
-    Ports with charge outputs come first, followed by flow-driven ports, and by frames.
-    The input of a flow-driven port is a flow, such as a force.
+    Ports with charge outputs come first, followed by flow-driven ports and acceleration ports. The
+    input of a flow-driven port is a flow, such as a force.
     """
     for role in ("port.has_charge_output", "port.is_flow_driven", "is_frame_acceleration"):
         for t in filter(attrgetter(role), terminals):
@@ -471,7 +472,7 @@ def write_port_cards(terminals: Sequence[PortTerminal], base: str, share: float)
 
 
 def _write_port(t: PortTerminal, base: str, share: float) -> Iterator[Line]:
-    """Yield the cards of the port of terminal ``t``."""
+    """Yield the cards of the port that belongs to the terminal ``t``."""
     pin, tag = t.pins[0], t.tag
     if t.is_frame_acceleration:
         yield _FRAME_COMMENT.format(pin=pin)
@@ -520,11 +521,11 @@ def _clamped_lines(t: PortTerminal, base: str, share: float) -> Iterator[Line]:
 
 
 def _list_pin_comment_values(t: PortTerminal, base: str) -> dict[str, str]:
-    """Return the values that the netlist comment about a port's pin contains, keyed by name."""
+    """Return the values for the netlist comment about a port's pin, keyed by name."""
     return {"pin": t.pins[0], "base": base, "across": t.port.across, "flow": t.port.flow}
 
 
 def has_other_reference(domains: Iterable[Domain]) -> bool:
-    """Return whether pins of these domains have a reference pin other than ``base``."""
+    """Return whether pins of ``domains`` have a reference pin other than ``base``."""
     references = set(map(attrgetter("reference"), domains)) - {""}
     return bool(references) and BASE not in references

@@ -1,23 +1,23 @@
-"""Error and CPU time of a scene for various numerical settings, and a recommendation.
+"""Error and CPU time of a scene for various and for recommended settings.
 
-``bench`` runs the unchanged scene, the scene with one changed numerical setting at a time
-(:mod:`kc2spice.scene.numerical_settings`), and the scene with all settings finer. A search then
-changes one setting at a time. The search finds the fastest settings within the error limit, and the
-fastest settings within the error of the unchanged scene.
+``bench`` runs the scene unchanged, with one numerical setting changed at a time
+(:mod:`kc2spice.scene.numerical_settings`), and with all settings finer. A search changes one
+setting of the fastest combination at a time. The search finds the fastest settings within the error
+limit, and the fastest settings within the error of the unchanged scene.
 
 Errors are relative to a reference run, in which every setting has its finest value. A second,
-coarser run shows how well the reference has converged. If the scene sets a key to its finest value,
-such as a ``reltol`` of 1e-7, there is no finer run. The change of a metric due to a coarser value
-of this key is then part of every error. For the unchanged scene, ``bench`` also computes the same
-error estimate as a run with an ``error_budget``.
+coarser run shows how well the reference run has converged. If the scene sets a key to its finest
+value, such as a ``reltol`` of 1e-7, there is no finer run. For such a key, the change of a metric
+due to a coarser value is added to every error. For the unchanged scene, ``bench`` also computes the
+same error estimate as a run with an ``error_budget``.
 
 Times are medians of the simulator's CPU time. Each round runs all settings, so that a slower
 machine affects all settings equally.
 
-Errors of two keys may cancel by chance. A combination of settings is therefore within the limit
-only if the sum of the errors of its single values is also within the limit. The metric m(own) is
+Errors of two keys may cancel by chance. A combination of settings is within the limit only if its
+error, and the sum of the errors of its single values, are within the limit. The metric m(own) is
 computed with the scene's settings ``own``, and m(own, k = v) with the value v of the key k. If v_k
-is the value of k in the combination, this sum is::
+is the value of k in the combination, the sum of the errors is::
 
     bound = sum_k max_{v at least as fine as v_k} |m(own, k = v) - m(own, k = finest)| / |m(own)|
 """
@@ -63,7 +63,8 @@ MAX_POINTS = 80  # largest number of combinations of settings that the search ru
 MAX_METRIC_CHANGE = 1e-2  # largest relative change of a converged metric at the finest settings
 # CPU time, relative to the unchanged scene, above which settings are timed only once.
 SLOW_TIME_RATIO = 5.0
-# largest ratio of two CPU times that count as equal when the more accurate settings are chosen
+# Largest ratio of two CPU times that count as equal. Of equally fast settings, the more accurate
+# settings are chosen.
 EQUAL_TIME_RATIO = 1.05
 
 Combination = tuple[float, ...]  # refinement steps of each numerical setting
@@ -72,7 +73,7 @@ Errors = dict[str, float]  # error of each metric
 
 @dataclass
 class _TimedRun:
-    """Combination of settings with its run, errors of the metrics, and CPU time [s] of each run."""
+    """Combination of settings with its run, metric errors, and measured CPU times [s]."""
 
     combination: Combination
     settings: dict[str, Any]
@@ -91,7 +92,7 @@ class _TimedRun:
         return statistics.median(self.times)
 
     def dominates(self, other: _TimedRun) -> bool:
-        """Return whether this combination is better in error or time, and worse in neither."""
+        """Return whether a combination is better in error or time, and worse in neither."""
         ours, theirs = (
             (self.largest_error, self.median_time),
             (other.largest_error, other.median_time),
@@ -136,7 +137,7 @@ class _SettingSearch:
         return refine.estimate_by_coarser_runs(self.runs, {}, self.finest, self.names)
 
     def estimate_error(self) -> dict[str, Any] | None:
-        """Return the error estimate of the unchanged scene, including its meshes and tables."""
+        """Return the error estimate of the unchanged scene with its meshes and tables."""
         result = refine.estimate_errors(self.runs, {})
         if result is None:
             return None
@@ -166,8 +167,8 @@ class _SettingSearch:
     def compute_setting_errors(self, setting: NumericalSetting, steps: float) -> Errors:
         """Return the error of each metric due to one value of a setting.
 
-        All other settings are those of the unchanged scene. The errors of a value are at least the
-        errors of every finer value.
+        All other settings have the values of the unchanged scene. The errors of a value are at
+        least the errors of every finer value.
         """
         if (setting.name, steps) not in self.errors_by_setting:
             finer = REFINEMENT_STEPS[bisect_right(REFINEMENT_STEPS, steps) :]
@@ -188,9 +189,10 @@ class _SettingSearch:
         return self.errors_by_setting[setting.name, steps]
 
     def compute_error_bound(self, point: _TimedRun) -> float:
-        """Return the error bound of a combination: the sum of the errors of its single values.
+        """Return the error bound of a combination: the sum of its single errors.
 
-        The sum is computed for each metric; the result is the largest of these sums.
+        A single error is the error due to one value of the combination. The sum is computed for
+        each metric, and the result is the largest sum.
         """
         errors = [
             *map(self.compute_setting_errors, self.varied_settings, point.combination),
@@ -203,7 +205,7 @@ class _SettingSearch:
         return max(point.largest_error, self.compute_error_bound(point))
 
     def find_cheapest(self, limit: float) -> _TimedRun | None:
-        """Return the fastest combination whose error is within ``limit``; None if there is none.
+        """Return the fastest combination whose error is within ``limit``, or None.
 
         Of several equally fast combinations, return the most accurate one.
         """
@@ -240,7 +242,7 @@ class _SettingSearch:
             self._search_neighbours(bound, progress)
 
     def _search_neighbours(self, limit: float, progress: Progress) -> None:
-        """Run coarser neighbours of the fastest combination until no faster combination is found.
+        """Run coarser neighbours of the fastest combination, until none is faster.
 
         If the error of no combination is within ``limit``, run finer neighbours of the most
         accurate combination.
@@ -260,7 +262,7 @@ class _SettingSearch:
                     )
 
     def measure_times(self, repeats: int, progress: Progress) -> None:
-        """Repeat the runs of all combinations except slow ones, to measure their CPU times."""
+        """Repeat the runs of all but the slow combinations, to measure CPU times."""
         longest = SLOW_TIME_RATIO * self.points[_describe_settings({})].median_time
         repeated = [point for point in self.points.values() if point.median_time <= longest]
         for turn in range(1, repeats):
@@ -286,7 +288,7 @@ class _SettingSearch:
 
 
 def _with_steps(combination: Combination, number: int, steps: float) -> Combination:
-    """Return a combination in which one setting has other refinement ``steps``."""
+    """Return a copy of a combination with other refinement ``steps`` of one setting."""
     return (*combination[:number], steps, *combination[number + 1 :])
 
 
@@ -300,11 +302,12 @@ def bench(
     trust: bool = False,
     progress: Progress = ignore_progress,
 ) -> dict[str, Any]:
-    """Measure error and time of ``scene`` and write ``bench.json`` and ``bench.html`` into ``out``.
+    """Measure error and CPU time of a scene for various numerical settings.
 
-    Returns the content of ``bench.json``. The error of a combination is the largest relative error
-    of the metrics ``metric``. By default, the metrics are those of the key ``bench.metric``;
-    without this key, all converging metrics that are single numbers.
+    The files ``bench.json`` and ``bench.html`` are written into ``out``. The result is the content
+    of ``bench.json``. The error of a combination is the largest relative error of the metrics
+    ``metric``. By default, ``metric`` is the value of the key ``bench.metric``, or all converging
+    metrics that are single numbers.
 
     Raises
     ------
@@ -355,10 +358,10 @@ def bench(
 
 
 def _select_metrics(run: Run, names: Sequence[str]) -> tuple[str, ...]:
-    """Return the metrics of ``run`` that are among ``names``, or nested in one of ``names``.
+    """Return the metrics of ``run`` whose name, or whose group, is in ``names``.
 
-    Without ``names``, the result is all metrics that are single numbers; if there are none, all
-    curves.
+    Without ``names``, the result is all metrics that are single numbers, or all curves if no metric
+    is a single number.
 
     Raises
     ------
@@ -380,8 +383,8 @@ def _measure_convergence(
 ) -> Errors:
     """Return the change of each selected metric between the two finest settings.
 
-    The converging metrics become the ``names`` of the search. With ``keep_all``, the names of all
-    metrics become these names.
+    The converging metrics become the ``names`` of the search. With ``keep_all``, metrics that do
+    not converge are also included.
 
     Raises
     ------
@@ -429,7 +432,7 @@ def compute_metric_errors(run: Run, exact: Run, names: Sequence[str]) -> Errors:
 
 
 def _format_set_options(settings: Mapping[str, Any]) -> list[str]:
-    """Return the command-line options that change these settings."""
+    """Return the command-line options that change the ``settings``."""
     options = []
     for key, value in settings.items():
         text = value if isinstance(value, str) else repr(value)
@@ -444,7 +447,7 @@ def _describe_settings(settings: Mapping[str, Any]) -> str:
 
 
 def _format_setting(value: Any) -> str:
-    """Return the value of a setting as text; the value is a number, a range or a string."""
+    """Return the value of a setting, a number, range or string, as text."""
     if isinstance(value, list):
         return "…".join(map("{:g}".format, value))
     return value if isinstance(value, str) else f"{value:g}"

@@ -1,8 +1,8 @@
 """Model of a body in the fit to its measured impedance.
 
-The full model is a finite-element model at values of the keys. All models of one fit have the nodes
-of one mesh, which are displaced if the geometry varies, so that the admittance is a smooth function
-of the keys.
+The full model is a finite-element model at values of the keys. All models of one fit have one mesh,
+whose nodes are displaced if the geometry varies. The admittance is therefore a smooth function of
+the keys.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class BodyFit:
 
     @property
     def noise(self) -> float:
-        """Standard deviation of the real part, and of the imaginary part, of the measured log Y."""
+        """Standard deviation of the real and of the imaginary part of log Y."""
         return max(self.data.noise, MIN_NOISE)
 
     @property
@@ -90,10 +90,10 @@ class BodyFit:
         return float(self.data.f[0]), float(self.data.f[-1])
 
     def make_full_model(self, values: Mapping[str, float], moved: bool = True) -> LinearModel:
-        """Return the full model at ``values`` of the keys, with only its first electrical port.
+        """Return the full model at ``values`` with only its first electrical port.
 
         With ``moved``, the model has the mesh of the scene ``like`` with displaced nodes.
-        Otherwise, the model has a new mesh.
+        Without ``moved``, the model has a new mesh.
 
         Raises
         ------
@@ -155,7 +155,7 @@ class BodyFit:
     def compute_complex_loss_response(
         self, pencil: Pencil, values: Mapping[str, float]
     ) -> np.ndarray:
-        """Return the admittance [S] of a reduced model with the complex constants of IEEE 176.
+        """Return the admittance [S] of a reduced model with IEEE 176 complex constants.
 
         The stiffness depends on the frequency. The stiffness in the scene applies at the frequency
         of the damping, or at the lowest resonance that a voltage excites.
@@ -170,10 +170,10 @@ class BodyFit:
         return np.asarray(2j * np.pi * f * H)
 
     def compute_voltage_modes(self, pencil: Pencil) -> tuple[np.ndarray, np.ndarray, float]:
-        """Return the modes of a reduced model, and the lowest resonance that a voltage excites.
+        """Return the modes of a reduced model, and the lowest voltage-driven resonance.
 
-        The results are the angular frequencies [rad/s] of the n modes, their voltage gains (an
-        array of shape (n, 1)), and the frequency [Hz] of the resonance.
+        For n modes, the results are the angular frequencies [rad/s], the voltage gains (of shape
+        (n, 1)), and the frequency [Hz] of the lowest resonance.
         """
         K, _, M = pencil.make_dense().coefficients
         squares, shapes = scipy.linalg.eigh(K, M)
@@ -188,7 +188,7 @@ class BodyFit:
     ) -> np.ndarray:
         """Return the admittance [S] with viscous damping in proportion to the stiffness.
 
-        At the lowest resonance that a voltage excites, the Q factor is the one in ``values``.
+        At the lowest resonance that a voltage excites, the mode has the Q factor in ``values``.
         """
         at = self.damping.find_ratio_frequency(self.compute_voltage_modes(pencil)[2])
         assert at is not None
@@ -206,13 +206,13 @@ class BodyFit:
 
     @property
     def frequencies(self) -> np.ndarray:
-        """Frequencies [Hz] of model responses: one near zero, then those of the data."""
+        """Frequencies [Hz] of model responses: one near zero, then the data frequencies."""
         return np.r_[STATIC_FREQUENCY_RATIO * self.data.f[0], self.data.f]
 
     def compute_lossy_admittance(
         self, charge: np.ndarray, clamped: float, values: Mapping[str, float]
     ) -> np.ndarray:
-        """Return the admittance [S] with dielectric loss, from the charge without this loss.
+        """Return the admittance [S] with dielectric loss from the loss-free charge.
 
         ``charge`` is the charge per volt [C/V] at :attr:`frequencies`.
         """
@@ -229,7 +229,7 @@ class BodyFit:
     def compute_effects_of_causes(
         self, values: Mapping[str, float], Y: np.ndarray
     ) -> dict[str, np.ndarray]:
-        """Return how much each likely cause of a misfit changes the logarithm of the admittance.
+        """Return the effect of each likely misfit cause on the log of the admittance.
 
         ``Y`` [S] is the fitted admittance. The changes are keyed by the description of the cause.
         The causes are effects that the scene can lack: losses that are not varied, and the leads of

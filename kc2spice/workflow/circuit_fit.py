@@ -1,8 +1,8 @@
-"""Fit of a part's keys to one or several measured impedances, by the equations of the scene.
+"""Fit of a part's keys to measured impedances, by the equations of the scene.
 
-The model of each curve is the small-signal response of the whole scene, with the keys of the scene
-that differ in this measurement. The residuals are ``log(Y_model / Y) / noise``, as in :mod:`.fit`.
-The unknowns are the logarithms of the values, limited to their ranges.
+The model of each curve is the small-signal response of the whole scene, with the key values of the
+curve's measurement. The residuals are ``log(Y_model / Y) / noise``, as in :mod:`.fit`. The unknowns
+are the logarithms of the values, limited to their ranges.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from kc2spice.workflow.fit_record import describe_error, describe_values, match_
 from kc2spice.workflow.misfit import WARNING_MISFIT
 from kc2spice.workflow.models import build_models
 
-# smallest assumed relative noise; smaller errors depend on contact resistance and temperature
+# smallest assumed relative noise, because contact resistance and temperature also cause errors
 MIN_NOISE = 1e-3
 DIFFERENCE_STEP = 1e-5  # step of forward differences in the logarithm of a value
 MAX_EVALUATIONS = 60
@@ -45,7 +45,7 @@ MISFIT_ADVICE = (
 
 
 def compute_admittance(scene: Scene, part: str, frequencies: np.ndarray) -> np.ndarray:
-    """Return the admittance [S] of a part: its current divided by its voltage in the scene.
+    """Return the admittance [S] of a part: its current divided by its voltage.
 
     Parameters
     ----------
@@ -95,11 +95,11 @@ def compute_admittance(scene: Scene, part: str, frequencies: np.ndarray) -> np.n
 
 
 def require_impedance(scene: Scene, part: str) -> None:
-    """Raise an error if the equations of the scene do not determine the impedance of a part.
+    """Raise an error if the scene's equations do not determine a part's impedance.
 
     Raises
     ------
-    UsageError : the part has no voltage and current, or equations of a part are missing.
+    UsageError : the part has no voltage and current, or a part of the scene has no equations.
     """
     _find_network(scene, part)
 
@@ -130,7 +130,7 @@ def _find_network(scene: Scene, part: str) -> Network:
 
 @dataclass(frozen=True, eq=False)
 class CircuitFit:
-    """Least-squares fit of a scene to curves; the unknowns are the logarithms of the keys."""
+    """Least-squares fit of the logarithms of keys to measured curves."""
 
     scene: Scene
     part: str
@@ -180,7 +180,7 @@ class CircuitFit:
         return np.concatenate([result.real, result.imag])
 
     def compute_deviation(self, x: np.ndarray) -> np.ndarray:
-        """Return the residuals at the logarithms ``x``; impossible values have large residuals."""
+        """Return the residuals at ``x``; impossible values have large residuals."""
         try:
             return self.residuals(self.values(x))
         except (UsageError, SimulationError):
@@ -188,7 +188,7 @@ class CircuitFit:
             return np.full(2 * count, IMPOSSIBLE_RESIDUAL)
 
     def jacobian(self, x: np.ndarray) -> np.ndarray:
-        """Return the derivatives of :meth:`deviation`, an array of shape (2 n, keys).
+        """Return the derivatives of the residuals, an array of shape (2 n, keys).
 
         The derivatives are computed by one-sided differences inside the range.
         """
@@ -207,7 +207,7 @@ class CircuitFit:
         UsageError : the scene of a curve is not valid at the first values.
         """
         values = read_key_values(self.keys)
-        self.residuals(values)  # this call raises the error of an invalid scene before the fit
+        self.residuals(values)  # raises the error of an invalid scene before the fit
         start = np.log(np.abs(list(values.values())))
         return least_squares(
             self.compute_deviation, start, self.jacobian, self.bounds,

@@ -36,8 +36,8 @@ from kc2spice.workflow.edited_parts import with_edited_parameters
 from kc2spice.workflow.measures import list_measure_cards
 from kc2spice.workflow.models import build_models
 
-# Inductance [H] that fixes a floating displacement at the operating point.
-# Above 1 Hz, its force is less than the inertia force of a millionth of 1 fg.
+# Inductance [H] that fixes a floating displacement at the operating point. Above 1 Hz, the force of
+# HOLD_INDUCTANCE is less than the inertia force of a mass of 1e-6 fg.
 HOLD_INDUCTANCE = 1e30
 
 
@@ -72,7 +72,8 @@ def make_deck(build: BuiltScene) -> Deck:
     Raises
     ------
     UsageError : a probe reads an unknown vector; an included file is missing or unsafe; two
-        libraries have one name; no source has the swept key; or the scene has no operating point.
+        libraries have the same name; no source has the swept key; or the scene has no operating
+        point.
     """
     scene = build.scene
     for problem in find_start_errors(scene, build.equilibrium_conditions):
@@ -119,7 +120,7 @@ def make_deck(build: BuiltScene) -> Deck:
 
 
 def _list_free_nets(scene: Scene) -> Iterator[str]:
-    """Yield the nets of pins that need no connection, such as the cone of a loudspeaker."""
+    """Yield the nets of pins that need no connection, such as a loudspeaker cone."""
     for key, terminal in scene.terminals.items():
         if not terminal.required and key in scene.nets:
             yield scene.nets[key].lower()
@@ -128,7 +129,7 @@ def _list_free_nets(scene: Scene) -> Iterator[str]:
 def _is_controller(part: Part, scene: Scene) -> bool:
     """Return whether a part measures a motion and sets a voltage or current.
 
-    Such a part can close a control loop.
+    A controller can close a control loop.
     """
     measures_motion = sets_output = False
     for pin in scene.pins(part.name):
@@ -168,7 +169,7 @@ def _list_libraries(build: BuiltScene, header: Header) -> Iterator[tuple[Part, S
 def _list_items(
     build: BuiltScene, loose: Sequence[FloatingNets], noise_items: Iterable[Item]
 ) -> Iterator[Item]:
-    """Yield the cards of parts, of noise sources, and of supports for nets that would float."""
+    """Yield the cards of parts and noise sources, and supports for floating nets."""
     scene = build.scene
     for part in scene.parts.values():
         cards = () if part.name in scene.without_cards else part.type.cards(part, build)
@@ -252,15 +253,15 @@ def _list_initial_voltages(build: BuiltScene, loose: Sequence[FloatingNets]) -> 
 
 
 def _list_statements(text: str, name: str) -> list[str]:
-    """Return the statements that a simulator reads from the ``text`` of the file ``name``."""
+    """Return the statements that a simulator reads from the ``text`` of a file."""
     return list(filter(None, map(attrgetter("written"), split_statements(text, name))))
 
 
 def protect_other_decks(out: Path, files: Mapping[str, str]) -> None:
     """Raise an error if a new library would change another deck in ``out``.
 
-    Decks in ``out`` that are not among ``files`` are not replaced. With a new library of the same
-    name, such a deck would simulate another part.
+    Decks in ``out`` that are not among ``files`` are not replaced. If a library of the same name
+    changed, a deck that is not replaced would simulate another part.
 
     Raises
     ------

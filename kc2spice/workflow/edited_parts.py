@@ -56,9 +56,9 @@ def _warn_about_options(edits: DeckEdits, path: Path) -> None:
 
 
 def replace_key_value(part: Part, name: str, old: float, new: float) -> Part | None:
-    """Return the part with a ``new`` value of the key ``name``, ignoring its letter case.
+    """Return the part with a ``new`` value of the key ``name`` in any letter case.
 
-    The result is None if the part has no key of this name with the ``old`` value.
+    The result is None if the part has no key ``name`` with the ``old`` value.
     """
     fields = type(part.keys).model_fields
     key = next((field for field in fields if field.lower() == name.lower()), None)

@@ -1,4 +1,4 @@
-"""``export``: netlists and symbols of a scene, in any dialect, without a simulation."""
+"""``export``: netlists and symbols of a scene in any dialect."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ def export_scene(
 ) -> list[Path]:
     """Write netlists and symbols of ``scene`` into ``out`` without simulating.
 
-    Bodies from files have all ports that their files declare, including ports that are not joined.
-    Returns the paths of the files. With ``trust``, included netlists may execute programs and open
-    files. With ``count``, the deck has this number of copies of the scene, and no symbols are
-    written. ``solver`` names the direct solver for model reductions.
+    Bodies from files have all ports that their files declare, including ports that the scene does
+    not connect. Returns the paths of the files. With ``trust``, included netlists may execute
+    programs and open files. With ``count``, the deck has ``count`` copies of the scene, and no
+    symbols are written. ``solver`` names the direct solver for model reductions.
 
     Raises
     ------
@@ -74,11 +74,11 @@ def export_scene(
 
 
 def _require_accurate_circuits(build: BuiltScene, deck: Deck) -> None:
-    """Raise an error if the circuit of a body exceeds the tolerance of its reduction.
+    """Raise an error if the circuit of a body misses the tolerance of its reduction.
 
     Raises
     ------
-    GateMissedError : a circuit exceeds the tolerance.
+    GateMissedError : a circuit misses the tolerance.
     """
     circuits = {part.name.lower(): part for part in deck.parts if part.reduction is not None}
     for part in build.scene.parts.values():

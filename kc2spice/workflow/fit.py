@@ -45,7 +45,7 @@ from kc2spice.workflow.misfit import (
     find_likely_cause,
 )
 
-# Largest permitted rms misfit relative to |Y|; a larger one indicates another resonance or part.
+# Largest permitted rms misfit relative to |Y|; a larger misfit indicates another resonance or part.
 MAX_MISFIT = 0.5
 # cost of a minimum, relative to the smallest cost, above which the minimum counts as worse
 WORSE_COST_RATIO = 2.0
@@ -69,18 +69,19 @@ def fit(
 
     The fit minimises the sum of squares of the real and imaginary parts of ``log(Y_model / Y)``,
     divided by the noise of the data. The unknowns are the logarithms of the values, limited to
-    their ranges. Four descents use a :class:`DenseParametricModel` of the full ranges. The descents
-    begin at the values of the scene, and at the best of 64 random samples. Models of narrower
-    ranges around the best values follow, until the fit agrees with the full model.
+    their ranges. Four least-squares descents use a reduced model over the full ranges of the keys.
+    The descents begin at the values of the scene, and at the best of 64 random samples. Further
+    descents use models of narrower ranges around the best values, until the fit agrees with the
+    full model.
 
     Standard errors are computed from the linearised problem. If the misfit exceeds the noise, the
-    standard errors are multiplied by the misfit. If the model does not describe the data, the
-    standard errors include the scatter of further fits, each of which omits one frequency band
-    (:mod:`kc2spice.workflow.misfit`). If the misfit exceeds three times the noise, a warning names
-    the likely cause.
+    standard errors are multiplied by the misfit in units of the noise. If the model does not
+    describe the data, the standard errors include the scatter of further fits that each omit one
+    frequency band (:mod:`kc2spice.workflow.misfit`). If the misfit exceeds three times the noise, a
+    warning names the likely cause.
 
-    Parts without finite elements, and several curves, are fitted with the equations of the scene
-    (:mod:`kc2spice.workflow.circuit_fit`), by one descent from the scene's values.
+    Parts without finite elements, and data of several curves, are fitted with the equations of the
+    scene (:mod:`kc2spice.workflow.circuit_fit`), by one descent from the scene's values.
 
     Parameters
     ----------
@@ -88,13 +89,13 @@ def fit(
         Scene in any form that :func:`kc2spice.load_scene` reads.
     part : str
         Name of the part in the scene.
-    data : Path, str, Measured or sequence of mapping
+    data : Path, str, MeasuredAdmittance or sequence of mapping
         Measured impedance or admittance of one port: a Touchstone file, a table or a MATLAB file.
         A TOML file with tables ``[[curve]]``, or a list of these tables, contains several curves
         with the keys ``file``, ``set``, ``band`` and ``predict``.
     vary : sequence of str, or mapping of str to pair of floats or None
-        Keys of the body, each with a range in SI units: ``KEY=low:high``, or the pair of a mapping.
-        The default range is 30 % about the scene's value, or a factor of ten for losses.
+        Keys of the body, each with a range in SI units: ``KEY=low:high``, or a pair (low, high) in
+        a mapping. The default range is 30 % about the scene's value, or a factor of ten for losses.
     out : Path, optional
         Directory for three files: the fitted values (``fit.toml``), parameter ranges of the netlist
         that extend two standard errors around the values (``box.toml``), and a report page. By
@@ -103,7 +104,7 @@ def fit(
         Called as ``progress(stage, done, text)`` during the fit.
     shunt : str or float, optional
         Resistance in series with the part through which a gain was measured: ``"100 Ohm"``, or a
-        number in Ohm. A table of gain and phase needs it.
+        number in Ohm. A table of gain and phase requires ``shunt``.
 
     Returns
     -------
@@ -201,7 +202,7 @@ def _fit_curves(
 ) -> dict[str, Any]:
     """Fit keys to several curves with the equations of the scene.
 
-    The arguments are those of :func:`fit`.
+    The arguments are defined in :func:`fit`.
     """
     require_impedance(scene, part)
     curves = read_curves(data, parse_shunt_resistance(shunt))

@@ -1,7 +1,7 @@
 """Measured curves of one part under several conditions, such as weights on a cone.
 
-A TOML file lists the curves. Each entry contains a data file, and values of scene keys that differ
-in this measurement.
+A TOML file lists the curves. Each entry contains a data file, and the values of scene keys that
+apply only to its measurement.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from kc2spice.core.quantities import Frequency, Section
 from kc2spice.core.toml_errors import parse_toml_file
 from kc2spice.core.untrusted_files import read_bounded
 
-MAX_BYTES = 1_000_000  # largest size of a file with a list of curves
+MAX_BYTES = 1_000_000  # largest size [bytes] of a file with a list of curves
 MIN_POINTS = 4  # smallest number of frequencies of a curve within its band
 EXAMPLE = '[[curve]]  file = "weighted.zma"  set = { "speaker.added_mass" = "8 g" }'
 
 
 class MeasurementKeys(Section):
-    """Keys of one ``[[curve]]`` table: data file, band, and scene keys of this measurement."""
+    """Keys of one ``[[curve]]`` table: data file, band, and values of scene keys."""
 
     model_config = ConfigDict(arbitrary_types_allowed=True)
 
@@ -68,7 +68,7 @@ class MeasurementListKeys(Section):
 
 @dataclass(frozen=True, eq=False)
 class MeasuredCurve:
-    """Measured admittance with the values of scene keys for this measurement.
+    """Measured admittance, with the values of scene keys for the measurement.
 
     With ``predict``, the curve is compared with the fit, but not fitted.
     """
@@ -86,7 +86,7 @@ class MeasuredCurve:
 def read_curves(
     data: Path | str | Sequence[Mapping[str, Any]], shunt: float | None = None
 ) -> list[MeasuredCurve]:
-    """Read curves from a TOML file, or from a list of entries with the same keys.
+    """Read curves from a TOML file, or from a list of ``[[curve]]`` tables.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Descents of a body fit: least squares with reduced models, corrected by the full model."""
+"""Descents of a body fit: least squares with corrected reduced models."""
 
 from __future__ import annotations
 
@@ -29,13 +29,14 @@ MIN_LOG_WIDTH = 0.01
 POLYNOMIAL_DEGREE = 3  # degree of the polynomials over a narrow parameter range
 RANGE_COUNT = 8  # largest number of successive, narrower ranges
 MESH_CORRECTIONS = 4  # largest number of corrections by the full model in each range
-# Corrections end when a correction changes all values by less than this many standard errors.
+# Corrections end when a correction changes all values by less than CONVERGED_CHANGE standard
+# errors.
 CONVERGED_CHANGE = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class DescentResult:
-    """Result of a descent: values, parameter ranges, and the linearised problem at the values.
+    """Result of a descent: values, parameter ranges, and linearised problem.
 
     ``exact`` is the admittance [S] of the full model at the values; empty before the correction by
     the full model.
@@ -57,7 +58,7 @@ class Descent:
     """Least-squares fit of a reduced model within its parameter ranges.
 
     The variables are the logarithms of the values. ``degree`` is the degree of the polynomials in
-    the parameters; by default the reduction chooses it.
+    the parameters; by default the reduction chooses the degree.
     """
 
     body: BodyFit
@@ -66,7 +67,7 @@ class Descent:
 
     @cached_property
     def reduced_model(self) -> DenseParametricModel:
-        """Reduced model of the parameter ranges."""
+        """Reduced model that is valid in the parameter ranges."""
         return self.body.reduce(self.parameter_axes, self.degree)
 
     @cached_property
@@ -86,12 +87,15 @@ class Descent:
         return self.compute_log_ratio(self.body.response(self.reduced_model, self.values(x)))
 
     def compute_log_ratio(self, Y: np.ndarray) -> np.ndarray:
-        """Return real and imaginary parts of log(Y / measured admittance), divided by the noise."""
+        """Return log(Y / measured admittance), divided by the noise, as a real array.
+
+        The real parts come before the imaginary parts.
+        """
         ratio = np.log(Y / self.body.Y)
         return np.concatenate([ratio.real, ratio.imag]) / self.body.noise
 
     def jacobian(self, x: np.ndarray) -> np.ndarray:
-        """Return the derivatives of :meth:`deviation`, an array of shape (2 n, keys).
+        """Return the derivatives of the residuals, an array of shape (2 n, keys).
 
         The derivatives are central differences, or one-sided differences at a bound.
         """
@@ -135,9 +139,9 @@ def run_descents(descent: Descent) -> list[DescentResult]:
 def _correct_end(descent: Descent, end: DescentResult) -> DescentResult | None:
     """Correct the result of a descent by the residual of the full model.
 
-    Each step uses the derivatives of the reduced model. The steps end when a step changes every
-    combination of keys by less than :data:`CONVERGED_CHANGE` of its standard error. The result is
-    None if the steps do not converge within the range.
+    Each correction step uses the derivatives of the reduced model. The steps end when a step
+    changes every combination of keys by less than :data:`CONVERGED_CHANGE` of its standard error.
+    The result is None if the steps do not converge within the range.
     """
     body, (low, high) = descent.body, descent.bounds
     x = descent.compute_start_logarithms(end.values)
@@ -174,7 +178,7 @@ def refine_descent_result(descent: Descent, end: DescentResult) -> DescentResult
         result = _correct_end(descent, end)
         if result is not None:
             return result
-        # The new scene ``like`` at these values has a mesh without displaced nodes.
+        # The new scene ``like`` at the latest values has a mesh without displaced nodes.
         body = replace(body, like=load_scene(body.scene, body.name_scene_keys(end.values)))
         parameter_axes = {}
         for item, half in zip(body.keys, widths.tolist(), strict=True):
@@ -196,13 +200,13 @@ def refine_descent_result(descent: Descent, end: DescentResult) -> DescentResult
 
 
 def _narrow_range(item: VariedKey, value: float, half: float) -> ParameterAxis:
-    """Return the part of a key's range between ``value / exp(half)`` and ``value exp(half)``."""
+    """Return the part of a key's range within the factor ``exp(half)`` of a value."""
     ends = sorted((value * np.exp(-half), value * np.exp(half)))
     return ParameterAxis(item.key, max(item.low, ends[0]), min(item.high, ends[1]))
 
 
 def _is_at_inner_end(item: VariedKey, axis: ParameterAxis, value: float) -> bool:
-    """Return whether a value is at an end of a narrow range that lies inside the full range."""
+    """Return whether a value is at an end of a narrow range inside the full range."""
     x = axis.compute_coordinate(value)
     end = axis.high if x > 0 else axis.low
     return abs(x) > 1 - 1e-3 and not np.isclose([item.low, item.high], end).any()

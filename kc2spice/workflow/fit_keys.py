@@ -1,4 +1,4 @@
-"""Keys that a fit varies, their ranges, and resonances of measured and fitted curves."""
+"""Keys that a fit varies, their ranges, and resonances of admittance curves."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ MIN_HALF_WIDTH = 1.1e-3
 def read_varied_keys(
     scene: Scene, part: str, vary: Sequence[str] | Mapping[str, tuple[float, float] | None]
 ) -> list[VariedKey]:
-    """Return the keys to vary with their ranges."""
+    """Return the keys that the fit varies, with their ranges."""
     ends = dict(vary) if isinstance(vary, Mapping) else dict.fromkeys(vary)
     for key, span in ends.items():
         if span is not None and not (isinstance(span, (tuple, list)) and len(span) == 2):
@@ -60,7 +60,7 @@ def read_varied_keys(
 
 
 def _parse_range(key: str, text: str) -> tuple[float, float]:
-    """Return the range of a key from its text."""
+    """Return the range of a key that ``text`` states."""
     ends = text.split(":")
     if len(ends) != 2:
         raise UsageError(
@@ -75,7 +75,7 @@ def _parse_range(key: str, text: str) -> tuple[float, float]:
 
 
 def compute_log_widths(keys: Sequence[VariedKey]) -> list[float]:
-    """Return the width of each key's range as the logarithm of the ratio of its ends."""
+    """Return the logarithm of the ratio of the ends of each key's range."""
     return [abs(float(np.log(item.high / item.low))) for item in keys]
 
 
@@ -101,7 +101,10 @@ def is_at_bound(item: VariedKey, value: float) -> bool:
 
 
 def find_resonances(f: np.ndarray, Y: np.ndarray, noise: float) -> list[float]:
-    """Return the frequencies [Hz] of prominent peaks of the conductance above the noise."""
+    """Return the frequencies [Hz] of prominent peaks of the conductance.
+
+    Peaks that the ``noise`` can explain are omitted.
+    """
     least = np.maximum(MIN_PROMINENCE * float(Y.real.max()), MIN_NOISE_RATIO * noise * np.abs(Y))
     result, _ = find_peaks(Y.real, prominence=least)
     frequencies: list[float] = f[result].tolist()

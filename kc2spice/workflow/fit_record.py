@@ -16,14 +16,14 @@ from kc2spice.workflow.fit_keys import compute_log_widths, find_resonances, is_a
 from kc2spice.workflow.misfit import compute_error_scale, compute_rms_misfit, estimate_covariance
 
 # Number of standard errors that must fit into the widest range of a key.
-# A combination of keys with a larger standard error is undetermined.
+# If fewer standard errors fit into the range, the combination of keys is undetermined.
 ERRORS_PER_RANGE = 4
 
 
 def describe_values(
     keys: Sequence[VariedKey], values: Mapping[str, float], J: np.ndarray, residuals: np.ndarray
 ) -> dict[str, Any]:
-    """Return the fitted values with standard errors, their correlations, and the misfit.
+    """Return the fitted values, their standard errors, correlations and misfit.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def describe_error(size: np.ndarray) -> dict[str, float]:
 def match_resonances(
     data: MeasuredAdmittance, start: np.ndarray, end: np.ndarray
 ) -> list[dict[str, float | None]]:
-    """Return the resonances of the measurement, and of the model before and after the fit.
+    """Return measured resonances, and model resonances before and after the fit.
 
     Rows are in ascending order of frequency. A resonance is a peak of the conductance. ``start``
     and ``end`` are the admittances [S] of the model at the values of the scene and at the fitted

@@ -2,10 +2,10 @@
 
 Under the recorded loads, a run compares each reduced body with a model with more states (see
 :mod:`kc2spice.rom.time_domain_errors`). The errors of larger orders are computed for the same
-loads, without further runs. The scene then runs again with the smallest order whose error is within
-the limit, or with the order of the smallest error. The error of the new run is computed under the
-loads of the new run. The search ends if the error is within the limit, if the number of states is
-too large, if more states do not reduce the error, or after :data:`MAX_RERUNS` runs.
+loads, without further runs. The scene runs again with the smallest order whose error is within the
+limit, or with the order of the smallest error. The error of the new run is computed under the loads
+of the new run. The search ends if the error is within the limit, if more states are not allowed or
+do not reduce the error, or after :data:`MAX_RERUNS` runs.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from kc2spice.synthesis.ringing_time import estimate_time_per_point
 from kc2spice.workflow.decks import prepare_deck
 from kc2spice.workflow.simulate import Run, simulate_deck
 
-# Pairs of factors that multiply the order, and the highest frequency of the band.
+# Pairs of factors for the order and for the highest frequency of the band.
 # The pairs of factors are tried in turn until the error is within its limit.
 # A wider band is needed for massless modes above the band (docs/explanation/contact.md).
 # At a damping ratio of 0.01 %, massless modes cause an error of 1.8 % for any order.
@@ -78,11 +78,11 @@ class LargerOrder:
 
 
 def with_larger_orders(run: Run, work: Path, clock: StageTimer) -> Run:
-    """Repeat a run with larger orders until the error under the recorded loads is small.
+    """Repeat a run with larger orders until the error under its loads is small.
 
-    The result is the run whose reduced bodies have the smallest error. The files of this run are in
-    the directory ``work``. Warnings state the orders and their errors, and the reason for the end
-    of the search if the error is still too large.
+    The result is the run whose reduced bodies have the smallest error. The directory ``work``
+    contains the files of the returned run. Warnings state the orders and their errors, and the
+    reason for the end of the search if the error is still too large.
     """
     for _ in range(MAX_RERUNS):
         scene, chosen, ends = _search_larger_orders(run, clock)
@@ -103,10 +103,10 @@ def with_larger_orders(run: Run, work: Path, clock: StageTimer) -> Run:
 
 
 def suggest_keys(error: RetriesFailedError, automatic: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return keys of the scene with which a failed run can succeed; empty without such keys.
+    """Return scene keys with which a failed run may succeed; empty if there are none.
 
-    The checks of the run suggest these keys. If a body is still too coarse although its order is
-    among the ``automatic`` keys, the order is doubled again.
+    The checks of the run suggest the keys. If the order of a body is still too small although the
+    order is an ``automatic`` key, the order is doubled again.
     """
     if error.suggested:
         return error.suggested
@@ -120,7 +120,7 @@ def suggest_keys(error: RetriesFailedError, automatic: Mapping[str, Any]) -> Map
 def _rerun_with_orders(
     run: Run, scene: Scene, chosen: Sequence[LargerOrder], work: Path, clock: StageTimer
 ) -> Run | None:
-    """Run the scene with ``chosen`` orders; None if the run fails or its error is not smaller."""
+    """Run the scene with ``chosen`` orders; return None without an improvement."""
     build = run.build
     for item in chosen:
         warnings.warn(str(item), stacklevel=3)
@@ -147,7 +147,7 @@ def _rerun_with_orders(
 
 
 class _OrderSearch(NamedTuple):
-    """State of the search for better orders of the bodies of a scene."""
+    """State of the search for larger orders of bodies."""
 
     scene: Scene
     chosen: tuple[LargerOrder, ...] = ()
@@ -155,7 +155,7 @@ class _OrderSearch(NamedTuple):
 
 
 def _find_violated_checks(run: Run) -> dict[str, Check]:
-    """Return the violated checks of reduction errors under the recorded loads, keyed by body."""
+    """Return violated checks of errors under the recorded loads, keyed by body."""
     checks = {check.name: check for check in run.verdict.checks if check.loaded}
     bodies = {
         part.name: checks.get(f"reduction of {part.name}") for part in _list_bodies_with_order(run)
@@ -169,7 +169,7 @@ def _list_bodies_with_order(run: Run) -> Iterator[Part]:
 
 
 def _search_larger_orders(run: Run, clock: StageTimer) -> _OrderSearch:
-    """Find a larger order for each body whose reduction error under recorded loads is too large."""
+    """Find a larger order for each body whose error under its loads is too large."""
     result = _OrderSearch(run.build.scene)
     for name, check in _find_violated_checks(run).items():
         result = _search_larger_order(run, result, name, check, clock)
@@ -179,10 +179,10 @@ def _search_larger_orders(run: Run, clock: StageTimer) -> _OrderSearch:
 def _search_larger_order(
     run: Run, earlier: _OrderSearch, name: str, check: Check, clock: StageTimer
 ) -> _OrderSearch:
-    """Find the smallest multiple of the order whose error is within the limit of ``check``.
+    """Find the smallest multiple of the order whose error is within the limit.
 
-    If no error is within the limit, the result is the multiple with the smallest error. The scene
-    already has the orders of an ``earlier`` search for other bodies.
+    If no error is within the limit, the result is the multiple with the smallest error. ``earlier``
+    is the search for other bodies, whose orders the scene already has.
     """
     build, part = run.build, run.build.scene.parts[name]
     kind = part.type
@@ -233,10 +233,10 @@ def _search_larger_order(
 
 
 def _estimate_time_ratio(model: LinearModel, larger: LinearModel) -> float:
-    """Estimate the CPU time of a run with a ``larger`` model, relative to a run with ``model``.
+    """Estimate the CPU time of a run with a ``larger`` model, relative to ``model``.
 
-    The CPU time is proportional to the time for one point, and to the highest natural frequency of
-    modes with inertia, because the time steps resolve its period.
+    The CPU time is proportional to the time per point and to the highest natural frequency of modes
+    with inertia, which the time steps resolve.
     """
     points = list(map(_highest_natural_frequency, (model, larger)))
     more = points[1] / points[0] if all(points) else 1.0
@@ -244,13 +244,13 @@ def _estimate_time_ratio(model: LinearModel, larger: LinearModel) -> float:
 
 
 def _highest_natural_frequency(model: LinearModel) -> float:
-    """Return the highest natural frequency [rad/s] of a mode with inertia, 0 if unknown."""
+    """Return the highest natural frequency [rad/s] of modes with inertia, or 0."""
     modal = compute_resonators(model)
     return 0.0 if modal is None else float(modal.omega[modal.inertia > 0].max(initial=0.0))
 
 
 def _largest_error(run: Run, names: Sequence[str]) -> float:
-    """Return the largest error of the bodies ``names`` under the recorded loads of ``run``."""
+    """Return the largest error of bodies under the recorded loads of ``run``."""
     result = 0.0
     for name in names:
         part = run.build.scene.parts[name]

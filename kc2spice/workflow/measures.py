@@ -1,14 +1,13 @@
-"""Cards ``.meas`` of a deck, with which the simulator computes probes and main metrics.
+"""``.meas`` cards, with which the simulator computes probes and main metrics.
 
 A card exists for each quantity of a single vector that ngspice and kc2spice compute in the same
-way. These quantities are extremes and their positions, the difference of extremes, means, values at
-a position, crossings of a level, and the last value. In ``ac``, the extremes of the cards are
-values at computed points, but the metric interpolates between the points. An ``op`` has no cards:
-its deck prints the vectors.
+way. Quantities with cards are extremes with their positions, differences of extremes, means, values
+at a position, level crossings, and last values. In ``ac``, the extremes of the cards are values at
+computed points, but the metric interpolates between the points. An ``op`` has no cards: its deck
+prints the vectors.
 
-ngspice has no card for these quantities: values that are fitted to an impedance (antiresonance, Q
-factor, capacitance), frequencies from counted cycles, and windows whose ends are between time
-points.
+ngspice has no card for values that are fitted to an impedance (antiresonance, Q factor,
+capacitance), frequencies of counted cycles, and windows that end between time points.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from kc2spice.scene.settings import ProbeKeys
 
 _FUNCTIONS = {"max": "MAX", "min": "MIN", "peak_to_peak": "PP", "mean": "AVG", "rms": "RMS"}
 _OPPOSITE_EXTREMES = {"MAX": "MIN", "MIN": "MAX", "MAX_AT": "MIN_AT"}
-# Probe functions of a magnitude that cards and kc2spice compute equally, without interpolation.
+# Probe functions of a magnitude that cards and kc2spice compute in the same way.
 _MAGNITUDE_FUNCTIONS = ("max", "argmax", "crossing")
 _VALID_NAME = re.compile(r"[A-Za-z]\w*")
 ANALYSIS_KINDS = {"transient": "tran", "dc": "dc", "ac": "ac", "op": "op"}
@@ -60,7 +59,7 @@ def list_measure_cards(build: BuiltScene, sweep_scale: float) -> tuple[MeasureCa
             count.update(metrics.keys())
             probes |= metrics
     for name in count:
-        if count[name] > 1:  # no card is written if several parts have a metric of this name
+        if count[name] > 1:  # no card is written if several parts have a metric with the same name
             del probes[name]
     return tuple(_list_measures(build, {**probes, **build.scene.probes}, sweep_scale))
 

@@ -28,7 +28,7 @@ def compare_methods(
     solver: str | None = None,
     progress: Progress = ignore_progress,
 ) -> dict[str, Any]:
-    """Reduce a model by every registered reduction method, and compare the reduced models.
+    """Reduce a model by every reduction method, and compare the reduced models.
 
     Parameters
     ----------
@@ -43,9 +43,9 @@ def compare_methods(
     -------
     dict[str, Any]
         The output of ``kc2spice reduce --method compare --json``. ``methods`` contains a row for
-        each method: the ``order`` and the number of first-order ``states`` of its reduced model,
-        the ``error_estimate`` in the selected norm, the ``peak_error`` relative to the peak of each
-        response entry, and the CPU time ``cpu_s``. If a method fails, its row contains the
+        each method. Each row contains the ``order``, the number of first-order ``states``, the
+        ``error_estimate`` in the selected norm, and the CPU time ``cpu_s``. The ``peak_error`` is
+        relative to the peak of each response entry. If a method fails, its row contains the
         ``reason`` instead. ``shared_cpu_s`` is the CPU time for the basis of the full-order model,
         which all methods use. ``stable`` states whether the full-order model is stable.
 
@@ -115,7 +115,7 @@ def _load_model(path: Path | str) -> LinearModel:
 def _run_method(
     reduction: Reduction, method: str, tolerance: float | None, order: int | None
 ) -> dict[str, Any]:
-    """Return states, error estimate and CPU time [s] of a method, or the reason of its failure."""
+    """Return the row of a method: states, errors and CPU time [s], or why it failed."""
     begin, rom, reason = time.process_time(), None, None
     try:
         rom = reduction.reduce(tolerance=tolerance, order=order, method=method)

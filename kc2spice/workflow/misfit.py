@@ -4,11 +4,11 @@ The input is the residuals ``r`` of a fit in units of the noise, real parts befo
 and their Jacobian J. With n values, k keys and the misfit ``m = sqrt(r'r / (n - k))``:
 
 - If the residuals are only noise, m is near 1. The covariance is ``max(1, m)^2 (J'J)^-1``.
-- If the model does not describe the data, the residuals at neighbouring frequencies are correlated,
-  and largest where the keys have the largest effect. The formula for pure noise does not apply.
-  If m exceeds :data:`MODEL_ERROR_MISFIT`, the covariance of the block jackknife is added: the
-  values x_b are fitted again without the frequency band b, for each of :data:`BAND_COUNT`
-  contiguous bands. For g bands, the jackknife covariance is
+- If the model does not describe the data, the residuals at neighbouring frequencies are correlated.
+  The residuals are largest where the keys have the largest effect. The covariance formula for pure
+  noise does not apply to a wrong model. If m exceeds :data:`MODEL_ERROR_MISFIT`, the covariance of
+  the block jackknife is added. For each of :data:`BAND_COUNT` contiguous bands b, the values x_b
+  are fitted again without this band. For g bands, the jackknife covariance is
   ``(g - 1) / g sum (x_b - mean x)(x_b - mean x)'`` (H. R. Kuensch, Annals of Statistics 17 (1989)
   1217).
 """
@@ -26,7 +26,8 @@ BAND_COUNT = 8
 WARNING_MISFIT = 3.0  # smallest misfit at which a fit prints a warning
 # Largest ratio of the remaining sums of squared residuals at which two causes are equally likely.
 EQUAL_LIKELIHOOD_RATIO = 1.1
-EXPLAINED_SHARE = 0.5  # smallest fraction of the sum of squares that a likely cause removes
+# smallest fraction of the sum of squared residuals that a likely cause removes
+EXPLAINED_SHARE = 0.5
 
 
 def compute_rms_misfit(residuals: np.ndarray, keys: int) -> float:
@@ -50,7 +51,7 @@ def compute_rms_misfit(residuals: np.ndarray, keys: int) -> float:
 def compute_error_scale(residuals: np.ndarray, keys: int) -> float:
     """Return the rms residual in units of the noise, but at least 1.
 
-    The arguments are those of :func:`compute_rms_misfit`.
+    The arguments are defined in :func:`compute_rms_misfit`.
 
     Examples
     --------
@@ -103,8 +104,8 @@ def find_likely_cause(
 ) -> str | None:
     """Return the cause that best explains the residuals of a fit.
 
-    Of several equally likely causes, return the most frequent one. The amount of each cause is
-    fitted together with the values.
+    Of several equally likely causes, the cause that is most frequent in practice is returned. The
+    amount of each cause is fitted together with the values.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Models of parts (finite elements, reductions, field tables), built or read from the cache."""
+"""Models of parts (finite elements, reductions, field tables), built or cached."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def build_models(
     """Build the models of a scene's parts, or read them from the cache.
 
     With ``trust``, included netlists may execute programs and open files. ``functions`` are the
-    functions of controllers, keyed by part.
+    Python functions of controllers, keyed by part.
 
     Raises
     ------
@@ -52,7 +52,7 @@ def build_models(
 
 
 def _resolve_equations(build: BuiltScene) -> BuiltScene:
-    """Return the build with the results and laws of its parts, and with linearised networks."""
+    """Return the build with results, equations and linearised networks of its scene."""
     return with_linearised_scene(store_laws(add_results_and_sources(build)))
 
 
@@ -73,10 +73,11 @@ def rebuild_with_scene(build: BuiltScene, scene: Scene) -> BuiltScene:
 
 
 def merge_equal_subcircuits(build: BuiltScene) -> BuiltScene:
-    """Return ``build`` with one subcircuit for parts of a type with equal subcircuits.
+    """Return ``build`` in which parts of one type share equal subcircuits.
 
-    The subcircuit has the name of the part type if the subcircuits of all parts of the type are
-    equal. Otherwise each group of equal subcircuits has the name of its first part's subcircuit.
+    The shared subcircuit has the name of the part type if all parts of the type have equal
+    subcircuits. Otherwise, each group of equal subcircuits has the name of the subcircuit of its
+    first part.
     """
     header, names = (
         Header(build.scene.name, compute_scene_hash(build.scene)),
@@ -106,11 +107,11 @@ def _list_netlist_texts(part: Part, build: BuiltScene, header: Header) -> tuple[
 
 
 def _name_libraries(build: BuiltScene) -> dict[str, str]:
-    """Return the library name of each part, with different names for different subcircuits.
+    """Return the library name of each part, different for different subcircuits.
 
-    Bodies with one part number may have different subcircuits, for example with different ports.
-    The first subcircuit has the part number as its name; the others are named after scene and
-    part.
+    Bodies with the same catalogue part number may have different subcircuits, for example with
+    different ports. The first subcircuit has the part number as its name; the others are named
+    after scene and part.
     """
     scene, names = build.scene, dict(build.libraries)
     header = Header(scene.name, compute_scene_hash(scene))
@@ -168,7 +169,7 @@ def tabulate_body_modes(build: BuiltScene) -> dict[str, dict[str, Any]]:
 
 
 def collect_rom_values(build: BuiltScene) -> dict[str, Any]:
-    """Return ``rom`` of ``result.json``, and ``roms`` if there are several reduced models."""
+    """Return ``rom`` of ``result.json``; for several reduced models, also ``roms``."""
     models = build.find_models(LinearModel)
     if not models:
         return {}

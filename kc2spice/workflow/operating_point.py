@@ -32,9 +32,10 @@ class OperatingPoint:
 def find_operating_point(build: BuiltScene, deck: Deck, laws: SceneLaws) -> OperatingPoint:
     """Find the operating point of a small-signal analysis in a separate run.
 
-    The result is empty for other analyses and for edited decks. The result is also empty for scenes
-    with linear parts only, because responses of linear parts do not depend on the operating point.
-    If no operating point is found, the result is empty and a warning is printed.
+    The result is empty for edited decks, and for analyses that are not small-signal analyses. The
+    result is also empty for scenes with linear parts only, because responses of linear parts do not
+    depend on the operating point. If no operating point is found, the result is empty and a warning
+    is printed.
     """
     scene = build.scene
     if not scene.analysis.is_small_signal or deck.text is not None or laws.linear:
@@ -42,8 +43,8 @@ def find_operating_point(build: BuiltScene, deck: Deck, laws: SceneLaws) -> Oper
     # The probes are kept, because they determine the pins of a body. This run has no noise result.
     probes = {} if build.has_noise else scene.probes
     frame = scene.frame.model_copy(update={"analysis": Analysis(type="op"), "probes": probes})
-    # The highest resolved frequency remains the end of the frequency range.
-    # Therefore, pins and frequency-dependent models, such as those of eddy currents, do not change.
+    # The highest frequency that models resolve remains the end of the frequency range.
+    # Pins and frequency-dependent models, such as models of eddy currents, therefore do not change.
     resolved = replace(scene, frame=frame, resolved_frequency=scene.analysis.stop)
     try:
         deck_at_rest = make_deck(rebuild_with_scene(build, resolved))

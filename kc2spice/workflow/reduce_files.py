@@ -1,4 +1,4 @@
-"""Reduction of matrix files and measured responses, and netlists of reduced models."""
+"""Reduction of matrices and measured responses, and netlists of reduced models."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def reduce_file(
     solver: str | None = None,
     progress: Progress = ignore_progress,
 ) -> dict[str, Any]:
-    """Reduce a model, and write the reduced model to ``NAME_rom.npz`` and matrix files.
+    """Reduce a model, and write it to ``NAME_rom.npz`` and matrix files.
 
     A measured response becomes a passive circuit (:func:`kc2spice.rom.branch_fit.fit_one_port` or
     :func:`kc2spice.rom.multiport.fit_multiport`). A thermal transient becomes a network
@@ -119,8 +119,8 @@ def reduce_file(
         Directory for the files. The default is ``NAME_rom``.
     band : tuple of two floats, optional
         Lowest and highest frequency of the reduction in Hz. The default is the band of
-        ``NAME.toml`` or of the scene. If neither states a band, the band ends a little above the
-        fifth natural frequency.
+        ``NAME.toml`` or of the scene. If neither file states a band, the band ends a little above
+        the fifth natural frequency.
     tolerance : float, optional
         Largest relative error of the reduced model in the band. Without ``order``, the default is
         1e-4.
@@ -129,16 +129,16 @@ def reduce_file(
     norm : "pointwise" or "peak", optional
         Whether the error is relative to each value of the response (``"pointwise"``), or to the
         peak of each entry of the response (``"peak"``). The default is ``"peak"`` for models whose
-        ports are all signals, and ``"pointwise"`` for all others.
+        ports are all signals, and ``"pointwise"`` for all other models.
     dc : str or float, optional
         Resistance of a measured one-port at zero frequency: ``"80 mOhm"``, a number in Ohm, or
-        ``"open"``. By default, this resistance is extrapolated from the data.
+        ``"open"``. By default, the resistance at zero frequency is extrapolated from the data.
     shunt : str or float, optional
         Resistance in series with the part through which a gain was measured: ``"100 Ohm"``, or a
-        number in Ohm. A table of gain and phase needs it.
+        number in Ohm. A table of gain and phase requires ``shunt``.
     power : str or float, optional
         Power that was switched on or off at the time zero of a thermal transient: ``"2 W"``, or a
-        number in W. A table of temperatures needs it.
+        number in W. A table of temperatures requires ``power``.
     network : "foster" or "cauer", optional
         Form of the network of a model with one thermal port. The default is ``"foster"``.
     method : str, optional
@@ -216,7 +216,7 @@ def _reject_options(options: dict[str, Any], problem: str, expected: str) -> Non
 
     Raises
     ------
-    UsageError : one of these options has a value.
+    UsageError : one of the ``options`` has a value.
     """
     for option, value in options.items():
         if value is not None:
@@ -266,7 +266,7 @@ def _reduce_matrices(
 
 
 def _read_full_model(path: Path | str, progress: Progress) -> LinearModel | AffineModel:
-    """Build the full model of a scene's body, or read the full model from matrix files."""
+    """Build the full model of a scene's body, or read it from matrix files."""
     if (body := _load_scene_body(str(path), progress)) is not None:
         return body
     progress("reduce", None, "reading matrices")
@@ -280,7 +280,7 @@ def _reduce_affine(
     settings: dict[str, Any],
     progress: Progress,
 ) -> dict[str, Any]:
-    """Reduce a model with parameters over their ranges, and write the parametric model."""
+    """Reduce a model over its parameter ranges, and write the parametric model."""
     _reject_options(options, *_NOT_FOR_PARAMETRIC_MODELS)
     name, names = f"{model.name}_rom", list(model.defaults)
     require_parametric_form(model.model.ports, names, make_identifier(name, "rom"))
@@ -306,23 +306,23 @@ def _reduce_affine(
 
 
 def describe_order(model: LinearModel) -> str:
-    """Return the order in time of a model's equations: ``first order`` or ``second order``."""
+    """Return whether a model's equations are of first or second order in time."""
     return "first order" if model.first_order else "second order"
 
 
 def load_full_model(path: Path | str) -> LinearModel:
-    """Return the full model in matrix files, or the full model of a body ``SCENE:PART``."""
+    """Return the full model of matrix files or of a body ``SCENE:PART``."""
     return _load_scene_body(str(path)) or read_model(path)
 
 
 def _require_valid_port_names(model: LinearModel, name: str) -> None:
     """Check the port names of the model before the reduction, which can take hours.
 
-    For this check, a model with one state and the same ports is written as a subcircuit.
+    To check the names, a model with one state and the same ports is written as a subcircuit.
 
     Raises
     ------
-    UsageError : a port has the name of an inner node of the subcircuit, or of another pin.
+    UsageError : a port has the name of an internal node of the subcircuit, or of another pin.
     """
     names = {port.name for port in model.ports if port.has_charge_output}
     D = [[float(out == into and out in names) for into in model.inputs] for out in model.outputs]
@@ -375,7 +375,7 @@ def _reduce_measured(
     """Convert a measurement to the nearest passive circuit.
 
     A one-port becomes a circuit of parallel branches, if such a circuit matches the data.
-    Otherwise, the measurement becomes a state-space model with arbitrary poles.
+    All other measurements become state-space models with arbitrary poles.
     """
     conductance = None if dc is None else _parse_conductance(dc)
     progress("reduce", None, "reading the measurement")
@@ -429,7 +429,7 @@ def _reduce_transient(
 def _fit_passive_model(
     data: MeasuredAdmittance, conductance: float | None, notes: list[str], progress: Progress
 ) -> LinearModel:
-    """Return the passive model of measured samples.
+    """Return a passive model that fits measured samples.
 
     A note is appended to ``notes`` if the model does not consist of parallel branches.
     """
@@ -463,7 +463,7 @@ def _fit_passive_model(
 
 
 def _fit_state_space_model(data: MeasuredAdmittance) -> LinearModel:
-    """Return a passive state-space model of measured samples with arbitrary poles."""
+    """Return a passive state-space model with arbitrary poles for measured samples."""
     from kc2spice.rom.multiport import fit_multiport  # imported here, because few commands need it
 
     return fit_multiport(data.f, data.Y, data.noise, data.where)
@@ -492,22 +492,23 @@ def _compute_misfit(model: LinearModel, data: MeasuredAdmittance) -> _ModelMisfi
 
 
 def _compute_pointwise_error(model: LinearModel, data: MeasuredAdmittance) -> float:
-    """Return the largest relative deviation of a one-port's admittance from the samples."""
+    """Return the largest relative error of a one-port's admittance at the samples."""
     charge = model.transfer(data.f)[:, 0, 0]
     return float(np.abs(2j * np.pi * data.f * charge / data.Y[:, 0, 0] - 1).max())
 
 
 def _deviates_beyond_noise(model: LinearModel, data: MeasuredAdmittance) -> bool:
-    """Return whether the deviation of a model from the data is larger than noise explains.
+    """Return whether a model deviates from the data by more than noise explains.
 
-    An example is a loudspeaker, whose parallel resonance is in series with a coil.
+    An example is a loudspeaker, because parallel branches cannot represent a parallel resonance in
+    series with a coil.
     """
     misfit = _compute_misfit(model, data)
     return misfit.exceeds_limit and misfit.limit == MAX_MISFIT
 
 
 def _require_small_misfit(model: LinearModel, data: MeasuredAdmittance) -> None:
-    """Reject a fitted model whose error is too large, and is far above the noise of the data."""
+    """Reject a fitted model whose error is too large and far above the data noise."""
     certificate, misfit = model.certificate, _compute_misfit(model, data)
     if certificate is None or not misfit.exceeds_limit:
         return
@@ -540,19 +541,19 @@ def _write_reduced_model(
     out: Path | None,
     tolerance: float | None = None,
 ) -> dict[str, Any]:
-    """Write the files of the reduced model, and return its record for ``reduce --json``.
+    """Write the files of the reduced model, and return the record of the model.
 
-    The record contains the error estimate of the emitted circuit.
+    The record for ``reduce --json`` contains the error estimate of the written circuit.
 
     Raises
     ------
-    GateMissedError : the emitted circuit misses the tolerance; nothing was written.
+    GateMissedError : the circuit misses the tolerance; nothing was written.
     """
     name = f"{model_name}_rom"
     directory = Path(name) if out is None else Path(out)
     with stage_directory(directory) as work:
         reduced = make()
-        # the record contains the error estimate of this circuit
+        # the record contains the error estimate of the subcircuit
         part = subcircuit(reduced, make_identifier(name, "rom"))
         if tolerance is not None:
             require_circuit_tolerance(part, reduced, tolerance)
@@ -617,7 +618,7 @@ def _load_scene_body(text: str, progress: Progress = ignore_progress) -> LinearM
 
 
 def _list_bodies(scene: Scene) -> list[str]:
-    """Return the names of those parts of a scene that have linear models."""
+    """Return the names of the parts of a scene that have linear models."""
     return [part.name for part in scene.parts.values() if isinstance(part.type, LinearBody)]
 
 
@@ -643,12 +644,12 @@ def require_stable(record: dict[str, Any]) -> None:
 def export_rom(
     path: Path | str, out: Path | None = None, *, dialect: str = "ngspice", dense: bool = False
 ) -> list[Path]:
-    """Write the subcircuit, symbols and an example deck of the reduced model at ``path``.
+    """Write subcircuit, symbols and an example deck of the reduced model at ``path``.
 
     Raises
     ------
-    UsageError : the file is not a reduced model, the model cannot be written as such a subcircuit,
-        the dialect cannot represent the subcircuit, or another deck uses an existing library
+    UsageError : the file is not a reduced model, the model cannot be written as a subcircuit, the
+        dialect cannot represent the subcircuit, or another deck uses an existing library
         (:func:`kc2spice.workflow.decks.protect_other_decks`). Nothing is written.
     """
     if dialect not in list_dialect_names():
@@ -690,7 +691,7 @@ def _read_model_and_subcircuit(path: Path, dense: bool) -> tuple[LinearModel, Su
 
 
 def make_example_deck(model: LinearModel, part: Subcircuit) -> Deck:
-    """Return a deck that computes the response of ``model`` to a unit input at its first port."""
+    """Return a deck that computes the response to a unit input at one port."""
     drivable = [port for port in model.ports if port.kind != "output"]
     driven = min(drivable, key=lambda port: PORT_KINDS.index(port.kind))
     (instance, *sources), answers = make_unit_load_cards(model, part, driven)

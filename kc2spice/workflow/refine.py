@@ -1,4 +1,4 @@
-"""Runs of a scene with refined numerical settings, and error estimates of its metrics.
+"""Runs with refined numerical settings, and error estimates of metrics.
 
 Numerical settings (:mod:`kc2spice.scene.numerical_settings`) change in refinement steps. A refined
 run refines all settings by one step. The error estimate of a metric is :data:`REMAINDER_FACTOR`
@@ -55,18 +55,19 @@ PLANE_FACTOR_BYTES = 100.0
 MAX_RUNS = 16  # largest number of runs in addition to the run of the scene
 DEFAULT_ERROR_LIMIT = 1e-2  # error budget if checks.reduction is set without error_budget
 # A refinement step removes at least half of the error of a setting, as for a mesh with corners.
-# The error is therefore at most this multiple of the change of a metric.
+# The error is therefore at most REMAINDER_FACTOR times the change of a metric.
 REMAINDER_FACTOR = 2.0
 # Largest factor by which a refinement step reduces an error, and largest number of steps at a time.
 MAX_STEP_GAIN = 4.0
 MAX_ADDED_STEPS = 3
-# Smallest reference of a metric, as a fraction of the largest metric with the same unit.
+# Smallest reference for the change of a metric, relative to the largest metric with the same unit.
 NEAR_ZERO_SHARE = 0.1
-# Smallest reference of a metric in small-signal analyses, as a fraction of the largest metric.
+# Smallest reference for the change of a metric in small-signal analyses, relative to the largest
+# metric with the same unit.
 SMALL_SIGNAL_SHARE = 1e-6
 # largest ratio of successive error estimates that counts as convergence
 CONVERGENCE_RATIO = 0.9
-# number of successive larger ratios of error estimates after which the refinement ends
+# number of successive ratios above CONVERGENCE_RATIO after which the refinement ends
 MAX_STALLS = 2
 
 RefinementSteps = Mapping[str, float]  # refinement steps, keyed by setting
@@ -127,7 +128,7 @@ class RefinedRuns:
         return MAX_MESH_UNKNOWNS, MEMORY_SHARE * find_available_bytes()
 
     def require_mesh_size(self, steps: RefinementSteps) -> None:
-        """Reject meshes that exceed :attr:`limits` after refinement by ``steps``.
+        """Reject meshes that exceed :attr:`mesh_limits` after refinement by ``steps``.
 
         Raises
         ------
@@ -157,7 +158,7 @@ class RefinedRuns:
                 raise self.refused
 
     def _find_body_of_setting(self, setting: NumericalSetting) -> Part | None:
-        """Return the body whose mesh a setting refines; None if the setting refines no mesh."""
+        """Return the body whose mesh a setting refines, or None."""
         for part in self.start.build.scene.parts.values() if setting.model else ():
             refined = setting.name.startswith(f"{part.key_prefix}.")
             if refined and isinstance(part.type, MeshedBody):
@@ -170,9 +171,9 @@ class RefinedRuns:
         return len(self.run_cache) <= self.most
 
     def find_largest_mesh_error(self, names: Sequence[str], run: Run) -> float:
-        """Return the largest error estimate of the meshes that the settings ``names`` refine.
+        """Return the largest error estimate of the meshes that settings refine.
 
-        The error estimates are those of the models in ``run``.
+        ``names`` are the settings, and the models in ``run`` contain the error estimates.
         """
         largest = 0.0
         for setting in self.all_settings:
@@ -213,7 +214,7 @@ def evaluate_scene(
 ) -> Run:
     """Build and simulate ``scene``, and compute its metrics.
 
-    Raises the errors of :func:`simulate_deck`.
+    Raises the errors of :func:`kc2spice.workflow.simulate.simulate_deck`.
     """
     build, deck = prepare_deck(scene, clock, trust=trust, functions=functions)
     with clock.time_stage("refined run", text), tempfile.TemporaryDirectory() as folder:
@@ -233,11 +234,11 @@ def compute_metric_changes(run: Run, finer: Run) -> dict[str, float]:
     """Return the relative change of every metric between ``run`` and ``finer``.
 
     The change of a curve is relative to its largest value. The change of a number is relative to
-    the larger of two values: the number itself, and a fraction of the largest metric with the same
-    unit. The fraction is :data:`NEAR_ZERO_SHARE`, or :data:`SMALL_SIGNAL_SHARE` for small-signal
-    responses. Without a unit, the change is relative to the number itself. A curve with other
-    time or frequency points is interpolated to the points of ``run``. The change is infinite if
-    ``run`` has no comparable metric.
+    the number itself, or to a fraction of the largest metric with the same unit if this fraction is
+    larger. The fraction is :data:`NEAR_ZERO_SHARE`, or :data:`SMALL_SIGNAL_SHARE` for small-signal
+    responses. The change of a number without a unit is relative to the number itself. A curve with
+    other time or frequency points is interpolated to the points of ``run``. The change is infinite
+    if ``run`` has no comparable metric.
     """
     share = SMALL_SIGNAL_SHARE if run.is_small_signal else NEAR_ZERO_SHARE
     exact: dict[str, np.ndarray] = {}
@@ -272,8 +273,8 @@ def compute_metric_changes(run: Run, finer: Run) -> dict[str, float]:
 class RunEstimate:
     """Run with settings refined by ``steps``, and the error estimate of each metric.
 
-    The estimates come from a further, finer run. The settings ``unmoved`` could not be refined;
-    ``fixed`` is their contribution to the largest error.
+    The error estimates come from a further, finer run. The settings ``unmoved`` could not be
+    refined; ``fixed`` is their contribution to the largest error.
     """
 
     steps: RefinementSteps
@@ -299,7 +300,7 @@ class RunEstimate:
 
 @dataclass(frozen=True)
 class ConvergedRun:
-    """Final run of the refinement for an error budget, its check, and all error estimates.
+    """Final run of the refinement for an error budget, with all error estimates.
 
     ``shares`` are the errors of single settings. ``limits`` are the largest number of unknowns and
     the largest memory [B] of a refined mesh.
@@ -332,14 +333,14 @@ class ConvergedRun:
 
 
 def converge_to_budget(start: Run, clock: StageTimer) -> ConvergedRun | None:
-    """Refine the scene until the estimated error of every metric is within ``error_budget``.
+    """Refine the scene until every error estimate is within ``error_budget``.
 
     Without a budget, ``checks.reduction`` requests a single estimate. The result is None if the
     scene has neither ``error_budget`` nor ``checks.reduction``. A warning lists refined settings.
 
     Raises
     ------
-    SimulationError : the estimate exceeds its limit, and ``checks.reduction`` is ``fail``.
+    SimulationError : an error estimate exceeds its limit, and ``checks.reduction`` is ``fail``.
     """
     scene, budget = start.build.scene, start.build.scene.error_budget
     action: Action = scene.checks.reduction or ("off" if budget is None else "warn")
@@ -403,19 +404,20 @@ def converge_to_budget(start: Run, clock: StageTimer) -> ConvergedRun | None:
 
 
 def _explain_finest_mesh(runs: RefinedRuns, now: RunEstimate) -> str:
-    """Return why meshes whose error exceeds the budget are not refined further."""
+    """Return the reason why meshes with an error above the budget are not refined."""
     if (large := runs.refused) is None:
         return f"{', '.join(now.unmoved)} cannot be refined"
     return f"{large.where}: {large.message}: {large.got}, {large.expected}"
 
 
 def estimate_errors(runs: RefinedRuns, steps: RefinementSteps) -> RunEstimate | None:
-    """Estimate the error of each metric at ``steps``; None if no refined run has a result.
+    """Estimate the error of each metric of the run at ``steps``.
 
-    In the refined run, all settings are one step finer. If the refined meshes are too large for the
-    machine, the meshes remain unchanged. The error of settings at their finest value is estimated
-    from coarser runs (:func:`estimate_by_coarser_runs`). Runs with an ``error_budget`` and the
-    command ``bench`` report this error estimate.
+    The result is None if no refined run succeeds. In the refined run, all settings are one step
+    finer. If the refined meshes are too large for the machine, the meshes remain unchanged. The
+    error of settings at their finest value is estimated from coarser runs
+    (:func:`estimate_by_coarser_runs`). Runs with an ``error_budget`` and the command ``bench``
+    report the returned error estimate.
     """
     now = runs.get_refined_run(steps)
     finest = tuple(map(attrgetter("name"), runs.finest))
@@ -439,11 +441,11 @@ def estimate_errors(runs: RefinedRuns, steps: RefinementSteps) -> RunEstimate | 
 def estimate_by_coarser_runs(
     runs: RefinedRuns, steps: RefinementSteps, unmoved: Sequence[str], metrics: Iterable[str]
 ) -> dict[str, float]:
-    """Estimate the error that the settings ``unmoved`` cause in each of the ``metrics``.
+    """Estimate the error of each metric that the settings ``unmoved`` cause.
 
-    The estimate is the larger of two values: the error estimate of the mesh of a body, and the
-    change of the metric by a coarser setting. A refinement step at least halves an error, so that
-    the change is not less than the remaining error.
+    The estimate is the larger of two values: the error estimate of a body's mesh, and the change of
+    the metric due to a coarser setting. A refinement step at least halves an error, so that the
+    change is not less than the remaining error.
     """
     now = runs.get_refined_run(steps)
     result = dict.fromkeys(metrics, runs.find_largest_mesh_error(unmoved, now))
@@ -468,8 +470,8 @@ def _refine_dominant_setting(
     """Refine the setting that changes the metrics most, by several steps if necessary.
 
     ``shares`` contains, for each setting, the largest estimated error that it causes in a metric.
-    A call adds missing entries, and deletes the entry of the refined setting. The result is None if
-    no setting can be refined.
+    The function adds missing entries to ``shares``, and deletes the entry of the refined setting.
+    The result is None if no setting can be refined.
     """
     for setting in runs.refinable:
         if setting.name not in shares and setting.name not in now.unmoved:
@@ -513,7 +515,7 @@ def _add_steps(
 
 
 def _try_run(runs: RefinedRuns, steps: RefinementSteps) -> Run | None:
-    """Return the run at ``steps``; None if the run fails, or if no further run is allowed."""
+    """Return the run at ``steps``; None if it fails, or if no further run is allowed."""
     try:
         return runs.get_refined_run(steps) if runs.has_runs_left else None
     except (SimulationError, UsageError):
@@ -521,7 +523,7 @@ def _try_run(runs: RefinedRuns, steps: RefinementSteps) -> Run | None:
 
 
 def _estimate_differences(run: Run, finer: Run) -> dict[str, float]:
-    """Estimate the relative error of each metric of ``run`` from its change in a ``finer`` run."""
+    """Estimate the error of each metric from its change in a ``finer`` run."""
     return {
         name: REMAINDER_FACTOR * change
         for name, change in compute_metric_changes(run, finer).items()

@@ -1,4 +1,4 @@
-"""Additional frequencies of small-signal analyses, at resonances, at notches and for probes.
+"""Additional frequencies of small-signal analyses: resonances, notches and probes.
 
 The input is an analysis command, and the equations of its scene. The output is further analyses
 around each resonance that the frequencies of the scene do not resolve. The resonances are the
@@ -26,12 +26,13 @@ from kc2spice.scene.model import BuiltScene
 MAX_UNKNOWNS = 600  # the eigenvalues of systems with more unknowns would take seconds
 # Near a pole p, a response is y = R / (j w - p).
 # In the narrowest range, the spacing of points is a quarter of the half-width of the resonance.
-# The parabola through 1/|y|^2 at three points then gives the maximum of a single pole exactly.
-# Other poles change this maximum by less than 1e-4 (tests/spice/test_resonant_maxima.py).
+# A parabola through 1/|y|^2 at three points gives the maximum of a single pole exactly.
+# Other poles change the maximum by less than 1e-4 (tests/spice/test_resonant_maxima.py).
 # Each further range is WIDENING_FACTOR times as wide, with the same number of points.
 # The ranges widen until the spacing of the scene's frequencies is reached.
-# The trapezoidal rule integrates |y|^2 over these ranges with an error of at most 2 %.
-# The same tests measure the error of this integral by equipartition.
+# The trapezoidal rule integrates |y|^2 over all ranges with an error of at most 2 %.
+# The tests in tests/spice/test_resonant_maxima.py measure the error of the integral by
+# equipartition.
 # number of half-widths on each side of a resonance in the narrowest range
 NARROWEST_HALF_WIDTHS = 4.0
 RANGE_POINTS = 33  # number of points in each range
@@ -41,7 +42,7 @@ MAX_RESONANCES = 100
 
 
 def list_refined_analyses(command: AnalysisCommand, laws: SceneLaws) -> tuple[AnalysisCommand, ...]:
-    """Return analyses with closely spaced frequencies at resonances, and at frequencies of probes.
+    """Return analyses with closely spaced frequencies near resonances and at probes.
 
     ``command`` is the analysis of the scene. The frequencies that probes read become points of an
     analysis, because interpolation between two points would cause an error.
@@ -50,8 +51,8 @@ def list_refined_analyses(command: AnalysisCommand, laws: SceneLaws) -> tuple[An
     resolved if the frequencies of the scene lie closer than a quarter of its half-width. For
     undamped resonances, whose response is infinite, no frequencies are added.
 
-    A warning is printed if a part has no equations, such as a user's netlist. Only the poles of the
-    reduced models are known in this case.
+    A warning is printed if a part has no equations, such as a user's netlist. If a part has no
+    equations, only the poles of the reduced models are known.
     """
     build = laws.build
     analysis = build.scene.analysis
@@ -77,7 +78,10 @@ def list_refined_analyses(command: AnalysisCommand, laws: SceneLaws) -> tuple[An
 
 
 def _list_probe_frequencies(build: BuiltScene) -> list[float]:
-    """Return the frequencies [Hz] that probes read within the scene's range, in ascending order."""
+    """Return the frequencies [Hz] that probes read, in ascending order.
+
+    Frequencies outside of the scene's range are omitted.
+    """
     analysis, result = build.scene.analysis, set[float]()
     for probe in build.scene.probes.values():
         result.update(probe.read_positions.values())
@@ -108,10 +112,10 @@ def _compute_frequency_spacing(build: BuiltScene, f: float) -> float:
 
 
 def _find_narrow_resonances(laws: SceneLaws) -> list[tuple[float, float]]:
-    """Return frequency and half-width [Hz] of resonances and notches in ascending order.
+    """Return ascending frequencies and half-widths [Hz] of resonances and notches.
 
-    The frequencies are within the range of the scene. A notch is included only if a probe reads the
-    minimum of its response.
+    The frequencies are within the frequency range of the scene. A notch is included only if a probe
+    reads the minimum of its response.
     """
     analysis = laws.build.scene.analysis
     poles = _find_poles_and_zeros(laws)
@@ -122,7 +126,7 @@ def _find_narrow_resonances(laws: SceneLaws) -> list[tuple[float, float]]:
 
 
 def _find_poles_and_zeros(laws: SceneLaws) -> np.ndarray:
-    """Return the poles [1/s] of the scene's circuits, and the zeros at minima that probes read.
+    """Return poles [1/s] of the circuits, and zeros at minima that probes read.
 
     For a circuit without equations, only the poles of the reduced models are returned. A warning is
     printed if a circuit has no equations, is too large, or has no operating point.

@@ -1,4 +1,4 @@
-"""``run``: build the models of a scene, simulate its deck, and write the files of the result."""
+"""``run``: simulate a scene, and write the files of the result."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from kc2spice.workflow.simulate import Run, keep_failed_run, simulate_deck
 
 @dataclass(frozen=True)
 class CompletedRun:
-    """Completed run of a scene, with simulator version, and wall time [s] of each stage."""
+    """Completed run of a scene, with simulator version and wall time [s] per stage."""
 
     run: Run
     simulator: Simulator
@@ -110,14 +110,14 @@ def run_scene(
     scene : Scene
         Scene, such as :func:`kc2spice.load_scene` returns.
     out : Path
-        Directory for the files. All files appear at once, or none.
+        Directory for the files. Either all files are written, or none.
     progress : callable, optional
         Called as ``progress(stage, done, text)`` during the run.
     trust : bool, default False
         Whether netlists that the scene includes may run commands and write files.
     deck : Path, optional
-        Netlist of this scene that was edited by hand. This deck is simulated instead of the deck of
-        the scene.
+        Netlist of the scene that was edited by hand. The edited netlist is simulated instead of the
+        deck of the scene.
     keep : bool, default False
         Whether to keep the raw file and the log of the simulator.
     png : bool, default False
@@ -172,9 +172,9 @@ def complete_run(
     of the result. The files of a failed run are kept in ``<out>.failed``.
 
     A key without a value in the scene, such as the number of contact rings, has an automatic value.
-    If this value is too small, the scene runs again with a larger value, and a warning states the
-    new value. The scene also runs again with more states of a reduced body whose error under the
-    recorded loads is too large.
+    If an automatic value is too small, the scene runs again with a larger value, and a warning
+    states the new value. The scene also runs again with more states for each reduced body whose
+    error under the recorded loads is too large.
 
     Raises the errors of :func:`run_scene`. A warning is printed for each violated check that does
     not fail the run.

@@ -57,7 +57,7 @@ class Run(RunOutcome):
 
     @cached_property
     def values(self) -> dict[str, np.ndarray]:
-        """Metrics that are numbers or arrays, keyed by dotted name; missing values are NaN."""
+        """Metrics that are numbers or arrays, by dotted name; missing values are NaN."""
         result = {}
         for name, item in flatten_mapping(self.metrics):
             value = np.asarray(np.nan if item is None else item)
@@ -97,14 +97,14 @@ def simulate_deck(
     timeout: float | None = None,
     retries: int | None = None,
 ) -> Run:
-    """Simulate a deck with the retries of its scene, and check the result.
+    """Simulate a deck, with retries after failures, and check the result.
 
-    The checks come from the parts of the scene. If the wiring of an edited deck differs from the
+    The parts of the scene define the checks. If the wiring of an edited deck differs from the
     scene, a warning is printed.
 
     Parameters
     ----------
-    build : Build
+    build : BuiltScene
         Scene with the models of its parts.
     deck : Deck
         Netlist of the scene with its libraries.
@@ -130,7 +130,7 @@ def simulate_deck(
 
     Examples
     --------
-    >>> from kc2spice.core.progress import Clock
+    >>> from kc2spice.core.progress import StageTimer
     >>> from kc2spice.scene.load import load_scene
     >>> from kc2spice.workflow.decks import prepare_deck
     >>> lamp = {
@@ -140,7 +140,7 @@ def simulate_deck(
     ...     "analysis": {"type": "op"},
     ...     "probes": {"current_a": {"of": "lamp.i"}},
     ... }
-    >>> build, deck = prepare_deck(load_scene(lamp), Clock())
+    >>> build, deck = prepare_deck(load_scene(lamp), StageTimer())
     >>> run = simulate_deck(build, deck, Path())
     >>> print(f"{run.metrics['current_a']:.4f} {run.units['current_a']}")
     2.0000 A
@@ -219,7 +219,7 @@ def choose_engine(
     progress: ProgressCallback = None,
     timeout: float | None = None,
 ) -> Engine:
-    """Return the engine that simulates a ``deck`` of the scene with the equations ``laws``.
+    """Return the engine for a ``deck`` of the scene with the equations ``laws``.
 
     A small-signal analysis has further analyses near resonances. Each analysis is a separate run if
     the operating point can depend on the previous analysis. If Python functions set sources during

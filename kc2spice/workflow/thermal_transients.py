@@ -1,8 +1,8 @@
-"""Heat networks for ``reduce``, from measured transients or from models with one thermal port.
+"""Heat networks for ``reduce``, from thermal transients or reduced heat models.
 
 The input is a transient with the power of its step, or a reduced heat model. The output is the
-model of a network in Foster's or Cauer's form. The certificate of a model of a transient contains
-its deviation from the data.
+model of a network in Foster's or Cauer's form. The certificate of a fitted model contains the
+deviation of the model from the data.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from kc2spice.synthesis.heat_netlist import compute_heat_modes
 
 JUNCTION = Port("junction", THERMAL.port)
 LARGEST_MISFIT = 0.1  # deviation (rms) above which no network is written
-# Largest fraction of the thermal resistance whose time constants the measured times do not cover.
-# Above this fraction, a warning or a note is printed.
+# Largest fraction of the thermal resistance with time constants outside of the measured times.
+# Above WARNING_UNSETTLED_RATIO, a warning or a note is printed.
 WARNING_UNSETTLED_RATIO = 0.01
 # rms deviation, relative to the noise, above which a warning is printed
 # Drift and rounding of instruments cause deviations of up to 1.1 times the noise.
@@ -43,7 +43,7 @@ ENDS = 20  # the first and the last 1/20 of the samples determine the direction 
 
 @dataclass(frozen=True)
 class FittedTransient:
-    """Model of a transient, with the noise of the data, and notes and warnings for the user."""
+    """Model of a transient, with the noise of the data, notes and warnings."""
 
     model: LinearModel
     noise: float
@@ -139,7 +139,7 @@ def fit_transient_network(
 
 
 def shape_heat_model(model: LinearModel, form: NetworkForm | None) -> LinearModel:
-    """Return a reduced heat model as a network of the ``form``; without a form, unchanged.
+    """Return a heat model as a network of the ``form``, or unchanged without a form.
 
     Raises
     ------
@@ -185,7 +185,7 @@ def require_one_heat_port(model: LinearModel) -> None:
 def _make_step_samples(
     data: ThermalTransient, power: float | None
 ) -> tuple[StepSamples, Norm, tuple[str, ...]]:
-    """Return samples of the temperature rise per watt, the norm of their deviation, and notes."""
+    """Return samples of the temperature rise per watt, their error norm, and notes."""
     count = max(len(data.value) // ENDS, 1)
     change = float(data.value[-count:].mean() - data.value[:count].mean())
     noise = float(np.sqrt(0.5 * np.mean(np.diff(data.value) ** 2) / count))
@@ -221,14 +221,14 @@ def _make_step_samples(
 
 
 def _find_largest_rise(samples: StepSamples, fit: TransientFit) -> float:
-    """Return the network's largest temperature rise per watt [K/W], at the last sample."""
+    """Return the largest rise per watt [K/W] of the network, at the last sample."""
     return float(fit.network.compute_step_response(samples.time[-1:])[0])
 
 
 def _make_certificate(
     samples: StepSamples, fit: TransientFit, size: float, norm: Norm
 ) -> Certificate:
-    """Return a certificate with the deviation of a network from its samples.
+    """Return a certificate with the deviation of a network from the samples.
 
     The band of the certificate corresponds to the times of the samples.
     """

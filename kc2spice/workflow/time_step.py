@@ -1,11 +1,13 @@
-"""Largest time step of a transient, and the effect of the time steps on the computed waves.
+"""Largest time step of a transient, and the effect of time steps on the waves.
 
 The error control of ngspice keeps the error of each step below a tolerance. At a resonance, the
 errors of thousands of steps add up. With steps ``h``, the trapezoidal rule reduces every natural
-frequency ``w`` by the fraction ``(w h)^2 / 12``, so that the drive frequency is no longer at the
-resonance. Gear's method adds damping. Both rules change the exponential ``e^(r t)`` into an
-exponential with another rate. The numerical solution of a linear circuit is therefore known in
-closed form, and so is the largest step whose error is within :data:`RMS_ERROR_LIMIT`.
+frequency ``w`` by the fraction ``(w h)^2 / 12``. A drive at a resonance frequency of the circuit
+therefore misses the resonance of the numerical solution. Gear's method adds damping. The
+trapezoidal rule and Gear's method change the exponential ``e^(r t)`` into an exponential with
+another rate. The numerical solution of a linear circuit is therefore known in closed form. The
+largest step whose error is within :data:`RMS_ERROR_LIMIT` is determined from the numerical
+solution.
 
 Natural modes with a Q factor below :data:`RESONANT_Q` do not limit the step, because the error
 control resolves them. Waves that consist only of rounding errors also do not limit the step.
@@ -56,7 +58,7 @@ WINDOW_COUNT = 16
 # largest number of time points at which a run is compared with the exact solution
 MAX_COMPARED_POINTS = 30_000
 # Smallest size of a compared wave, relative to the largest wave with the same unit.
-# ngspice does not iterate waves that are smaller than this size.
+# The iterations of ngspice do not refine waves that are smaller than MIN_RELATIVE_SIZE.
 MIN_RELATIVE_SIZE = 1e-5
 # smallest size of a compared wave, keyed by unit
 MIN_SIZE = {"A": 1e-11, "V": 1e-6, "N": 1e-11, "m": 1e-12, "m/s": 1e-9}
@@ -107,7 +109,7 @@ def _is_thermal_and_aperiodic(network: Network, motion: ExponentialSolution) -> 
 
 @dataclass(frozen=True)
 class LinearisedScene:
-    """Networks of a transient, linearised at rest, with the exact solution of each network.
+    """Networks of a transient, linearised at rest, with their exact solutions.
 
     The choice of the largest step, and the check of the steps after a run, use the same object. The
     object computes the eigenvalues of the networks when they are first needed.
@@ -121,7 +123,7 @@ class LinearisedScene:
 
     @property
     def is_resolved_by_error_control(self) -> bool:
-        """Whether error control resolves all networks: each is linear, or relaxes thermally."""
+        """Whether error control resolves all networks: all are linear or relax thermally."""
         for network, motion in zip(self.networks, self.exact_solutions, strict=True):
             if motion is None or not (
                 motion.linear.exact or _is_thermal_and_aperiodic(network, motion)
@@ -151,7 +153,7 @@ class LinearisedScene:
 
     @cached_property
     def exact_solutions(self) -> tuple[ExponentialSolution | None, ...]:
-        """Exact solution of each network; None if the network is too large or has no solution."""
+        """Exact solution of each network; None if it is too large or has no solution."""
         return tuple(
             _solve_motion(network, self.build.scene.stop_time) for network in self.networks
         )
@@ -169,7 +171,10 @@ def find_linearised_scene(build: BuiltScene) -> LinearisedScene:
 
 
 def with_linearised_scene(build: BuiltScene) -> BuiltScene:
-    """Return a build that stores its linearised networks, which are then computed only once."""
+    """Return a build that stores its linearised networks.
+
+    Stored networks are computed only once.
+    """
     return replace(build, linearised=find_linearised_scene(build))
 
 
@@ -195,11 +200,11 @@ def _solve_motion(network: Network, stop: float) -> ExponentialSolution | None:
 
 
 class IntegrationRule(NamedTuple):
-    """Integration rule, described by its effect on exponentials with the time step ``h``.
+    """Integration rule, described by its effect on exponentials at the step ``h``.
 
-    ``rates`` returns, for an exponential ``e^(r t)``, the rate of the numerical solution. ``axis``
-    returns a value s for a source ``e^(j w t)``. The numerical response of a mode with the rate r
-    to this source is ``1 / (s - r)``.
+    ``rates`` returns, for an exponential ``e^(r t)``, the rate of the numerical solution. For a
+    source ``e^(j w t)``, ``axis`` returns the value s for which the numerical response of a mode
+    with the rate r is ``1 / (s - r)``.
     """
 
     rates: Callable[[np.ndarray, float], np.ndarray]
@@ -221,8 +226,9 @@ INTEGRATION_RULES = {
 def find_step(motion: ExponentialSolution, start: StepLimit, rule: IntegrationRule) -> StepLimit:
     """Return the largest step up to ``start`` with which ``rule`` is accurate.
 
-    The error of the rms is at most :data:`RMS_ERROR_LIMIT`. The error of the wave itself is at most
-    :data:`SHAPE_ERROR_LIMIT`, unless this limit requires :data:`MAX_SHAPE_POINTS` points or more.
+    The error of the rms value of a wave is at most :data:`RMS_ERROR_LIMIT`. The error of the wave
+    itself is at most :data:`SHAPE_ERROR_LIMIT`, unless this limit requires :data:`MAX_SHAPE_POINTS`
+    points or more.
     """
     peaks = motion.find_peak_amplitudes()
     t = motion.choose_sample_times(SAMPLE_COUNT)
@@ -276,11 +282,11 @@ def _describe_resonance(rate: complex, quality: float) -> str:
 
 
 def find_largest_errors(t: np.ndarray, ours: np.ndarray, exact: np.ndarray) -> tuple[float, float]:
-    """Return the largest error of the rms values, and the largest error of a value, of all waves.
+    """Return the largest error of the rms values, and of the values, of all waves.
 
-    ``ours`` and ``exact`` are arrays of shape (times, waves). The rms values are those in
-    :data:`WINDOW_COUNT` time windows. Their errors are relative to the largest rms value of the
-    wave in a window. Errors of values are relative to the largest value of the wave.
+    ``ours`` and ``exact`` are arrays of shape (times, waves). The rms values are computed in
+    :data:`WINDOW_COUNT` time windows. Errors of rms values are relative to the largest rms value of
+    the wave in a window. Errors of values are relative to the largest value of the wave.
     """
     edges = np.linspace(t[0], t[-1], WINDOW_COUNT + 1)[1:-1]
     cuts = np.unique([0, *np.searchsorted(t, edges)])
@@ -331,9 +337,9 @@ def list_step_checks(
 def _compare_exact_motion(
     build: BuiltScene, waves: Waveforms
 ) -> tuple[tuple[float, float, str], set[str]]:
-    """Return the largest deviation of waves of linear circuits, and the parts of these circuits.
+    """Return the largest deviation from the exact motion, and the compared parts.
 
-    The deviation is the difference to the exact motion of the circuit.
+    Only waves of linear circuits are compared.
     """
     exact, worst = set[str](), (0.0, 0.0, "")
     linearised = find_linearised_scene(build)
@@ -359,7 +365,7 @@ def _make_step_check(name: str, largest: tuple[float, float, str]) -> Check:
 
 
 def _has_unmodelled_neighbour(build: BuiltScene, network: Network, missing: Sequence[str]) -> bool:
-    """Return whether a part without equations is joined to this network."""
+    """Return whether a part without equations is joined to the network."""
     parts, scene = set(map(get_law_name, network.law_names)), build.scene
     for name, pin in scene.nets:
         if name in parts and not set(missing).isdisjoint(dict(scene.list_joined_pins(name, pin))):

@@ -1,4 +1,4 @@
-"""Verdict on a run: checks of the parts and of the time steps, and energy balances."""
+"""Verdict on a run: checks of parts and time steps, and energy balances."""
 
 from __future__ import annotations
 
@@ -65,8 +65,8 @@ def add_undecided_warnings(checks: Sequence[Check]) -> Iterator[Check]:
     """Yield all checks, and a warning for each check whose outcome is undecided.
 
     A relative error e of the launch velocity v changes the height of a flight, v^2 / 2 g, by the
-    relative amount 2 e. An outcome is undecided if the motion is closer to its limit than this
-    change, which errors of reduced bodies can cause.
+    relative amount 2 e. An outcome is undecided if the distance of the motion from its limit is
+    smaller than the change that errors of reduced bodies can cause.
     """
     error = max((check.value for check in checks if check.loaded), default=0.0)
     for check in checks:

@@ -1,4 +1,8 @@
-"""Readers that convert matrices from other finite-element programs to linear models with ports."""
+"""Readers that convert matrices of other programs to linear models.
+
+The linear models have named ports, and the other programs are finite-element programs. The readers
+return linear models.
+"""
 
 from __future__ import annotations
 
@@ -55,16 +59,16 @@ def read_model(path: Path | str, sidecar: Path | str | None = None) -> LinearMod
     -------
     LinearModel
         Model in SI units. The TOML file defines the ports. Without a TOML file, all ports are
-        signals. Parameters in the TOML file have their default values; :func:`read_affine_model`
-        returns a model with parameters.
+        signals. All parameters in the TOML file are set to their default values;
+        :func:`read_affine_model` returns a model with parameters.
 
     Raises
     ------
     UsageError : the model does not exist, a file is damaged or too large, a matrix is incomplete, a
         number in a matrix is not real or not finite, or the ports do not match the matrices. The
-        message names the file and the key, the wrong input and the expected input.
-    MissingToolError : the format needs a package that is not installed. The message names this
-        package.
+        error message states the file, the key, the wrong input and the expected input.
+    MissingToolError : the format needs a package that is not installed. The error message names the
+        missing package.
 
     Examples
     --------
@@ -120,7 +124,7 @@ def read_affine_model(path: Path | str, sidecar: Path | str | None = None) -> Af
     >>> text = "\\n".join([parameter, term, port])
     >>> characters = Path("spring.toml").write_text(text)
     >>> spring = kc.read_affine_model("spring.npz")
-    >>> float(spring.at({"ratio": 2.0}).K[0, 0])
+    >>> float(spring.evaluate({"ratio": 2.0}).K[0, 0])
     400.0
     """
     model = read_any_model(path, sidecar)
@@ -210,8 +214,8 @@ def _read_term(
 ) -> Matrix | None:
     """Read the matrix of a term from its file.
 
-    Return None if the term has neither file nor matrix name. The factor of such a term multiplies
-    the matrix of the model.
+    Return None if the term has neither file nor matrix name. The factor of a term without file and
+    matrix name multiplies the matrix of the model.
 
     Raises
     ------
@@ -267,8 +271,8 @@ def measure_mesh_extent(path: Path, sidecar: Path | None) -> np.ndarray | None:
 # file extensions that may follow NAME.K or NAME_K
 _MATRIX_SUFFIXES = ("", ".mtx", ".mm", ".txt", ".matrix", ".hb", ".rsa", ".rua")
 _MATRIX_FILE = re.compile(r"(.+)([._])([MEKABCD])(\.(?:mtx|mm|txt|matrix|hb|rsa|rua))?")
-# Key of a single file that contains all matrices.
-# This key is used if the user writes the name of a model without a file extension.
+# Key, in place of a matrix letter, of a single file that contains all matrices.
+# The key is used if the user writes the name of a model without a file extension.
 _SINGLE_FILE = ""
 _MATLAB_EXPECTED = "a MATLAB file of version 5 to 7.2 with matrices, or with one mphmatrix struct"
 _ARRAYS_EXPECTED = (
@@ -302,7 +306,7 @@ READERS: Mapping[str, tuple[str, Callable[[Path, Mapping[str, str]], raw_matrice
 def list_source_files(path: Path, sidecar: Path | None) -> tuple[Path, ...]:
     """List the existing files of a model.
 
-    The names of these files begin with the name of the model, or are in its TOML file.
+    The names of the listed files begin with the name of the model, or are in the model's TOML file.
 
     Raises
     ------
@@ -421,7 +425,7 @@ def _read_files(
 
 
 def _read_matrices(files: dict[str, Path]) -> raw_matrices.RawMatrices:
-    """Read one matrix from each file in the Matrix Market, Harwell-Boeing or Abaqus format."""
+    """Read one matrix from each Matrix Market, Harwell-Boeing or Abaqus file."""
     result: dict[str, Matrix] = {}
     tables: dict[str, Path] = {}
     mapped: list[Path] = []

@@ -1,4 +1,4 @@
-"""Assembly of a linear model with ports from matrix files and the TOML file beside them.
+"""Assembly of a linear model with ports from matrix files and a TOML file.
 
 The TOML file is called *sidecar* in the code. :class:`Rows` contains the matrices and the sidecar.
 """
@@ -48,12 +48,12 @@ IMAGINARY_ROUNDING = 1e-12
 
 
 def assemble_model(rows: LabelledMatrices) -> LinearModel:
-    """Assemble the linear model of ``rows`` in SI units, with the ports in its TOML file.
+    """Assemble the linear model of ``rows`` in SI units, with ports.
 
     Raises
     ------
     UsageError : a matrix is missing, superfluous, zero, incomplete or of the wrong shape, or a
-        degree of freedom or node does not exist. The message contains the file and the key.
+        degree of freedom or node does not exist. The error message contains the file and the key.
     """
     rows = replace(rows, matrices=_rename_damping_matrix(rows))
     rows = replace(rows, matrices=_complete_matrices(rows))
@@ -64,7 +64,7 @@ def assemble_model(rows: LabelledMatrices) -> LinearModel:
 
 
 def _rename_damping_matrix(rows: LabelledMatrices) -> Mapping[str, Matrix]:
-    """Rename a damping matrix C to E, because C denotes the output matrix in this package.
+    """Rename a damping matrix C to E, because C denotes the output matrix here.
 
     A square C beside M and K may be the damping matrix or the output matrix. An error is raised if
     the TOML file does not state which of the two matrices C is.
@@ -104,18 +104,18 @@ def _rename_damping_matrix(rows: LabelledMatrices) -> Mapping[str, Matrix]:
             f"at most {MAX_NARROW_ENTRIES} numbers in C",
             f'write  damping_matrix = "C"  into {rows.name}.toml if C is the damping matrix',
         )
-    # here, C is the output matrix of a model without damping
+    # C is the output matrix of a model without damping
     if square and "M" in matrices and "E" not in matrices:
         return {**matrices, "E": sparse.csc_array(K.shape)}  # type: ignore[union-attr]
     return matrices
 
 
 def _complete_matrices(rows: LabelledMatrices) -> Mapping[str, Matrix]:
-    """Return all matrices of the model, keyed by letter, and check that their shapes match.
+    """Return all matrices of the model by letter, and check that the shapes match.
 
     A model without M is a first-order model, such as heat conduction ``E x' + K x = B u``. If a
     file contains only one triangle of a matrix, the TOML file must contain the key ``symmetric``.
-    If this key is true, the triangle is mirrored. Zero matrices other than E cause an error.
+    If ``symmetric`` is true, the triangle is mirrored. Zero matrices other than E cause an error.
     """
     matrices = dict(rows.matrices)
     stiffness = matrices.get("K")
@@ -220,10 +220,10 @@ class LabelledMatrices:
         return dofs
 
     def find_rows(self, place: NodeSelection, kinds: tuple[int, ...]) -> list[np.ndarray]:
-        """Find the matrix rows of the degrees of freedom at the nodes that ``place`` selects.
+        """Find the matrix rows of degrees of freedom at the nodes that ``place`` selects.
 
         Return an array of row numbers for each degree of freedom in ``kinds``. If ``kinds`` is
-        empty, return one array with the rows of all degrees of freedom at these nodes.
+        empty, return one array with the rows of all degrees of freedom at the selected nodes.
         """
         where = self.sidecar.locate_entry(place)
         dofs, mesh = self.get_row_dofs(where), self.sidecar.mesh
@@ -298,9 +298,9 @@ class LabelledMatrices:
     # --- ports ------------------------------------------------------------------------------------
 
     def make_port_vector(self, entry: PortEntry) -> np.ndarray:
-        """Return the column of B for an input or a conservative port, or the row of C of an output.
+        """Return the column of B of an input or port, or the row of C of an output.
 
-        The returned vector has one value for each matrix row.
+        The port is a conservative port. The returned vector has one value for each matrix row.
         """
         if entry.column is not None or entry.row is not None:
             return self._select_load(entry)
@@ -315,7 +315,7 @@ class LabelledMatrices:
             return -np.asarray(self.matrices["M"] @ load)
         result = self.find_rows(entry, tuple(entry.weights))
         for rows, weight in zip(result, entry.weights.values(), strict=True):
-            # the product of this vector with the unknowns is the mean displacement of the nodes
+            # the product of the port vector and the unknowns is the mean displacement of the nodes
             load[rows] += weight / len(rows)
         if not load[~self.mask_fixed_rows()].any():
             raise UsageError(
@@ -395,7 +395,10 @@ class LabelledMatrices:
 
 
 def _assemble_mechanical(rows: LabelledMatrices) -> LinearModel:
-    """Assemble a model without electrodes at nodes, and add the damping in its TOML file."""
+    """Assemble a model without electrodes at nodes.
+
+    The damping in the TOML file is added.
+    """
     settings = rows.sidecar
     keep = np.flatnonzero(~rows.mask_fixed_rows())
     if not keep.size:
@@ -408,7 +411,7 @@ def _assemble_mechanical(rows: LabelledMatrices) -> LinearModel:
     operators = {letter: _select_entries(matrix, keep) for letter, matrix in square.items()}
     used = sum(abs(matrix).sum(axis=1) for matrix in operators.values())
     empty = np.flatnonzero(np.asarray(used) == 0)
-    if empty.size:  # an unknown that is in no matrix is a gap in the numbering
+    if empty.size:  # an unknown without entries in any matrix is a gap in the numbering
         problem, expected = "a row is zero in all matrices", "no gaps in the numbering"
         got = f"row {empty[0] + 1} of the free rows; zero rows in all: {empty.size}"
         hint = None if rows.raw.dofs is None else "fix the degree of freedom in [[fixed]]"
@@ -450,10 +453,10 @@ def _assemble_mechanical(rows: LabelledMatrices) -> LinearModel:
 
 
 def _assemble_piezoelectric(rows: LabelledMatrices) -> LinearModel:
-    """Assemble a model with electrodes at nodes, and eliminate all other potentials exactly.
+    """Assemble a model with electrodes at nodes.
 
-    The stiffness matrix K in the files is ``[[K_uu, K_up], [K_up', -K_pp]]``, as Ansys and Abaqus
-    write it.
+    All other potentials are eliminated exactly. The stiffness matrix K in the files is ``[[K_uu,
+    K_up], [K_up', -K_pp]]``, as Ansys and Abaqus write it.
     """
     settings = rows.sidecar
     if "A" in rows.matrices or any(e.kind in ("input", "output") for e in settings.ports):
@@ -525,8 +528,8 @@ def _split_loss(
 ) -> tuple[Matrix, sparse.csc_array | None]:
     """Split a complex stiffness matrix K into its real part and its imaginary part.
 
-    The imaginary part is the structural damping of the displacements; it is None for a real K.
-    ``potential`` is a mask of the rows of potentials.
+    The imaginary part is the structural damping of the displacements; the returned imaginary part
+    is None for a real K. ``potential`` is a mask of the rows of potentials.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Kinds of columns in files of measuring instruments: quantities, units, titles and combinations.
+"""Quantities, units and titles of columns in files of measuring instruments.
 
 This module contains only data. A new kind of column needs only one more entry of
 :data:`COLUMN_KINDS`.
@@ -54,7 +54,7 @@ DEFAULT_UNITS = {
     "inductance": "H", "angle": "deg", "decibel": "dB", "number": "",
     "time": "s", "temperature": "K", "thermal impedance": "K/W",
 }  # fmt: skip
-# units that do not have SI prefixes
+# units that cannot have SI prefixes
 UNITS_WITHOUT_PREFIX = (
     "°",
     "db",
@@ -73,8 +73,8 @@ UNITS_WITHOUT_PREFIX = (
 # kinds of phase columns; in a passive part, these phases are within one turn
 PASSIVE_PHASES = ("phase", "phase_z", "phase_y", "gain_phase")
 MAX_PHASE = 2.02 * np.pi  # rad, largest phase: one turn plus 1 % for noise
-# Limits [rad] of the magnitude and of the range for a column of angles without a stated unit.
-# Angles with at most this magnitude and with a larger range are in rad, all others in degrees.
+# Limits [rad] of the largest magnitude and of the range of angles in a column without a unit.
+# The unit is rad if all angles are at most 0.51 pi and their range exceeds 0.5, otherwise degrees.
 RADIAN_LIMITS = 0.51 * np.pi, 0.5
 
 
@@ -101,8 +101,9 @@ _IMAGINARY = r"(im|img|imag|imaginary|imagpart)"
 
 
 def _make_affix_pattern(of: str, word: str) -> str:
-    """Return the regular expression of a word before or after a letter, as in ``magz``, ``zmag``.
+    """Return the regular expression of a word before or after a letter.
 
+    The letter is a quantity and the word is a part of the quantity, as in ``magz`` and ``zmag``.
     ``of`` is the letter and ``word`` is the regular expression of the word.
     """
     return rf"{of}{word}|{word}{of}|{word}\|{of}\|"
@@ -123,7 +124,7 @@ COLUMN_KINDS = (
     ColumnKind("phase", ("angle",), _PHASE),
     ColumnKind("phase_z", ("angle",), _make_affix_pattern("z", _PHASE)),
     ColumnKind("phase_y", ("angle",), _make_affix_pattern("y", _PHASE)),
-    ColumnKind("phase_z", ("angle",), "z", needs_unit=True),  # such as the title Impedance (Degree)
+    ColumnKind("phase_z", ("angle",), "z", needs_unit=True),  # for example Impedance (Degree)
     ColumnKind("phase_y", ("angle",), "y", needs_unit=True),
     ColumnKind("r", ("impedance",), rf"r|z?rs|esr|resistance|{_make_affix_pattern('z', _REAL)}"),
     ColumnKind("x", ("impedance",), rf"x|z?xs|reactance|{_make_affix_pattern('z', _IMAGINARY)}"),
@@ -185,7 +186,7 @@ COLUMN_KINDS = (
     ColumnKind("zth", ("thermal impedance",), "z", needs_unit=True),
     ColumnKind(SOUND_QUANTITY, ("decibel",), r"spl|dbspl|soundpressure(level)?"),
 )
-# names of quantities in messages, if they differ from the key `quantity` of the column kind
+# names of quantities in messages, if different from the key `quantity` of the column kind
 QUANTITY_LABELS = {
     "z": "|Z|", "y": "|Y|", "phase_z": "phase of Z", "phase_y": "phase of Y", "s_size": "|S11|",
     "s_phase": "phase of S11", "s_real": "Re S11", "s_imag": "Im S11", "gain_phase": "phase",
@@ -207,12 +208,12 @@ ADDED_WORDS = re.compile(
 )
 # channel of a measurement in the title of a column
 CHANNEL_PATTERN = re.compile(r"\b(channel|ch)\s*(\d+|[a-z]\b)", re.I)
-# titles of a table without titles, keyed by file extension
+# assumed titles of columns in a file without titles, keyed by file extension
 SUFFIX_TITLES = {
     ".zma": ("Frequency (Hz)", "|Z| (Ohm)", "Phase (deg)"),
     ".frd": ("Frequency (Hz)", "Gain (dB)", "Phase (deg)"),
 }
-# possible meanings of three columns without titles in a file with any other file extension
+# possible meanings of three columns without titles in a file whose extension has no assumed titles
 UNTITLED_MEANINGS = ("frequency, R and X in Ohm", "frequency, |Z| in Ohm and phase in degrees")
 # Pattern of the titles of columns that contain a trace.
 # A line such as ``FORMAT: |Z|`` above the table states the quantity of the trace.

@@ -1,4 +1,4 @@
-"""Meaning of column titles (quantity, sign and unit), and conversion of columns to SI units.
+"""Meaning of column titles, and conversion of columns to SI units.
 
 A title that an instrument writes, such as ``Trace 2: Impedance: Phase (deg)`` or ``-Im(Z)/Ohm``, is
 divided into a sign, words and a unit. :mod:`kc2spice.bodies.readers.column_kinds` lists the known
@@ -121,7 +121,7 @@ def parse_units(text: str) -> list[Unit]:
 def _find_prefix_factor(prefix: str, base: str, measures: str, text: str) -> float | None:
     """Return the factor of an SI prefix before the unit ``base``.
 
-    Return None if ``prefix`` is not an SI prefix that this unit can have.
+    Return None if ``prefix`` is not an SI prefix that the unit ``base`` can have.
 
     Raises
     ------
@@ -147,7 +147,7 @@ def _find_prefix_factor(prefix: str, base: str, measures: str, text: str) -> flo
 
 
 def _clean_text(text: str) -> str:
-    """Replace unusual letters in a title or unit, and remove enclosing quotation marks.
+    """Replace unusual letters in a title or unit; remove enclosing quotation marks.
 
     The returned string has at most :data:`MAX_TITLE_LENGTH` characters.
     """
@@ -161,7 +161,7 @@ def _clean_text(text: str) -> str:
 
 
 def read_title(text: str) -> ColumnTitle | None:
-    """Parse the title of a column; return None if its meaning is unknown.
+    """Parse the title of a column; return None if the meaning is unknown.
 
     Raises
     ------
@@ -216,7 +216,7 @@ def is_frequency(text: str) -> bool:
 def is_abscissa(text: str) -> bool:
     """Return whether a column title means the frequency or the time.
 
-    The other columns of a table depend on this column.
+    The other columns of a table depend on the column of frequencies or times.
     """
     if is_frequency(text):
         return True
@@ -228,7 +228,7 @@ def is_abscissa(text: str) -> bool:
 
 
 def find_complex_quantity(text: str) -> tuple[Quantity, float] | None:
-    """Return the quantity in a column of complex numbers, and the value of its unit in SI units.
+    """Return the quantity and the SI value of the unit of a complex column.
 
     For example, the title ``Z (kOhm)`` means an impedance whose unit is 1000 Ohm. Return None if
     the title does not mean a complex quantity.
@@ -259,7 +259,7 @@ def _split_unit(title: str) -> Iterator[tuple[str, str | None]]:
     if tail and _find_units_of_word(tail[2]):
         yield tail[1], tail[2]
     bracket = re.fullmatch(r"(.*?\S)\s*[\[(]([^\[\]()]+)[\])](.*)", title)
-    if bracket:  # Re(Z) is a quantity; frequency (rpm) has an unknown unit
+    if bracket:  # Re(Z) contains no unit; frequency (rpm) contains an unknown unit
         yield title, None
         yield bracket[1] + bracket[3], bracket[2]
     else:

@@ -47,16 +47,16 @@ from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError, list_candidates
 
 DEFAULT_REFERENCE = 50.0  # Ohm, reference resistance of S parameters if the file states none
-# Smallest number of frequencies.
-# This number suffices for the four parameters of a resonance and an estimate of the noise.
+# Smallest number of frequencies of a response.
+# Twelve frequencies suffice for the four parameters of a resonance and an estimate of the noise.
 MIN_FREQUENCIES = 12
 # Largest median of the relative difference between two responses that agree.
-# This limit is larger than the rounding errors of the columns.
+# The limit of 5 % is larger than the rounding errors of the columns.
 AGREEMENT_LIMIT = 0.05
 # Largest share of frequency steps with a reversal in a table of several sweeps.
 # If the share of reversals is larger, the frequencies are not sorted.
 MAX_REVERSAL_SHARE = 0.1
-MAX_TITLE_LENGTH = 50  # number of characters of column titles in an error message
+MAX_TITLE_LENGTH = 50  # largest number of characters of column titles in an error message
 NAME_COLUMNS_HINT = "name the columns in the first line, such as  frequency_hz,real_ohm,imag_ohm"
 ONE_PART_HINT = "delete the columns or lines of the other one"
 
@@ -67,8 +67,9 @@ class MeasuredResponse(EqualByContent):
 
     ``samples`` of shape (n, ports, ports) are values of the ``quantity`` S, Z or Y at the
     frequencies ``f`` (n,) [Hz]. ``Y`` contains the admittances [S] of the samples, an array of the
-    same shape. ``reference`` (ports,) [Ohm] contains the reference resistances of S parameters.
-    ``notes`` are assumptions of the reader, and ``columns`` describes the meaning of the columns.
+    same shape as ``samples``. ``reference`` (ports,) [Ohm] contains the reference resistances of S
+    parameters. ``notes`` are assumptions of the reader, and ``columns`` describes the meaning of
+    the columns.
     """
 
     f: np.ndarray
@@ -83,8 +84,8 @@ class MeasuredResponse(EqualByContent):
 def convert_to_admittance(quantity: Quantity, P: np.ndarray, z0: np.ndarray) -> np.ndarray:
     """Convert samples ``P`` of S, Z or Y to admittances.
 
-    Both arrays have the shape (n, ports, ports). ``z0`` (ports,) [Ohm] contains the reference
-    resistances of S parameters.
+    ``P`` and the returned array have the shape (n, ports, ports). ``z0`` (ports,) [Ohm] contains
+    the reference resistances of S parameters.
     """
     one = np.eye(P.shape[1])
     try:
@@ -140,7 +141,10 @@ def find_response(
 
 
 def _find_table_response(table: TextTable, shunt: float | None, suffix: str) -> MeasuredResponse:
-    """Return the frequency response in one table of a file with the extension ``suffix``."""
+    """Return the frequency response in one table of a file.
+
+    The extension of the file is ``suffix``.
+    """
     if table.titles is not None and any(map(is_frequency, table.titles)):
         return combine_response(table.titles, table.numbers, shunt, table.notes)
     suffix_titles = SUFFIX_TITLES.get(suffix)
@@ -162,11 +166,11 @@ def _find_table_response(table: TextTable, shunt: float | None, suffix: str) -> 
 
 
 def _replace_titles(titles: Sequence[str], comments: Sequence[str]) -> tuple[str, ...]:
-    """Replace default titles of columns by titles of the same quantity in comment lines.
+    """Replace column titles by titles in comment lines for the same quantities.
 
     Raises
     ------
-    ValueError : a unit in the comments does not belong to the quantity.
+    ValueError : a title in the comments combines a quantity with a unit of another quantity.
     """
     result = list(titles)
     quantities = [title.meaning.quantity for title in map(read_title, titles) if title]
@@ -259,7 +263,7 @@ def combine_response(
 def _require_one_sweep(f: np.ndarray) -> None:
     """Raise an error if the nonzero frequencies of a table are not sorted.
 
-    Sorted frequencies either increase or decrease.
+    Sorted frequencies either all increase or all decrease.
 
     Raises
     ------
@@ -305,7 +309,7 @@ def classify_columns(titles: Sequence[str], numbers: Sequence[np.ndarray]) -> Cl
 def _require_complete(
     titles: Sequence[str], columns: ClassifiedColumns, shunt: float | None
 ) -> None:
-    """Raise an error if the columns do not determine an impedance at known frequencies.
+    """Raise an error unless the columns determine an impedance at known frequencies.
 
     A gain determines an impedance only if the resistance of the ``shunt`` is given.
     """
@@ -357,7 +361,7 @@ def _make_incomplete_error(titles: Sequence[str], columns: ClassifiedColumns) ->
 
 
 def _make_half_impedance_error(titles: Sequence[str], columns: ClassifiedColumns) -> UsageError:
-    """Make the error for a table that contains only one of the two columns of an impedance."""
+    """Make the error for a table with only one of the two columns of an impedance."""
     names = set(columns.by_quantity) - {"f"}
     shared = [item for item in COMBINATIONS if names & set(item.columns)]
     partners = dict.fromkeys(chain.from_iterable(item.columns for item in shared))
@@ -377,7 +381,8 @@ def _select_agreeing_column(quantity: str, candidates: Sequence[Column]) -> Colu
 
     Raises
     ------
-    UsageError : the values of these columns differ by more than the agreement limit.
+    UsageError : the values of columns of the same quantity differ by more than
+        :data:`AGREEMENT_LIMIT`.
     """
     first, *others = candidates
     for other in others:
@@ -419,7 +424,7 @@ def _find_channel(column: Column) -> str:
 
 
 def _compute_relative_difference(a: np.ndarray, b: np.ndarray) -> float:
-    """Return the median of the relative differences between the arrays ``a`` and ``b``.
+    """Return the median relative difference between the arrays ``a`` and ``b``.
 
     The differences are relative to ``b``. Points at which a value is zero or not finite are
     omitted.

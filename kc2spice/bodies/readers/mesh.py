@@ -60,7 +60,7 @@ class NodeMesh:
 
         Raises
         ------
-        UsageError : no node is within this distance.
+        UsageError : no node is within the permitted distance.
         """
         distance = np.linalg.norm(self.at - np.asarray(place), axis=1)
         best = int(distance.argmin())
@@ -132,7 +132,8 @@ def _parse_point(words: Iterable[str]) -> tuple[float, float, float]:
 class _NodeSets(dict[str, list[int]]):
     """Node sets, keyed by name, with a limit of the total number of nodes.
 
-    The limit is necessary because a few characters in a file may define a large range of nodes.
+    The limit is necessary, because a few characters in a mesh file may define a large range of
+    nodes.
     """
 
     def add(self, name: str, members: Sequence[int]) -> None:
@@ -196,8 +197,9 @@ def _parse_bulk_data(data: bytes) -> Content:
 def _parse_blocks(data: bytes) -> Content:
     """Parse the nodes and node sets in a ``.cdb`` file of Ansys.
 
-    Nodes follow the command ``NBLOCK``. Each line contains a node number, two other integers and
-    the coordinates x, y, z, in fields of fixed width. A node set follows the command ``CMBLOCK``.
+    Nodes follow the command ``NBLOCK``. Each line of nodes contains a node number, two other
+    integers and the coordinates x, y, z, in fields of fixed width. A node set follows the command
+    ``CMBLOCK``.
     """
     nodes: Nodes = {}
     sets = _NodeSets()
@@ -229,7 +231,7 @@ def _parse_blocks(data: bytes) -> Content:
 def _parse_table(data: bytes) -> Content:
     """Parse lines that contain a node number and three coordinates.
 
-    Lines with other content may occur only before these lines.
+    Lines with other content may occur only before the first node.
     """
     nodes: Nodes = {}
     for line in _decode_lines(data):

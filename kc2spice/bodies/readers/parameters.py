@@ -1,4 +1,4 @@
-"""Parameters of a matrix model, and factors of its matrices that depend on these parameters.
+"""Parameters of a matrix model, and the factors that depend on parameters.
 
 The TOML file beside the matrices contains the parameters and the factors. A factor is an expression
 of the parameters in the syntax of netlists, such as ``(t/1.0)^3``.
@@ -38,9 +38,10 @@ def make_model_parameter(settings: Sidecar, name: str) -> ModelParameter:
 
 
 def make_term(settings: Sidecar, number: int, matrix: Matrix) -> AffineTerm:
-    """Make a term of a matrix sum: a ``matrix`` and its factor, which depends on parameters.
+    """Make a term of a matrix sum: a ``matrix`` times a factor.
 
-    The factor is in the table ``[[terms]]`` with the ``number``, counted from 0.
+    The factor depends on parameters. The factor is in the table ``[[terms]]`` with the ``number``,
+    counted from 0.
 
     Raises
     ------

@@ -1,29 +1,30 @@
 """Readers of the matrix formats of finite-element programs.
 
 The command ``*MATRIX GENERATE`` of Abaqus writes ``JOB_STIF2.mtx``, ``JOB_MASS2.mtx`` and similar
-files. With ``FORMAT=MATRIX INPUT`` (or ``LABELS``), a file contains lines ``node, dof, node, dof,
-value`` for one triangle of a matrix. With ``FORMAT=COORDINATE``, a file contains lines ``row column
-value`` for both triangles, but not the nodes of the rows. If a boundary condition of the step fixes
-a degree of freedom, its diagonal entry in the stiffness matrix is 1e36.
+files. With ``FORMAT=MATRIX INPUT`` (or ``LABELS``), an Abaqus file contains lines ``node, dof,
+node, dof, value`` for one triangle of a matrix. With ``FORMAT=COORDINATE``, an Abaqus file contains
+lines ``row column value`` for both triangles, but not the nodes of the rows. In an Abaqus stiffness
+matrix, the diagonal entry of a degree of freedom that a boundary condition fixes is 1e36.
 
 The command ``*FREQUENCY, SOLVER=MATRIXSTORAGE`` of CalculiX writes ``JOB.sti``, ``JOB.mas`` and
-``JOB.dof``. The matrix files contain lines ``row column value``. The file ``JOB.dof`` contains
-``node.direction`` for each row; the direction is 1 to 6, or 0 for temperature.
+``JOB.dof``. Matrix files of CalculiX contain lines ``row column value``. The file ``JOB.dof``
+contains ``node.direction`` for each row; the direction is 1 to 6, or 0 for temperature.
 
 Ansys writes binary ``.full`` files, which are read by the package ansys-mapdl-reader. The command
-``HBMAT`` of Ansys writes Harwell-Boeing files, and a file that maps rows to nodes. These files are
-parsed here, because scipy's ``hb_read`` rejects symmetric matrices. The fields of a Harwell-Boeing
-file need not be separated by blanks. The widths in the header separate these fields (Duff, Grimes,
-Lewis, Users' Guide for the Harwell-Boeing Sparse Matrix Collection, 1992).
+``HBMAT`` of Ansys writes Harwell-Boeing files, and a file that maps rows to nodes. This module
+parses Harwell-Boeing files, because scipy's ``hb_read`` rejects symmetric matrices. The fields of a
+Harwell-Boeing file need not be separated by blanks. The header of a Harwell-Boeing file states the
+widths of its fields (Duff, Grimes, Lewis, Users' Guide for the Harwell-Boeing Sparse Matrix
+Collection, 1992).
 
 Nastran writes punch files with DMIG cards, and OUTPUT4 files, which are read by the package pyyeti.
-Names that begin with ``K`` denote the stiffness, with ``K4`` the structural damping, with ``M`` the
-mass, and with ``B`` the viscous damping. The key ``matrices`` in the TOML file may state other
+Matrix names in Nastran files begin with ``K`` (stiffness), ``K4`` (structural damping), ``M``
+(mass) or ``B`` (viscous damping). The key ``matrices`` in the TOML file may state other matrix
 names. DMIG cards may have large, small or free fields (MSC Nastran Quick Reference Guide).
 
-Structural damping is the imaginary part H of a complex stiffness matrix ``K + j H``. Files contain
-H as the imaginary part of a complex matrix, or as a separate matrix: ``K4...`` in Nastran files, or
-``JOB_DMPS2.mtx`` of Abaqus.
+Structural damping is the imaginary part H of a complex stiffness matrix ``K + j H``. Matrix files
+contain H as the imaginary part of a complex matrix, or as a separate matrix: ``K4...`` in Nastran
+files, or ``JOB_DMPS2.mtx`` of Abaqus.
 """
 
 from __future__ import annotations
@@ -54,8 +55,8 @@ SUFFIXES = (".sti", ".mas", ".dof")  # extensions of the stiffness, mass and row
 def find_abaqus_files(path: Path) -> dict[str, Path]:
     """Return the Abaqus matrix files of the same job and step as ``path``.
 
-    The returned files are keyed by matrix letter. Return no files if ``path`` is not the name of
-    such a file.
+    The returned files are keyed by matrix letter. Return no files if ``path`` is not the name of an
+    Abaqus matrix file.
     """
     match = ABAQUS_NAME.fullmatch(path.name)
     if match is None:
@@ -104,7 +105,7 @@ def read_abaqus(files: dict[str, Path]) -> raw_matrices.RawMatrices:
 def add_structural_loss(matrices: Mapping[str, Any]) -> dict[str, Any]:
     """Return the matrices with ``K + j H`` instead of K, if there is a matrix H.
 
-    H is the structural damping matrix. The returned mapping does not contain H.
+    H is the structural damping matrix. The returned mapping does not contain the matrix H.
 
     Raises
     ------
@@ -125,9 +126,9 @@ def add_structural_loss(matrices: Mapping[str, Any]) -> dict[str, Any]:
 def _parse_entries(data: bytes) -> tuple[bool, raw_matrices.Triple]:
     """Parse the rows, columns and values of the entries in an Abaqus matrix file.
 
-    Return whether the lines contain nodes and degrees of freedom, and the entries. If the lines
-    contain nodes, rows and columns are the keys of :func:`compute_row_keys`. Otherwise, rows and
-    columns are indices counted from 0.
+    Return a flag and the entries. The flag is true if the lines contain nodes and degrees of
+    freedom. If the lines contain nodes, rows and columns are the keys of :func:`compute_row_keys`.
+    In lines without nodes, rows and columns are indices counted from 0.
     """
     if data.startswith(b"*") or b"\n*" in data:
         data = _COMMENT_LINE.sub(b"", data)
@@ -152,7 +153,7 @@ def _parse_entries(data: bytes) -> tuple[bool, raw_matrices.Triple]:
 def read_calculix(path: Path, _: object) -> raw_matrices.RawMatrices:
     """Read the stiffness and mass matrices of a CalculiX job.
 
-    ``path`` is any of the files of this job. The second argument has no effect.
+    ``path`` is any file of the job. The second argument of the function has no effect.
 
     Raises
     ------
@@ -178,7 +179,7 @@ def read_calculix(path: Path, _: object) -> raw_matrices.RawMatrices:
 
 
 def _parse_dofs(data: bytes) -> raw_matrices.Dofs:
-    """Parse the node and the degree of freedom of each row in a ``.dof`` file of CalculiX."""
+    """Parse the node and degree of freedom of each row in a ``.dof`` file of CalculiX."""
     words = data.split()
     if not 0 < len(words) <= raw_matrices.MAX_ROWS:
         raise ValueError(f"the file has {len(words)} rows; the limit is {raw_matrices.MAX_ROWS}")
@@ -192,7 +193,10 @@ def _parse_dofs(data: bytes) -> raw_matrices.Dofs:
 
 
 def _parse_triangle(data: bytes, n: int) -> sparse.csc_array:
-    """Return the symmetric matrix with ``n`` rows whose triangle is in a CalculiX file."""
+    """Return the symmetric matrix with ``n`` rows in a CalculiX file.
+
+    The file contains one triangle of the matrix.
+    """
     values = parse_numbers(data)
     if values.size == 0 or values.size % 3:
         raise ValueError(f"{values.size} numbers do not fill 3 columns; the file may be truncated")
@@ -217,15 +221,15 @@ HARWELL_BOEING_EXPECTED = (
 )
 _FORTRAN_FORMAT = re.compile(rb"\(?\s*(?:\d*P,?)?\s*(\d*)\s*[IFEDG](\d+)", re.IGNORECASE)
 _MATRIX_TYPE = re.compile(rb"\s*([RCPrcp][SUHZRsuhzr][AEae])\s")
-_MAX_LINE_LENGTH = 10_000  # largest number of characters of a line
+_MAX_LINE_LENGTH = 10_000  # largest number of characters in one line of a Harwell-Boeing file
 _ANSYS_ROTATION_NAMES = {"ROTX": "rx", "ROTY": "ry", "ROTZ": "rz"}
 
 
 def unpack_ansys_full(path: str, requested: dict[str, str]) -> dict[str, np.ndarray]:
-    """Return the stiffness and mass matrices in a ``.full`` file as named arrays of an archive.
+    """Return the matrices in a ``.full`` file of Ansys as named arrays.
 
-    The array ``fixed`` contains the indices of the rows that Ansys constrains. The argument
-    ``requested`` has no effect.
+    The names of the arrays are the same as in an ``.npz`` archive. The array ``fixed`` contains the
+    indices of the rows that Ansys constrains. The argument ``requested`` has no effect.
 
     Raises
     ------
@@ -240,7 +244,7 @@ def unpack_ansys_full(path: str, requested: dict[str, str]) -> dict[str, np.ndar
     key = np.array([64, 1])
     fixed = np.flatnonzero(np.isin(place[:, :2] @ key, const @ key))
     result = {"nodes": place[:, 0], "dofs": kind, "fixed": fixed}
-    for letter, matrix in (("K", stiffness), ("M", mass)):  # the file contains the upper triangle
+    for letter, matrix in (("K", stiffness), ("M", mass)):  # upper triangle only
         result |= raw_matrices.pack_matrix(letter, complete_triangle(sparse.csc_array(matrix)))
     return result
 
@@ -401,7 +405,7 @@ def choose_matrices(names: list[str], requested: Mapping[str, str], path: Path) 
 def _find_standard_letter(name: str) -> str | None:
     """Return the matrix letter that the first letters of a Nastran matrix name denote.
 
-    Return None if these letters are unknown.
+    Return None if the first letters of the name are unknown.
     """
     return _NASTRAN_PREFIXES.get(name[:2].upper()) or _NASTRAN_PREFIXES.get(name[:1].upper())
 
@@ -432,8 +436,8 @@ def read_dmig(path: Path, requested: Mapping[str, str]) -> raw_matrices.RawMatri
 def _parse_dmig(data: bytes) -> tuple[dict[str, int], dict[str, raw_matrices.Triple]]:
     """Parse the DMIG cards of a Nastran file.
 
-    Return the number of each matrix's form, and the row keys, column keys and values of its
-    entries. Both returned mappings are keyed by the name of the matrix.
+    Return the form number of each matrix, and the row keys, column keys and values of all entries.
+    Both returned mappings are keyed by the name of the matrix.
     """
     forms: dict[str, int] = {}
     values: dict[str, Callable[[str, str], complex]] = {}
@@ -464,11 +468,12 @@ def _parse_dmig(data: bytes) -> tuple[dict[str, int], dict[str, raw_matrices.Tri
 
 
 def _make_value_converter(kind: int, polar: bool, name: str) -> Callable[[str, str], complex]:
-    """Return a function that converts the two fields of a matrix entry on a DMIG card to a number.
+    """Return a function that converts two DMIG fields to a number.
 
-    In a real matrix, the first field is the value. In a complex matrix, the fields are real and
-    imaginary part, or magnitude and angle [degrees] if ``polar`` is true. ``kind`` is the type
-    number on the header card of the matrix ``name``.
+    The two fields are the value of a matrix entry on a DMIG card. In a real matrix, the first field
+    is the value. In a complex matrix, the fields are real and imaginary part, or magnitude and
+    angle [degrees] if ``polar`` is true. ``kind`` is the type number on the header card of the
+    matrix ``name``.
     """
     if kind not in (1, 2, 3, 4):
         raise ValueError(f"matrix {name} is of type {kind}, which does not exist")
@@ -486,7 +491,8 @@ def _make_value_converter(kind: int, polar: bool, name: str) -> Callable[[str, s
 def list_bulk_data_cards(data: bytes, name: str) -> Iterator[list[str]]:
     """Yield the fields of each card with the ``name`` in Nastran bulk data.
 
-    The fields include the fields of continuation lines. Fields may be small, large or free.
+    The fields of a card include the fields of its continuation lines. The fields of a card may be
+    small, large or free.
     """
     cells: list[str] = []
     for line in data.decode("ascii", "replace").splitlines():
@@ -512,7 +518,7 @@ def _split_fields(line: str) -> list[str]:
 
 
 def _parse_component(text: str) -> int:
-    """Parse the number of a component (degree of freedom) on a DMIG card; a blank field is 0."""
+    """Parse the degree-of-freedom number on a DMIG card; a blank field means 0."""
     value = int(text.strip() or 0)
     if not 0 <= value <= 6:
         raise ValueError(f"component {value} is not a number from 0 to 6")
@@ -527,7 +533,7 @@ def parse_fortran_number(text: str) -> float:
 def unpack_op4(path: str, requested: Mapping[str, str]) -> dict[str, np.ndarray]:
     """Return the matrices in an OUTPUT4 file as named arrays of an archive.
 
-    The file may be a text file or a binary file. ``requested`` maps letters to the names of
+    The OUTPUT4 file may be a text file or a binary file. ``requested`` maps letters to the names of
     matrices in the file.
 
     Raises

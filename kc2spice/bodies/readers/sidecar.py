@@ -53,11 +53,12 @@
 A mechanical port at several nodes has the mean displacement of these nodes, and the force of the
 port is distributed evenly over the nodes. A port of kind ``acceleration`` moves the frame of the
 fixed degrees of freedom and needs only the key ``axis``. A port of kind ``acoustic`` needs the key
-``column``. The column of B contains the force on each unknown for 1 Pa at the port. The product of
-this column and the unknowns is the volume that the body displaces. An ``electrical`` port at nodes
-connects their degrees of freedom ``volt`` to one electrode. If a conservative port has the key
-``column``, its row of C has the same number. Without ``[[ports]]``, the columns of B are the input
-signals ``u1``, ``u2``, …, and the rows of C are the output signals ``y1``, ``y2``, ….
+``column``. An acoustic port's column of B contains the force on each unknown for 1 Pa at the port.
+The product of the acoustic port's column and the unknowns is the volume that the body displaces. An
+``electrical`` port at nodes connects their degrees of freedom ``volt`` to one electrode. If a
+conservative port has the key ``column``, its row of C has the same number. Without ``[[ports]]``,
+the columns of B are the input signals ``u1``, ``u2``, …, and the rows of C are the output signals
+``y1``, ``y2``, ….
 """
 
 from __future__ import annotations
@@ -124,7 +125,7 @@ def _require_printable(value: str) -> str:
 
 
 def _require_word(value: str) -> str:
-    """Reject a unit of several words, because the header of a netlist contains the unit."""
+    """Reject a unit of several words, because netlist headers contain the unit."""
     if value and len(value.split()) != 1:
         hint = f"write the unit without blanks: {value.replace(' ', '*')}"
         raise make_invalid_value_error("this text is not a unit", "one word", hint=hint)
@@ -134,7 +135,7 @@ def _require_word(value: str) -> str:
 def _resolve_beside_sidecar(value: Path, info: ValidationInfo) -> Path:
     """Resolve a relative path in the folder of the TOML file.
 
-    Files outside of this folder are rejected.
+    Files outside of the folder of the TOML file are rejected.
     """
     _require_printable(str(value))
     if value.is_absolute() or ".." in value.parts:
@@ -147,7 +148,7 @@ def _resolve_beside_sidecar(value: Path, info: ValidationInfo) -> Path:
 
 
 def _parse_dof(value: object) -> int:
-    """Return the number of a degree of freedom, whose name or number is given."""
+    """Return the number of a degree of freedom that is given by name or number."""
     code = DOF_NUMBERS.get(value.lower()) if isinstance(value, str) else value
     if type(code) is not int or code not in DOFS:
         expected = f"one of {list_candidates(value, DOF_NUMBERS, 'docs/reference/matrices.md')}"
@@ -157,7 +158,7 @@ def _parse_dof(value: object) -> int:
 
 
 def _parse_axis(value: object) -> object:
-    """Return the unit vector of the axis ``"x"``, ``"y"`` or ``"z"``; keep any other value."""
+    """Return the unit vector of an axis name; return other values unchanged."""
     return _AXIS_VECTORS.get(value, value) if isinstance(value, str) else value
 
 
@@ -246,7 +247,7 @@ class FixedNodes(NodeSelection):
 
 
 class PortEntry(NodeSelection):
-    """Table ``[[ports]]``: a port, defined by nodes and a direction, or by a column or row number.
+    """Table ``[[ports]]``: a port, defined by nodes or by a column or row number.
 
     The numbers ``column`` of B and ``row`` of C are counted from 1.
     """
@@ -330,7 +331,7 @@ class PortEntry(NodeSelection):
 
     @property
     def weights(self) -> dict[int, float]:
-        """Share of the port's force on each degree of freedom, keyed by its number."""
+        """Share of the port's force on each degree of freedom, keyed by number."""
         if self.dof is not None:
             return {self.dof: 1.0}
         if self.kind in SCALAR_DOFS:
@@ -356,10 +357,10 @@ def _advise_damping(keys: set[str]) -> str:
 
 
 class MatrixDamping(Section):
-    """Rayleigh damping ``E = alpha M + beta K`` or structural damping of a matrix model.
+    """Rayleigh damping ``E = alpha M + beta K``, or structural damping.
 
-    Instead of alpha and beta, a damping ``ratio`` may be given, which applies ``at`` a frequency
-    [Hz]. ``loss_factor`` is the loss factor of structural damping, ``K (1 + j loss_factor)``.
+    A damping ``ratio`` that applies ``at`` a frequency [Hz] may replace alpha and beta.
+    ``loss_factor`` is the loss factor of structural damping, ``K (1 + j loss_factor)``.
     """
 
     alpha: Annotated[Finite, Field(ge=0)] = 0.0
@@ -402,8 +403,8 @@ class ParameterEntry(Section):
 class TermEntry(Section):
     """Table ``[[terms]]``: a matrix that is added to the model, and its factor.
 
-    ``file`` and ``name`` are the location of the matrix. If both are missing, the factor multiplies
-    the matrix of the model.
+    ``file`` and ``name`` are the location of the matrix. If ``file`` and ``name`` are missing, the
+    factor multiplies the matrix of the model.
     """
 
     matrix: Literal["M", "K", "E"]
@@ -413,7 +414,7 @@ class TermEntry(Section):
 
 
 class Sidecar(Section):
-    """Content of ``NAME.toml``. A model without this file has the default values."""
+    """Content of ``NAME.toml``. A model without a TOML file has the default values."""
 
     help_command: ClassVar[str] = "docs/reference/matrices.md"
 
@@ -442,7 +443,7 @@ class Sidecar(Section):
     def locate_entry(self, entry: NodeSelection) -> str:
         """Return the path of the TOML file and the name of the table ``entry``.
 
-        Error messages begin with this string.
+        Error messages about the table ``entry`` begin with the returned string.
         """
         for word in ("ports", "fixed"):
             for number, item in enumerate(getattr(self, word)):
@@ -487,7 +488,7 @@ def read_sidecar(path: Path) -> Sidecar:
     Raises
     ------
     UsageError : the file is missing, too long or not in the TOML format, a key is unknown, a value
-        has the wrong type, or a name occurs twice. The message contains the file and the key.
+        has the wrong type, or a name occurs twice. The error message contains the file and the key.
     """
     expected = f"a TOML file of at most {MAX_TEXT_BYTES} bytes"
     require_file(path, expected)

@@ -1,10 +1,10 @@
 """Parser of tables in text files: rows of numbers with titles above the rows.
 
 The input is the text of a file, and the output is a list of :class:`TextTable`. The longest table
-is the first in the list. Semicolons, tabs, commas or blanks separate fields. Commas that do not
-separate fields are decimal commas; in files with decimal points, such commas separate thousands.
-Blocks of the same table are merged. The module :mod:`kc2spice.bodies.readers.complex_response`
-interprets the tables.
+is the first in the list. Semicolons, tabs, commas or blanks separate the fields of a line. Commas
+that do not separate fields are decimal commas; in files with decimal points, such commas separate
+thousands. Blocks of the same table are merged. The module
+:mod:`kc2spice.bodies.readers.complex_response` interprets the tables.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ _COMPLEX_PATTERN = re.compile(rf"\(?([-+]?{_REAL_PATTERN})?[-+]?{_REAL_PATTERN}[
 _GROUPED_PATTERN = re.compile(
     r"[-+]?\d{1,3}([,' \u00a0\u202f])\d{3}(\1\d{3})*(\.\d*)?([eE][-+]?\d{1,3})?"
 )
-SEPARATORS = (";", "\t", ",")  # characters that separate fields, if blanks do not separate them
-_LINE_WITH_COMMA = re.compile(".*,.*")  # pattern of a field with a comma, one field per line
+SEPARATORS = (";", "\t", ",")  # characters other than blanks that may separate fields
+_LINE_WITH_COMMA = re.compile(".*,.*")  # pattern of a line with a comma; each line is one field
 MIN_COLUMNS = 2  # smallest number of columns of a table
 MIN_ROWS = 2  # smallest number of rows of a table
 # largest number of lines of a file: five times the largest number of frequencies
@@ -53,7 +53,7 @@ MAX_COLUMNS = 200  # largest number of fields of a line
 MAX_LINE_LENGTH = 4000  # largest number of characters of a row or of a line of titles
 COMMENT_LINES = 300  # number of lines above a table in which units are searched
 TITLE_LINES = 40  # number of lines above a table in which titles are searched
-# largest permitted share of rows that contain a word; these rows are omitted
+# largest permitted share of omitted rows, which contain a word
 MAX_OMITTED_SHARE = 0.05
 MAX_HEADER_LENGTH = 80  # largest number of characters of a header that an error quotes
 MAX_PHASE_DEGREES = 180.0  # largest magnitude of a phase [degrees]
@@ -73,8 +73,8 @@ class TextTable(EqualByContent):
     """Table in a text file: columns of numbers with titles.
 
     ``titles`` is None if no line above the numbers contains as many titles as there are columns.
-    ``numbers`` contains an array of shape (n,) for each column. ``lines`` contains the first and
-    the last line number of the numbers, counted from 1. ``header`` is the last line above the
+    ``numbers`` contains an array of shape (n,) for each column. ``lines`` contains the numbers of
+    the first and the last line of the table, counted from 1. ``header`` is the last line above the
     numbers, and ``comments`` are all lines above the numbers. ``notes`` are assumptions of the
     parser.
     """
@@ -98,7 +98,7 @@ class TextTable(EqualByContent):
 
 
 def read_tables(text: str) -> list[TextTable]:
-    """Read all tables in the text of a file, and sort them from the longest to the shortest.
+    """Read all tables in the text of a file; the longest table is the first.
 
     Blocks with the same frequencies are merged to one table.
 
@@ -154,7 +154,7 @@ class _Run:
 
 
 def _split_fields(line: str, separator: str | None) -> list[str]:
-    """Split a line into fields without quotation marks, and remove empty fields at its end.
+    """Split a line into fields; remove quotation marks, and empty fields at the end.
 
     If ``separator`` is None, blanks separate the fields.
     """
@@ -180,7 +180,7 @@ def _is_number(word: str) -> bool:
 
 
 def _count_fields(line: str, separator: str | None) -> tuple[int, bool]:
-    """Count the fields of a line, and check whether all its fields are numbers.
+    """Count the fields of a line, and check whether all fields are numbers.
 
     Return the number of fields, and whether all fields are numbers. The returned number of fields
     is 0 if the line is not a row of a table, and -1 if the line is blank.
@@ -199,7 +199,7 @@ def _count_fields(line: str, separator: str | None) -> tuple[int, bool]:
 
 
 def _find_numeric_line_ranges(lines: list[str], separator: str | None) -> Iterator[_Run]:
-    """Yield the ranges of lines with equal numbers of fields that begin with a number.
+    """Yield ranges of lines that begin with a number and have equal numbers of fields.
 
     A few rows in a range may contain words.
     """
@@ -216,7 +216,7 @@ def _find_numeric_line_ranges(lines: list[str], separator: str | None) -> Iterat
 def _describe_non_number(lines: list[str]) -> str:
     """Describe the first line that begins with a number and contains a word.
 
-    Return an empty string if there is no such line. The description is a part of an error message.
+    Return an empty string if no line contains both. The description is a part of an error message.
     """
     for k, line in enumerate(lines):
         for separator in (*SEPARATORS, None):
@@ -287,7 +287,7 @@ def _describe_omitted_rows(
 def _find_titles(
     above: list[str], separator: str | None, columns: int, index: bool
 ) -> tuple[str, ...] | None:
-    """Find the titles of a table in the lines above it.
+    """Find the titles of a table in the lines above the table.
 
     ``columns`` is the number of columns. The titles are in the nearest line that contains the title
     of a frequency or a time, otherwise in the last line. A line of units may follow the titles. If
@@ -319,8 +319,8 @@ def _is_unit(word: str) -> bool:
 def _split_titles(line: str, separator: str | None, columns: int, index: bool) -> list[str] | None:
     """Split a line into one title for each column.
 
-    ``columns`` is the number of columns. Return None if no separator yields this number of titles.
-    If ``index`` is true, the title of the first column may be missing.
+    ``columns`` is the number of columns. Return None if no separator yields one title for each
+    column. If ``index`` is true, the title of the first column may be missing.
     """
     splits = [_split_fields(line, separator)]
     if separator is None:  # blanks also separate the words of a single title
@@ -338,17 +338,18 @@ def _split_titles(line: str, separator: str | None, columns: int, index: bool) -
 
 
 def _find_format(above: list[str]) -> str:
-    """Find the quantity of a trace in the last ``FORMAT`` line above a table (``FORMAT: |Z|``).
+    """Find the quantity of a trace in the last ``FORMAT`` line above a table.
 
-    Return an empty string if there is no such line.
+    An example of a ``FORMAT`` line is ``FORMAT: |Z|``. Return an empty string if there is no
+    ``FORMAT`` line.
     """
     return _find_last_match(TRACE_FORMAT, above)
 
 
 def _find_trace_quantity(above: list[str]) -> str:
-    """Find the quantity of the last trace in the line ``MEASURE PARAMETER`` above all traces.
+    """Find the quantity of the last trace in the line ``MEASURE PARAMETER``.
 
-    Return an empty string if there is no such line.
+    Return an empty string if there is no line ``MEASURE PARAMETER``.
     """
     match = TWO_PARTS.fullmatch(_find_last_match(TRACE_PARAMETERS, above))
     trace = _find_last_match(TRACE_NAME, above).upper()
@@ -359,7 +360,7 @@ def _find_trace_quantity(above: list[str]) -> str:
 
 
 def _find_last_match(pattern: re.Pattern[str], lines: list[str]) -> str:
-    """Return the first group of a pattern in the last line that matches it.
+    """Return the first group of a pattern in the last line that matches the pattern.
 
     Return an empty string if no line matches the pattern.
     """
@@ -372,7 +373,7 @@ def _find_last_match(pattern: re.Pattern[str], lines: list[str]) -> str:
 def _apply_format(
     titles: tuple[str, ...], numbers: list[np.ndarray], stated: str
 ) -> tuple[tuple[str, ...], list[np.ndarray], list[str]]:
-    """Replace the titles of trace columns according to the ``FORMAT`` line in the file.
+    """Replace the titles of trace columns according to the ``FORMAT`` line.
 
     ``stated`` is the quantity in the ``FORMAT`` line. If the quantity is real, the second column of
     the trace must be zero. If the quantity is |Z| or |Y|, the second column may be the phase.
@@ -459,7 +460,7 @@ def _has_same_frequencies(first: TextTable, table: TextTable) -> bool:
 
 
 def _find_frequency_column(table: TextTable) -> int | None:
-    """Return the index of the first frequency column in a table, or None if there is none."""
+    """Return the index of the first frequency column in a table; None if none exists."""
     return next((k for k, title in enumerate(table.titles or ()) if is_frequency(title)), None)
 
 

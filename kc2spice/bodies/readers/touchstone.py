@@ -18,7 +18,7 @@ _QUANTITIES: dict[str, Quantity] = {"s": "S", "z": "Z", "y": "Y"}
 def _require_numbers(words: list[str], text: str) -> None:
     """Raise an error if one of the ``words`` in a Touchstone file is not a number.
 
-    The error contains the line number of the first such word.
+    The error contains the line number of the first word that is not a number.
     """
     for word in words:
         try:
@@ -32,9 +32,9 @@ def _require_numbers(words: list[str], text: str) -> None:
 def parse_touchstone(text: str, ports: int) -> MeasuredResponse:
     """Parse the response in the text of a Touchstone file of version 1 or 2.
 
-    The parameters are S, Y or Z in the form RI, MA or DB. ``ports`` is the number of ports
-    according to the file name. Only the first option line is used, because the standard (IBIS Open
-    Forum, 2009) requires that all further option lines are ignored.
+    The file contains S, Y or Z parameters in the form RI, MA or DB. ``ports`` is the number of
+    ports according to the file name. Only the first option line is used, because the standard (IBIS
+    Open Forum, 2009) requires that all further option lines are ignored.
     """
     unit, kind, form, reference = "ghz", "s", "ma", [50.0]
     section = words = list[str]()
@@ -78,7 +78,7 @@ def parse_touchstone(text: str, ports: int) -> MeasuredResponse:
     _require_numbers(words, text)
     values = np.array(list(map(float, words)))
     table = values[: len(values) // width * width].reshape(-1, width)
-    # In version 1, noise parameters follow the response.
+    # In Touchstone version 1, noise parameters follow the response.
     # The first frequency of noise parameters is lower than the last frequency of the response.
     back = np.flatnonzero(np.diff(table[:, 0]) < 0)
     if len(values) % width and not back.size:
@@ -100,7 +100,7 @@ def parse_touchstone(text: str, ports: int) -> MeasuredResponse:
     if kind == "s":
         _reject_undriven_ports(P)
     z0 = np.broadcast_to(reference if len(reference) == n else reference[:1], (n,)).astype(float)
-    # in version 1, Y and Z of all ports are normalised to the first reference resistance
+    # in Touchstone version 1, Y and Z of all ports are normalised to the first reference resistance
     if kind != "s" and "version" not in keys:
         P = P * z0[0] if kind == "z" else P / z0[0]
     summary = f"{kind.upper()} of {n} ports in {form.upper()}, frequency in {_format_unit(unit)}"
@@ -116,7 +116,8 @@ def _fill_triangle(entries: np.ndarray, n: int, lower: bool) -> np.ndarray:
     """Return symmetric matrices from the entries of one triangle of each matrix.
 
     ``entries`` contains the triangle of each of the m matrices, row by row: the lower triangle if
-    ``lower`` is true, otherwise the upper triangle. The returned array has the shape (m, n, n).
+    ``lower`` is true, otherwise the upper triangle. The returned array of m matrices has the shape
+    (m, n, n).
     """
     rows, columns = np.tril_indices(n) if lower else np.triu_indices(n)
     P = np.zeros((len(entries), n, n), dtype=complex)
@@ -127,7 +128,7 @@ def _fill_triangle(entries: np.ndarray, n: int, lower: bool) -> np.ndarray:
 def _reject_undriven_ports(S: np.ndarray) -> None:
     """Raise an error if a port was not driven during the measurement.
 
-    Some analysers write zeros for such a port.
+    Some analysers write zeros for a port that was not driven.
 
     Raises
     ------

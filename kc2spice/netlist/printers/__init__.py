@@ -1,1 +1,1 @@
-"""Printers that convert netlist trees to text, one module for each simulator or tool."""
+"""Printers that convert netlist trees to text for simulators and other tools."""

@@ -45,9 +45,10 @@ from kc2spice.netlist.printers.ngspice import Printer
 from kc2spice.netlist.scope import INCLUDES
 
 _COMMON_COMMANDS = frozenset({".end", *ANALYSES, *INCLUDES}) - {".noise"}
-# letters of elements with the same syntax in all dialects, except for braces and parameters
+# letters of elements with the same syntax in all dialects, apart from braces and parameters
 _COMMON_ELEMENTS = frozenset("rclvikfhxdqjmbegs")
-# Parameters of semiconductor models from SPICE2, with the same meaning in all three simulators.
+# Parameters of semiconductor models from SPICE2, with the same meaning in ngspice, Xyce and
+# LTspice.
 _SEMICONDUCTOR_PARAMETERS = {
     "d": "is rs n tt cjo vj m eg xti fc bv ibv",
     "npn": "is bf nf vaf ikf ise ne br nr var ikr rb rc re cje vje mje tf cjc vjc mjc tr",
@@ -72,7 +73,7 @@ _ELEMENT_PARAMETERS = {
     "j": {"area", "m", "temp"},
     "m": {"l", "w", "ad", "as", "pd", "ps", "nrd", "nrs", "m", "temp"},
 }
-# parameters only for noise analyses; dialects omit them, because they reject noise analyses
+# omitted parameters, which only affect noise analyses; dialects reject noise analyses
 _NOISE_PARAMETERS = frozenset({"noisy"})
 _EXPONENT = r"e[-+]?\d+"
 _NUMBER = re.compile(
@@ -83,26 +84,28 @@ _COMMON_SCALE_FACTORS = frozenset({"t", "g", "meg", "k", "m", "u", "n", "p", "f"
 
 
 class Dialect(Printer, ABC):
-    """Printer of one dialect, which overrides the syntax of ngspice where it differs.
+    """Printer of one dialect, which overrides the syntax of ngspice where necessary.
 
-    ``dialect`` is the name for ``--dialect``, ``title`` the name of the simulator in messages, and
-    ``command`` the command that runs a deck. ``keyword`` is the word before the parameters of
-    subcircuits. ``functions`` are the functions of the simulator, and ``rewritten`` the ngspice
-    functions that :meth:`call` replaces. ``known_options`` are the options of the simulator,
-    written after ``option_prefix``; all other options are written as comments. All cards of each
-    command in ``joined`` are merged into one card. ``parameters`` contains the known parameters of
-    each kind of element. ``temperature`` is the name of the temperature in expressions. If it is
-    empty, an expression with the temperature causes an error.
+    ``dialect`` is the name for the option ``--dialect``, ``title`` is the simulator name in
+    messages, and ``command`` runs a deck. ``keyword`` is the word before parameters on the cards of
+    subcircuits. ``functions`` contains the functions of the simulator, and ``rewritten`` contains
+    the ngspice functions that :meth:`write_call` replaces. ``known_options`` contains the options
+    of the simulator, which are written after ``option_prefix``; other options become comments. All
+    cards of each command in ``joined`` are merged into one card. ``parameters`` contains the known
+    parameters, keyed by element letter. ``temperature`` is the name of the temperature in
+    expressions. With an empty ``temperature``, an expression that contains the temperature causes
+    an error.
 
     ``deck`` is the deck to print, or None for a library alone. :attr:`analysis` is the analysis of
-    the deck. :meth:`refusal` returns the error for a construct that the simulator lacks.
+    the deck. :meth:`make_unsupported_error` returns the error for a construct that the simulator
+    lacks.
     """
 
     dialect: ClassVar[str] = ""
     command = ""
     option_prefix = ".options"
     known_options: frozenset[str] = frozenset()
-    joined = frozenset({".save"})  # Xyce writes one file for each ``.print``
+    joined = frozenset({".save"})  # Xyce writes one output file for each ``.print`` card
     functions = COMMON
     rewritten = frozenset({"pow", "pwl"})
     parameters: Mapping[str, set[str]] = MappingProxyType(_ELEMENT_PARAMETERS)
@@ -117,25 +120,25 @@ class Dialect(Printer, ABC):
 
     @cached_property
     def analysis(self) -> Directive:
-        """Analysis card of the deck; for a library alone, a transient from initial states."""
+        """Analysis card of the deck; without a deck, a transient from initial states."""
         items = self.deck.trees[self.deck.main_file_name].items if self.deck else ()
         analyses = (card for card in select_items(items, Directive) if card.keyword in ANALYSES)
         transient = Directive(".tran", ("uic",))
         return min(analyses, key=attrgetter("keyword"), default=transient)
 
     def symbols(self, part: Subcircuit, library: str) -> dict[str, str]:
-        """Return the symbols of a part in the file ``library``; none by default."""
+        """Return the symbols for a part in the file ``library``; none by default."""
         return {}
 
     # -- cards ------------------------------------------------------------------------------
 
     def format_file(self, circuit: Circuit) -> str:
-        """Return the text of a file with the items of ``circuit``."""
+        """Return the text of a netlist file with the items of ``circuit``."""
         self.defined = {item.name.lower() for item in select_items(circuit.items, FunctionCard)}
         return super().format_file(circuit)
 
     def print_cards_as_lines(self, items: Sequence[Item]) -> Iterator[str]:
-        """Yield the text of cards; all cards of a command in ``joined`` are merged."""
+        """Yield the text of cards; the cards of a command in ``joined`` are merged."""
         return super().print_cards_as_lines(_join_commands(items, self.joined))
 
     def card(self, item: Item) -> str:
@@ -147,7 +150,7 @@ class Dialect(Printer, ABC):
         match item.keyword:
             case ".meas":
                 return self.measure(item) or f"* {self.title} prints no {item.text}"
-            case ".print":  # other simulators write the vectors of ``.save``
+            case ".print":  # other simulators write all vectors of the ``.save`` cards
                 return ""
             case ".options" | ".option" | ".opt":
                 return self.format_options(item.words)
@@ -166,8 +169,8 @@ class Dialect(Printer, ABC):
         raise self.make_unsupported_error(item.text, f"the command {item.keyword}")
 
     def _require_text(self, item: Item, text: str) -> str:
-        """Return the text of a card; raise an error for an element or model without text."""
-        method = "element" if isinstance(item, Element) else "model"
+        """Return the text of a card; raise an error if a subclass returned no text."""
+        method = "format_element" if isinstance(item, Element) else "format_model"
         if isinstance(item, Element | ModelCard) and (
             not isinstance(text, str) or not text.strip()
         ):
@@ -181,7 +184,7 @@ class Dialect(Printer, ABC):
         return text
 
     def measure(self, card: Directive) -> str:
-        """Return the card of a measurement, or "" if the dialect cannot express it."""
+        """Return the card of a measurement; empty if the dialect cannot express it."""
         if len(card.words) < 3:
             return ""
         kind, name, what, *rest = card.words
@@ -215,9 +218,9 @@ class Dialect(Printer, ABC):
         return " ".join((self.measure_keyword, kind.upper(), name, *read))
 
     def format_measured_quantity(self, text: str, kind: str) -> str:
-        """Return the real quantity that a measurement reads from a vector.
+        """Return the expression of the real quantity that a measurement reads.
 
-        In an ``ac`` analysis, this quantity is the magnitude of a voltage or the real part of a
+        In an ``ac`` analysis, the quantity is the magnitude of a voltage or the real part of a
         current.
         """
         if text.startswith("vm("):
@@ -226,12 +229,12 @@ class Dialect(Printer, ABC):
         return self.format_real_part(plain) if kind == "ac" else plain
 
     def locate_extreme(self, extreme: str, vector: str, kind: str) -> tuple[str, ...]:
-        """Return the words of a card that measures the position of an extremum."""
+        """Return the words that measure the position of an extremum."""
         return ()
 
     @abstractmethod
     def format_derived_measure(self, kind: str, name: str, expression: str) -> str:
-        """Return a measurement card whose value is an expression of other measurements."""
+        """Return a card that computes a measurement from other measurements."""
 
     @abstractmethod
     def format_magnitude(self, vector: str) -> str:
@@ -244,7 +247,7 @@ class Dialect(Printer, ABC):
     def make_unsupported_error(
         self, got: str | None, what: str, expected: str | None = None
     ) -> UsageError:
-        """Return the error for a construct without an equivalent in this dialect."""
+        """Return the error for a construct that this dialect cannot express."""
         message, got = f"{self.title} has no equivalent of {what}", got and got[:120]
         hint = "rewrite this card, or export with --dialect ngspice"
         return UsageError(message, where=self.where, got=got, expected=expected, hint=hint)
@@ -279,7 +282,7 @@ class Dialect(Printer, ABC):
         return result
 
     def format_model(self, model: ModelCard) -> str:
-        """Return the card of a switch model, or of a semiconductor model."""
+        """Return the card of a switch model or of a semiconductor model."""
         parameters = key_by_lower_name(model.parameters)
         values = dict(zip(parameters, map(self.format_word, parameters.values()), strict=True))
         if model.type.lower() == "sw":
@@ -290,7 +293,7 @@ class Dialect(Printer, ABC):
         return super().format_model(model)
 
     def format_options(self, words: Sequence[str]) -> str:
-        """Return the card of the options that the simulator has; other options are comments."""
+        """Return the options card; options that the simulator lacks become comments."""
         supported, comments = [], []
         for word in words:
             if word.partition("=")[0].lower() in self.known_options:
@@ -324,7 +327,7 @@ class Dialect(Printer, ABC):
         return f"V({','.join(self.format_node(name.split('.')) for name in result.names)})"
 
     def format_node(self, path: list[str]) -> str:
-        """Return the name of a node inside nested instances, whose names are in ``path``."""
+        """Return the name of a node inside the nested instances in ``path``."""
         return ":".join(path)
 
     def format_device(self, trace: Trace) -> str:
@@ -349,11 +352,12 @@ class Dialect(Printer, ABC):
         return known.get(text.lower(), text)
 
     def write_call(self, function: str, arguments: tuple[Tree, ...]) -> str:
-        """Return an equivalent function call in this dialect, such as ``table`` for ``pwl``."""
+        """Return an equivalent function call, such as ``table`` for ``pwl``."""
         if function == "pwl":
             values = arguments[1:]
             flat = len(values) >= 4 and values[1] == values[3] and values[-1] == values[-3]
-            if len(values) % 2 or not flat:  # pwl extrapolates, but table does not
+            # ``pwl`` extrapolates beyond its points, but ``table`` does not
+            if len(values) % 2 or not flat:
                 raise UsageError(
                     f"{self.title} cannot extrapolate a table with a slope",
                     where=self.where,
@@ -381,8 +385,8 @@ class Dialect(Printer, ABC):
         """Write an expression tree as text in the syntax of the dialect.
 
         As in ngspice, a power is computed from the absolute value of its base. Logical operators
-        are replaced by conditional expressions, whose syntax is ``if(test, yes, no)`` in
-        Xyce and LTspice.
+        become conditional expressions, which have the syntax ``if(test, yes, no)`` in Xyce and
+        LTspice.
         """
         match tree:
             case ConditionalExpression(test, yes, no):
@@ -396,7 +400,7 @@ class Dialect(Printer, ABC):
 
 
 def _remove_letters(match: re.Match[str]) -> str:
-    """Return a number without letters, or with a scale factor that all simulators know."""
+    """Return a number without unit letters and with a common scale factor."""
     if match[1].lower() in _COMMON_SCALE_FACTORS:
         return match[0]
     tree = parse_expression(match[0])
@@ -409,7 +413,7 @@ _COMPARISON_OPERATORS = ("<", "<=", ">", ">=")
 
 
 def _convert_condition(tree: Tree) -> Tree:
-    """Return an expression that is 1 if the condition ``tree`` is true, and otherwise 0."""
+    """Return an expression that is 1 if the condition ``tree`` is true, otherwise 0."""
     match tree:
         case BinaryOperation(op) if op in _COMPARISON_OPERATORS:
             return ConditionalExpression(tree, _ONE, _ZERO)
@@ -429,7 +433,7 @@ def _convert_condition(tree: Tree) -> Tree:
 
 
 def _join_commands(items: Sequence[Item], joined: frozenset[str]) -> list[Item]:
-    """Return ``items`` with all cards of each command in ``joined`` merged into one card.
+    """Return ``items`` with one merged card for each command in ``joined``.
 
     The merged card replaces the first card of the command, and has the comments of all cards of the
     command.

@@ -1,7 +1,7 @@
-"""Registry of the netlist dialects of kc2spice and of other packages.
+"""Registry of netlist dialects from kc2spice and from other packages.
 
-A module in the package :mod:`kc2spice.netlist.printers.dialects` has the name of its dialect. Other
-packages declare their dialects as entry points of the group :data:`ENTRY_POINT_GROUP`.
+Each module in the package :mod:`kc2spice.netlist.printers.dialects` has the name of its dialect.
+Other packages declare their dialects as entry points of the group :data:`ENTRY_POINT_GROUP`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ from kc2spice.netlist.printers.dialect import Dialect
 
 ENTRY_POINT_GROUP = "kc2spice.dialects"
 DIALECT_PACKAGE = "kc2spice.netlist.printers.dialects"
-# Names of the printer that all dialects derive from, and of the output that is not a netlist.
+# Name of the dialect that all other dialects derive from, and name of the output that is not a
+# netlist.
 NGSPICE = "ngspice"
 VERILOG_A = "verilog-a"
 _dialects: dict[str, type[Dialect]] = {}
@@ -27,12 +28,12 @@ _dialects: dict[str, type[Dialect]] = {}
 def register_dialect(dialect: type[Dialect]) -> type[Dialect]:
     """Register a simulator's dialect for ``--dialect`` and for exports.
 
-    A second dialect of the same name replaces the first one.
+    A later dialect of the same name replaces the earlier one.
 
     Parameters
     ----------
     dialect : type of Dialect
-        Subclass of :class:`kc2spice.Dialect` with the attribute ``dialect``, its name.
+        Subclass of :class:`kc2spice.Dialect`; its attribute ``dialect`` is the name.
 
     Returns
     -------
@@ -42,7 +43,7 @@ def register_dialect(dialect: type[Dialect]) -> type[Dialect]:
     Raises
     ------
     UsageError : the class is not a subclass of Dialect, lacks a method or a title, or is named
-    ngspice or verilog-a.
+        ngspice or verilog-a.
 
     Examples
     --------
@@ -50,11 +51,11 @@ def register_dialect(dialect: type[Dialect]) -> type[Dialect]:
     >>> @kc.register_dialect
     ... class Example(kc.Dialect):
     ...     dialect, title, command = "example", "Example", "example -batch"
-    ...     def scaled(self, kind, name, expression):
+    ...     def format_derived_measure(self, kind, name, expression):
     ...         return f".meas {kind} {name} PARAM {expression}"
-    ...     def magnitude(self, vector):
+    ...     def format_magnitude(self, vector):
     ...         return f"mag({vector})"
-    ...     def real_part(self, vector):
+    ...     def format_real_part(self, vector):
     ...         return f"re({vector})"
     ...     def switch(self, name, values):
     ...         return f".model {name} SW({' '.join(f'{k}={v}' for k, v in values.items())})"
@@ -72,11 +73,12 @@ def register_dialect(dialect: type[Dialect]) -> type[Dialect]:
 
 
 def _require_dialect(value: object, where: str) -> type[Dialect]:
-    """Return a dialect class; raise an error if it cannot be instantiated."""
+    """Return a dialect class; raise an error if the class cannot be used."""
     got, hint = repr(value), "derive a class from kc.Dialect and register the class"
     if isinstance(value, type) and issubclass(value, Dialect):
         missing = ", ".join(sorted(getattr(value, "__abstractmethods__", ())))
-        titled = value.title != Dialect.title  # a class without a title inherits that of ngspice
+        # without its own title, a class inherits the title of ngspice
+        titled = value.title != Dialect.title
         named = bool(value.dialect) and value.dialect not in (NGSPICE, VERILOG_A)
         if not missing and named and titled:
             return value
@@ -94,7 +96,7 @@ def _require_dialect(value: object, where: str) -> type[Dialect]:
 
 @cache
 def _list_builtin_dialects() -> tuple[str, ...]:
-    """Return the names of the built-in dialects, which are names of modules."""
+    """Return the names of the built-in dialects, which are also module names."""
     modules = pkgutil.iter_modules(import_module(DIALECT_PACKAGE).__path__)
     return tuple(map(attrgetter("name"), modules))
 
@@ -110,7 +112,7 @@ def list_dialect_names() -> tuple[str, ...]:
     return (*list_deck_dialects(), VERILOG_A)
 
 
-# Simulators without a printer, and the dialect whose files they read.
+# Simulators without a dialect of their own, each with the dialect whose files it reads.
 _COMPATIBLE_DIALECTS = {
     "pspice": "ltspice",
     "orcad": "ltspice",
@@ -128,7 +130,7 @@ _COMPATIBLE_DIALECTS = {
 
 
 def make_unknown_dialect_error(name: str, known: Iterable[str]) -> UsageError:
-    """Make the error for an unknown dialect, with the dialect that is most similar to it."""
+    """Make the error for an unknown dialect, with the most similar known name."""
     error = unknown("this dialect does not exist", name, known, "--dialect")
     if (similar := _COMPATIBLE_DIALECTS.get(name.lower())) is not None:
         error.hint = f"try {similar}, the dialect that is most similar to {name}"
@@ -136,11 +138,12 @@ def make_unknown_dialect_error(name: str, known: Iterable[str]) -> UsageError:
 
 
 def find_dialect(name: str) -> type[Dialect]:
-    """Return the printer class of a dialect, and import the module of the class if needed.
+    """Return the printer class of a dialect; import its module if necessary.
 
     Raises
     ------
-    UsageError : no dialect with a printer has this name, or its package cannot be imported.
+    UsageError : no dialect with a printer has the name, or the package of the dialect cannot be
+        imported.
     """
     if name not in _dialects and name in _list_builtin_dialects():
         import_module(f"{DIALECT_PACKAGE}.{name}")

@@ -1,10 +1,10 @@
 """KiCad symbols of parts and elements, and KiCad projects of decks.
 
 The symbols are arranged in rows. Wires join the pins of a net within one row, and global labels
-join the nets of different rows. The nets have the node names of the deck, so that a curve has the
-same name in KiCad, in the deck and in the results. Symbol libraries and schematics have the file
-format 20231120 (KiCad developer documentation), which the releases 8, 9 and 10 read. The files are
-written by the template ``templates/kicad.j2``.
+join the nets of different rows. The nets have the node names of the deck, so a curve has the same
+name in KiCad, the deck and the results. Symbol libraries and schematics have the file format
+20231120, which KiCad 8, 9 and 10 read (KiCad developer documentation). The template
+``templates/kicad.j2`` writes the files.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _CONTROLLED_SOURCE_PINS = (
     SymbolPin(3, "in+", "left", -3, 1),
     SymbolPin(4, "in-", "left", -3, -1),
 )
-_ELEMENT_SYMBOLS = {  # keyed by element letter: name, title, drawing
+_ELEMENT_SYMBOLS = {  # name, title and drawing of each symbol, keyed by element letter
     "V": ("SOURCE", "voltage source", "voltage"),
     "I": ("CURRENT", "current source", "current"),
     "R": ("RESISTOR", "resistor", "bar"),
@@ -53,7 +53,7 @@ _ELEMENT_SYMBOLS = {  # keyed by element letter: name, title, drawing
     "E": ("VOLTAGE_BY_VOLTAGE", "voltage source controlled by a voltage", "box"),
     "G": ("CURRENT_BY_VOLTAGE", "current source controlled by a voltage", "box"),
 }
-_MARK_SYMBOLS = {  # by name: reference, title, drawing, pin, position of the text, kind of pin
+_MARK_SYMBOLS = {  # reference, title, drawing, pin, text position and kind of pin, keyed by name
     "GND": ("#PWR", "ground, node 0", "ground", SymbolPin(1, "GND", "top", 0, 0, 0.0), (0.0, -4.0),
             "power_in"),
     "PWR_FLAG": ("#FLG", "tells that ground is driven", "flag",
@@ -65,10 +65,11 @@ _MARK_SYMBOLS = {  # by name: reference, title, drawing, pin, position of the te
 
 @dataclass(frozen=True)
 class Symbol:
-    """KiCad symbol with a drawing, text fields, and pins at ``places``.
+    """KiCad symbol with a drawing, text fields and pins.
 
-    The texts of reference and value begin at the position ``text``, in two lines. ``half`` contains
-    half of the width and half of the height [mm] of a symbol that is drawn as a box.
+    ``places`` contains the pins. The texts of reference and value start at the position ``text``,
+    one below the other. For a symbol that is a box, ``half`` contains half the width and half the
+    height [mm].
     """
 
     name: str
@@ -90,8 +91,8 @@ def print_symbol_library(symbols: Iterable[Symbol]) -> str:
 def draw_part_symbol(part: Subcircuit) -> Symbol:
     """Return the KiCad symbol of a part.
 
-    The user can change the parameters in the field ``Sim.Params``; the default values are exactly
-    the values in the library.
+    The user can change the parameters in the field ``Sim.Params``, where their defaults have the
+    same digits as in the library.
     """
     box = arrange_pins(part)
     fields = _make_standard_fields("X", part.name, part.title) | {
@@ -107,8 +108,8 @@ def draw_part_symbol(part: Subcircuit) -> Symbol:
 def make_element_symbols() -> dict[str, Symbol]:
     """Return symbols of elements, keyed by letter, and of marks such as ``GND``.
 
-    The fields contain the values in netlist syntax (``Sim.Device`` is ``SPICE``), without loss of
-    digits.
+    The text fields contain the values in netlist syntax with all digits (``Sim.Device`` is
+    ``SPICE``).
     """
     result = {}
     for letter, (name, title, drawing) in _ELEMENT_SYMBOLS.items():
@@ -143,7 +144,7 @@ _GROUND_ANGLES = {
     "top": 180,
     "left": 270,
 }  # angle [degrees] by which a ground symbol at each side points away from the part
-# Widths of rows in grid units, in the order in which they are tried, with suitable paper sizes.
+# Row widths [grid units] in the order of trial, each with suitable paper sizes.
 _ROW_WIDTHS = {105: ("A4",), 150: ("A4", "A3"), 220: ("A3", "A2"), 320: ("A2", "A1", "A0")}
 SHEET_MARGIN = 10
 _LETTER_WIDTH = 0.5  # grid units, average width of a letter
@@ -163,9 +164,9 @@ _COLOURS = ("rgb(228, 26, 28)", "rgb(55, 126, 184)", "rgb(77, 175, 74)", "rgb(15
 class _PlacedSymbol:
     """Symbol at a grid position of the sheet, with its text fields and nets.
 
-    ``reach`` contains the space that the symbol needs at the left, right, top and bottom, in grid
-    units. The space at the left and right includes the vertical wires of the symbol. ``turn`` is
-    the rotation angle.
+    ``reach`` contains the space that the symbol needs on the left, right, top and bottom, in grid
+    units. The space on the left and right includes the vertical wires of the symbol. ``turn`` is
+    the rotation angle of the symbol [degrees].
     """
 
     symbol: Symbol
@@ -178,17 +179,17 @@ class _PlacedSymbol:
 
     @property
     def right_end(self) -> int:
-        """Position of the right end of the item on the sheet."""
+        """Position of the right end of the symbol on the sheet."""
         return self.x + self.reach[1]
 
     @property
     def bottom(self) -> int:
-        """Position of the lower end of the item on the sheet."""
+        """Position of the lower end of the symbol on the sheet."""
         return self.y + self.reach[3]
 
     @property
     def pin_ends(self) -> Iterator[tuple[int, int, str, str]]:
-        """Yield x, y (downwards), side and net of each pin end on the sheet."""
+        """Yield x, y (downwards), side and net of each pin end of the symbol."""
         for place, net in zip(self.symbol.places, self.nets, strict=True):
             yield self.x + place.x, self.y - place.y, place.side, net
 
@@ -233,7 +234,7 @@ def make_project(deck: Deck) -> dict[str, str]:
 
 
 def _list_simulation_commands(top: Scope) -> Iterator[str]:
-    """Yield the deck's commands for KiCad, with KiCad's names of sources and instances."""
+    """Yield the deck's commands with the names of sources and instances in KiCad."""
     sources = {key: _add_reference_number(item.name) for key, item in top.elements_by_key.items()}
     for card in top.commands:
         if not (isinstance(card, Directive) and card.keyword in _KICAD_COMMANDS):
@@ -242,17 +243,17 @@ def _list_simulation_commands(top: Scope) -> Iterator[str]:
 
 
 def _remove_repeated_symbols(symbols: Iterable[Symbol]) -> list[Symbol]:
-    """Return the symbols without repetitions of a name."""
+    """Return the symbols; of several symbols with the same name, only the last."""
     return list({symbol.name: symbol for symbol in symbols}.values())
 
 
 def _add_reference_number(name: str) -> str:
-    """Return a name with a final number, because KiCad references need a number."""
+    """Return a name that ends with a number, as KiCad requires of references."""
     return name if name[-1].isdigit() else f"{name}1"
 
 
 def _rename_source(word: str, references: Mapping[str, str]) -> str:
-    """Return a word of a command in which KiCad references replace names of the deck."""
+    """Return a word of a command with KiCad references instead of names in the deck."""
     if word.lower() in references:
         return references[word.lower()]
     head, dot, rest = word.partition(".")
@@ -264,11 +265,11 @@ def _rename_source(word: str, references: Mapping[str, str]) -> str:
 def _draw_element(
     element: Element, parts: dict[str, Symbol], symbols: dict[str, Symbol]
 ) -> _PlacedSymbol:
-    """Return the item of the sheet that represents an element.
+    """Return the symbol on the sheet that represents an element.
 
     Raises
     ------
-    UsageError : an unknown subcircuit, or an element without a symbol.
+    UsageError : a subcircuit is unknown, or an element has no symbol.
     """
     letter, name = element.name[0].upper(), _add_reference_number(element.name)
     nets = tuple("0" if node.lower() in GROUND_NAMES else node for node in element.nodes)
@@ -303,7 +304,7 @@ def _shorten_value(value: str) -> str:
 
 
 def _reserve_room(symbol: Symbol, fields: dict[str, str], nets: tuple[str, ...]) -> _PlacedSymbol:
-    """Return the item of a symbol with the space for its pins, labels and texts."""
+    """Return the symbol on the sheet with space for its pins, labels and texts."""
     room = {"left": 1, "right": 1, "top": 1, "bottom": 1}
     for place, net in zip(symbol.places, nets, strict=True):
         label = _compute_label_length(net) + (len(nets) if place.side in ("left", "right") else 0)
@@ -317,12 +318,12 @@ def _reserve_room(symbol: Symbol, fields: dict[str, str], nets: tuple[str, ...])
 
 
 def _compute_label_length(net: str) -> int:
-    """Return the length [grid units] of the label of a net; for node 0, of a ground symbol."""
+    """Return the label length [grid units] of a net, or the length of a ground symbol."""
     return 2 if net == "0" else ceil(_LETTER_WIDTH * len(net)) + 2
 
 
 def _split_rows(items: Iterable[_PlacedSymbol], width: int) -> list[list[_PlacedSymbol]]:
-    """Split the items into rows of ``width`` [grid units], and set their positions in the rows."""
+    """Split symbols into rows of ``width`` [grid units], and set their x positions."""
     items = list(items)
     longest = max(map(_compute_label_length, chain.from_iterable(map(attrgetter("nets"), items))))
     start = max(SHEET_MARGIN, longest + SHEET_MARGIN // 2)
@@ -341,7 +342,7 @@ def _split_rows(items: Iterable[_PlacedSymbol], width: int) -> list[list[_Placed
 def _stack_rows(
     items: Iterable[_PlacedSymbol], width: int
 ) -> tuple[list[_PlacedSymbol], list[_Track]]:
-    """Return the items at their positions, and the horizontal wires above and below rows."""
+    """Return the symbols at their final positions, and the tracks of all rows."""
     placed: list[_PlacedSymbol] = []
     tracks: list[_Track] = []
     y = SHEET_MARGIN
@@ -360,10 +361,10 @@ def _stack_rows(
 
 @dataclass(frozen=True)
 class _Track:
-    """Horizontal wire of a net at the height ``y``, with the pin ends that the wire joins.
+    """Horizontal wire of a net at the height ``y``, which joins pin ends.
 
-    Each pin at ``(x, y)`` has a column: the horizontal position of the vertical wire from the pin
-    to the track.
+    Each pin end at ``(x, y)`` has a column: the x position of the vertical wire between pin end and
+    track.
     """
 
     net: str
@@ -401,7 +402,7 @@ def _list_channel_ends(
 
 
 def _find_shared_nets(row: Iterable[_PlacedSymbol], upwards: bool) -> frozenset[str]:
-    """Return the nets with several ends in one wiring channel, except ground."""
+    """Return the nets, except ground, with several pin ends in one wiring channel."""
     counts = Counter(net for _, _, _, net in _list_channel_ends(row, upwards))
     return frozenset(net for net, count in counts.items() if count > 1) - {"0"}
 
@@ -409,8 +410,8 @@ def _find_shared_nets(row: Iterable[_PlacedSymbol], upwards: bool) -> frozenset[
 def _assign_tracks(row: Iterable[_PlacedSymbol], y: int, upwards: bool) -> list[_Track]:
     """Return the tracks (horizontal wires) of a wiring channel that begins at ``y``.
 
-    The net whose first pin is furthest to the left has the track next to the row. This order
-    prevents wires from crossing the labels of other tracks.
+    The track of the net with the leftmost first pin is next to the row. With this order, no wire
+    crosses the label of another track.
     """
     shared = _find_shared_nets(row, upwards)
     ends: dict[str, dict[tuple[int, int], int]] = {net: {} for net in shared}
@@ -428,10 +429,10 @@ def _assign_tracks(row: Iterable[_PlacedSymbol], y: int, upwards: bool) -> list[
 
 
 def _choose_columns(item: _PlacedSymbol, shared: Container[str]) -> dict[tuple[int, int], int]:
-    """Return the column of each pin end of an item, keyed by its position.
+    """Return the column of each pin end of a symbol, keyed by position.
 
-    The column of the lowest pin of a side is next to the symbol. The column of each higher pin is
-    outside of the columns and labels of all lower pins.
+    On each side, the column of the lowest pin is next to the symbol. The column of each higher pin
+    is outside of the columns and labels of all lower pins.
     """
     result = {}
     for side, outwards in (("left", -1), ("right", 1), ("top", 0), ("bottom", 0)):
@@ -491,7 +492,7 @@ def _draw_sheet(
 
 
 def _choose_paper(width: float, height: float) -> str:
-    """Return the smallest paper size for a drawing of this size [mm]; A0 if it fits on none."""
+    """Return the smallest suitable paper for a size [mm]; A0 for larger drawings."""
     for paper, (available_width, available_height) in _PAPER_SIZES.items():
         if width <= available_width and height <= available_height:
             return paper
@@ -524,7 +525,7 @@ def _make_ground_mark(
 def _write_workbook(deck: Deck, top: Scope, commands: list[str]) -> str:
     """Return KiCad's simulation workbook with the analysis and four node voltages.
 
-    The selected voltages belong to different parts if possible.
+    If possible, the selected voltages belong to different parts.
     """
     analyses = (line for line in commands if line.split()[0].lower() in _ANALYSIS_KINDS)
     analysis = next(analyses, "")
@@ -545,5 +546,5 @@ def _write_workbook(deck: Deck, top: Scope, commands: list[str]) -> str:
 
 
 def _make_uuid(*what: object) -> str:
-    """Return an identifier that is equal in all exports of the same item."""
+    """Return an identifier that is the same in every export of an item."""
     return str(uuid5(NAMESPACE_URL, "kc2spice/" + "/".join(map(str, what))))

@@ -1,4 +1,4 @@
-"""Line breaks that limit the lines of cards and comments to 100 characters."""
+"""Line breaks that limit cards and comments to lines of 100 characters."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from itertools import chain
 
-MAX_WIDTH = 100  # characters of the longest line
-MIN_WIDTH = 50  # characters; a break that would make a line shorter is the last choice
+MAX_WIDTH = 100  # number of characters of the longest line
+MIN_WIDTH = 50  # lines shorter than this number of characters are a last choice
 _EXPRESSION_START = re.compile(r"(?i)^[beg]\S*\s.*?=|=\{|^\+ ")
 _SUM_BREAK = re.compile(r"(?<=[\w)}\]])(?<![\d.][eE])[-+]")
 _PRODUCT_BREAK = re.compile(r"(?<=[\w)}\]])[*/]|(?<=,)(?=\S)")
@@ -19,8 +19,8 @@ _PROBE_TERM = re.compile(r"(?i)\b[vi]\([^()]*\)")
 def wrap_card(card: str) -> Iterator[str]:
     """Yield the lines of a card; continuation lines begin with ``+``.
 
-    Simulators insert a blank between the joined lines. A line therefore ends between two words,
-    before an operator, or after a comma of an expression.
+    When a simulator joins lines, it inserts a blank between them. A line therefore ends only
+    between two words, before an operator, or after a comma of an expression.
     """
     for line in card.split("\n"):
         if line.startswith("*"):
@@ -38,13 +38,13 @@ def wrap_card(card: str) -> Iterator[str]:
 
 
 def wrap_comments(text: str) -> Iterator[str]:
-    """Yield the lines of comments, with indented continuation lines."""
+    """Yield the lines of comments; continuation lines are indented."""
     for line in text.split("\n"):
         yield from _wrap_comment(line)
 
 
 def _wrap_comment(line: str) -> Iterator[str]:
-    """Yield the lines of one comment, with indented continuation lines."""
+    """Yield the lines of one comment; continuation lines are indented."""
     if len(line) <= MAX_WIDTH or not line.startswith("*"):
         yield line
         return
@@ -61,7 +61,7 @@ def _wrap_comment(line: str) -> Iterator[str]:
 
 
 def _add_blanks(text: str, width: int) -> str:
-    """Insert blanks before the operators in all words that are longer than a line."""
+    """Insert blanks before operators in words that are longer than a line."""
     words = text.split(" ")
     for k, word in enumerate(words):
         if len(word) > width:
@@ -70,9 +70,9 @@ def _add_blanks(text: str, width: int) -> str:
 
 
 def _choose_end(breaks: Sequence[Sequence[int]], begin: int, width: int) -> int:
-    """Return the best end of the line that starts at ``begin``; 0 if no end is possible.
+    """Return the best end of the line that starts at ``begin``; 0 without an end.
 
-    ``breaks`` are groups of possible ends, the preferred group first.
+    ``breaks`` contains groups of possible ends, in the order of preference.
     """
     for places in breaks:
         last = _find_last_between(places, begin + MIN_WIDTH, begin + width)
@@ -84,16 +84,16 @@ def _choose_end(breaks: Sequence[Sequence[int]], begin: int, width: int) -> int:
 
 
 def _find_last_between(places: Sequence[int], low: int, high: int) -> int:
-    """Return the largest of the ascending ``places`` from ``low`` to ``high``; 0 without one."""
+    """Return the largest of ``places`` between ``low`` and ``high``; 0 without one."""
     count = bisect_right(places, high)
     return places[count - 1] if count and places[count - 1] >= low else 0
 
 
 def _list_possible_ends(line: str) -> tuple[list[int], ...]:
-    """Return groups of positions at which a line may end, the preferred group first.
+    """Return groups of positions at which a line may end, in order of preference.
 
-    The groups are blanks between words, blanks within brackets, operators of sums, and operators of
-    products.
+    The groups are: blanks between words, blanks inside brackets, plus and minus signs, and product
+    operators or commas.
     """
     outer, inner, fixed, depth, quote = list[int](), list[int](), set[int](), 0, ""
     for place, ch in enumerate(line):

@@ -1,4 +1,4 @@
-"""Printer of syntax trees in ngspice syntax, the base class of all other printers."""
+"""Printer of syntax trees in the syntax of ngspice; base class of all printers."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from kc2spice.netlist.expression import ExpressionWriter, Name, Tree, parse_expr
 from kc2spice.netlist.prefixes import with_prefixes
 from kc2spice.netlist.printers.line_breaks import wrap_card, wrap_comments
 
-# names in expressions that are not parameters and therefore need no braces
+# Names in expressions that are not parameters and need no braces.
 _BARE_NAMES = frozenset({"time", "temper", "hertz", "pi"})
 _NUMERIC_CARDS = frozenset({".tran", ".ac", ".dc", ".noise"})  # cards whose words are numbers
 _TABLE_WIDTH = 96
 
 
 class Printer(ExpressionWriter):
-    """Writer of circuits and decks in the netlist syntax of one simulator."""
+    """Printer of circuits and decks in the netlist syntax of ngspice."""
 
     title = "ngspice"
-    keyword = ""  # word before the parameters of subcircuits and instances
+    keyword = ""  # word before the parameters on cards of subcircuits and instances
 
     def __init__(self) -> None:
         self.where = "netlist"
@@ -43,7 +43,7 @@ class Printer(ExpressionWriter):
         return "\n".join(lines) + "\n"
 
     def print_cards_as_lines(self, items: Sequence[Item]) -> Iterator[str]:
-        """Yield the cards with their preceding comments."""
+        """Yield the text of each card, after the comments above the card."""
         for item in items:
             yield from _print_comments(item.notes)
             self.where = item.where
@@ -51,7 +51,7 @@ class Printer(ExpressionWriter):
                 yield card if isinstance(item, Circuit) else _continue_card(card)
 
     def card(self, item: Item) -> str:
-        """Return the text, possibly empty, of one item without its preceding comments."""
+        """Return the text of one item without its comments; it may be empty."""
         match item:
             case Element():
                 return self.format_element(item)
@@ -90,8 +90,8 @@ class Printer(ExpressionWriter):
     def format_law(self, part: Element) -> str:
         """Return the expression of a behavioural source.
 
-        If an expression contains parameters, braces enclose the complete expression, because
-        ngspice inserts the content of inner braces as text.
+        An expression with parameters is enclosed in braces completely, because ngspice inserts the
+        content of inner braces as text.
         """
         words = [leaf.text.lower() for leaf in select_items(walk_tree(part.law), Name)]
         text = self.write_tree(part.law)
@@ -104,7 +104,7 @@ class Printer(ExpressionWriter):
         return _join_words(".model", model.name, model.type + (f"({inside})" if inside else ""))
 
     def directive(self, card: Directive) -> str:
-        """Return any other dot card; each command of a control block is on a separate line."""
+        """Return any other dot card; a control block has one command on each line."""
         if card.keyword == ".control":
             return "\n".join([".control", *card.words, ".endc"])
         words = (
@@ -124,14 +124,14 @@ class Printer(ExpressionWriter):
         return with_prefixes(text)
 
     def format_word(self, text: str) -> str:
-        """Return the text of a word; a word in braces or single quotes is an expression."""
+        """Return the text of a word; a word in braces or quotes is an expression."""
         if text[:1] not in ("{", "'"):
             return self.format_numbers(text)
         written = self.write_tree(parse_expression(text, where=self.where))
-        return f"{{{written.replace(', ', ',')}}}"  # a blank would end the word
+        return f"{{{written.replace(', ', ',')}}}"  # a blank after a comma would end the word
 
     def write_call(self, function: str, arguments: tuple[Tree, ...]) -> str:
-        """Return a function call; the points of a table are spread over several lines."""
+        """Return a function call; the points of a table are on several lines."""
         if function != "pwl":
             return super().write_call(function, arguments)
         head, *numbers = map(self.write_tree, arguments)
@@ -146,24 +146,24 @@ def _print_comments(notes: Iterable[str]) -> tuple[str, ...]:
 
 
 def _continue_card(card: str) -> str:
-    """Return a card broken into continuation lines; a control block is unchanged."""
+    """Return a card with line breaks; a control block is unchanged."""
     return card if card.startswith(".control") else "\n".join(wrap_card(card))
 
 
 def _join_words(*words: str) -> str:
-    """Join all words that are not empty by blanks."""
+    """Join all nonempty words by blanks."""
     return " ".join(filter(None, words))
 
 
 def locate_cards(circuit: Circuit, file: str) -> Circuit:
-    """Return the tree of a ``file`` in which each card has its line number and printed text."""
+    """Return a tree in which each card has its printed text and its line number."""
     return replace(circuit, items=tuple(_locate_items(circuit.items, Printer(), file, count(1))))
 
 
 def _locate_items(
     items: Iterable[Item], printer: Printer, file: str, lines: Iterator[int]
 ) -> Iterator[Item]:
-    """Yield items with their positions in the file, whose line numbers are ``lines``."""
+    """Yield items with their positions in the file; ``lines`` counts the lines."""
     for item in items:
         _skip_lines(lines, len(_print_comments(item.notes)))
         if isinstance(item, Circuit):
@@ -181,6 +181,6 @@ def _locate_items(
 
 
 def _skip_lines(lines: Iterator[int], number: int) -> None:
-    """Skip a number of entries of the iterator ``lines``."""
+    """Advance the iterator ``lines`` by a number of entries."""
     for _ in range(number):
         next(lines)

@@ -1,4 +1,4 @@
-"""Scripts with which ngspice plots the results of a deck."""
+"""Script with which ngspice plots the results of a deck."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def format_plot_script(deck: Deck) -> dict[str, str]:
     """Return the plot script of a deck as ``{"NAME_plot.sp": text}``.
 
     The script opens one window for each unit of the results. The result is empty if the deck has no
-    curves. If the first line of a file is ``*ng_script``, ngspice runs the file as commands.
+    curves. ngspice runs a file as commands if its first line is ``*ng_script``.
     """
     axis = _PLOT_AXES.get(deck.command.kind)
     windows: dict[str, list[str]] = {}

@@ -11,8 +11,8 @@ from kc2spice.netlist.circuit import Pin
 from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.scope import Scope, build_scope
 
-_LETTER_WIDTH = 0.45  # grid units, width of a letter
-_CONTROLLED_KINDS = frozenset("egs")  # elements whose last two nodes draw no current
+_LETTER_WIDTH = 0.45  # width of a letter in grid units
+_CONTROLLED_KINDS = frozenset("egs")  # elements whose third and fourth node draw no current
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class SymbolPin:
 
 @dataclass(frozen=True)
 class SymbolBox:
-    """Rectangle with pins; half its width and height are ``width`` and ``height``."""
+    """Rectangle of a symbol with pins; ``width`` and ``height`` are half of its size."""
 
     width: int
     height: int
@@ -40,16 +40,16 @@ class SymbolBox:
 
 
 def arrange_pins(part: Subcircuit) -> SymbolBox:
-    """Arrange the pins on the symbol of ``part``, numbered in the order of ``.subckt``.
+    """Arrange the pins of ``part`` on a symbol, numbered as on ``.subckt``.
 
     On the symbol of an actuator, electrical pins are on the left and mechanical pins on the right.
-    On electronic parts, inputs are on the left and outputs on the right. On mechanical parts,
-    displacements are on the left and all other pins on the right.
+    On the symbol of an electronic part, inputs are on the left and outputs on the right. On the
+    symbol of a mechanical part, displacements are on the left and all other pins on the right.
     """
     left, right, below = _assign_sides(part)
     longest = max(_find_longest_name_length(left), _find_longest_name_length(right))
     rows = max(len(left), len(right))
-    # pin names at the bottom are vertical, between the names on the left and on the right
+    # pin names at the bottom are vertical, between the names of the left and right pins
     width = max(3, ceil(_LETTER_WIDTH * longest + 0.6 + 0.5 * len(below)))
     height = max(
         ceil((rows + 1) / 2), ceil((_LETTER_WIDTH * _find_longest_name_length(below) + 0.8) / 2)
@@ -71,7 +71,7 @@ def _find_longest_name_length(pins: list[tuple[int, Pin]]) -> int:
 
 
 def _find_sensed_nodes(scope: Scope | None) -> set[str]:
-    """Return the nodes whose voltage an element of ``scope`` senses without current."""
+    """Return the nodes whose voltage is sensed, and which carry no current."""
     sensed: set[str] = set()
     loaded: set[str] = set()
     for item in scope.elements if scope else ():
@@ -106,7 +106,7 @@ def _assign_sides(part: Subcircuit) -> tuple[list[tuple[int, Pin]], ...]:
     if electrical and mechanical:
         left = set(electrical)
     elif electrical:
-        left.update(signals)  # signal pins are command inputs
+        left.update(signals)  # in an electronic part, signal pins without power are command inputs
         left = left or {electrical[0]}
     elif mechanical:
         left = set(mechanical)

@@ -1,9 +1,9 @@
-"""Printer of parts as Verilog-A modules, element by element.
+"""Printer of parts as Verilog-A modules, one statement for each element.
 
-Every card becomes one contribution statement with the same nodes. The module and the ``.subckt``
-therefore have the same system of equations (Verilog-AMS Language Reference Manual 2.4, chapters 4
-and 5). Nested instances are expanded, because Verilog-A compilers of simulators do not support
-hierarchy.
+Every element of a part becomes a contribution statement between the same nodes. A module therefore
+has the same equations as the ``.subckt`` of the part (Verilog-AMS Language Reference Manual 2.4,
+chapters 4 and 5). Inner instances are expanded, because Verilog-A compilers for simulators do not
+support hierarchy.
 """
 
 from __future__ import annotations
@@ -69,9 +69,11 @@ _RESERVED_WORDS = (
 )
 _RESERVED_NAMES = frozenset(_RESERVED_WORDS.split())
 _NO_EQUIVALENT = "Verilog-A has no equivalent of this card"
-HOLD_CONDUCTANCE = 1e9  # S, enforces an initial condition; larger than all other conductances
-SOURCE_RESISTANCE = 1e-15  # Ohm, in series with a voltage source
-_OUTPUT_CARDS = (".print", ".meas")  # cards of vectors whose nodes a module may lack
+# conductance [S] that enforces an initial condition; larger than all other conductances
+HOLD_CONDUCTANCE = 1e9
+SOURCE_RESISTANCE = 1e-15  # resistance [Ohm] in series with a voltage source
+# cards whose vectors may contain nodes that a module does not have
+_OUTPUT_CARDS = (".print", ".meas")
 _FUNCTION_TEMPLATES = {
     "uramp": "max(0.0, {0})",
     "sgn": "({0} > 0.0 ? 1.0 : ({0} < 0.0 ? -1.0 : 0.0))",
@@ -91,14 +93,14 @@ class Module:
     identifiers: set[str] = field(default_factory=set)
 
     def allocate_identifier(self, name: str) -> str:
-        """Return an unused identifier: ``name``, if necessary with ``_`` appended."""
+        """Return an unused identifier: ``name``, with ``_`` appended until it is unused."""
         while name in _RESERVED_NAMES or name in self.identifiers:
             name += "_"
         self.identifiers.add(name)
         return name
 
     def declare_variable(self, name: str, value: str) -> str:
-        """Declare a variable and its value, such as a charge; return the variable's name."""
+        """Declare a variable with a value, such as a charge; return its Verilog-A name."""
         spelled = self.allocate_identifier(name)
         self.declarations.append(f"real {spelled};")
         self.laws.append(f"{spelled} = {value};")
@@ -107,7 +109,7 @@ class Module:
 
 @dataclass
 class VerilogWriter(ExpressionWriter):
-    """Writer of names and expressions of one subcircuit instance in Verilog-A."""
+    """Writer that translates the names and expressions of a subcircuit to Verilog-A."""
 
     module: Module
     scope: Scope
@@ -118,7 +120,7 @@ class VerilogWriter(ExpressionWriter):
     part: str = ""
 
     def declare_node(self, name: str) -> str:
-        """Return the Verilog-A name of a node; a node that is new is declared."""
+        """Return the Verilog-A name of a node, and declare the node if it is new."""
         key, nodes = name.lower(), self.module.nodes
         if key in self.pins:
             return self.pins[key]
@@ -143,14 +145,14 @@ class VerilogWriter(ExpressionWriter):
         return self.format_law(parse_expression(text, where=self.where))
 
     def format_law(self, tree: Tree) -> str:
-        """Return the Verilog-A text of an expression, in parentheses if this text is no factor."""
+        """Return the Verilog-A text of an expression, in parentheses if necessary."""
         return self.write_tree(tree, 5)
 
     def write_tree(self, tree: Tree, level: int = 0) -> str:
         """Write an expression tree as Verilog-A text.
 
-        As in ngspice, a power is computed from the absolute value of its base. All numbers have a
-        point or an exponent, because Verilog-A truncates quotients of integers.
+        As in ngspice, a power is computed from the absolute value of its base. Every number has a
+        decimal point or an exponent, because Verilog-A truncates quotients of integers.
         """
         match tree:
             case Number(text):
@@ -168,7 +170,7 @@ class VerilogWriter(ExpressionWriter):
         return f"br_{self.prefix}{source.lower()}"
 
     def format_name(self, text: str) -> str:
-        """Return the spelling of a parameter or keyword."""
+        """Return the Verilog-A spelling of a parameter or keyword."""
         if text.lower() not in self.params:
             raise UsageError(
                 "Verilog-A has no equivalent of this name",
@@ -179,7 +181,7 @@ class VerilogWriter(ExpressionWriter):
         return self.params[text.lower()]
 
     def write_call(self, function: str, arguments: tuple[Tree, ...]) -> str:
-        """Return the spelling of a function call."""
+        """Return the Verilog-A text of a function call."""
         if function == "pwl":
             name = f"table_{self.prefix}{self.part}_{len(self.module.functions)}"
             numbers = [literal_value(self.write_tree(a), where=self.where) for a in arguments[1:]]
@@ -214,12 +216,12 @@ class VerilogWriter(ExpressionWriter):
 
 
 def print_module(part: Subcircuit) -> dict[str, str]:
-    """Return the module of a part as ``{name.va: text}``.
+    """Return the Verilog-A module of a part as ``{name.va: text}``.
 
     Raises
     ------
-    UsageError : the part contains a construct without an equivalent in Verilog-A (waveforms,
-        hysteresis, global ground).
+    UsageError : Verilog-A has no equivalent of a card of the part, such as a waveform, a switch
+        with hysteresis, or a global ground.
     """
     if part.no_module:
         raise UsageError(
@@ -239,7 +241,7 @@ def print_module(part: Subcircuit) -> dict[str, str]:
         line = f"parameter real {spelled} = {format_number(p.default)};"
         module.declarations.append(f"{line}  // {p.unit}: {p.doc}")
     names = VerilogWriter(module, scope, pins, params, "")
-    for key, default in scope.defaults.items():  # the header of a user's subcircuit may lack them
+    for key, default in scope.defaults.items():  # a user's subcircuit may have no header
         if key.lower() not in params:
             spelled, value = module.allocate_identifier(key), names.format_word(default)
             module.declarations.append(f"parameter real {spelled} = {value};")
@@ -269,7 +271,7 @@ def print_module(part: Subcircuit) -> dict[str, str]:
 
 
 def _expand_circuit(names: VerilogWriter) -> None:
-    """Add the contribution statements of an instance, and of its inner instances, to the module."""
+    """Add the statements of an instance, and of its inner instances, to the module."""
     scope, module, prefix = names.scope, names.module, names.prefix
     for card in scope.commands:
         names.where = card.where
@@ -294,7 +296,7 @@ def _convert_comment(line: str) -> str:
 
 
 def _expand_instance(part: Element, outer: VerilogWriter) -> None:
-    """Add the contribution statements of an inner instance to the module."""
+    """Add the statements of an inner instance to the module."""
     called = outer.scope.find_subcircuit(part.model)
     if called is None or len(called.pins) != len(part.nodes):
         raise part.make_error("no such subcircuit", part.model)
@@ -310,8 +312,8 @@ def _expand_instance(part: Element, outer: VerilogWriter) -> None:
 def _add_contribution(part: Element, names: VerilogWriter) -> None:
     """Add the contribution statement of one element to the module.
 
-    The statement contributes a current between the nodes of the element, or a voltage across a
-    branch that has the name of the element.
+    The statement contributes a current between the nodes of the element, or a voltage to a named
+    branch.
     """
     module = names.module
     if part.kind == "k":
@@ -330,7 +332,7 @@ def _add_contribution(part: Element, names: VerilogWriter) -> None:
     )
     module.laws.append(f"{through} <+ {right};")
     if part.kind == "c" and "ic" in part.settings:
-        # The condition also tests the time, because the analysis type in ngspice is ``ic`` even in
+        # The condition includes the time, because ngspice reports the analysis type ``ic`` also in
         # the first time step.
         at_start = '(analysis("ic") || analysis("tran")) && $abstime <= 0.0'
         start = names.format_word(part.settings["ic"])
@@ -339,14 +341,14 @@ def _add_contribution(part: Element, names: VerilogWriter) -> None:
 
 
 def _write_element_contribution(part: Element, names: VerilogWriter, across: str) -> str:
-    """Return the right-hand side of the contribution of an element without an expression."""
+    """Return the contribution of an element whose card has no expression."""
     current = f"I({names.name_branch(part.name)})"
     match part.kind:
         case "r":
             return f"{across}/{_read_card_value(part, names)}"
         case "c":
-            # If ddt contains equal products, OpenVAF (Reloaded, 2026-08) may assign the derivative
-            # of one product to the node of another.
+            # If several ddt operators have the same argument, OpenVAF (Reloaded, 2026-08) may
+            # assign one derivative to the node of another.
             charge = f"{_read_card_value(part, names)}*{across}"
             return (
                 f"ddt({names.module.declare_variable(f'charge_{names.prefix}{part.key}', charge)})"
@@ -362,7 +364,8 @@ def _write_element_contribution(part: Element, names: VerilogWriter, across: str
         case "i":
             return _read_constant_value(part, names)
         case "v":
-            # OpenVAF merges both nodes of a 0 V source, and sets the source's current to zero
+            # OpenVAF merges the two nodes of a 0 V source, and sets the current of the source to
+            # zero
             series = f" + {format_number(SOURCE_RESISTANCE)}*{current}"
             return _read_constant_value(part, names) + (
                 series if _is_current_sensed(part, names.scope) else ""
@@ -371,7 +374,7 @@ def _write_element_contribution(part: Element, names: VerilogWriter, across: str
 
 
 def _is_current_sensed(source: Element, scope: Scope) -> bool:
-    """Return whether an element or an expression reads the current of a voltage source."""
+    """Return whether a card of ``scope`` reads the current of a voltage source."""
     for item in scope.elements:
         if source.key in map(str.lower, item.sources):
             return True
@@ -381,7 +384,7 @@ def _is_current_sensed(source: Element, scope: Scope) -> bool:
 
 
 def _read_card_value(part: Element, names: VerilogWriter) -> str:
-    """Return the only value on a card; reject a card with a multiplier or a model."""
+    """Return the only value on a card; reject multipliers and models."""
     if len(part.values) != 1 or set(part.settings) - ({"ic"} if part.kind == "c" else set()):
         raise part.make_error(_NO_EQUIVALENT)
     return names.format_word(part.values[0])
@@ -401,7 +404,7 @@ def _read_constant_value(part: Element, names: VerilogWriter) -> str:
 
 
 def _write_switch_resistance(part: Element, names: VerilogWriter) -> str:
-    """Return the resistance of a switch as a function of its control voltage."""
+    """Return the resistance of a switch as an expression of its control voltage."""
     model = names.scope.models.get(part.model.lower())
     parameters = _SWITCH_DEFAULTS | (key_by_lower_name(model.parameters) if model else {})
     numbers = {k: literal_value(v, where=names.where) for k, v in parameters.items()}
@@ -417,7 +420,7 @@ def _write_switch_resistance(part: Element, names: VerilogWriter) -> str:
 
 
 def _couple_inductors(part: Element, names: VerilogWriter) -> list[str]:
-    """Return the statements of the voltages that a K element induces in two inductors."""
+    """Return the statements for the voltages that a K element induces."""
     inductors = names.scope.select_elements("l")
     coils = list(filter(None, map(inductors.get, map(str.lower, part.sources))))
     if len(coils) != 2:
@@ -430,11 +433,11 @@ def _couple_inductors(part: Element, names: VerilogWriter) -> list[str]:
 
 
 def _write_table_function(name: str, x: list[float], f: list[float]) -> str:
-    """Return the text of a piecewise linear function that extrapolates its outer segments."""
+    """Return the text of a piecewise linear function that extrapolates its ends."""
     lines = [f"  analog function real {name};", "    input x;", "    real x;", "    begin"]
 
     def append_search(low: int, high: int, indent: str) -> None:
-        """Append the statements of a binary search between two points."""
+        """Append the statements of a binary search among the points from low to high."""
         if high - low == 1:
             slope = (f[high] - f[low]) / (x[high] - x[low])
             value, start = format_number(f[low]), format_number(x[low])
@@ -452,15 +455,16 @@ def _write_table_function(name: str, x: list[float], f: list[float]) -> str:
     return "\n".join([*lines, "    end", "  endfunction"])
 
 
-# --- testbench for an ngspice that loads modules compiled to OSDI ---
+# --- deck for an ngspice that loads modules compiled to OSDI ---
 
 
 def make_testbench(deck: Deck, modules: Collection[Subcircuit]) -> dict[str, str]:
-    """Return the files of a deck in which Verilog-A ``modules`` replace subcircuits.
+    """Return the files of a deck with Verilog-A ``modules`` instead of subcircuits.
 
-    The compiler command ``openvaf-r NAME.va`` writes ``NAME.osdi``. Parts that cannot be modules
-    remain libraries. The deck does not save vectors inside modules, because ngspice cannot. The
-    transient needs no ``uic``, because the modules contain their initial conditions.
+    To run the deck, the user first compiles each ``NAME.va`` to ``NAME.osdi`` with the command
+    ``openvaf-r NAME.va``. Parts without a module remain subcircuits in library files. The deck
+    saves no vectors inside modules, because ngspice cannot save them. The transient has no ``uic``,
+    because the modules contain their initial conditions.
     """
     stems = {p.name.lower(): p.filename.removesuffix(".lib") for p in modules}
     replaced = set(map(attrgetter("filename"), modules))
@@ -485,10 +489,10 @@ def make_testbench(deck: Deck, modules: Collection[Subcircuit]) -> dict[str, str
 
 
 def _replace_instance(item: Item, stems: Mapping[str, str], replaced: Collection[str]) -> Item:
-    """Return an item of a deck in which modules replace subcircuits.
+    """Return an item of a deck with modules instead of subcircuits.
 
-    An instance of a module is an N card, with a ``.model`` card that contains the parameters. A
-    card without an equivalent becomes an empty card.
+    The card of a module's instance is an N card with a ``.model`` card that contains the
+    parameters. A card without an equivalent is replaced by an empty card.
     """
     if isinstance(item, Element) and item.model.lower() in stems:
         name = f"N{item.name[1:]}"
@@ -503,7 +507,7 @@ def _replace_instance(item: Item, stems: Mapping[str, str], replaced: Collection
     elif item.keyword in _OUTPUT_CARDS or (item.keyword in INCLUDES and words[0] in replaced):
         words = ()
     if item.words and not words:
-        # the .save cards determine the printed vectors
+        # the ``.save`` cards determine the printed vectors
         notes = () if item.keyword in _OUTPUT_CARDS else item.notes
         return replace(item, keyword="", words=(), notes=notes)
     return replace(item, words=words)

@@ -1,1 +1,1 @@
-"""Acoustic part types: radiation, listeners, diaphragms, cavities, vents and tubes."""
+"""Acoustic part types, such as radiation, listener, diaphragm, cavity and vent."""

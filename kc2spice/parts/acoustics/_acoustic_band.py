@@ -1,4 +1,4 @@
-"""Frequency band for which acoustic networks are fitted, derived from the analysis of a scene."""
+"""Frequency band for which the acoustic networks of a scene are fitted."""
 
 from __future__ import annotations
 
@@ -21,8 +21,9 @@ class AcousticBand(NamedTuple):
 def choose_acoustic_band(scene: GovernedScene) -> AcousticBand:
     """Return the frequency band in which acoustic networks must be accurate.
 
-    The band ends at the highest frequency of the analysis or of its sources. In an ac analysis, the
-    band begins at the lowest frequency of the analysis. The band spans at most four decades.
+    The band ends at the highest frequency of the analysis or of the sources in the scene. In an ac
+    analysis, the band begins at the lowest frequency of the analysis. The band spans at most four
+    decades.
     """
     high = highest_frequency(scene) or AUDIO_END
     start = scene.analysis.start if scene.analysis.is_small_signal else 0.0

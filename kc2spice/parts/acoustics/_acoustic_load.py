@@ -1,11 +1,10 @@
 """Acoustic parts in front of the faces of a body: impedance and radiated sound.
 
 :func:`collect_load` follows the nets from the pins of the faces through all acoustic parts. The
-elements of these parts are acoustic masses M, resistances R and compliances C with the admittances
-``1 / (j omega M)``, ``1 / R`` and ``j omega C``. The nodal equations ``Y p = U`` with the
-admittance matrix Y give the pressures p that unit volume velocities U cause. The pressure on a part
-of type ``radiation``, and the volume velocity through this part, determine the far field of this
-part.
+acoustic elements are masses M, resistances R and compliances C with the admittances ``1 / (j omega
+M)``, ``1 / R`` and ``j omega C``. The nodal equations ``Y p = U`` with the admittance matrix Y
+relate the node pressures p to unit volume velocities U at the faces. The far field of a part of
+type ``radiation`` follows from its pressure and its volume velocity.
 """
 
 from __future__ import annotations
@@ -24,14 +23,14 @@ from kc2spice.parts.acoustics.radiation import FACE, FarField, RadiationKeys, fi
 from kc2spice.scene.model import Part, Scene
 
 GROUND = "0"  # name of the ground node in a netlist
-MAX_DENSE_NODES = 60  # number of nodes above which a sparse solver is used
+MAX_DENSE_NODES = 60  # largest number of nodes for which dense matrices are used
 # Exponent of j omega in the admittance of an element; the exponent of a resistance is 0.
 ADMITTANCE_POWERS = {MASS: -1, COMPLIANCE: 1}
 
 
 @dataclass(frozen=True)
 class LoadBranch:
-    """Acoustic element between two nodes, with the admittance ``(j omega)^power * value`` in SI."""
+    """Acoustic element with the admittance ``(j omega)^power * value`` [m3/(Pa s)]."""
 
     plus: str
     minus: str
@@ -43,7 +42,7 @@ class LoadBranch:
 class SoundSource:
     """Radiating surface at a node, with the branches that carry its volume velocity.
 
-    ``branches`` contains pairs of a branch number and the sign of the branch's volume velocity.
+    ``branches`` contains pairs: the number of a branch, and the sign of its volume velocity.
     """
 
     node: str
@@ -53,10 +52,10 @@ class SoundSource:
 
 @dataclass(frozen=True)
 class AcousticLoad:
-    """Acoustic elements in front of the faces of a body, which load these faces.
+    """Acoustic elements that load the faces of a body.
 
-    ``faces`` contains the nets of the faces. ``complete`` is False if another kind of part, such as
-    a loudspeaker, is also connected to the acoustic elements.
+    ``faces`` contains the nets of the faces. If other parts, such as a loudspeaker, are also
+    connected to the acoustic elements, ``complete`` is False.
     """
 
     faces: tuple[str, ...]
@@ -65,18 +64,17 @@ class AcousticLoad:
     complete: bool
 
     def make_record(self) -> dict[str, Any]:
-        """Return the data that determine the load, for the key of a cached model."""
+        """Return the data that determine the load, as a part of a cache key."""
         branches = [[b.plus, b.minus, b.power, b.value] for b in self.branches]
         sources = [[s.node, s.far_field.pressure, s.far_field.flow] for s in self.sources]
         return {"faces": list(self.faces), "branches": branches, "sources": sources}
 
     def respond(self, frequency: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return impedances and sound pressures, both per unit volume velocity [Pa s/m3].
+        """Return impedances and sound pressures per unit volume velocity [Pa s/m3].
 
-        The impedances are the pressures at the faces, returned as an array of shape (frequencies,
-        faces, faces). The sound pressures are the pressures at a listener at the reference distance
-        from all sources. The sound pressures are returned as an array of shape (frequencies,
-        faces).
+        The impedances are pressures at the faces, an array of shape (frequencies, faces, faces).
+        Each sound pressure is the sum over all sources at the reference distance; the array has the
+        shape (frequencies, faces).
         """
         nodes = sorted({node for b in self.branches for node in (b.plus, b.minus)} - {GROUND})
         place = {node: k for k, node in enumerate(nodes)}
@@ -111,9 +109,10 @@ class AcousticLoad:
 def _solve_node_pressures(
     A: sparse.csc_array, admittances: np.ndarray, push: np.ndarray
 ) -> np.ndarray:
-    """Return the node pressures p of ``A diag(y) A' p = push`` for each row y of admittances.
+    """Return the node pressures p of ``A diag(y) A' p = push`` for admittances y.
 
-    A is the incidence matrix of the network, and ``push`` contains unit volume velocities.
+    A is the incidence matrix of the network, ``push`` contains unit volume velocities, and each row
+    of ``admittances`` is one y.
     """
     if A.shape[0] <= MAX_DENSE_NODES:
         dense = A.toarray()
@@ -126,9 +125,9 @@ def _solve_node_pressures(
 
 
 def collect_load(scene: Scene, body: str, pins: Sequence[str]) -> AcousticLoad:
-    """Return the load of all acoustic parts that are connected to the ``pins`` of a body.
+    """Return the load of all acoustic parts that are connected to a body.
 
-    The load also includes parts that are connected to the body only through other acoustic parts.
+    The load includes parts that are connected to the ``pins`` only through other acoustic parts.
     """
     faces = tuple(scene.get_net(body, pin) for pin in pins)
     nets, parts, complete = set(faces) - {GROUND}, dict[str, Part](), True
@@ -153,14 +152,14 @@ def collect_load(scene: Scene, body: str, pins: Sequence[str]) -> AcousticLoad:
 
 
 def _list_pins_on_net(scene: Scene, net: str) -> Iterable[tuple[str, str]]:
-    """Return the pins that are connected to a net, each as a pair of part name and pin name."""
+    """Return the pins on a net as pairs of part name and pin name."""
     return [key for key, other in scene.nets.items() if other == net]
 
 
 def _add_part(
     part: Part, scene: Scene, branches: list[LoadBranch], sources: list[SoundSource]
 ) -> None:
-    """Append the elements of a part to ``branches``, and its radiating surface to ``sources``."""
+    """Append the elements of a part to ``branches`` and its surface to ``sources``."""
     kind = part.type
     assert isinstance(kind, AcousticPart)
     network = kind.network(part, scene)

@@ -1,9 +1,9 @@
-"""Acoustic parts as networks of acoustic masses, resistances and compliances.
+"""Acoustic parts, whose subcircuits are networks of acoustic elements.
 
-A part type defines an :class:`AcousticNetwork`: elements between its pins and inner nodes, with
-values that are expressions of its parameters. Netlist, noise, results, and the equations of the
-independent integrator are derived from this network. The network is positive real, because all
-elements are positive.
+A part type defines an :class:`AcousticNetwork`: acoustic masses, resistances and compliances
+between nodes, whose values are expressions of parameters. The netlist, the noise, the results and
+the equations of a part are derived from the network of the part. All elements of a network are
+positive, so the network is positive real.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ FluidKeysT = TypeVar("FluidKeysT", bound=FluidKeys, default=FluidKeys, covariant
 
 MASS, RESISTANCE, COMPLIANCE = "acoustic_mass", "acoustic_resistor", "acoustic_compliance"
 ELEMENT_LETTERS = {MASS: "L", RESISTANCE: "R", COMPLIANCE: "C"}
-# Ratio of an element's value in the netlist to its SI value.
+# Ratio of an element's value in the netlist to its value in SI units.
 # In the netlist, 1 V represents 1 Pa, and 1 A represents 1e-6 m3/s.
 SCALES = {
     MASS: 1 / ACOUSTIC.admittance,
@@ -52,15 +52,15 @@ SCALES = {
     COMPLIANCE: ACOUSTIC.admittance,
 }
 RATING = "not checked; the equations are those of small amplitudes"
-METER = "Vflow"  # name of the ammeter for the volume velocity into the first pin
+METER = "Vflow"  # ammeter that measures the volume velocity into the first pin
 
 
 @dataclass(frozen=True)
 class AcousticElement:
-    """Element of an acoustic network between two nodes; its value in SI is an expression.
+    """Element between two nodes of an acoustic network; ``value`` is an expression.
 
-    With ``leak``, a compliance has a small conductance in parallel. The conductance defines the
-    operating point of a floating net.
+    ``value`` is in SI units. With ``leak``, a compliance has a small parallel conductance, which
+    defines the operating point of a floating net.
     """
 
     kind: str
@@ -87,8 +87,8 @@ class AcousticNetwork:
 
     ``params`` are the parameters of the subcircuit. ``constants`` are expressions of the parameters
     and of earlier constants. ``entry`` is the node behind the ammeter of the first pin. ``exits``
-    contains the nodes behind the ammeters of other pins, by pin. ``validity`` is a line of the
-    library header with the frequency range and the error of the network.
+    contains the nodes behind the ammeters of other pins, keyed by pin. ``validity`` is the line of
+    the library header that states the frequency range and the error of the network.
     """
 
     params: tuple[Param, ...]
@@ -100,7 +100,7 @@ class AcousticNetwork:
 
     @cached_property
     def values(self) -> dict[str, float]:
-        """Default values of the parameters, and values of the constants, by name."""
+        """Default values of the parameters and values of the constants, keyed by name."""
         result = {param.name: param.default for param in self.params}
         for name, text in self.constants.items():
             result[name] = float(evaluate_tree(parse_simplified(text, name), result))
@@ -112,10 +112,10 @@ class AcousticNetwork:
 
 
 class AcousticPart(PartType[FluidKeysT]):
-    """Part with a subcircuit that is a network of acoustic elements.
+    """Base class of parts with a subcircuit that is an acoustic network.
 
-    The first pin has an ammeter for its volume velocity. The last conservative pin is the ambient
-    pressure.
+    An ammeter at the first pin measures the volume velocity into this pin. The last of the pins
+    with a volume velocity is the ambient pressure.
     """
 
     source = "closed form"
@@ -134,7 +134,7 @@ class AcousticPart(PartType[FluidKeysT]):
         return ()
 
     def get_fluid_volume(self, part: Part[FluidKeysT]) -> float:
-        """Return the volume [m3] of fluid in front of a face; infinite for a part without walls."""
+        """Return the fluid volume [m3] in front of a face; infinite without walls."""
         return math.inf
 
     # --- pins and netlist -------------------------------------------------------------------------
@@ -181,7 +181,7 @@ class AcousticPart(PartType[FluidKeysT]):
     def _write_items(
         self, part: Part[FluidKeysT], network: AcousticNetwork, *, noisy: bool
     ) -> Iterator[Item | str]:
-        """Yield the cards of a network: constants, ammeter, elements, noise, and further cards."""
+        """Yield the cards of a network: constants, ammeter, elements and noise."""
         for name, text in network.constants.items():
             yield Parameters({name: f"{{{text}}}"})
         yield "* volume velocity into the part"
@@ -191,7 +191,7 @@ class AcousticPart(PartType[FluidKeysT]):
         yield from self.write_further_cards(part)
 
     def write_further_cards(self, part: Part[FluidKeysT]) -> Iterator[Item | str]:
-        """Yield additional cards of the part, which follow the cards of its network."""
+        """Yield additional cards of the part, below the cards of its network."""
         return iter(())
 
     # --- results ----------------------------------------------------------------------------------
@@ -234,9 +234,9 @@ class AcousticPart(PartType[FluidKeysT]):
     def list_flows_from_node(
         self, part: Part[FluidKeysT], network: AcousticNetwork, node: str
     ) -> tuple[tuple[float, str], ...]:
-        """Return the volume velocities from ``node`` into the elements at this node.
+        """Return the volume velocities that flow from ``node`` into acoustic elements.
 
-        Each entry is a sign and the name of the waveform of an element's volume velocity.
+        Each entry contains a sign and the waveform name of an element's volume velocity.
         """
         result = []
         for item in network.elements:
@@ -249,7 +249,7 @@ class AcousticPart(PartType[FluidKeysT]):
 def _write_element(item: AcousticElement, *, noisy: bool) -> Iterator[Element]:
     """Yield the cards of an element, of its leak and of its thermal noise.
 
-    The noise of a resistance R is a volume velocity with the spectral density ``4 k T / R``.
+    The noise of a resistance R is a volume velocity with the power spectral density ``4 k T / R``.
     """
     scale, ends = SCALES[item.kind], (item.plus, item.minus)
     words = {"noisy": "0"} if noisy and item.kind == RESISTANCE else {}
@@ -271,7 +271,7 @@ def _write_element(item: AcousticElement, *, noisy: bool) -> Iterator[Element]:
 
 
 def _write_scaled_value(value: str, scale: float) -> str:
-    """Return the text of ``value`` times ``scale``: a number, or an expression in braces."""
+    """Return the text of ``value`` times ``scale``: a number or an expression."""
     try:
         return format_number(float(value) * scale)
     except ValueError:

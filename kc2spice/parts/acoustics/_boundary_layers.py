@@ -1,9 +1,9 @@
-"""Viscous and thermal boundary layers of ducts and cavities as sums of relaxations.
+"""Boundary layers of ducts and cavities as sums of relaxations.
 
 A relaxation ``w / (p + q)`` with the weight w and the corner p is a function of the normalised
-frequency ``q = j omega a^2 / nu``. In a circuit, a relaxation is a branch of two positive elements.
-The length a is the radius of a circular duct, or the volume of a cavity divided by its surface. The
-following functions are sums of relaxations with positive weights:
+frequency ``q = j omega a^2 / nu``. In a circuit, each relaxation is a branch with two positive
+elements. The length a is the radius of a circular duct, or the ratio of volume to surface area of a
+cavity. The following functions are sums of relaxations with positive weights:
 
     flow(q)   = F(q) / q,  F(q) = 1 - 2 I1(z) / (z I0(z)),  z = sqrt(q)   (viscous, duct)
     heat(q)   = 1 - F(q)                                                   (thermal, duct)
@@ -11,8 +11,8 @@ following functions are sums of relaxations with positive weights:
 
 nu is the kinematic viscosity, or in the thermal functions the thermal diffusivity (C. Zwikker and
 C. W. Kosten, Sound Absorbing Materials, 1949, chapter 2; I. B. Crandall, Theory of Vibrating
-Systems and Sound, 1926, appendix A). The corners p are chosen first; the weights are then fitted
-over a frequency band by non-negative least squares. No weight is negative, so every network is
+Systems and Sound, 1926, appendix A). The corners p are chosen first; non-negative least squares
+then fits the weights over a frequency band. Because no weight is negative, every network is
 positive real.
 """
 
@@ -33,12 +33,13 @@ LOWEST_CORNERS = {
     "layer": math.pi**2 / 4,
 }
 # Values and negative slopes of the boundary-layer functions at q = 0.
-# For ``flow``, value and negative slope are the sums of 4 / j^4 and 4 / j^6 over the zeros j of J0.
+# For ``flow``, the value is the sum of 4 / j^4, and the negative slope the sum of 4 / j^6, over the
+# zeros j of J0.
 STATIC_VALUES = {"flow": 1 / 8, "heat": 1.0, "layer": 1.0}
 STATIC_SLOPES = {"flow": 1 / 48, "heat": 1 / 8, "layer": 1 / 3}
 LAYER_START = 1e6  # |z| above which the Bessel functions I1(z) and I0(z) differ by less than 1e-6
 SERIES_END = 1e-4  # |q| below which two terms of the power series have an error below 1e-9
-SAMPLES_PER_DECADE = 12  # number of frequencies of the fit in each decade
+SAMPLES_PER_DECADE = 12  # number of frequencies per decade in the fit
 # Factors by which the range of the corners extends below and above the band.
 RATIO_BELOW_BAND, RATIO_ABOVE_BAND = 6.0, 6.0
 STATIC_WEIGHT = 0.1  # weight of the value and the slope at q = 0 in the fit
@@ -49,7 +50,7 @@ class RelaxationSum:
     """Sum of relaxations ``w / (p + q)`` that approximates a boundary-layer function.
 
     ``terms`` contains pairs of corner p and weight w. ``value_error`` and ``loss_error`` are the
-    largest relative errors of the function and of its dissipation in the frequency band.
+    largest relative errors of the function and of its dissipation in the band.
     """
 
     terms: tuple[tuple[float, float], ...]
@@ -58,7 +59,7 @@ class RelaxationSum:
 
 
 def evaluate_layer(layer: BoundaryLayer, q: np.ndarray) -> np.ndarray:
-    """Return the exact function of a boundary layer at the normalised frequencies ``q``."""
+    """Return the exact boundary-layer function at normalised frequencies ``q``."""
     from scipy.special import ive  # loads slowly
 
     z = np.sqrt(q)
@@ -69,8 +70,8 @@ def evaluate_layer(layer: BoundaryLayer, q: np.ndarray) -> np.ndarray:
         ratio = np.where(np.abs(z) < LAYER_START, ive(1, thick) / ive(0, thick), 1.0)
         heat = 2 * ratio / z
         result = heat if layer == "heat" else (1 - heat) / q
-    # For small arguments, rounding errors dominate the difference 1 - heat.
-    # For these arguments, the function is computed from two terms of its power series.
+    # For small arguments, rounding errors dominate the difference 1 - heat, so the function is
+    # computed from two terms of its power series.
     slow = STATIC_VALUES[layer] - STATIC_SLOPES[layer] * q
     return np.asarray(np.where(np.abs(q) < SERIES_END, slow, result))
 
@@ -134,7 +135,7 @@ def fit_boundary_layer(
 
 
 def _choose_corners(layer: BoundaryLayer, low: float, high: float, per_decade: int) -> np.ndarray:
-    """Return the normalised corners of the relaxations, dense in the band and sparse below it."""
+    """Return the normalised corners, dense in the band and sparse below it."""
     first, top = LOWEST_CORNERS[layer], RATIO_ABOVE_BAND * high
     dense = max(first, low / RATIO_BELOW_BAND)
     top = max(top, 10 * dense)
@@ -148,17 +149,17 @@ def _compute_dissipation(layer: BoundaryLayer, q: np.ndarray, value: np.ndarray)
 
     The dissipative part is a linear function of the weights.
 
-    The dissipative part is the real part of the admittance. The admittance is ``flow`` for a duct's
-    volume velocity, and ``q heat`` or ``q layer`` for heat conduction.
+    The dissipative part is the real part of the admittance. The admittance is ``flow`` for the
+    volume velocity in a duct, and ``q heat`` or ``q layer`` for heat conduction.
     """
     return np.asarray(value.real if layer == "flow" else (q * value).real)
 
 
 def _compute_reactive_part(layer: BoundaryLayer, value: np.ndarray) -> np.ndarray:
-    """Return the reactive part of a boundary-layer function, which represents the stored energy."""
+    """Return the reactive part of a boundary-layer function, the stored energy."""
     return np.asarray(value.imag if layer == "flow" else value.real)
 
 
 def _compute_dissipated_power(layer: BoundaryLayer, q: np.ndarray, value: np.ndarray) -> np.ndarray:
-    """Return the normalised loss at fixed volume velocity (``flow``) or pressure."""
+    """Return the normalised power loss at fixed volume velocity or fixed pressure."""
     return np.asarray((1 / value).real if layer == "flow" else (q * value).real)

@@ -1,8 +1,7 @@
-"""Figure of the displacement of surfaces that radiate sound.
+"""Figure of the displacements of surfaces that radiate sound.
 
-The input contains displacements [m] of surfaces versus time, or their complex amplitudes versus
-frequency. The mean displacement of a surface with the area S and the volume velocity U is ``int U
-dt / S``.
+The figure shows displacements [m] versus time, or their amplitudes versus frequency. The mean
+displacement of a surface with the area S and the volume velocity U is ``int U dt / S``.
 """
 
 from __future__ import annotations
@@ -15,16 +14,16 @@ from kc2spice.core.figure import Curve, Figure, Panel, format_axis_label, get_ax
 from kc2spice.core.si_prefix_format import PREFIXES, format_quantity, get_prefix_exponent
 from kc2spice.core.waveforms import SCALES, Waveforms
 
-# The frequency axis is logarithmic if the highest frequency exceeds the lowest one by this factor.
+# If the highest frequency exceeds the lowest one by this factor, the frequency axis is logarithmic.
 WIDE_RANGE = 20.0
 PLACE_DIGITS = 4  # number of significant digits of a frequency in a title
 
 
 def integrate_flow(waves: Waveforms, flow: np.ndarray) -> np.ndarray:
-    """Return the integral of a volume velocity [m^3/s], which is the displaced volume [m^3].
+    """Return the displaced volume [m^3], the time integral of a volume velocity.
 
-    A frequency response is divided by ``j omega``. A waveform versus time is integrated by the
-    trapezoidal rule from its first point on.
+    A complex volume velocity versus frequency is divided by ``j omega``. A waveform versus time is
+    integrated from its first point by the trapezoidal rule.
     """
     scale = waves.scale.real
     if not np.iscomplexobj(flow):
@@ -41,11 +40,11 @@ def plot_displacements(
     caption: str,
     quantity: str = "displacement",
 ) -> Iterator[Figure]:
-    """Plot displacements [m] of surfaces of the part ``name`` versus time or frequency.
+    """Plot displacements [m] of the part ``name`` versus time or frequency.
 
-    The dictionary ``displacements`` has the labels of the surfaces as keys. For a frequency
-    response, the figure shows the amplitude. The largest displacement determines the SI prefix of
-    the unit.
+    The keys of ``displacements`` are the labels of the surfaces. For complex displacements versus
+    frequency, the figure shows their amplitudes. The SI prefix of the axis unit suits the largest
+    displacement.
     """
     scale, x = next(iter(waves)), waves.scale.real
     if scale not in SCALES or x.size < 2:
@@ -69,6 +68,6 @@ def plot_displacements(
 
 
 def _find_peak(x: np.ndarray, sizes: Mapping[str, np.ndarray]) -> float:
-    """Return the value of ``x`` at the largest of all ``sizes``, rounded for a title."""
+    """Return the ``x`` of the largest value in ``sizes``, rounded for a title."""
     largest = np.nanmax(list(sizes.values()), axis=0)
     return float(f"{x[int(np.nanargmax(largest))]:.{PLACE_DIGITS}g}")

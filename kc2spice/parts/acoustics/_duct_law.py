@@ -1,8 +1,8 @@
-"""Equations of a duct for the independent integrator.
+"""Equations of an acoustic duct for the integrator that is independent of ngspice.
 
-The duct is a chain of nodes. Every node that is not a pin has a compliance C to the ambient
-pressure. Channels with the acoustic mass m, the resistance r and the volume velocity q connect the
-nodes. At the nodes, there are thermal relaxations with the resistance R, the compliance c and the
+The duct is a chain of nodes, which are connected by channels. Each node except the pins has a
+compliance C to the ambient pressure. A channel has the acoustic mass m, the resistance r and the
+volume velocity q. A thermal relaxation at a node has the resistance R, the compliance c and the
 inner pressure v::
 
     m dq/dt = p_start - p_end - r q
@@ -26,9 +26,9 @@ from kc2spice.core.laws import AcrossInput, Device, Flow, LawPin
 class DuctLaw(Device):
     """Linear equations of a duct with its channels and thermal relaxations.
 
-    ``nodes`` maps each node to its compliance [m3/Pa]; the nodes ``ends`` are pins. ``channels``
-    contains start node, end node, resistance [Pa s/m3] and mass [kg/m4] of each channel. ``walls``
-    contains node, resistance [Pa s/m3] and compliance [m3/Pa] of each thermal relaxation.
+    ``nodes`` contains the compliance [m3/Pa] of each node; the nodes in ``ends`` are pins. A
+    channel in ``channels`` consists of start node, end node, resistance [Pa s/m3] and mass [kg/m4].
+    A thermal relaxation in ``walls`` consists of node, resistance [Pa s/m3] and compliance [m3/Pa].
     """
 
     name: str
@@ -63,25 +63,25 @@ class DuctLaw(Device):
 
     @cached_property
     def storing_flow_indices(self) -> tuple[int, ...]:
-        """Indices of those ends of the duct whose node has a compliance."""
+        """Indices of the duct's ends with a compliance at their node."""
         return tuple(k for k, end in enumerate(self.ends) if self.nodes[end])
 
     @cached_property
     def states(self) -> tuple[str, ...]:
-        """Names of the states: channel volume velocities, then inner and relaxation pressures."""
+        """Names of the states: volume velocities, then pressures of nodes and relaxations."""
         flows = map("q{}".format, range(len(self.channels)))
         walls = map("v{}".format, range(len(self.walls)))
         return (*flows, *map("p_{}".format, self.inner_node_names), *walls)
 
     @property
     def state_scales(self) -> tuple[float, ...]:
-        """Absolute error scales of the states: 1e-9 m3/s for flows and 1 mPa for pressures."""
+        """Scale of the absolute error of each state: 1e-9 m3/s or 1 mPa."""
         pressures = len(self.inner_node_names) + len(self.walls)
         return (1e-9,) * len(self.channels) + (1e-3,) * pressures
 
     @cached_property
     def _storage_coefficients(self) -> np.ndarray:
-        """Acoustic mass [kg/m4] or compliance [m3/Pa] of each state."""
+        """Acoustic mass [kg/m4] or compliance [m3/Pa] that belongs to each state."""
         masses = [mass for *_, mass in self.channels]
         inner = [self.nodes[node] for node in self.inner_node_names]
         return np.array([*masses, *inner, *(size for *_, size in self.walls)])
@@ -95,9 +95,10 @@ class DuctLaw(Device):
 
     @cached_property
     def _pressure_drop_matrix(self) -> np.ndarray:
-        """Matrix that gives the pressure drops along channels and across relaxation resistances.
+        """Matrix of the pressure drops along channels and across relaxations.
 
-        The matrix has a row for each drop, and a column for each end pressure and state.
+        The matrix has a row for each pressure drop, and a column for each end pressure and each
+        state.
         """
         channels, walls = len(self.channels), len(self.walls)
         width = len(self.ends) + self._storage_coefficients.size
@@ -112,9 +113,10 @@ class DuctLaw(Device):
 
     @cached_property
     def _flow_matrix(self) -> np.ndarray:
-        """Matrix that gives the volume velocities in channels and into relaxations.
+        """Matrix of the volume velocities in channels and into relaxations.
 
-        The rows and columns of this matrix are those of the matrix of the pressure drops.
+        The matrix has a row for each volume velocity, and a column for each end pressure and each
+        state.
         """
         channels, ends = len(self.channels), len(self.ends)
         result = np.zeros(self._pressure_drop_matrix.shape)
@@ -125,11 +127,12 @@ class DuctLaw(Device):
 
     @cached_property
     def _jacobian(self) -> np.ndarray:
-        """Derivative of end flows and state equations with respect to end pressures and states."""
+        """Jacobian matrix of the end flows and of the state equations."""
         ends, channels = len(self.ends), len(self.channels)
-        # The pressure drops are d = G p. With the volume velocities q, the nodes receive -G' q.
+        # The pressure drops are d = G p. With the volume velocities q, the flows into the nodes are
+        # -G' q.
         result = -self._pressure_drop_matrix.T @ self._flow_matrix
-        result[:ends] *= -1.0  # sign of volume velocities into the part
+        result[:ends] *= -1.0  # flows at the ends count positive into the part
         rows = slice(ends, ends + channels)
         result[rows] = self._pressure_drop_matrix[:channels]
         friction = np.array([resistance for *_, resistance, _ in self.channels])
@@ -139,13 +142,14 @@ class DuctLaw(Device):
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         """Return the flows into the ends and the right-hand sides of the state equations.
 
-        The second returned value contains the derivatives of these flows and right-hand sides.
+        The second returned value contains the derivatives of the first one with respect to end
+        pressures and states.
         """
         return self._jacobian @ e, self._jacobian
 
     @cached_property
     def _storage_slope(self) -> np.ndarray:
-        """Derivatives of stored impulses and volumes with respect to end pressures and states."""
+        """Jacobian matrix of the stored pressure impulses and volumes."""
         ends, count = len(self.ends), self._storage_coefficients.size
         result = np.zeros((count + len(self.storing_flow_indices), ends + count))
         result[:count, ends:] = np.diag(self._storage_coefficients)
@@ -154,14 +158,14 @@ class DuctLaw(Device):
         return result
 
     def evaluate_storage(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the stored pressure impulses and volumes, with their derivatives."""
+        """Return the stored pressure impulses and volumes, and their derivatives."""
         return self._storage_slope @ e, self._storage_slope
 
     @cached_property
     def energy_forms(self) -> tuple[np.ndarray, np.ndarray]:
-        """Matrices of two quadratic forms: the stored energy and the lost power.
+        """Return the matrices of the stored energy and of the dissipated power.
 
-        The forms are functions of the end pressures and states.
+        Both matrices define quadratic forms of the end pressures and states.
         """
         ends = np.array([self.nodes[end] for end in self.ends])
         stored = np.diag(np.concatenate([ends, self._storage_coefficients]) / 2)
@@ -171,7 +175,7 @@ class DuctLaw(Device):
         return stored, lost
 
     def noise(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return noise pressures in series with channels, and noise flows into relaxations."""
+        """Return the noise sources: pressures in channels, flows into relaxations."""
         ends, channels = len(self.ends), len(self.channels)
         sources = channels + len(self.walls)
         out = np.zeros((ends + self._storage_coefficients.size, sources))

@@ -1,8 +1,8 @@
-"""Far fields of radiating surfaces: low pass of the netlist, directivity and travel time.
+"""Far fields of radiating surfaces, with directivity and travel time.
 
-The input is the pressure on the axis at 1 m that a netlist computes, versus frequency or time. The
-output is the pressure at a listener at an angle and a distance. A piston of the radius a in a
-baffle has the directivity D and the impulse response d
+The input is the far-field pressure on the axis at 1 m, which a netlist computes versus frequency or
+time. The output is the far-field pressure at a listener's distance and angle. A piston of the
+radius a in a baffle has the directivity D and the impulse response d
 
     D(omega) = 2 J1(omega w) / (omega w),          w = a sin(angle) / c
     d(t)     = 2 / (pi w) (1 - (t / w)^2)^1/2,     |t| < w
@@ -23,8 +23,9 @@ from kc2spice.core.laws import compute_low_pass_response
 from kc2spice.parts.acoustics._sound_filter import compute_low_pass_delay, delay_wave
 from kc2spice.parts.acoustics.radiation import RadiationKeys
 
-# Number of delays at which d(t) is sampled. The sum is exact for polynomials of the degree 63.
-# For a sine with omega w = 30, the error of the sum is below 1e-9.
+# Number of delays at which d(t) is sampled. The weighted sum is exact for polynomials up to the
+# degree 63.
+# For a sine with omega w = 30, the error of the weighted sum is below 1e-9.
 DELAY_COUNT = 32
 FIRST_NULL = 3.8317  # first zero of J1
 
@@ -32,30 +33,31 @@ FIRST_NULL = 3.8317  # first zero of J1
 def get_baffled_radius(keys: RadiationKeys) -> float:
     """Return the radius [m] of a piston in a baffle; 0 for other shapes.
 
-    This radius determines the directivity. Other shapes have no directivity.
+    Only a piston in a baffle has a directivity, which depends on the radius.
     """
     return keys.surface_radius if keys.shape == "baffled_piston" else 0.0
 
 
 def compute_edge_delay(keys: RadiationKeys, angle: float) -> float:
-    """Return the time w [s] by which sound from the edge of a piston arrives early.
+    """Return the lead time w [s] of sound from the edge of a piston in a baffle.
 
-    The time is relative to sound from the centre. The listener is at ``angle`` degrees from the
-    axis.
+    For a listener at ``angle`` degrees from the axis, sound from the nearest point of the edge
+    arrives w earlier than sound from the centre.
     """
     return get_baffled_radius(keys) * math.sin(math.radians(angle)) / keys.fluid.sound_speed
 
 
 def find_first_null(surfaces: Iterable[RadiationKeys], angle: float) -> float:
-    """Return the lowest frequency [Hz] at which the directivity is zero, rounded."""
+    """Return the lowest frequency [Hz] with zero directivity, rounded."""
     delay = max(compute_edge_delay(keys, angle) for keys in surfaces)
     return float(f"{FIRST_NULL / (2 * math.pi * delay):.3g}")
 
 
 def compute_travel_time(keys: RadiationKeys, distance: float) -> float:
-    """Return the travel time [s] of sound from a surface to a distance [m] from its centre.
+    """Return the travel time [s] of sound from a surface to a ``distance`` [m].
 
-    A sphere radiates from its surface, and other shapes radiate from their centre.
+    ``distance`` starts at the centre of the surface. The sound of a sphere starts at its surface,
+    and all other sound at the centre.
     """
     start = keys.surface_radius if keys.shape == "sphere" else 0.0
     return (distance - start) / keys.fluid.sound_speed
@@ -64,10 +66,10 @@ def compute_travel_time(keys: RadiationKeys, distance: float) -> float:
 def propagate_response(
     keys: RadiationKeys, sound: np.ndarray, frequency: np.ndarray, distance: float, angle: float
 ) -> np.ndarray:
-    """Return the sound pressure response [Pa] at a listener, multiplied by (distance / 1 m).
+    """Return the sound pressure [Pa] at a listener, times (distance / 1 m).
 
-    The listener is at a distance [m] and an angle [degrees]. ``sound`` is the response of the
-    netlist including its low pass, an array of shape (frequencies,).
+    The listener is at the ``distance`` [m] and the ``angle`` [degrees] from the axis. ``sound`` is
+    the frequency response of the netlist including its low pass, an array of shape (frequencies,).
     """
     s = 2j * np.pi * frequency
     travel = np.exp(-s * compute_travel_time(keys, distance)) / compute_low_pass_response(
@@ -79,11 +81,11 @@ def propagate_response(
 def propagate_wave(
     keys: RadiationKeys, sound: np.ndarray, time: np.ndarray, distance: float, angle: float
 ) -> np.ndarray:
-    """Return the sound pressure [Pa] at a listener versus time, multiplied by (distance / 1 m).
+    """Return the pressure [Pa] at a listener versus time, times (distance / 1 m).
 
-    The listener is at a distance [m] and an angle [degrees]. ``sound`` is the waveform of the
-    netlist, an array of shape (points,). The waveform is zero before its first point. The delay of
-    the low pass is subtracted from the travel time.
+    The listener is at the ``distance`` [m] and the ``angle`` [degrees] from the axis. ``sound`` is
+    the waveform of the netlist, an array of shape (points,). The waveform is zero before its first
+    point. The travel time is reduced by the delay of the low pass.
     """
     first = compute_travel_time(keys, distance) - compute_low_pass_delay(keys.sound_corner)
     weights, offsets = _sample_delays(compute_edge_delay(keys, angle))
@@ -91,9 +93,9 @@ def propagate_wave(
 
 
 def _sample_delays(width: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return weights and delays [s] that sample the impulse response d(t) of a piston.
+    """Return weights and delays [s] that sample the impulse response of a piston.
 
-    The weights and delays are those of the Gauss-Chebyshev rule of the second kind.
+    The weights and delays come from the Gauss-Chebyshev rule of the second kind.
     """
     if width == 0.0:
         return np.ones(1), np.zeros(1)
@@ -104,7 +106,7 @@ def _sample_delays(width: float) -> tuple[np.ndarray, np.ndarray]:
 def compute_directivity(keys: RadiationKeys, angle: float, frequency: np.ndarray) -> np.ndarray:
     """Return the pressure at an angle [degrees], divided by the pressure on the axis.
 
-    The ratio is ``2 J1(x) / x`` for a piston in a baffle.
+    For a piston in a baffle, the ratio is ``2 J1(x) / x`` with ``x = k a sin(angle)``.
     """
     delay = compute_edge_delay(keys, angle)
     if not delay:

@@ -1,7 +1,7 @@
-"""Fluids of acoustic parts, either built in with references, or given by a table of constants.
+"""Fluids of acoustic parts, built in or given by a table of constants.
 
-A key of the type :data:`Fluid` accepts the name of a fluid in :data:`LIBRARY` or a table. The value
-of such a key is a :class:`FluidTable`.
+A key of the type :data:`Fluid` accepts the name of a fluid in :data:`LIBRARY`, or a table of
+constants. The value of a :data:`Fluid` key is a :class:`FluidTable`.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from kc2spice.core.quantities import (
 from kc2spice.core.sound_level import GAS_REFERENCE, LIQUID_REFERENCE
 
 LARGEST_GAS_DENSITY = 100.0  # kg/m3; a denser fluid counts as a liquid
-LARGEST_HEAT_RATIO = 5 / 3  # ratio of the specific heats of a monatomic gas
+LARGEST_HEAT_RATIO = 5 / 3  # heat capacity ratio of a monatomic gas
 SMALLEST_DENSITY, LARGEST_DENSITY = 1e-6, 3e4  # kg/m3, from thin gases to above all liquids
-SMALLEST_SPEED, LARGEST_SPEED = 1.0, 1e4  # m/s, below and above the speeds of sound of all fluids
-# Lower limits of viscosity and conductivity: a thousandth of the values of the thinnest gases.
+SMALLEST_SPEED, LARGEST_SPEED = 1.0, 1e4  # m/s, below and above the speed of sound of every fluid
+# Lower limits of viscosity and conductivity: a thousandth of the smallest values of gases.
 SMALLEST_VISCOSITY, LARGEST_VISCOSITY = 1e-9, 1e6  # viscosities [Pa s]
 SMALLEST_CONDUCTIVITY, LARGEST_CONDUCTIVITY = 1e-6, 1e4  # conductivities [W/(m K)]
 
@@ -37,8 +37,8 @@ SMALLEST_CONDUCTIVITY, LARGEST_CONDUCTIVITY = 1e-6, 1e4  # conductivities [W/(m 
 class FluidTable(Section):
     """Constants of a fluid at rest.
 
-    Without a viscosity, there are no viscous losses. Without a conductivity, there are no thermal
-    losses.
+    Without the key ``viscosity``, there are no viscous losses. Without the key ``conductivity``,
+    there are no thermal losses.
     """
 
     density: Density = Field(
@@ -76,7 +76,7 @@ class FluidTable(Section):
 
     @model_validator(mode="after")
     def _require_thermal_constants(self) -> FluidTable:
-        """Raise an error if ``specific_heat`` is missing, or a constant is too small."""
+        """Reject too small constants, and a conductivity without ``specific_heat``."""
         if self.conductivity and self.specific_heat is None:
             raise make_invalid_value_error(
                 "conductivity needs the key `specific_heat`",
@@ -109,14 +109,14 @@ class FluidTable(Section):
 
     @property
     def level_reference_pressure(self) -> float:
-        """Rms pressure [Pa] of the sound pressure level 0 dB."""
+        """Rms sound pressure [Pa] that corresponds to a level of 0 dB."""
         if self.reference_pressure is not None:
             return self.reference_pressure
         return GAS_REFERENCE if self.is_gas else LIQUID_REFERENCE
 
     @property
     def summary_text(self) -> str:
-        """String with the density and the speed of sound of the fluid."""
+        """Text with the density and the speed of sound of the fluid."""
         return f"{self.density:.4g} kg/m3, {self.sound_speed:.5g} m/s"
 
 
@@ -146,7 +146,7 @@ LIBRARY: Mapping[str, FluidTable] = {
 
 
 def _read_fluid(value: Any) -> Any:
-    """Return the constants of a built-in fluid for its name; return other values unchanged."""
+    """Return a built-in fluid for its name; return all other values unchanged."""
     if not isinstance(value, str):
         return value
     fluid = LIBRARY.get(value.lower())

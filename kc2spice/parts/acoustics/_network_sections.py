@@ -1,8 +1,8 @@
-"""Networks that approximate radiation impedances, normalised to the size of the piston.
+"""Networks that approximate radiation impedances, relative to the piston size.
 
 The piston has the radius a and the area S. Resistances are relative to rho c / S, and angular
-frequencies are relative to c / a. A section without bandwidth is a resistance parallel to an
-inductance; a section with bandwidth is a parallel resonator.
+frequencies are relative to c / a. A section without a bandwidth is a resistance parallel to an
+inductance; a section with a bandwidth is a parallel resonator.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 
 class NetworkSection(NamedTuple):
-    """Section of a radiation network, with a corner frequency or a resonance.
+    """Section of a radiation network, with a corner or resonance frequency.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ class NetworkSection(NamedTuple):
 
 
 class RadiationNetwork(NamedTuple):
-    """Series connection of sections that approximates a radiation impedance, with its errors.
+    """Series connection of sections that approximates a radiation impedance.
 
     Parameters
     ----------

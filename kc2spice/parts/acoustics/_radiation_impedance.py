@@ -1,7 +1,7 @@
-"""Radiation impedances as networks: pistons with and without a baffle, and a pulsating sphere.
+"""Radiation impedances as networks, for pistons and for a pulsating sphere.
 
-The impedance is the pressure divided by the volume velocity. a is the radius, S the surface area
-and k the wave number:
+The radiation impedance is the pressure on a surface divided by the volume velocity of the surface.
+The surface has the radius a and the area S; k is the wave number:
 
     piston in a baffle   rho c / S (1 - J1(2 k a) / (k a) + j H1(2 k a) / (k a))
     open end of a tube   rho c / S (1 + R) / (1 - R), R of Levine and Schwinger
@@ -28,7 +28,7 @@ SPHERE = RadiationNetwork((NetworkSection(1.0, 1.0),), math.inf, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class Radiator:
-    """Properties of a radiator shape: network, area, and solid angle of the far field.
+    """Properties of a radiator shape: network, area and solid angle of its sound.
 
     ``network`` approximates the radiation impedance. ``area`` is the surface area divided by the
     squared radius. ``solid_angle`` is 2 pi if a baffle confines the sound to a half-space.
@@ -42,7 +42,7 @@ class Radiator:
 
     @property
     def error_text(self) -> str:
-        """String with the largest product k a and the errors of the network."""
+        """Text with the largest product k a and the errors of the network."""
         if math.isinf(self.network.largest_ka):
             return "exact at all frequencies"
         return (
@@ -52,7 +52,7 @@ class Radiator:
         )
 
     def largest_frequency(self, radius: float, sound_speed: float) -> float:
-        """Return the frequency [Hz] up to which the stated errors of the network are valid."""
+        """Return the largest frequency [Hz] at which the network's errors are valid."""
         return self.network.largest_ka * sound_speed / (2 * math.pi * radius)
 
 
@@ -68,16 +68,17 @@ RADIATORS: Mapping[Shape, Radiator] = {
 
 
 def list_elements(network: RadiationNetwork, first: str, last: str) -> Iterator[AcousticElement]:
-    """Yield the elements of the sections in series between two nodes.
+    """Yield the elements of a radiation network between two nodes.
 
-    The element values are expressions of ``impedance`` = rho c / S and ``rate`` = c / a.
+    The element values are expressions of ``impedance`` = rho c / S and ``rate`` = c / a; the
+    sections are in series.
     """
     count = len(network.sections)
     nodes = [first, *map("n{}".format, range(1, count)), last]
     for k, section in enumerate(network.sections):
         start, end, (r, w, b) = nodes[k], nodes[k + 1], section
         yield AcousticElement(RESISTANCE, f"r{k + 1}", start, end, f"{r:.12g}*impedance")
-        # A resonator has the bandwidth b w = 1 / (R C).
+        # The relative bandwidth b of a resonator with the resonance frequency w is 1 / (w R C).
         # The resonance frequency of a resonator is w = 1 / sqrt(L C).
         mass = r * b / w if b else r / w
         yield AcousticElement(MASS, f"m{k + 1}", start, end, f"{mass:.12g}*impedance/rate")

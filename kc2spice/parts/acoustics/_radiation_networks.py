@@ -1,4 +1,4 @@
-"""Networks that approximate radiation impedances, computed by tools/radiation_networks.py."""
+"""Networks for radiation impedances, computed by tools/radiation_networks.py."""
 
 from __future__ import annotations
 

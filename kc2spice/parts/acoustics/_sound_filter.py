@@ -1,10 +1,10 @@
-"""Low-pass filter of the sound pressure in a netlist, and compensation of this filter.
+"""Low-pass filter of the sound pressure in a netlist, and its compensation.
 
 The pressure at the pin ``sound`` is proportional to the time derivative of a volume velocity. With
-the trapezoidal rule, a plain derivative oscillates after each kink of the volume velocity and never
-decays: ``v_n+1 = 2 L (i_n+1 - i_n) / h - v_n``. A resistor ``R = w L / sqrt(2)`` and a capacitor
-``C = 1 / (w^2 L)`` parallel to the inductance L avoid this oscillation. The resistor and the
-capacitor add a second-order low pass with the corner frequency w to the derivative.
+the trapezoidal rule, a plain derivative oscillates forever after each kink of the volume velocity:
+``v_n+1 = 2 L (i_n+1 - i_n) / h - v_n``. A resistor ``R = w L / sqrt(2)`` and a capacitor ``C = 1 /
+(w^2 L)`` parallel to the inductance L prevent the oscillation. The resistor and the capacitor add a
+second-order low pass with the corner frequency w to the derivative.
 """
 
 from __future__ import annotations
@@ -14,13 +14,14 @@ from collections.abc import Iterable
 
 import numpy as np
 
-# Ratio of the corner frequency of the low pass to the largest frequency of the radiation network.
-# The amplitude is 0.6 % too small at the largest frequency, and 0.04 % at half this frequency.
+# Corner frequency of the low pass, divided by the largest frequency of the radiation network.
+# With this ratio, the amplitude is 0.6 % too small at the largest frequency, and 0.04 % at half
+# this frequency.
 CORNER_RATIO = 3.0
 
 
 def compute_low_pass_delay(corner: float) -> float:
-    """Return the delay [s] of the low pass at frequencies far below its ``corner`` [rad/s]."""
+    """Return the low-pass delay [s] at frequencies far below ``corner`` [rad/s]."""
     return math.sqrt(2) / corner
 
 

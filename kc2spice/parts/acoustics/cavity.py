@@ -1,4 +1,4 @@
-"""The part ``cavity``: a closed volume of fluid with compliance and heat conduction."""
+"""The part ``cavity``: a closed volume of fluid with losses at its walls."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ from kc2spice.scene.part_records import NeglectedEffect
 from kc2spice.scene.parttype import register_part_type
 
 SMALLEST_VOLUME = 1e-18  # m3, a cubic micrometre
-# number of relaxations in each decade of frequency; the error of the wall losses is below 1 %
+# relaxations in each decade of frequency, for an error of the wall losses below 1 %
 CORNERS_PER_DECADE = 2
-# largest ratio of a cavity's length to the wavelength at which the pressure counts as uniform
+# Largest ratio of a cavity's length to the wavelength for which the pressure counts as uniform.
 LARGEST_WAVELENGTH_RATIO = 0.1
 # Ratio of surface area to volume^(2/3) for a cube and for a sphere.
 # Of all shapes, a sphere has the smallest ratio of surface area to volume^(2/3).
@@ -91,7 +91,7 @@ class CavityKeys(FluidKeys):
 
     @property
     def characteristic_length(self) -> float:
-        """Volume divided by surface area [m], the characteristic length of the relaxations."""
+        """Volume divided by surface area [m], which determines the relaxations."""
         return self.volume / (self.surface or CUBE_SURFACE * self.volume ** (2 / 3))
 
     @property
@@ -101,11 +101,11 @@ class CavityKeys(FluidKeys):
 
 
 class Cavity(AcousticPart[CavityKeys]):
-    """Part type ``cavity``: compliance of a volume of fluid, with heat conduction into the walls.
+    """Part type ``cavity``: closed volume of fluid with heat conduction at its walls.
 
     The admittance of a volume V is ``Y = j omega V / (rho c^2) (1 + (gamma - 1) tanh(z) / z)`` with
-    ``z^2 = j omega h^2 / alpha``. h is the volume divided by the surface area of the walls, gamma
-    the ratio of specific heats, and alpha the thermal diffusivity.
+    ``z^2 = j omega h^2 / alpha``. In this formula, h is the volume divided by the surface area of
+    the walls, gamma is the ratio of specific heats, and alpha is the thermal diffusivity.
     """
 
     name, title = "cavity", "closed volume of fluid with the heat conduction of its walls"
@@ -128,7 +128,7 @@ stop = "2 kHz"
 """
 
     def steady_flow_paths(self, part: Part[CavityKeys]) -> tuple[tuple[str, str], ...]:
-        """Return the path of a steady flow, from the opening to the ambient pressure."""
+        """Return the path of a steady flow: from the opening to the ambient pressure."""
         return (("a", AMBIENT),)
 
     def get_fluid_volume(self, part: Part[CavityKeys]) -> float:
@@ -157,7 +157,7 @@ stop = "2 kHz"
     def _fit_relaxations(
         self, part: Part[CavityKeys], scene: GovernedScene
     ) -> RelaxationSum | None:
-        """Return the fitted thermal relaxations at the walls; None without wall losses."""
+        """Return the relaxations of the heat exchange at the walls; None without losses."""
         keys, fluid = part.keys, part.keys.fluid
         if not keys.wall_losses or not fluid.diffusivity or fluid.heat_ratio == 1:
             return None
@@ -166,7 +166,7 @@ stop = "2 kHz"
         return fit_boundary_layer("layer", low, high, CORNERS_PER_DECADE)
 
     def network(self, part: Part[CavityKeys], scene: GovernedScene) -> AcousticNetwork:
-        """Return the network: compliance of the volume, leak, and heat exchange at the walls."""
+        """Return the network of the cavity: compliance, leak and heat exchange."""
         keys, walls = part.keys, self._fit_relaxations(part, scene)
         volume = AcousticElement(COMPLIANCE, "a", "in", AMBIENT, repr(keys.compliance), leak=True)
         elements = [volume]
@@ -186,7 +186,7 @@ stop = "2 kHz"
         return AcousticNetwork((), {}, tuple(elements), validity)
 
     def _describe_walls(self, walls: RelaxationSum | None) -> str:
-        """Describe the losses at the walls and the error of their network."""
+        """Describe the losses at the walls, with the error of their network."""
         if walls is None:
             return "without losses at the walls"
         return f"losses at the walls within {100 * walls.loss_error:.2g} % in the band"
@@ -217,8 +217,9 @@ def list_relaxations(
 ) -> Iterator[AcousticElement]:
     """Yield a resistance and a compliance in series for each thermal relaxation.
 
-    Each pair has the frequency-dependent compliance ``C (w / p) / (1 + s t / p)``. w is the weight
-    and p the corner of the relaxation, C [m3/Pa] is ``compliance``, and t [s] is ``time``.
+    Each series connection has the frequency-dependent compliance ``C (w / p) / (1 + s t / p)``. The
+    relaxation has the weight w and the corner p; C [m3/Pa] is ``compliance``, and t [s] is
+    ``time``.
     """
     start, end = ends
     for k, (corner, weight) in enumerate(relaxations.terms, 1):

@@ -1,7 +1,7 @@
-"""The part ``diaphragm``: a rigid diaphragm with a mechanical and an acoustic port.
+"""The part ``diaphragm``: a rigid diaphragm that turns motion into sound.
 
-S is the area and m the mass of the diaphragm. v is the velocity of the pin ``a`` relative to the
-pin ``b``, and p_front and p_rear are the pressures on the two sides::
+The diaphragm has the area S and the mass m. The pin ``a`` has the velocity v relative to the pin
+``b``, and the two sides have the pressures p_front and p_rear::
 
     U = S v                                  volume velocity out of the pin front, into the pin rear
     F = m dv/dt + S (p_front - p_rear)       force on the pin a

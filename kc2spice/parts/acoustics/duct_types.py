@@ -1,14 +1,14 @@
-"""The parts ``vent`` and ``tube``: circular ducts of fluid with losses at their walls.
+"""The parts ``vent`` and ``tube``: circular ducts with losses at their walls.
 
-A duct consists of sections. Each section has a series impedance, and a shunt admittance at both of
-its ends. The impedance Z' and the admittance Y' per unit length are:
+The model divides a duct into sections. Each section has a series impedance, and a shunt admittance
+at both of its ends. The impedance Z' and the admittance Y' per unit length are:
 
     1 / Z' = A / (j omega rho) F(omega rho a^2 / mu)
     Y'     = j omega A / (rho c^2) (gamma - (gamma - 1) F(omega a^2 / alpha))
 
-A is the cross-sectional area and a the radius. F is the function of viscous and thermal boundary
-layers (:mod:`._boundary_layers`); without losses, F = 1. Outside an open end, fluid moves together
-with the fluid in the duct. The length of this outer fluid is 0.8216 a with a flange and 0.6127 a
+The duct has the cross-sectional area A and the radius a. The function F describes the viscous and
+thermal boundary layers (:mod:`._boundary_layers`); without losses, F = 1. At an open end, the fluid
+in the duct moves a column of outer fluid, whose length is 0.8216 a with a flange and 0.6127 a
 without a flange (S. W. Rienstra and A. Hirschberg, An Introduction to Acoustics, section 5.1.3).
 """
 
@@ -61,12 +61,13 @@ from kc2spice.scene.parttype import register_part_type
 
 EndType = Literal["none", "unflanged", "flanged"]
 END_CORRECTIONS: Mapping[EndType, float] = {"none": 0.0, "unflanged": 0.6127, "flanged": 0.8216}
-WIDEST_DUCT = 1.84  # product k a above which the first transverse mode of a duct propagates
-SECTIONS_PER_WAVELENGTH = 30  # the phase velocity error is (2 pi / 30)^2 / 24 = 0.18 %
+# Product k a of wave number and radius above which the first transverse mode propagates.
+WIDEST_DUCT = 1.84
+SECTIONS_PER_WAVELENGTH = 30  # error of the phase velocity: (2 pi / 30)^2 / 24 = 0.18 %
 MOST_SECTIONS = 400  # largest number of sections of a tube
 FEW_SECTIONS = 10  # ducts with more sections have fewer relaxations in each section
-# Number of relaxation corners in each decade for ducts with many sections.
-# With this number of corners, the losses of these ducts have an error below 5 %.
+# a duct with more sections has fewer relaxations in each section
+# With one corner in each decade, the losses of a duct with many sections have an error below 5 %.
 CORNERS_OF_LONG_DUCTS = 1
 FAR_END = "b"  # pin of the far end
 FAR_METER = "Vflow_b"  # name of the ammeter for the volume velocity out of the far end
@@ -113,7 +114,7 @@ class DuctKeys(FluidKeys):
 
 
 class VentKeys(DuctKeys):
-    """Keys of a short duct, such as a hole in a housing or the port of a loudspeaker box."""
+    """Keys of a short duct, such as a hole or the port of a loudspeaker box."""
 
     end_a: EndType = Field(
         "flanged",
@@ -131,7 +132,7 @@ class VentKeys(DuctKeys):
 
 
 class TubeKeys(DuctKeys):
-    """Keys of a long duct, such as a measurement tube or a horn of constant cross section."""
+    """Keys of a long duct, such as a measurement tube."""
 
     end_a: EndType = Field(
         "none",
@@ -164,11 +165,11 @@ class TubeKeys(DuctKeys):
 
 @dataclass(frozen=True)
 class DuctModel:
-    """Model of a duct: the number of its sections, and the losses in its boundary layers.
+    """Model of a duct: number of sections, losses in boundary layers, phase error.
 
-    ``viscous`` and ``thermal`` are the relaxations of the boundary layers. Without losses,
-    ``viscous`` and ``thermal`` are None. ``phase_error`` is the relative error of the phase
-    velocity at the end of the band.
+    ``viscous`` and ``thermal`` are the relaxations of the viscous and the thermal boundary layer.
+    Without losses, ``viscous`` and ``thermal`` are None. ``phase_error`` is the relative error of
+    the phase velocity at the end of the band.
     """
 
     sections: int
@@ -195,7 +196,7 @@ class DuctPart(AcousticPart[DuctKeys]):
         return ("a",) if self.is_closed(part) else ("a", FAR_END)
 
     def steady_flow_paths(self, part: Part[DuctKeys]) -> tuple[tuple[str, str], ...]:
-        """Return the path of a steady flow: from ``a`` to the other end, or through a leak."""
+        """Return the pins that a steady flow passes: both ends, or ``a`` and ``ambient``."""
         return (("a", AMBIENT),) if self.is_closed(part) else (("a", FAR_END),)
 
     def pins(self, part: Part[DuctKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
@@ -223,7 +224,7 @@ class DuctPart(AcousticPart[DuctKeys]):
         self._warn_of_double_ends(part, scene)
 
     def _warn_of_double_ends(self, part: Part[DuctKeys], scene: GovernedScene) -> None:
-        """Warn about an end correction at an end with a ``radiation`` part.
+        """Warn about an end correction at an end where a ``radiation`` part is connected.
 
         A part of type ``radiation`` already includes the end correction.
         """
@@ -271,7 +272,7 @@ class DuctPart(AcousticPart[DuctKeys]):
         return AcousticNetwork((), {}, elements, words, exits=self._map_far_pin_to_node(part))
 
     def _map_far_pin_to_node(self, part: Part[DuctKeys]) -> dict[str, str]:
-        """Return the node behind the ammeter of the far end, keyed by the pin."""
+        """Map the pin of the far end to the node behind its ammeter; empty if closed."""
         return {} if self.is_closed(part) else {FAR_END: "out"}
 
     def _describe_duct(self, duct: DuctModel) -> str:
@@ -281,7 +282,7 @@ class DuctPart(AcousticPart[DuctKeys]):
         return f"{count}, phase within {100 * duct.phase_error:.2g} % and {losses} in the band"
 
     def _list_elements(self, part: Part[DuctKeys], duct: DuctModel) -> Iterator[AcousticElement]:
-        """Yield the end corrections, the series elements, and then the shunt elements of a duct."""
+        """Yield the end corrections, series elements and shunt elements of a duct."""
         keys, fluid, count = part.keys, part.keys.fluid, duct.sections
         area = math.pi * keys.inner_radius**2
         inertia, step = fluid.density / area, keys.length / count
@@ -322,7 +323,7 @@ class DuctPart(AcousticPart[DuctKeys]):
     def law(self, part: Part[DuctKeys], build: BuiltScene) -> laws.Equations:
         """Return the equations of the whole duct as a single device.
 
-        With a separate device for each element, a duct could have hundreds of devices.
+        Separate devices for all elements of a duct would be hundreds of devices.
         """
         n, network = part.name, self.network(part, build.scene)
         pins = {network.entry: "a"} | {node: pin for pin, node in network.exits.items()}
@@ -350,7 +351,7 @@ class DuctPart(AcousticPart[DuctKeys]):
 
 
 def make_duct_law(name: str, network: AcousticNetwork, pins: Mapping[str, str]) -> DuctLaw:
-    """Derive the equations of a duct from its elements; ``pins`` maps nodes to their pins."""
+    """Derive the equations of a duct; ``pins`` maps nodes of its network to pins."""
     nodes = {pins.get(item.plus, item.plus): 0.0 for item in network.elements}
     middles: dict[str, AcousticElement] = {}
     channels, walls = list[tuple[str, str, float, float]](), list[tuple[str, float, float]]()
@@ -379,8 +380,8 @@ def _list_series_elements(
 ) -> Iterator[AcousticElement]:
     """Yield the series elements of a duct section.
 
-    Without losses, a section has a mass. With losses, a section has parallel branches, each with a
-    resistance and a mass in series.
+    Without losses, a section has a single acoustic mass. With losses, a section has parallel
+    branches, each with a resistance and a mass in series.
     """
     keys, (start, end) = part.keys, ends
     radius = keys.inner_radius
@@ -398,7 +399,7 @@ def _list_series_elements(
 def _list_shunt_elements(
     duct: DuctModel, node: str, index: int, part: Part[DuctKeys], width: float
 ) -> Iterator[AcousticElement]:
-    """Yield the compliance at a node of the duct, and its thermal relaxations."""
+    """Yield the elements of a duct node: its compliance and its thermal relaxations."""
     keys, fluid = part.keys, part.keys.fluid
     radius = keys.inner_radius
     size = math.pi * radius**2 * width / (fluid.density * fluid.sound_speed**2)
@@ -497,7 +498,7 @@ stop = "3 kHz"
         return max(2, math.ceil(SECTIONS_PER_WAVELENGTH * waves))
 
     def count_sections(self, part: Part[DuctKeys], scene: GovernedScene) -> int:
-        """Return the key ``sections``; its default is the number that the frequency band needs."""
+        """Return the key ``sections``, by default the number that the band requires."""
         stated = part.with_schema(TubeKeys).keys.sections
         return stated or min(self._count_required_sections(part, scene), MOST_SECTIONS)
 

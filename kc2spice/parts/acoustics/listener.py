@@ -1,4 +1,4 @@
-"""The part ``listener``: sound pressure at a point in the far field of radiating surfaces."""
+"""The part ``listener``: sound pressure in the far field of radiating surfaces."""
 
 from __future__ import annotations
 
@@ -47,14 +47,14 @@ from kc2spice.scene.parttype import register_part_type
 
 OUT = "out"  # pin whose voltage is the sound pressure
 RADIATION = "radiation"  # part type of the radiating surfaces
-RIGHT_ANGLE = 90.0  # largest angle [degrees] from the axis that is in front of a baffle
-# Functions that apply directivity and travel time to a response or waveform of sound pressure.
+RIGHT_ANGLE = 90.0  # largest angle [degrees] between the axis and a listener in front of a baffle
+# Functions that apply directivity and travel time to sound pressure, keyed by the x variable.
 _PROPAGATIONS = {"frequency": propagate_response, "time": propagate_wave}
-LOG_DECADES = 1.3  # number of decades above which the frequency axis is logarithmic
+LOG_DECADES = 1.3  # frequency range in decades above which the frequency axis is logarithmic
 
 
 class ListenerKeys(Section):
-    """Keys of a listener: its position, and the radiating surfaces whose sound it receives."""
+    """Keys of a listener: its position, and the surfaces whose sound it receives."""
 
     sources: tuple[str, ...] = Field(
         (),
@@ -82,15 +82,15 @@ class ListenerKeys(Section):
 
 
 class Listener(PartType[ListenerKeys]):
-    """Part type ``listener``: sum of the far-field sound pressures of radiating surfaces.
+    """Part type ``listener``: sum of far-field sound pressures of several surfaces.
 
-    U is the volume velocity, a the radius of the surface, and r the distance. A piston in a baffle
-    has the sound pressure ``p = j omega rho U D / (2 pi r) exp(-j k r)`` with the directivity ``D =
-    2 J1(x) / x``, ``x = k a sin(angle)``. A sphere has ``p = p_surface a / r exp(-j k (r - a))``
-    (L. E. Kinsler et al., Fundamentals of Acoustics, 4th ed., sections 7.1 and 7.4). For an open
-    end of area S with the pressure p_end, the pressure on the axis is used at all angles: ``p = j
-    omega rho (U + p_end S / (rho c)) / (4 pi r) exp(-j k r)`` (H. Levine, J. Schwinger, Phys. Rev.
-    73 (1948) 383).
+    A surface has the volume velocity U and the radius a, and r is the distance of the listener. A
+    piston in a baffle has the sound pressure ``p = j omega rho U D / (2 pi r) exp(-j k r)`` with
+    the directivity ``D = 2 J1(x) / x``, ``x = k a sin(angle)``. A sphere has ``p = p_surface a / r
+    exp(-j k (r - a))`` (L. E. Kinsler et al., Fundamentals of Acoustics, 4th ed., sections 7.1 and
+    7.4). For an open end of area S with the pressure p_end, the pressure on the axis is used at all
+    angles: ``p = j omega rho (U + p_end S / (rho c)) / (4 pi r) exp(-j k r)`` (H. Levine, J.
+    Schwinger, Phys. Rev. 73 (1948) 383).
     """
 
     name, title = "listener", "sound pressure at a point in the far field"
@@ -140,7 +140,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         return (*inputs, out, Terminal.from_domain(AMBIENT, ACOUSTIC, GROUND))
 
     def default_joins(self, part: Part[ListenerKeys], scene: GovernedScene) -> Mapping[str, str]:
-        """Return the default connections, from each input to the pin ``sound`` of a surface."""
+        """Return the default connections: from each input to the ``sound`` of a surface."""
         sources = self.list_radiating_surfaces(part, scene)
         targets = (f"{source.name}.{SOUND}" for source in sources)
         return dict(zip(_list_input_names(len(sources)), targets, strict=True))
@@ -206,7 +206,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         sources: tuple[Part[RadiationKeys], ...],
         scene: GovernedScene,
     ) -> None:
-        """Warn about a listener in the near field, and about an angle that has no effect."""
+        """Warn about a listener in the near field, and about an angle without effect."""
         keys, top = part.keys, highest_frequency(scene)
         limit = min(map(self._find_largest_frequency, [part] * len(sources), sources))
         if scene.analysis.is_small_signal and top > limit:
@@ -229,10 +229,10 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
     def _find_largest_frequency(
         self, part: Part[ListenerKeys], source: Part[RadiationKeys]
     ) -> float:
-        """Return the frequency [Hz] up to which the listener is in the far field of ``source``.
+        """Return the largest frequency [Hz] at which the listener is in the far field.
 
-        At this frequency, the listener's distance is S / wavelength for a surface of the area S.
-        For a sphere, the frequency is infinite, because its pressure has no near field.
+        At this frequency, the distance of the listener equals S / wavelength for a surface of the
+        area S. The frequency is infinite for a sphere, which has no near field of the pressure.
         """
         if source.keys.shape == "sphere":
             return math.inf
@@ -286,13 +286,13 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         return {f"{part.name}.{ACOUSTIC.across.symbol}": pressure}
 
     def law(self, part: Part[ListenerKeys], build: BuiltScene) -> laws.Equations:
-        """Return no equations, because the pressure is computed from other results after a run."""
+        """Return no equations, because the pressure is computed after a run."""
         return laws.Equations()
 
     def corrected_waves(
         self, part: Part[ListenerKeys], build: BuiltScene, waves: Waveforms
     ) -> Mapping[str, np.ndarray]:
-        """Return the sound pressure with directivity and travel time, versus frequency or time."""
+        """Return the sound pressure at the listener, versus frequency or time."""
         sources, keys = self.list_radiating_surfaces(part, build.scene), part.keys
         scale = next(iter(waves))
         propagate = _PROPAGATIONS.get(scale)
@@ -330,7 +330,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         }
 
     def _is_level_probed(self, part: Part[ListenerKeys], scene: Scene) -> bool:
-        """Return whether a probe measures the level, so that the listener needs no plot of it."""
+        """Return whether a probe measures the sound pressure level of the listener."""
         name = f"{part.name}.{ACOUSTIC.across.symbol}"
         return any(probe.take == "spl" and probe.of == name for probe in scene.probes.values())
 
@@ -389,12 +389,12 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
 
 
 def _list_input_names(count: int) -> tuple[str, ...]:
-    """Return the names of ``count`` input pins, each for the sound pressure of a source."""
+    """Return the names of ``count`` input pins, one for each radiating surface."""
     return tuple(f"{SOUND}{k}" for k in range(1, count + 1))
 
 
 def _write_sum(count: int) -> Iterator[Item]:
-    """Yield the cards whose output is the sum of all inputs divided by the distance."""
+    """Yield the cards that sum all inputs and divide the sum by the distance."""
     base, gain = AMBIENT, f"{{{format_number(REFERENCE_DISTANCE)}/distance}}"
     for k, pin in enumerate(_list_input_names(count), 1):
         end = OUT if k == count else f"sum{k}"

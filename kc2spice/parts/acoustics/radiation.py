@@ -45,8 +45,9 @@ from kc2spice.scene.model import BuiltScene, GovernedScene, JoinedScene, Part, S
 from kc2spice.scene.part_records import NeglectedEffect, PartResult
 from kc2spice.scene.parttype import register_part_type
 
-FACE, SOUND = "face", "sound"  # pins of the surface, and of the sound pressure in the far field
-REFERENCE_DISTANCE = 1.0  # m, distance of the sound pressure at the pin ``sound``
+FACE, SOUND = "face", "sound"  # pins of the radiating surface and of the far-field sound pressure
+# m, distance at which the pin ``sound`` states the far-field sound pressure
+REFERENCE_DISTANCE = 1.0
 
 
 class RadiationKeys(FluidKeys):
@@ -84,7 +85,7 @@ class RadiationKeys(FluidKeys):
 
     @property
     def radiator(self) -> Radiator:
-        """Properties of the shape, with its radiation network."""
+        """Properties of the shape: radiation network, area and solid angle."""
         return RADIATORS[self.shape]
 
     @property
@@ -96,12 +97,12 @@ class RadiationKeys(FluidKeys):
 
     @property
     def sound_corner(self) -> float:
-        """Corner frequency [rad/s] of the low pass at the pin ``sound``; infinite for a sphere."""
+        """Corner frequency [rad/s] of the low pass of ``sound``; infinite for a sphere."""
         return 2 * math.pi * CORNER_RATIO * self.largest_frequency
 
     @property
     def largest_frequency(self) -> float:
-        """Frequency [Hz] up to which the stated errors of the radiation network are valid."""
+        """Largest frequency [Hz] at which the errors of the radiation network are valid."""
         return self.radiator.largest_frequency(self.surface_radius, self.fluid.sound_speed)
 
 
@@ -172,7 +173,7 @@ stop = "20 kHz"
         )
 
     def write_further_cards(self, part: Part[RadiationKeys]) -> Iterator[Item | str]:
-        """Yield the cards that compute the sound pressure at the reference distance."""
+        """Yield the cards of the sound pressure at the reference distance."""
         yield (
             f"* sound pressure at {REFERENCE_DISTANCE:g} m on the axis, in the far field, without "
             "its travel time"
@@ -216,8 +217,8 @@ stop = "20 kHz"
     ) -> Mapping[str, np.ndarray]:
         """Return the sound pressure, corrected for the low pass of the netlist.
 
-        A frequency response is divided by the response of the low pass. A waveform versus time is
-        advanced by the delay of the low pass.
+        A sound pressure versus frequency is divided by the response of the low pass. A sound
+        pressure versus time is advanced by the delay of the low pass.
         """
         name, corner = f"{part.name}.{SOUND}", part.keys.sound_corner
         scale = next(iter(waves))
@@ -258,9 +259,9 @@ stop = "20 kHz"
 class FarField:
     """Far-field pressure on the axis at the reference distance, without travel time.
 
-    The far-field pressure is ``pressure * p + flow * U`` for the pressure p [Pa] on the surface and
-    the volume velocity U [m3/s] of the surface. With ``rate``, the far-field pressure is the time
-    derivative of this sum.
+    At the reference distance, the far-field pressure is ``pressure * p + flow * U``, where p [Pa]
+    is the pressure on the surface and U [m3/s] its volume velocity. With ``rate``, the far-field
+    pressure is the time derivative ``d/dt (pressure * p + flow * U)``.
     """
 
     pressure: float
@@ -275,9 +276,9 @@ class FarField:
 def find_far_field(keys: RadiationKeys) -> FarField:
     """Return the coefficients of the far-field pressure of a surface.
 
-    The far-field pressure is ``rho / (2 pi r) dU/dt`` for a piston in a baffle, ``p a / r`` for a
-    sphere with the pressure p on its surface, and ``rho / (4 pi r) d/dt (U + p S / (rho c))`` for
-    an open end. The intensity on the axis of an open end is ``(k a)^2 / (1 - |R|^2)`` times the
+    A piston in a baffle has the far-field pressure ``rho / (2 pi r) dU/dt``. A sphere with the
+    pressure p on its surface has ``p a / r``, and an open end has ``rho / (4 pi r) d/dt (U + p S /
+    (rho c))``. The intensity on the axis of an open end is ``(k a)^2 / (1 - |R|^2)`` times the
     intensity of a point source with the same power.
     """
     if keys.shape == "sphere":
@@ -290,7 +291,7 @@ def find_far_field(keys: RadiationKeys) -> FarField:
 
 
 def _read_sound(part: Part[RadiationKeys], equations: laws.Equations) -> laws.WaveCombination:
-    """Return the sound pressure as a linear combination of the integrator's waveforms."""
+    """Return the sound pressure as a combination of the integrator's waveforms."""
     field, terms = find_far_field(part.keys), list[tuple[float, str]]()
     symbols = {
         ACOUSTIC.through_variable.symbol: field.flow, ACOUSTIC.across.symbol: field.pressure,

@@ -1,1 +1,1 @@
-"""Part types with reduced linear models, from finite elements or from matrix files."""
+"""Part types of bodies with reduced linear models, from meshes or matrix files."""

@@ -1,4 +1,4 @@
-"""Checks of a linear part after a run: reduced model, band, rating and energy balance."""
+"""Checks of a linear part after a run: model error, band, rating and energy."""
 
 from __future__ import annotations
 
@@ -35,17 +35,17 @@ from kc2spice.synthesis.mode_cards import COARSE_WEIGHTS
 
 DEPOLING_ADVICE = "the ceramic depolarises or breaks down; lower the drive, or state another limit"
 OUTSIDE_BAND_ADVICE = "the reduced model has no error estimate above its band: widen rom.band"
-# Factor on the number of states that is recommended for a model that is too coarse.
+# Recommended factor on the number of states of a model with too large an error.
 STATE_FACTOR = 2
-# Relative error estimates of a reduced model above which a run fails, or prints a warning.
+# Relative error estimates of a reduced model above which a run fails or prints a warning.
 FAILURE_ERROR = 0.1
 WARNING_ERROR = 0.01
 # Largest permitted relative error of a port's compliance above the band.
-# If a body in contact exceeds this error, its reduced model is checked under the loads of the run.
+# If a body in contact exceeds this error, the reduced model is checked under the loads of the run.
 # The built-in kick scenes, such as ``kick_slew``, have compliance errors of at most 0.20.
-# The errors under load of these kick scenes are below 0.3 % (rms).
+# Under load, the errors of these kick scenes are below 0.3 % (rms).
 # Models of small chips with 7 to 12 states have compliance errors of at least 0.53.
-# The errors under load of these small chips are 2 to 3 %.
+# Under load, the errors of these small chips are 2 to 3 %.
 MAX_COMPLIANCE_ERROR = 0.3
 REDUCED_ADVICE = (
     "the reduced model is that far off somewhere in its band: set rom.tolerance, or rom.order"
@@ -70,22 +70,22 @@ STEEP_EDGE_ADVICE = (
 )
 CONTACT_ADVICE = "a contact excites modes of the body that the reduced model lacks: widen rom.band"
 # Smallest ratio of the upper end of the band to the lowest resonance frequency.
-# With a smaller ratio of band to resonance, the results of a kick scene had an error of 2 %.
+# With a smaller ratio, the results of a kick scene had an error of 2 %.
 MIN_BAND_RATIO = 1.5
 # Time points count as equal if their distance is below this fraction of the run's duration.
 EQUAL_TIME_TOLERANCE = 1e-9
-# largest fraction of a floating electrode's charge that the leak of the netlist may remove
+# largest fraction of a floating electrode's charge that may leak away in the netlist
 MAX_CHARGE_LOSS = 1e-4
 # Largest permitted error of the energy balance, relative to the stored energy.
 # The permitted error is large, because a small piezoelectric chip rings at up to 30 MHz.
 MAX_STORED_SHARE = 0.1
-# A force or energy below this fraction of its largest value counts as zero.
-# This fraction is far above the rounding errors of forces and energies.
+# A force or energy counts as zero if it is below this fraction of its largest value.
+# The rounding errors of forces and energies are far below this fraction.
 ZERO_LOAD = 1e-9
 
 
 class BodyChecks(BodyNetlist[LinearKeysT]):
-    """Linear part with checks of its reduced model, its rating and its energy after a run."""
+    """Linear part with checks of its reduced model, its rating and its energy balance."""
 
     def checks(
         self, part: Part[LinearKeysT], build: BuiltScene, waves: Waveforms
@@ -110,7 +110,8 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
                 yield Check(f"stability of {part.name}", 1.0, 0.0, "", advice, then)  # type: ignore[arg-type]
         if result is not None and "frequency" in waves:
             highest = float(waves["frequency"].real.max())
-            limit = (1 + 1e-9) * result.band_hz[1]  # allows for the rounding error of a frequency
+            # the factor allows for the rounding error of a frequency
+            limit = (1 + 1e-9) * result.band_hz[1]
             yield Check(f"band of {part.name}", highest, limit, "Hz", OUTSIDE_BAND_ADVICE, "warn")
         yield from self._check_rating(part, build, waves)
         if "time" not in waves:
@@ -124,10 +125,10 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
     def _check_rating(
         self, part: Part[LinearKeysT], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Check]:
-        """Yield the checks that the voltage at each electrode stays within the rating.
+        """Yield checks that the voltage at each electrode does not exceed the rating.
 
-        In an ac analysis, the rating is compared with the voltage amplitude that the sources of the
-        scene cause at the electrode.
+        In an ac analysis, the checked voltage is the amplitude that the sources of the scene cause
+        at the electrode.
         """
         volts, ports = self.rated_voltage(part, build), self.used_ports(part, build.scene)
         if volts is None:
@@ -159,11 +160,11 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         under the recorded loads is checked instead in two cases: the error in the band is too
         large, or a contact excites modes above the band.
 
-        A large error at the frequency of a sharp resonance may have no effect under the recorded
-        loads. For loads with frequencies above the band, the error can exceed the error in the
-        band. To compute the error under load, the recorded forces and voltages drive the reduced
-        model and a model with more states. The error is the difference between the responses of the
-        two models.
+        An error in the band that occurs only at a sharp resonance may have no effect under the
+        recorded loads. For loads with frequencies above the band, the error can be larger than the
+        error in the band. To compute the error under load, the reduced model and a model with more
+        states are driven by the recorded forces and voltages. The error under load is the
+        difference between the responses of both models.
         """
         name, error = part.name, certificate.error_estimate
         unlike = max((size for _, size in certificate.above), default=0.0) > MAX_COMPLIANCE_ERROR
@@ -194,11 +195,11 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
     def estimate_error_under_load(
         self, part: Part[LinearKeysT], build: BuiltScene, waves: Waveforms, model: LinearModel
     ) -> tuple[float, int] | None:
-        """Return the largest error of the reduced ``model`` under the recorded loads of a run.
+        """Return the error of the reduced ``model`` under the recorded loads of a run.
 
-        The error is computed up to the last change of the loads. The second returned value is the
-        number of states of the reference model. The function returns None if a load was not
-        recorded, or if there is no model with more states.
+        The error is the largest one up to the last change of the loads. The second returned value
+        is the number of states of the reference model. The result is None if a load was not
+        recorded, or if no model with more states exists.
         """
         loads, certificate = self.list_port_loads(part, build, waves), model.certificate
         if certificate is None or not set(model.inputs) <= loads.keys():
@@ -238,12 +239,12 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
     def _check_band(
         self, part: Part[LinearKeysT], build: BuiltScene, waves: Waveforms, certificate: Certificate
     ) -> Iterator[Check]:
-        """Yield checks whether the band of the model contains the frequencies of the drives.
+        """Yield checks that the model's band contains the frequencies of the drives.
 
         The frequency of a drive voltage v is ``max |v'| / (pi (max v - min v))``. For a sine, this
-        value is the frequency of the sine. For an edge, this value is about a third of the
-        reciprocal of the edge time. With a contact, only the first resonance is compared with the
-        band, because a contact excites it more than any drive.
+        formula gives the frequency of the sine. For an edge, this formula gives about a third of
+        the reciprocal of the edge time. With a contact, only the first resonance is compared with
+        the band, because the contact excites the first resonance more than any drive.
         """
         scene, t, high = build.scene, waves["time"], certificate.band_hz[1]
         rows = scene.numerics
@@ -269,10 +270,10 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
     def list_port_loads(
         self, part: Part[LinearKeysT], build: BuiltScene, waves: Waveforms
     ) -> dict[str, np.ndarray]:
-        """Return the load of each port of the reduced model versus time, in SI units.
+        """Return the load of each port of the model versus time, in SI units.
 
-        A load is a voltage, an acceleration, or the sum of the forces of all parts joined to the
-        port. Ports with a force that is not recorded are left out.
+        A load is a voltage, an acceleration, or the sum of the forces of all parts that are
+        connected to the port. Ports with an unrecorded force are left out.
         """
         ports, result = self.used_ports(part, build.scene), dict[str, np.ndarray]()
         names = [get_wave_name(part.name, ports, port) for port in ports]
@@ -290,14 +291,14 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
     def _balance_energy(
         self, part: Part[LinearKeysT], build: BuiltScene, waves: Waveforms
     ) -> RunEnergyBalance | None:
-        """Return the energy balance of the body, which compares the run with the exact response.
+        """Return the energy balance of the body: the run against the exact response.
 
         The exact response is the response of the reduced model to the recorded loads. The losses
-        are the work of the loads on the exact response, minus the energy that this response stores.
-        The electrical work is computed from the current of the body, if this current is among the
-        waveforms. The scale of the balance is the largest change of the stored energy, or the
-        rounding error of this energy without motion. If the time steps do not resolve the ringing,
-        the comparison ends when the last force on the body ends.
+        are the work of the loads on the exact response, minus the energy stored by the exact
+        response. If the current of the body is among the waveforms, the electrical work is computed
+        from this current. The balance is relative to the largest change of the stored energy, or
+        without motion to the rounding error of the stored energy. If the time steps do not resolve
+        the ringing, the comparison stops at the end of the last force on the body.
         """
         model, t = compute_resonators(build.model(part, LinearModel)), waves["time"]
         ports = self.used_ports(part, build.scene)
@@ -345,6 +346,6 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
 
 
 def _make_reduction_check(name: str, error: float, unit: str, advice: str) -> Check:
-    """Return the check of a reduced model's error: a warning above 1 %, a failure above 10 %."""
+    """Return the check of a reduced model's error, a warning or a failure."""
     limit, action = (FAILURE_ERROR, "fail") if error > FAILURE_ERROR else (WARNING_ERROR, "warn")
     return Check(f"reduction of {name}", error, limit, unit, advice, action)  # type: ignore[arg-type]

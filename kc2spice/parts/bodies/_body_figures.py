@@ -1,4 +1,4 @@
-"""Figures of bodies: waveforms at their ports, impedances, and fields and mode shapes."""
+"""Figures of bodies: waveforms at ports, impedances, inner fields and mode shapes."""
 
 from __future__ import annotations
 
@@ -17,25 +17,27 @@ from kc2spice.rom.modal_models import Resonators
 if TYPE_CHECKING:
     from kc2spice.bodies.undamped_models import FiniteElementModel
 
-# number of plotted frequencies of an impedance, without the extra frequencies near resonances
+# number of plotted frequencies of an impedance; further frequencies are added near resonances
 IMPEDANCE_FREQUENCIES = 600
 # Largest number of drawn mesh lines on a surface.
 # If a mesh has more mesh lines, only the edges at which the surface bends are drawn.
 MAX_MESH_LINES = 4000
-# Smallest bend of a drawn edge: second eigenvalue of ``sum n n'``, relative to the largest one.
+# Smallest bend of a drawn edge: second eigenvalue of ``sum n n'``, relative to the largest
+# eigenvalue.
 # The vectors n in ``sum n n'`` are the normals of the faces at the edge.
 MIN_BEND = 0.05
 DISPLACEMENT_SHARE = 0.1  # largest drawn displacement, relative to the size of the body
 MAX_PIXELS = 360  # number of pixels along the longer side of a coloured picture
 IMPEDANCE_CAPTION = ": minimum at resonance, maximum at antiresonance."
-# Shift of a point to the right and upwards in the oblique projection, divided by its depth.
+# Shift of a point to the right and upwards in the oblique projection, divided by the depth of the
+# point.
 OBLIQUE_SHIFT = 0.35
 
 
 def plot_impedances(
     name: str, frequency: np.ndarray, z: Mapping[str, np.ndarray], how: str
 ) -> Figure:
-    """Plot magnitude and phase of impedances ``z`` [Ohm] versus frequency [Hz]."""
+    """Plot magnitude and phase of the impedances ``z`` [Ohm] versus frequency [Hz]."""
     log = frequency[0] > 0 and frequency[-1] / frequency[0] > 20
     unit, scale = ("kHz", 1e3) if frequency[-1] > 5e3 else ("Hz", 1.0)
     f = frequency / scale
@@ -54,10 +56,11 @@ def plot_impedances(
 def plot_port_impedances(
     name: str, model: LinearModel, modal: Resonators | None
 ) -> Iterator[Figure]:
-    """Plot the impedance of each electrical port, with other electrodes shorted and no forces.
+    """Plot the impedance of each electrical port of a body without forces.
 
-    The plotted frequencies are dense around the resonances of ``modal``. The resonance frequencies
-    of undamped modes are left out, because the impedance is not defined there.
+    All other electrodes are shorted. The plotted frequencies are dense around the resonances of
+    ``modal``. At the resonance of an undamped mode, the impedance is not defined, so this frequency
+    is left out.
     """
     if model.certificate is None:
         return
@@ -105,9 +108,9 @@ def plot_responses(name: str, waves: Waveforms) -> Iterator[Figure]:
 
 
 def plot_port_waves(name: str, waves: Waveforms) -> Iterator[Figure]:
-    """Plot displacements, voltage and current of the ports of ``name``.
+    """Plot displacements, voltages and currents at the ports of the part ``name``.
 
-    The time axis covers the interval that contains all displacements above 2 % of the largest one.
+    The time axis covers all displacements above 2 % of the largest displacement.
     """
     moved = {n: v for n, v in waves.data.items() if n.startswith(f"{name}.u.")}
     if "time" not in waves or not moved:
@@ -132,10 +135,11 @@ def plot_port_waves(name: str, waves: Waveforms) -> Iterator[Figure]:
 def draw_deformed_body(
     device: FiniteElementModel, z: np.ndarray, voltages: np.ndarray
 ) -> tuple[Panel, float]:
-    """Return a picture of the deformed body and its edges at rest, and the scale factor.
+    """Return a picture of the deformed body and the scale factor of its deformation.
 
-    The colour shows the largest principal stress. ``z`` is the vector of displacements, of shape
-    (n,), and ``voltages`` contains the electrode voltages, of shape (e,).
+    The colour of the picture shows the largest principal stress; dotted lines show the edges at
+    rest. ``z`` is the vector of displacements, of shape (n,), and ``voltages`` contains the
+    electrode voltages, of shape (e,).
     """
     from kc2spice.bodies.fields import compute_largest_principal_stress, evaluate_at_nodes
 
@@ -153,7 +157,10 @@ def draw_deformed_body(
 def draw_modes(
     device: FiniteElementModel, hertz: np.ndarray, columns: np.ndarray
 ) -> Iterator[Panel]:
-    """Yield a picture of each mode; ``columns``, of shape (n, modes), contains the mode shapes."""
+    """Yield a picture of each mode.
+
+    ``columns`` contains the mode shapes, an array of shape (n, modes).
+    """
     from kc2spice.bodies.fields import evaluate_at_nodes
 
     still = np.zeros(device.drive.shape[1])
@@ -168,7 +175,7 @@ def draw_modes(
 
 
 def _scale_displacements(device: FiniteElementModel, moves: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return the element corners [m] moved by scaled displacements, and the scale factor.
+    """Return the element corners [m], moved by scaled displacements, and the scale.
 
     The corners are an array of shape (elements, vertices, 3).
     """
@@ -180,7 +187,7 @@ def _scale_displacements(device: FiniteElementModel, moves: np.ndarray) -> tuple
 
 
 def element_corners(mesh: Any) -> np.ndarray:
-    """Return the corners [m] of all elements as an array of shape (elements, vertices, 3).
+    """Return the corners [m] of all elements, of shape (elements, vertices, 3).
 
     The coordinates of a two-dimensional mesh are x and z.
     """
@@ -193,7 +200,7 @@ def element_corners(mesh: Any) -> np.ndarray:
 def map_surface(mesh: Any, corners: np.ndarray, values: np.ndarray, label: str) -> ColourMap:
     """Return a coloured map of nodal ``values`` on the visible surface of a mesh.
 
-    ``corners`` contains the corners [m] of the elements, of shape (elements, vertices, 3).
+    ``corners`` contains the corners [m] of the elements, an array of shape (elements, vertices, 3).
     """
     values = values.reshape(len(corners), -1)[:, : corners.shape[1]]
     if mesh.dim() == 2:
@@ -205,8 +212,8 @@ def map_surface(mesh: Any, corners: np.ndarray, values: np.ndarray, label: str) 
         local = np.argmax(mesh.t[:, element].T[:, None, :] == nodes[:, :, None], axis=2)
     points, colours = corners[element[:, None], local], values[element[:, None], local, None]
     flat = 1e3 * (points[..., [0, 2]] + OBLIQUE_SHIFT * points[..., [1]])
-    # A triangle is drawn for each three corners of a face.
-    # The order of the four corners can differ between faces.
+    # Each set of three corners of a face is drawn as a triangle, because the order of the corners
+    # can differ between faces.
     vertices = np.concatenate([flat, points[..., [1]], colours], axis=-1)
     corner_sets = np.array([*combinations(range(vertices.shape[1]), 3)])
     triangles = vertices[:, corner_sets].swapaxes(0, 1).reshape(-1, 3, vertices.shape[2])
@@ -216,7 +223,7 @@ def map_surface(mesh: Any, corners: np.ndarray, values: np.ndarray, label: str) 
     x = low[0] + dot * (np.arange(count[0]) + 0.5)
     y = low[1] + dot * (np.arange(count[1]) + 0.5)
     wide = np.ptp(triangles[..., :2], axis=1).max(axis=1) / dot
-    # Each triangle is filled with at least two points for each pixel.
+    # Each triangle is filled with at least two points per pixel.
     steps = 2 ** np.ceil(np.log2(np.maximum(2 * wide, 1.0))).astype(int)
     result = []
     for n in np.unique(steps):  # number of points along each side of a triangle
@@ -232,10 +239,10 @@ def map_surface(mesh: Any, corners: np.ndarray, values: np.ndarray, label: str) 
 
 
 def _find_visible_edges(mesh: Any, fine: int) -> np.ndarray:
-    """Return an array of shape (2, edges) with the vertices of each drawn edge of the surface.
+    """Return the vertices of each drawn edge, an array of shape (2, edges).
 
-    If the surface has more than ``fine`` mesh lines, only the edges at which the surface bends are
-    returned.
+    On a surface with more than ``fine`` mesh lines, only the edges at which the surface bends are
+    drawn.
     """
     facets = mesh.boundary_facets()
     if mesh.dim() == 2:
@@ -246,8 +253,8 @@ def _find_visible_edges(mesh: Any, fine: int) -> np.ndarray:
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, -1] - corners[:, 0], axis=0)
     normal = normal / np.maximum(np.linalg.norm(normal, axis=0), 1e-300)
     edges = mesh.f2e[:, facets]
-    # The vectors n are the normals of the faces at an edge.
-    # If these faces lie in one plane, the sum of n n' has rank one.
+    # At an edge between faces in one plane, the sum of n n' has rank one, where n are the normals
+    # of the faces.
     spread = np.zeros((mesh.edges.shape[1], 3, 3))
     for edge in edges:
         np.add.at(spread, edge, np.einsum("if,jf->fij", normal, normal))
@@ -257,7 +264,7 @@ def _find_visible_edges(mesh: Any, fine: int) -> np.ndarray:
 
 
 def draw_edges(label: str, mesh: Any, style: str = "-", fine: int = MAX_MESH_LINES) -> Curve:
-    """Return the mesh edges [mm] in oblique projection as a single curve with NaN between edges."""
+    """Return the projected mesh edges [mm] as one curve with NaN between edges."""
     points, edges = mesh.p[:, : mesh.nvertices], _find_visible_edges(mesh, fine)  # no midside nodes
     flat = points if len(points) == 2 else points[[0, 2]] + OBLIQUE_SHIFT * points[1]
     path = np.full((2, 3, edges.shape[1]), np.nan)

@@ -46,15 +46,16 @@ if TYPE_CHECKING:
 
 # Default relative tolerance of a reduction over parameter ranges.
 RANGE_TOLERANCE = 1e-4
-# Smallest upper end [Hz] of the model's band in a transient.
-# The band has this smallest end, because switching in a circuit excites unknown frequencies.
+# Smallest upper end [Hz] of the default band in a transient.
+# The default band has at least this upper end, because switching in a circuit excites unknown
+# frequencies.
 MIN_BAND_END = 10e3
 # Largest number of natural frequencies in the default band.
-# Natural frequencies above the default band depend on the mesh.
+# Natural frequencies of higher modes depend on the mesh.
 BAND_MODES = 20
-# Keys of a body that do not affect its models.
+# Keys of a body that do not affect its full and reduced models.
 _IRRELEVANT_KEYS = {"rom", "fields", "rated_voltage", "number"}
-# Packages and modules with source code that affects every full and reduced model.
+# Packages and modules whose source code affects every full and reduced model.
 MODEL_SOURCES = (
     "kc2spice.linalg", "kc2spice.fem", "kc2spice.rom", "kc2spice.bodies",
     "kc2spice.core.domains", "kc2spice.core.gmsh_session", "kc2spice.core.naming",
@@ -65,17 +66,17 @@ MODEL_SOURCES = (
 
 
 class BodyModel(BodyPorts[LinearKeysT]):
-    """A part whose model is a :class:`kc2spice.rom.linear_model.LinearModel`.
+    """Part whose model is a :class:`kc2spice.rom.linear_model.LinearModel`.
 
-    A subclass builds the :meth:`full` model of the whole device. The scene or the keys of the part
-    state the band of the reduction, and its order or tolerance.
+    A subclass builds the model of the whole device (:meth:`make_full_model`). The keys of the part
+    or of the scene state the band of the reduction, and its order or tolerance.
     """
 
-    # Classes of the objects in a reduced model over parameter ranges.
-    # The cache needs these classes to store such a model.
+    # Classes of the objects in a reduced model over parameter ranges, which the cache needs to
+    # store the model.
     range_classes: tuple[type, ...] = (ResonatorsOverRanges, DampingParameter)
     ranges_from_zero = False  # whether parameter ranges of the part may begin at zero
-    # Class of the material tables in the keys of the part.
+    # Class that validates the material tables in the keys of the part.
     material_table: type[BaseModel] = MaterialTable
 
     @abstractmethod
@@ -91,16 +92,17 @@ class BodyModel(BodyPorts[LinearKeysT]):
         clock: StageTimer,
         like: Part[LinearKeysT],
     ) -> LinearModel:
-        """Return the full model on the mesh of ``like``, a part with other values of its keys.
+        """Return the full model of ``part`` on the moved mesh of the part ``like``.
 
-        The nodes of this mesh are moved to the geometry of ``part``.
+        The nodes of the mesh are moved to the geometry of ``part``; ``like`` has other values of
+        its keys.
         """
         return self.make_full_model(part, scene, clock)
 
     def make_full_model_key(
         self, part: Part[LinearKeysT], scene: GovernedScene
     ) -> Mapping[str, Any]:
-        """Return the cache key of the full model: all data that determine this model."""
+        """Return the cache key of the full model, which contains all relevant data."""
         return {"keys": part.keys.model_dump(mode="json", exclude=_IRRELEVANT_KEYS)}
 
     def problems(self, part: Part[LinearKeysT], scene: GovernedScene) -> Iterator[UsageError]:
@@ -108,9 +110,9 @@ class BodyModel(BodyPorts[LinearKeysT]):
         yield from check_parameter_ranges(part, scene)
 
     def _find_reduction_settings(self, part: Part[LinearKeysT], scene: Scene) -> RomKeys | None:
-        """Return the reduction settings of the body or the scene; None if neither states any.
+        """Return the reduction settings of the body or the scene; None without settings.
 
-        A table ``rom`` that states only parameters of the netlist does not count as a reduction.
+        A table ``rom`` with only ``parameters`` does not count as reduction settings.
         """
         specified: RomKeys | None = part.keys.rom
         if specified is not None and specified.model_fields_set != {"parameters"}:
@@ -118,13 +120,14 @@ class BodyModel(BodyPorts[LinearKeysT]):
         return scene.rom if "rom" in scene.frame.model_fields_set else None
 
     def choose_reduction(self, part: Part[LinearKeysT], scene: Scene) -> RomKeys:
-        """Return the reduction settings; the default is a tolerance in the band of the analysis.
+        """Return the reduction settings, stated in the scene or by default.
 
-        In ``ac``, the band ends 20 % above the last frequency. In a transient, the band contains
-        the excited frequencies (:meth:`PartType.numerics`), but at most the first
-        :data:`BAND_MODES` natural frequencies of the body. The tolerance of 1e-3 in ``ac`` is a
-        tenth of usual mesh errors. This tolerance exceeds the rounding errors of a free thin plate,
-        which are about 1e-4 at resonances.
+        By default, the settings are a tolerance and a band. In an ``ac`` analysis, the band ends 20
+        % above the last frequency. In a transient, the band contains the excited frequencies
+        (:meth:`PartType.numerics`), up to the first :data:`BAND_MODES` natural frequencies of the
+        body. In an ``ac`` analysis, the tolerance is 1e-3, a tenth of usual mesh errors. This
+        tolerance is larger than the rounding errors of a thin free plate, which are about 1e-4 at
+        resonances.
         """
         specified, result = part.keys.rom, self._find_reduction_settings(part, scene)
         if result is None and scene.analysis.is_small_signal:
@@ -140,9 +143,9 @@ class BodyModel(BodyPorts[LinearKeysT]):
         return result.model_copy(update={"parameters": specified.parameters})
 
     def find_least_band_end(self, part: Part[LinearKeysT], scene: Scene) -> float | None:
-        """Return the smallest upper end [Hz] of the model's band in a transient.
+        """Return the lower limit [Hz] for the upper end of a transient's band.
 
-        The function returns None in other analyses, and if the user set the band. This upper end
+        The result is None in other analyses, and with a band that the user states. The lower limit
         does not depend on the natural frequencies of the body.
         """
         if (
@@ -154,11 +157,11 @@ class BodyModel(BodyPorts[LinearKeysT]):
         return max([self.get_default_band_end(scene), *content])
 
     def get_default_band_end(self, scene: Scene) -> float:
-        """Return the smallest upper end [Hz] of a transient's band that any excitation requires."""
+        """Return the lower limit [Hz] for the upper end of every transient's band."""
         return MIN_BAND_END
 
     def model_key(self, part: Part[LinearKeysT], scene: Scene) -> Mapping[str, Any]:
-        """Return the cache key of the reduced model: all data that determine this model."""
+        """Return the cache key of the reduced model, which contains all relevant data."""
         rom = get_reduction_settings(part, scene)
         settings = rom.model_dump(mode="json")
         result = {
@@ -268,13 +271,13 @@ class BodyModel(BodyPorts[LinearKeysT]):
         return reduce_over_ranges(task)
 
     def _has_constant_losses(self, part: Part[LinearKeysT]) -> bool:
-        """Return whether constant matrices cannot represent the losses of the body."""
+        """Return whether the body has losses that constant matrices cannot represent."""
         return bool(read_loss_tangent(part)) or has_complex_constants(part)
 
     def _make_mid_range_full_model(
         self, part: Part[LinearKeysT], scene: Scene, clock: StageTimer
     ) -> LinearModel:
-        """Return the full model with the scene's ports, on the mesh for mid-range key values."""
+        """Return the full model with the used ports, on the mesh for mid-range keys."""
         keys, names = list_varied_keys(part), self.used_port_names(part, scene)
         if not keys:
             return self.make_full_model(part, scene, clock).select(names)
@@ -284,7 +287,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
     def build(
         self, part: Part[LinearKeysT], scene: Scene, clock: StageTimer, full: bool = False
     ) -> LinearModel | None:
-        """Return the reduced model of the part; with ``full``, return its full model."""
+        """Return the reduced model of the part, or the full model if ``full`` is true."""
         if full:
             # The matrices of a full model cannot represent losses that are constant over frequency.
             return (
@@ -294,8 +297,8 @@ class BodyModel(BodyPorts[LinearKeysT]):
             )
         if keys := list_varied_keys(part):
             return self.reduce_body_over_ranges(part, scene, clock).evaluate(read_key_values(keys))
-        # ``build`` uses these variables, so their values are part of the cache key.
-        # The cache key also contains hashes of the modules with the code of ``build``.
+        # ``build`` uses these variables, so the cache key contains their values, and hashes of the
+        # modules with the code of ``build``.
         target, model_key = get_reduction_settings(part, scene), self.model_key(part, scene)
         tangent, constants = read_loss_tangent(part), has_complex_constants(part)
 
@@ -371,7 +374,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         model: LinearModel,
         aims: Mapping[str, Any],
     ) -> LinearModel:
-        """Reduce a ``model`` of the part; ``aims`` contains order, tolerance, band and norm."""
+        """Reduce ``model``; ``aims`` contains order, tolerance, band and norm."""
         from kc2spice.rom.reduce import reduce_model
 
         if aims["order"] is not None and model is orders.model:
@@ -382,10 +385,10 @@ class BodyModel(BodyPorts[LinearKeysT]):
     def get_fixed_order_reductions(
         self, part: Part[LinearKeysT], scene: Scene, clock: StageTimer
     ) -> ReductionsByOrder:
-        """Return the reductions of the full model with the scene's ports to prescribed orders.
+        """Return an object that reduces the full model to prescribed orders.
 
-        The returned object reduces the model on request. The object stays in the workspace, because
-        the next scene often needs another order of the same model.
+        The returned object reduces the model on request. The object remains in the workspace,
+        because the next scene often needs another order of the same model.
         """
         from kc2spice.rom.time_domain_errors import ReductionsByOrder
 
@@ -401,18 +404,18 @@ class BodyModel(BodyPorts[LinearKeysT]):
         return scene.workspace.get_or_compute(f"orders {self.name}", key, make_reductions)
 
     def source_modules(self) -> tuple[str, ...]:
-        """Return the modules with source code that determines the models of this part type."""
+        """Return the modules whose source code determines the models of this part type."""
         classes = (kind.__module__ for kind in type(self).__mro__ if issubclass(kind, BodyPorts))
         return (*MODEL_SOURCES, *classes)
 
 
 def read_loss_tangent(part: Part) -> float:
-    """Return the dielectric loss tangent from the key ``damping`` of a body; 0 by default."""
+    """Return the dielectric loss tangent of a body from the key ``damping``, or 0."""
     return float(getattr(getattr(part.keys, "damping", None), "loss_tangent", None) or 0.0)
 
 
 def has_complex_constants(part: Part) -> bool:
-    """Return whether complex material constants of IEEE 176 represent the losses of a body."""
+    """Return whether complex material constants (IEEE 176) represent the losses."""
     return getattr(getattr(part.keys, "damping", None), "model", None) == "ieee176"
 
 
@@ -425,8 +428,8 @@ def find_damping(part: Part) -> DampingKeys:
 def make_complex_constants(part: Part, model: LinearModel) -> ComplexConstants:
     """Return the complex material constants that represent the damping of a body.
 
-    The constants are valid at the frequency in the key ``damping.at``. Without this key, they are
-    valid at the first resonance of the ``model``.
+    The constants are valid at the frequency in the key ``damping.at``. Without the key
+    ``damping.at``, the constants are valid at the first resonance of the ``model``.
 
     Raises
     ------
@@ -449,24 +452,25 @@ def make_complex_constants(part: Part, model: LinearModel) -> ComplexConstants:
 def _replace_by_least_damping(
     part: Part, model: LinearModel, band: tuple[float, float]
 ) -> LinearModel:
-    """Return ``model`` with viscous losses that nowhere in the band exceed its constant losses.
+    """Return ``model`` with viscous losses, which are below its constant losses.
 
-    The constant losses are those of the complex material constants. With the larger constant
-    losses, the error of a reduction is at most its error with the viscous losses.
+    The viscous losses equal the constant losses of the complex material constants at the end of the
+    band, and are smaller below. Because the actual constant losses are larger, the error of a
+    reduction is at most its error with the viscous losses.
     """
     loss = make_complex_constants(part, model).loss_factor
     return replace(model, E=None, rayleigh=(0.0, loss / (2 * math.pi * band[1])))
 
 
 def find_full_model(part: Part, scene: Scene, clock: StageTimer) -> LinearModel | None:
-    """Return the full model of a body in its scene; None if no full model has its losses."""
+    """Return the full model in a scene; None if no full model has the body's losses."""
     kind = part.type
     assert isinstance(kind, BodyModel)
     return kind.build(part, scene, clock, full=True)
 
 
 def full_model_without_scene(part: Part, scene: GovernedScene, clock: StageTimer) -> LinearModel:
-    """Return the full model of a body outside its scene, and warn about neglected losses."""
+    """Return the full model of a body without its scene; warn about neglected losses."""
     if tangent := read_loss_tangent(part):
         warnings.warn(
             f"{part.name}.damping.loss_tangent: this model neglects the loss tangent {tangent:g}, "
@@ -495,7 +499,7 @@ def find_scene_band(part: Part, scene: Scene, full: LinearModel) -> tuple[float,
 
 
 def describe_target(rom: RomKeys) -> str:
-    """Return the target of a reduction in words: order or tolerance, and band."""
+    """Return a text with order or tolerance and band of a reduction."""
     low, high = rom.band
     target = f"order {rom.order}"
     if rom.order is None:
@@ -511,7 +515,7 @@ def get_reduction_settings(part: Part, scene: Scene) -> RomKeys:
 
 
 def hash_file(path: Path) -> str:
-    """Return a hash of a file's content, so copies of the file have the same hash."""
+    """Return a hash of a file's content, which is equal for copies of the file."""
     try:
         result = path.stat()
         if not stat.S_ISREG(result.st_mode):
@@ -523,6 +527,6 @@ def hash_file(path: Path) -> str:
 
 @lru_cache(maxsize=64)
 def _hash_content(path: Path, size: int, changed: int) -> str:
-    """Return the hash of a file's content, cached by path, file size and time of last change."""
+    """Return the hash of a file's content, cached by path, size and modification time."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

@@ -30,25 +30,25 @@ from kc2spice.synthesis.realize import UNRATED, subcircuit
 RATING_TEXT = (
     "the electrodes, from rated_voltage or the field limit of the ceramic; not enforced here"
 )
-# largest number of characters of a library name, which consists of scene name and part name
+# largest number of characters of a library name that consists of scene and part name
 _MAX_NAME_LENGTH = 47
 
 
 class BodyNetlist(BodyModel[LinearKeysT]):
-    """Linear part with its subcircuit, the ngspice vectors of its ports, and its equations."""
+    """Linear part with its subcircuit, its result vectors and its equations."""
 
     noise = ("Rnoise",)
 
     def weights(self, part: Part[LinearKeysT], scene: DeclaredScene) -> StepWeights:
-        """Return the weights of the body's modes in the time step control.
+        """Return the weights of the body's modes in the control of time steps.
 
-        The weights are ``COARSE_WEIGHTS`` if the time steps need not resolve the free ringing of
-        the body.
+        If the time steps need not resolve the free ringing of the body, the weights are
+        ``COARSE_WEIGHTS``.
         """
         return COARSE_WEIGHTS if scene.solver.ringing == "coarse" else RINGING_WEIGHTS
 
     def subcircuit_name(self, part: Part[LinearKeysT], scene: Scene) -> str:
-        """Return the part number, or :meth:`make_library_name` for a part without a number."""
+        """Return the part number; without one, a name made of scene and part."""
         scene_name = self.make_library_name(part, scene)
         if not part.keys.number:
             return scene_name
@@ -56,9 +56,9 @@ class BodyNetlist(BodyModel[LinearKeysT]):
         return f"heated_{number}" if self.gives_off_heat(part, scene) else number
 
     def make_library_name(self, part: Part[LinearKeysT], scene: Scene) -> str:
-        """Return a library name that is made of scene name and part name.
+        """Return a library name that consists of the scene name and the part name.
 
-        This name is unique in a folder with the libraries of several scenes.
+        The library name is unique in a folder with the libraries of several scenes.
         """
         name = f"{scene.name[: _MAX_NAME_LENGTH - len(part.name)]}_{part.name}"
         return make_identifier(name, part.name)
@@ -126,7 +126,7 @@ class BodyNetlist(BodyModel[LinearKeysT]):
     def law(
         self, part: Part[LinearKeysT], build: BuiltScene
     ) -> laws.Equations | laws.MissingEquations:
-        """Return the model equations of the part, or the reason why they are not available."""
+        """Return the model equations of the part, or the reason why they are missing."""
         model = build.model(part, LinearModel)
         ports, n, heated = model.ports, part.name, self.gives_off_heat(part, build.scene)
         heat, last = is_heat_model(model), self.reference_terminal(part, build.scene).name
@@ -164,7 +164,8 @@ class BodyNetlist(BodyModel[LinearKeysT]):
         for pin in chain.from_iterable(port.terminals[1:] for port in ports):
             joins.append((pin, f"{n}.{pin}"))
         joins += [(last, f"{n}.{last}")] * heat
-        results: dict[str, laws.WaveCombination] = {}  # results, keyed by the names of vectors
+        # combinations of waveforms, keyed by result name
+        results: dict[str, laws.WaveCombination] = {}
         for port in ports:
             mine, name = f"{n}.{port.name}", get_wave_name(n, ports, port)
             if port.is_paired:

@@ -1,4 +1,4 @@
-"""Ports of a linear part: used ports, pins, paths in equilibrium, and result names."""
+"""Ports of a linear part: used ports, pins, steady-flow paths and result names."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ from kc2spice.scene.model import (
 from kc2spice.scene.part_records import EquilibriumConditions
 from kc2spice.synthesis.terminals import find_reference_pin
 
-# Physical domain by kind of port, for ports with one pin of their own and a shared reference pin.
+# Physical domain of each kind of port that has one pin and shares the reference pin.
 SINGLE_PIN_KINDS = {kind: domain for kind, domain in PORTS.items() if domain.reference}
-# Symbol of the through quantity whose time integral is the output of a port, by kind of port.
+# Symbol of the through quantity for each kind of port; the output of the port is its time integral.
 FLOW_SYMBOLS_OF_PORTS = {
     row.port: row.through_variable.symbol
     for row in SINGLE_PIN_KINDS.values()
@@ -42,11 +42,12 @@ WAVE_WORDS = (
     *(domain.output_symbol for domain in SINGLE_PIN_KINDS.values()),
     *FLOW_SYMBOLS_OF_PORTS.values(),
 )
-ZERO_ENERGY = 1e-13  # largest energy that counts as zero, relative to that of the stiffest mode
+# Largest energy of a mode that counts as zero, relative to the energy of the stiffest mode.
+ZERO_ENERGY = 1e-13
 
 
 class BodyPorts(TouchablePart[LinearKeysT]):
-    """Part with typed ports; a scene uses only ports that other parts or probes refer to.
+    """Part with typed ports, of which a scene uses only the ports that it refers to.
 
     A subclass derives its :meth:`ports` from the keys of the part.
     """
@@ -59,7 +60,7 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         """Return all ports of the body."""
 
     def headline(self, part: Part[LinearKeysT]) -> str:
-        """Return the first line of a body's library, which names the assumptions of the model."""
+        """Return the first line of a library, which states the assumptions of the model."""
         return self.title
 
     def material_rating(self, part: Part[LinearKeysT]) -> float | None:
@@ -75,11 +76,11 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         return known or mesh.get("depoling_voltage_v")
 
     def used_ports(self, part: Part[LinearKeysT], scene: JoinedScene) -> tuple[Port, ...]:
-        """Return the ports of the part that the scene needs.
+        """Return the ports of the part that the scene uses.
 
-        The scene needs the electrical ports, and other ports that a part or probe names. If the
-        body is the only part, all ports are returned, because such a scene only exports the body.
-        An export of a scene returns all ports that the body declares.
+        A scene uses the electrical ports of a body, and the other ports that a part or a probe
+        names. A scene with the body as its only part uses all ports, because the purpose of such a
+        scene is an export. In an export of a scene, a body uses all ports that its keys declare.
         """
         every = self.ports(part, scene)
         if len(scene.parts) == 1 or scene.ports == "all":
@@ -95,7 +96,7 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         return tuple(used) or every[:1]
 
     def used_port_names(self, part: Part[LinearKeysT], scene: JoinedScene) -> list[str]:
-        """Return the names of the ports of the part that the scene needs."""
+        """Return the names of the ports of the part that the scene uses."""
         return list_names(self.used_ports(part, scene))
 
     def pins(self, part: Part[LinearKeysT], scene: JoinedScene) -> tuple[Terminal, ...]:
@@ -124,9 +125,9 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         return (*result, Terminal(last.name, last.unit, last.flow, "gnd"), *heat)
 
     def gives_off_heat(self, part: Part[LinearKeysT], scene: DeclaredScene) -> bool:
-        """Return whether the scene connects the pin ``heat``, which emits the lost power.
+        """Return whether the body emits its lost power as heat at the pin ``heat``.
 
-        Heat bodies do not have this pin, nor do bodies with a port of the same name.
+        A heat body has no such pin, and neither has a body with its own port ``heat``.
         """
         if not is_heated(part, scene):
             return False
@@ -134,14 +135,14 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         return all(p.name != HEAT and p.domain is not THERMAL for p in ports)
 
     def reference_terminal(self, part: Part[LinearKeysT], scene: WiredScene) -> Terminal:
-        """Return the reference pin of all ports that have a single pin."""
+        """Return the reference pin, which all single-pin ports of the part share."""
         last = -1 - len(HEAT_TERMINALS) * self.gives_off_heat(part, scene)
         return scene.pins(part.name)[last]
 
     def equilibrium_conditions(
         self, part: Part[LinearKeysT], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the paths for steady flow in equilibrium: pairs of a pin and the reference pin."""
+        """Return the paths of steady flow: pairs of a pin and the reference pin."""
         last = self.reference_terminal(part, scene)
         end = GROUND if last.name in (BASE, "ground") else last.name
         paths = super().equilibrium_conditions(part, scene).paths
@@ -152,10 +153,10 @@ class BodyPorts(TouchablePart[LinearKeysT]):
     def equilibrium_after_build(
         self, part: Part[LinearKeysT], build: BuiltScene
     ) -> EquilibriumConditions:
-        """Return the paths of steady flow, which depend on the built model.
+        """Return the paths of steady flow for the built model of the body.
 
         The pins of a supported body have paths to the reference pin. The pins of a free body have
-        paths between each other. A steady flow passes an acoustic port only if the body is free.
+        paths to each other. Only in a free body, a steady flow can pass an acoustic port.
         """
         model, rest = build.models.get(part.name), build.scene.records[part.name].rest
         if not isinstance(model, LinearModel):
@@ -176,14 +177,14 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         return EquilibriumConditions((*fixed, *product([first], others)), inertial_pins=inert)
 
     def pins_with_mass(self, part: Part[LinearKeysT], scene: JoinedScene) -> tuple[str, ...]:
-        """Return the pins of the used mechanical ports; each moves a mass."""
+        """Return the pins of the used mechanical ports, each of which moves a mass."""
         ports = mechanical_ports(self.used_ports(part, scene))
         return tuple(port.terminals[0] for port in ports)
 
     def contact_surface(
         self, part: Part[LinearKeysT], scene: GovernedScene, ports: tuple[str, ...] = ()
     ) -> ContactSurface | None:
-        """Return the surface under a contact with its mechanical ports; None without such ports."""
+        """Return the surface under a contact; None without mechanical ports."""
         mechanical = list_names(mechanical_ports(self.ports(part, scene)))
         names = ports or tuple(mechanical[:1])
         missing = [*filterfalse(mechanical.__contains__, names)]
@@ -194,14 +195,14 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         return ContactSurface(part.name, names, (0.0,) * len(names), modulus=modulus)
 
     def indentation_modulus(self, part: Part[LinearKeysT]) -> float | None:
-        """Return the indentation modulus [Pa] of the surface under a contact; None if unknown."""
+        """Return the indentation modulus [Pa] of the body's surface; None if unknown."""
         return None
 
 
 def _reject_missing_ports(
     part: Part, missing: Sequence[str], known: Sequence[str], kind: str = ""
 ) -> None:
-    """Raise an error for the first of the ``missing`` ports; its hint lists ``known`` ports."""
+    """Raise an error if the list ``missing`` of ports is not empty."""
     for name in missing:
         raise unknown(f"{part.name} has no such {kind}port", name, known, part.name)
 
@@ -209,7 +210,7 @@ def _reject_missing_ports(
 def find_required_ports(part: Part, scene: JoinedScene) -> set[str]:
     """Return the names of all ports and pins of ``part`` that the scene refers to.
 
-    Other parts, probes, or the key ``pins`` of the part itself refer to these ports and pins.
+    The references are in other parts, in probes, and in the key ``pins`` of the part.
     """
     prefix = f"{part.name}."
     assert isinstance(part.type, BodyPorts)
@@ -217,7 +218,7 @@ def find_required_ports(part: Part, scene: JoinedScene) -> set[str]:
     for other in scene.parts.values():
         names = (*other.pins.values(), *scene.joins[other.name].values())
         result.update(name.removeprefix(prefix) for name in names if name.startswith(prefix))
-        # If the other part copies the body, the copies have loads on all ports.
+        # A part that copies the body connects loads to all ports of the copies.
         if scene.records[other.name].governed_parts.get(part.name) == "copied":
             result |= {
                 port.name for port in part.type.ports(part, scene) if port.kind in SINGLE_PIN_KINDS
@@ -230,17 +231,17 @@ def find_required_ports(part: Part, scene: JoinedScene) -> set[str]:
 
 
 def mechanical_ports(ports: Iterable[Port]) -> list[Port]:
-    """Return the mechanical ports among ``ports``, which have a displacement and a force."""
+    """Return those of the ``ports`` that have a displacement and a force."""
     return [port for port in ports if port.domain is TRANSLATION]
 
 
 def select_paired_ports(ports: Iterable[Port]) -> list[Port]:
-    """Return those of the ``ports`` that have two pins of their own, such as electrodes."""
+    """Return those of the ``ports`` that have two pins, such as electrodes."""
     return [port for port in ports if port.is_paired]
 
 
 def _list_scene_names(port: Port) -> set[str]:
-    """Return the names by which a scene can refer to a port."""
+    """Return the names of a port in scenes: the name of the port and of its pins."""
     return {port.name, *port.terminals}
 
 
@@ -258,10 +259,10 @@ def requires_massless_ports(part: Part, scene: JoinedScene) -> bool:
 
 
 def list_inertial_pins(model: LinearModel) -> tuple[str, ...]:
-    """Return the displacement pins at which only inertia resists a sudden force.
+    """Return the displacement pins that have an inertia but no direct compliance.
 
-    At these pins, the feedthrough matrix D is zero, and states without mass do not contribute to
-    the displacement.
+    At such a pin, the displacement cannot follow a sudden force, because the feedthrough matrix D
+    and the massless states contribute nothing.
     """
     if model.first_order or not model.symmetric:
         return ()
@@ -273,7 +274,7 @@ def list_inertial_pins(model: LinearModel) -> tuple[str, ...]:
 
 
 def has_energy_free_mode(model: LinearModel) -> bool:
-    """Return whether a mode stores no energy, such as a rigid-body mode of an unsupported body."""
+    """Return whether the model has a mode without stored energy."""
     if compute_resonators(model) is not None:
         return False
     rest = model.pencil.make_dense().coefficients[0]
@@ -288,7 +289,7 @@ def get_wave_name(name: str, ports: Sequence[Port], port: Port) -> str:
     """Return the name of a port in the results.
 
     For an electrical port, the returned name is the prefix of the result names ``.voltage`` and
-    ``.current``. The first electrical port has the name of the part.
+    ``.current``. The first electrical port has the name of the part as its name in the results.
     """
     if port.is_paired:
         return name if port == select_paired_ports(ports)[0] else f"{name}.{port.name}"

@@ -1,10 +1,10 @@
-"""Effects of assumptions about a radiating face of a body on the sound pressure level.
+"""Effects of assumptions about a radiating face on the sound pressure level.
 
-Acoustic parts represent the face by its volume velocity. A part of type ``radiation`` on the face
-is a piston with this volume velocity. In front of a face that works into a cavity, a vent or a
-tube, acoustic parts assume a uniform pressure. This module estimates the effects of the shape of
-the motion, of the baffle, and of the tolerances of resonance, support and Q factor. These effects
-are computed before a simulation from the full model, at the frequency with the largest level.
+Acoustic parts represent a face of a body by its volume velocity. A part of type ``radiation`` on
+the face represents a piston with the volume velocity of the face. Other acoustic parts at the face,
+such as a cavity or a tube, assume a uniform pressure. This module estimates five effects before a
+simulation: shape of the motion, baffle, and the tolerances of resonance frequency, support and Q
+factor. The effects are computed from the full model, at the frequency with the largest level.
 """
 
 from __future__ import annotations
@@ -26,33 +26,35 @@ from kc2spice.parts.bodies._face_response import (
 from kc2spice.scene.part_records import NeglectedEffect
 
 TOLERANCE = 0.01  # relative tolerance of a resonance frequency and of a support's diameter
-# Largest product k a of wave number and radius for which the dipole formula is used.
-# At this k a, the formula differs by about 2 dB from the pressure of a rigid disc without a baffle.
-# Source: F. M. Wiener, J. Acoust. Soc. Am. 23 (1951) 697.
+# Largest product k a of wave number and radius for which the level without a baffle is estimated.
+# At this k a, the dipole formula differs by about 2 dB from the pressure of a rigid disc without a
+# baffle.
+# Source of the dipole formula's error: F. M. Wiener, J. Acoust. Soc. Am. 23 (1951) 697.
 LARGEST_DIPOLE_KA = 1.5
-# Largest difference [dB] of the radiated power without a warning.
-# The difference equals the tolerance of a sound level meter of class 2 (IEC 61672-1).
+# Largest difference [dB] between the radiated powers of face and piston without a warning.
+# The tolerance of a sound level meter of class 2 (IEC 61672-1) has the same value.
 PISTON_TOLERANCE = 1.0
-MIN_PISTON_SHARE = 0.5  # smallest ratio of mean to rms face velocity without a warning
+MIN_PISTON_SHARE = 0.5  # smallest ratio of the mean to the rms velocity of a face without a warning
 
 
 @dataclass(frozen=True)
 class FaceLevelEffects:
-    """Effects of assumptions on the sound level [dB] of a face, at its loudest resonance.
+    """Effects of assumptions on the sound level [dB] of a face at its resonance.
 
     Attributes
     ----------
-    resonance : frequency [Hz] of the loudest resonance.
+    resonance : natural frequency [Hz] of the mode that determines the largest level.
     piston_ratio : ratio of mean to rms velocity of the face; 1 for a piston.
     peak : ratio of the largest to the mean displacement of the face.
-    power : radiated power relative to the power of a piston with the same volume velocity.
-        ``worst`` is the largest difference of all resonances in the band, at ``worst_frequency``
-        [Hz]. Without a part of type ``radiation`` on the face, these three values are 0.
+    power : radiated power [dB] relative to a piston with the same volume velocity. ``worst`` is
+        the largest such difference of all modes in the band, at ``worst_frequency`` [Hz]. All three
+        values are 0 without a part of type ``radiation`` on the face.
     shift : relative change of the resonance frequency by the near field of a face that works into
-        other acoustic parts, infinite if unknown. ``near_field`` is the effect of this shift on
+        other acoustic parts, infinite if unknown. ``near_field`` is the effect [dB] of ``shift`` on
         the level.
     unbaffled : change [dB] of the level without a baffle, None if the body is not a thin disc.
-    detuned : change [dB] of the level 1 % beside the resonance, None without electrodes or sound.
+    detuned : change [dB] of the level at a frequency 1 % beside the resonance. ``detuned`` is None
+        without electrodes or sound.
     halved : change [dB] of the level at half the Q factor, None without electrodes or sound.
     node : diameter [m] of the nodal circle, None without a nodal circle.
     support : changes [dB] of the level on supporting rings with the diameters ``rings`` [m]; empty
@@ -85,7 +87,7 @@ class FaceLevelEffects:
 
 
 def find_node_diameter(motion: FaceMotion, mode: int) -> float | None:
-    """Return the diameter [m] of the innermost nodal circle on a face of a body of revolution."""
+    """Return the diameter [m] of the innermost nodal circle on a face."""
     if not motion.axisymmetric:
         return None
     order = np.argsort(motion.places[0])
@@ -99,7 +101,7 @@ def find_node_diameter(motion: FaceMotion, mode: int) -> float | None:
 
 
 def estimate_face_levels(face: LoadedFace) -> FaceLevelEffects | None:
-    """Return the differences between a face and a piston; None without a resonance in the band."""
+    """Return the effects of assumptions on the level of a face; None without modes."""
     hertz, motion = face.compute_mode_motions()
     select = np.abs(motion.displaced_volumes) > 0
     hertz = hertz[select]
@@ -127,8 +129,8 @@ def estimate_face_levels(face: LoadedFace) -> FaceLevelEffects | None:
     damped = face.find_largest_level(tone, damping=2.0)
     near = 0.0
     if 0 < result.shift < np.inf:
-        # The shift lowers the resonance frequencies, while the frequency of the tone is constant.
-        # The level changes as it would for a tone at a higher frequency without the shift.
+        # The near field lowers the resonance frequency by the fraction ``result.shift``. Relative
+        # to the resonance, the tone therefore rises by this fraction.
         near = float((face.compute_sound_levels([tone * (1 + result.shift)]) - level)[0])
     return replace(
         result, detuned=float(sides.min()), halved=float(damped - level), near_field=near
@@ -138,7 +140,7 @@ def estimate_face_levels(face: LoadedFace) -> FaceLevelEffects | None:
 def _compare_with_piston(
     result: FaceLevelEffects, face: LoadedFace, motion: FaceMotion, hertz: np.ndarray, main: int
 ) -> FaceLevelEffects:
-    """Return ``result`` with the differences in radiated power between the face and a piston."""
+    """Return ``result`` with the radiated power of the face relative to a piston."""
     facing = face.facing
     numbers = 2 * np.pi * hertz / facing.fluid.sound_speed
     if facing.radiation is None:
@@ -163,7 +165,7 @@ def _compare_with_piston(
 
 
 def describe_piston_difference(name: str, facing: FluidAtFace, levels: FaceLevelEffects) -> str:
-    """Return the warning that a face does not move like a piston; empty for a piston-like face."""
+    """Return the warning that a face does not move like a piston; otherwise empty."""
     share = levels.piston_ratio
     differences = (levels.worst, levels.near_field)
     if share >= MIN_PISTON_SHARE and max(map(abs, differences)) <= PISTON_TOLERANCE:
@@ -188,7 +190,7 @@ def describe_piston_difference(name: str, facing: FluidAtFace, levels: FaceLevel
 
 
 def _describe_near_field(levels: FaceLevelEffects) -> str:
-    """Return the largest effect of the near field in a closed volume, in words."""
+    """Return the text for the near field of a face in a closed volume."""
     if math.isinf(levels.shift):
         return "is not estimated, because cross modes of the volume propagate"
     shift = f"lowers the resonance by at most {100 * levels.shift:.2g} %"
@@ -198,14 +200,14 @@ def _describe_near_field(levels: FaceLevelEffects) -> str:
 def list_level_effects(
     name: str, port: str, levels: FaceLevelEffects, *, direct: bool
 ) -> Iterator[NeglectedEffect]:
-    """Yield each assumption about a face, with its effect on the sound level of the face.
+    """Yield the assumptions about a face, each with its effect on the sound level.
 
-    With ``direct``, a part of type ``radiation`` is on the face.
+    ``direct`` states whether a part of type ``radiation`` is on the face.
     """
     place, percent = format_quantity(float(f"{levels.resonance:.4g}"), "Hz"), 100 * TOLERANCE
 
     def make_neglected_effect(of: str, assumption: str, size: str) -> NeglectedEffect:
-        """Return an assumption about the face as a neglected effect with its size."""
+        """Return a neglected effect that names an assumption about the face and its size."""
         return NeglectedEffect(f"{name}: {of}", assumption, size, summarised=True)
 
     if direct:

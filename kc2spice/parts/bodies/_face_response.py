@@ -1,12 +1,12 @@
-"""Sound pressure level of a face behind acoustic parts, computed with the full model of the body.
+"""Sound pressure level of a face, computed with the full model of the body.
 
 The drive voltage V and the pressures p on the faces cause the displaced volumes y of the faces::
 
     y = H_V V + H_p p,     p = -s Z y,     sound pressure = -s g y,     s = j omega
 
 H_V and H_p are responses of the full model, projected on a Krylov basis that contains its lowest
-modes. Z are the acoustic impedances, and g the sound pressures per volume velocity, of
-:class:`~kc2spice.parts.acoustics._acoustic_load.AcousticLoad`.
+modes. Z are the acoustic impedances and g the sound pressures, both per volume velocity, that
+:class:`~kc2spice.parts.acoustics._acoustic_load.AcousticLoad` computes.
 """
 
 from __future__ import annotations
@@ -26,11 +26,12 @@ from kc2spice.parts.acoustics._fluids import FluidTable
 from kc2spice.parts.acoustics.radiation import RadiationKeys
 from kc2spice.rom.linear_model import LinearModel
 
-MAX_MODES = 6  # number of modes that are compared with the motion of a piston
-# Lowest frequency of the search for the largest level, divided by the first natural frequency.
+MAX_MODES = 6  # largest number of modes that are compared with a piston
+# Lowest frequency of the search for the largest level, relative to the first natural frequency.
 LOWEST_SHARE = 0.1
-SEARCH_POINTS = 150  # number of logarithmically spaced frequencies of the search for the level
-# Relative distances from each natural frequency at which the search adds points.
+# number of logarithmically spaced frequencies in the search for the largest level
+SEARCH_POINTS = 150
+# Relative distances from each natural frequency at which the search has additional frequencies.
 MODE_DISTANCES = np.geomspace(1e-4, 0.1, 16)
 MODE_RATIOS = np.concatenate([1 - MODE_DISTANCES, [1.0], 1 + MODE_DISTANCES])
 # Each refinement divides the frequency interval around a peak by (REFINED_POINTS - 1) / 2 = 5.
@@ -38,17 +39,19 @@ REFINEMENTS, REFINED_POINTS = 3, 11
 # Only peaks within this margin [dB] of the largest peak are refined.
 # For a Q factor of 200, a peak between two points of the first search appears lower by this margin.
 PEAK_MARGIN = 12.0
-HALF_OCTAVE = 2**0.5  # largest expected ratio of a resonance's frequencies on two supports
-MIN_PRESSURE = 1e-300  # Pa/V, smallest sound pressure per volt, which avoids the logarithm of zero
+# largest expected ratio of the frequencies of one resonance on two different supports
+HALF_OCTAVE = 2**0.5
+# Pa/V, lower limit of the sound pressure per volt, to avoid the logarithm of zero.
+MIN_PRESSURE = 1e-300
 
 
 @dataclass(frozen=True)
 class FluidAtFace:
-    """Fluid in front of a face, in the acoustic parts ``names``.
+    """Fluid in front of a face, which belongs to the acoustic parts ``names``.
 
-    ``radiation`` contains the keys of the part of type ``radiation`` on the face; it is None if the
-    face works into other parts. ``volume`` [m3] is the smallest closed volume in front of the face,
-    infinite without a closed volume.
+    ``radiation`` contains the keys of the part of type ``radiation`` on the face, or None if other
+    acoustic parts are in front of the face. ``volume`` [m3] is the smallest closed volume in front
+    of the face; it is infinite without a closed volume.
     """
 
     names: tuple[str, ...]
@@ -59,10 +62,11 @@ class FluidAtFace:
 
 @dataclass(frozen=True)
 class LoadedFace:
-    """Full model of a body with an acoustic port, the fluid at this port, and its load.
+    """Full model of a body, with an acoustic port and the acoustic load.
 
-    ``joined`` contains the names of all acoustic ports that the scene connects, in the order of the
-    load. At most ``count`` modes are compared; their natural frequencies are below ``end`` [Hz].
+    ``joined`` contains the names of all connected acoustic ports of the body, in the order of the
+    load. At most ``count`` modes with natural frequencies below ``end`` [Hz] are compared with a
+    piston.
     """
 
     device: FiniteElementModel
@@ -74,19 +78,19 @@ class LoadedFace:
     count: int = MAX_MODES
 
     def compute_mode_motions(self) -> tuple[np.ndarray, FaceMotion]:
-        """Return natural frequencies [Hz] and face motions of the modes in the band."""
+        """Return natural frequencies [Hz] and face motions of the compared modes."""
         hertz, z = compute_lowest_modes(self.device, self.count, self.end)
         return hertz, sample_face_motion(self.device, self.device.faces[self.port], z)
 
     @property
     def is_audible(self) -> bool:
-        """Whether electrodes can drive the model, and its sound reaches a radiating surface."""
+        """Whether electrodes can drive the body and its sound can be computed."""
         driven = any(port.electrical for port in self.device.model.ports)
         return driven and self.load.complete and bool(self.load.sources)
 
     @cached_property
     def _reduced_model(self) -> LinearModel:
-        """Reduced model on a basis that contains the lowest modes."""
+        """Reduced model on a basis that contains the lowest modes of the body."""
         return project_lowest_modes(self.device)
 
     @cached_property
@@ -98,9 +102,9 @@ class LoadedFace:
     def compute_sound_levels(
         self, hertz: Sequence[float] | np.ndarray, damping: float = 1.0
     ) -> np.ndarray:
-        """Return the relative sound pressure level [dB] at each frequency, at a constant voltage.
+        """Return the sound pressure level [dB] per volt at each frequency.
 
-        ``damping`` multiplies all losses of the body.
+        ``damping`` is a factor on all losses of the body.
         """
         f = np.asarray(hertz, dtype=float)
         s = 2j * np.pi * f
@@ -118,7 +122,7 @@ class LoadedFace:
         return np.asarray(20 * np.log10(np.maximum(pressure, MIN_PRESSURE)))
 
     def find_loudest(self, low: float, high: float, damping: float = 1.0) -> tuple[float, float]:
-        """Return the frequency [Hz] with the largest level in a range, and this level."""
+        """Return the frequency [Hz] of the largest level in a range, and this level [dB]."""
         near = self._resonance_frequencies[
             (self._resonance_frequencies > low / 2) & (self._resonance_frequencies < 2 * high)
         ]
@@ -139,7 +143,7 @@ class LoadedFace:
         return float(f[top]), float(levels[top])
 
     def find_largest_level(self, frequency: float, damping: float = 1.0) -> float:
-        """Return the largest sound level [dB] within half an octave of ``frequency`` [Hz]."""
+        """Return the largest level [dB] within half an octave of ``frequency`` [Hz]."""
         return self.find_loudest(frequency / HALF_OCTAVE, frequency * HALF_OCTAVE, damping)[1]
 
 

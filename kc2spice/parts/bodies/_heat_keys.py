@@ -74,7 +74,7 @@ class InterfaceKeys(Section):
 
 
 class LayerKeys(Section):
-    """Layer of a stack; heat flows through the layer along the axis of the stack."""
+    """Keys of a layer; heat flows through the layer along the axis of the stack."""
 
     material: str | dict[str, Any] = Field(
         examples=['"steel"'],
@@ -97,9 +97,9 @@ class LayerKeys(Section):
 
 
 class HeatSourceKeys(Section):
-    """Keys of a place where heat enters the body through a pin.
+    """Keys of a heat source: a place where heat enters the body through a pin.
 
-    The voltage of the pin represents the mean temperature of this place.
+    The voltage of the pin represents the mean temperature of the place.
     """
 
     group: str | None = Field(
@@ -119,7 +119,7 @@ class HeatSourceKeys(Section):
 
     @model_validator(mode="after")
     def _require_place(self) -> HeatSourceKeys:
-        """Reject an entry with both or neither of the keys ``group`` and ``at``."""
+        """Reject an entry with both or none of the keys ``group`` and ``at``."""
         if (self.group is None) == (self.at is None):
             raise make_invalid_value_error(
                 "this entry needs group or at",
@@ -132,8 +132,8 @@ class HeatSourceKeys(Section):
 class HeatBodyKeys(MeshKeys):
     """Keys of a heat-conducting body from a mesh, a CAD file, or a list of layers.
 
-    Layers are listed from the top down. A layered body has the groups ``top`` and ``bottom`` for
-    its faces, and ``layer1``, ``layer2`` … for the volumes of its layers.
+    The list of layers begins at the top. A layered body has the groups ``top`` and ``bottom``
+    (faces), and ``layer1``, ``layer2``, … (volumes of the layers).
     """
 
     layers: tuple[LayerKeys, ...] = Field(
@@ -180,7 +180,7 @@ class HeatBodyKeys(MeshKeys):
 
     @property
     def has_path_to_surroundings(self) -> bool:
-        """Whether heat reaches the surroundings through a fixed face or a film of the body."""
+        """Whether a fixed face or a film connects the body to its surroundings."""
         films = (film for film in self.films if film.coefficient)
         return bool(self.fixed) or None in {film.pin for film in films}
 

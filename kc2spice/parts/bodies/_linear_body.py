@@ -1,4 +1,4 @@
-"""Base class of all parts with a reduced linear model: FE bodies and models from matrices."""
+"""Base class of parts with a reduced linear model, from meshes or matrices."""
 
 from __future__ import annotations
 
@@ -39,16 +39,17 @@ from kc2spice.scene.part_records import LargestRealPartFrequency, NeglectedEffec
 from kc2spice.scene.settings import ProbeKeys
 from kc2spice.synthesis.mode_cards import COARSE_WEIGHTS
 
-# Fraction of an impedance's magnitude below which a negative real part is a rounding error.
+# A negative real part of an impedance below this fraction of the magnitude is a rounding error.
 MAX_ACTIVE_SHARE = 1e-3
-SENSITIVITY_STEP = 1e-2  # relative step of a parameter in the central differences of a metric
+SENSITIVITY_STEP = 1e-2  # relative change of a key for the central difference of a metric
 
 
 class LinearBody(BodyChecks[LinearKeysT]):
     """Base class of linear parts, with metrics, figures and notes.
 
-    Each base class of ``LinearBody`` covers one subject: ports, models, netlist, checks. A subclass
-    derives the :meth:`ports` from its keys and builds the :meth:`full` model of the whole device.
+    Each base class of ``LinearBody`` covers one subject: ports, models, netlist or checks. A
+    subclass derives the :meth:`ports` from the keys of the part, and builds the model of the whole
+    device (:meth:`make_full_model`).
     """
 
     def metrics(
@@ -64,7 +65,8 @@ class LinearBody(BodyChecks[LinearKeysT]):
         result, keys = compute_impedance_metrics(frequency, z), list_varied_keys(part)
         if not keys or "bvd" not in result:
             return result
-        # The sensitivities d ln(metric) / d ln(key) are central differences within the ranges.
+        # The sensitivities d ln(metric) / d ln(key) are central differences within the parameter
+        # ranges.
         box = self.reduce_body_over_ranges(part, build.scene, StageTimer())
         port = select_paired_ports(box.ports)[0].name
         result["sensitivity"] = {}
@@ -101,10 +103,10 @@ class LinearBody(BodyChecks[LinearKeysT]):
     def main_metrics(
         self, part: Part[LinearKeysT], build: BuiltScene
     ) -> Mapping[str, ProbeKeys | LargestRealPartFrequency]:
-        """Return the metric ``resonance_hz`` if the body's conductance has its peak there.
+        """Return the metric ``resonance_hz`` if a peak of the conductance defines it.
 
-        At the frequency ``resonance_hz``, a voltage source at the first electrode delivers the
-        largest in-phase current to a body without other loads.
+        At ``resonance_hz``, a voltage source at the first electrode delivers the largest current in
+        phase with the voltage.
         """
         result = f"{part.name}.current"
         if build.scene.analysis.type != "ac" or result not in build.records[part.name].vectors:
@@ -116,11 +118,11 @@ class LinearBody(BodyChecks[LinearKeysT]):
         )
 
     def lightly_loaded_pins(self, part: Part[LinearKeysT], scene: Scene) -> set[str]:
-        """Return the pins whose loads are so small that the same resonance remains the largest."""
+        """Return the pins with loads so small that they hardly change the resonances."""
         return set()
 
     def _has_single_resonant_drive(self, part: Part[LinearKeysT], build: BuiltScene) -> bool:
-        """Return whether one source drives the body and can excite a resonance."""
+        """Return whether a single source drives the body and excites a resonance."""
         from kc2spice.bodies.impedance import analyse_impedance
 
         scene, model = build.scene, build.model(part, LinearModel)
@@ -142,7 +144,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
         Y = 2j * np.pi * f * model.select([port.name]).transfer(f)[:, 0, 0]
         try:
             resonance = analyse_impedance(f, 1 / Y).resonance_hz
-        except UsageError:  # no resonance in the range
+        except UsageError:  # the frequency range contains no resonance
             return False
         largest = int(Y.real.argmax())
         return bool(f[max(largest - 1, 0)] <= resonance <= f[min(largest + 1, len(f) - 1)])
@@ -198,7 +200,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
     def list_neglected_effects(
         self, part: Part[LinearKeysT], scene: Scene
     ) -> Iterator[NeglectedEffect]:
-        """Yield the free ringing of the body, if ``solver.ringing = "coarse"`` neglects it."""
+        """Yield the free ringing as a neglected effect if the time steps neglect it."""
         if self.weights(part, scene) == COARSE_WEIGHTS:
             why = "solver.ringing lets go of it once nothing presses on the body"
             yield NeglectedEffect(
@@ -206,9 +208,9 @@ class LinearBody(BodyChecks[LinearKeysT]):
             )
 
     def prescribed_ports(self, part: Part[LinearKeysT], model: LinearModel) -> Sequence[str]:
-        """Return the names of ports that may have a prescribed temperature; none by default.
+        """Return the ports with prescribed temperatures; none by default.
 
-        The certificate of the model also covers the responses to prescribed temperatures.
+        The certificate of the model includes the responses to prescribed temperatures.
         """
         return ()
 
@@ -219,7 +221,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
     def compare_with_finer_mesh(
         self, part: Part[LinearKeysT], build: BuiltScene, clock: StageTimer, most: float
     ) -> Iterator[Check | str]:
-        """Yield the relative changes of characteristic values if the element size is halved."""
+        """Yield the changes of characteristic values on a mesh with half the element size."""
         if not self.discretisations:
             return
         (key,), facts = self.discretisations, build.facts(part)
@@ -249,7 +251,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
                 yield Check(name, max(changes), item.warning_limit)
 
     def describe_discretisation(self, part: Part[LinearKeysT], build: BuiltScene) -> str:
-        """Return the error estimate of the mesh, or the reason why there is no estimate."""
+        """Return the error estimate of the mesh, or the reason for a missing estimate."""
         return super().describe_discretisation(part, build) or f"mesh: {NOT_ESTIMATED}"
 
 
@@ -262,11 +264,11 @@ def _read_count(part: Part, key: str) -> int:
 
 
 def compute_impedance_metrics(frequency: np.ndarray, impedance: np.ndarray) -> dict[str, Any]:
-    """Return the metrics of an impedance [Ohm], such as its resonance, and its curve.
+    """Return the metrics of an impedance [Ohm], such as its resonance frequency.
 
-    The metrics are the values that an impedance analyser derives from a measured impedance. If the
-    frequency range contains no resonance, the curve versus frequency is the only metric.
-    ``frequency`` [Hz] and ``impedance`` [Ohm] are arrays of shape (frequencies,).
+    The metrics are the values that an impedance analyser would derive, and the impedance versus
+    frequency. Without a resonance in the frequency range, the impedance versus frequency is the
+    only metric. ``frequency`` [Hz] and ``impedance`` [Ohm] are arrays of shape (frequencies,).
     """
     from kc2spice.bodies.impedance import analyse_impedance
 
@@ -276,12 +278,12 @@ def compute_impedance_metrics(frequency: np.ndarray, impedance: np.ndarray) -> d
     }
     try:
         return curve | _convert_to_metrics(asdict(analyse_impedance(frequency, impedance)))
-    except UsageError:  # no resonance in the range
+    except UsageError:  # the frequency range contains no resonance
         return curve
 
 
 def _convert_to_metrics(figures: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the named values of an impedance analyser as metrics with units."""
+    """Return the values of an impedance analyser as metrics with units."""
     from kc2spice.bodies.impedance import METRIC_UNITS
 
     result: dict[str, Any] = {}
@@ -294,11 +296,11 @@ def _convert_to_metrics(figures: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def compute_impedance(part: Part, waves: Waveforms) -> np.ndarray | None:
-    """Return the impedance ``V / I`` [Ohm] at the first electrical port, computed from waveforms.
+    """Return the impedance ``V / I`` [Ohm] at the first electrical port.
 
-    V and I are the complex voltage and current of the port; the returned array has the shape
-    (frequencies,). Return None if they were not recorded, or if the body supplies power to the
-    circuit, because V / I is then not the impedance of the body.
+    V and I are complex waveforms of the port; the returned array has the shape (frequencies,). The
+    result is None if V or I was not recorded. The result is also None if the body supplies power,
+    because V / I is then not the impedance of the body.
     """
     voltage = waves.data.get(f"{part.name}.voltage")
     current = waves.data.get(f"{part.name}.current")

@@ -1,4 +1,4 @@
-"""Keys common to all linear bodies, and type variables for part types with these keys."""
+"""Keys common to all linear bodies, and the type variables of these keys."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ class LinearKeys(Section):
 class FieldKeys(LinearKeys):
     """Keys for the fields inside a body: stress and electric field, or temperature.
 
-    The key ``fields`` states whether a run computes these fields, or lists the times at which it
-    also writes them to VTU files.
+    The key ``fields`` states whether a run computes the inner fields, or lists the times at which
+    the run also writes them to VTU files.
     """
 
     fields: (

@@ -1,4 +1,4 @@
-"""Keys of bodies from a mesh or CAD file, and functions that read groups and materials."""
+"""Keys of bodies from a mesh or CAD file, and functions to read their groups."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ MESH_FIELD = Field(  # definition of the key ``mesh`` in part types that require
 class GroupKeys(Section):
     """Keys of a group of entities in a CAD file.
 
-    The entities contain one of the given points, or lie in a box.
+    A group contains the entities at given points, or the entities inside a box.
     """
 
     solids: tuple[Point, ...] = Field(
@@ -99,7 +99,7 @@ class GroupKeys(Section):
         return self
 
     def make_selection(self, unit: float) -> dict[str, Any]:
-        """Return the selection of mesh entities, with coordinates in the file's length unit [m]."""
+        """Return the selection of entities; coordinates are multiples of ``unit`` [m]."""
         kind = next(iter(self.model_fields_set)).removesuffix("_in")
         dimension = ("points", "curves", "faces", "solids").index(kind)
         at = np.divide(getattr(self, kind), unit)
@@ -149,7 +149,7 @@ class MeshKeys(FieldKeys):
 
     @property
     def split_count(self) -> int:
-        """Number of times that every edge of a mesh from a file is halved; 0 for a CAD file."""
+        """Number of times that each edge of a mesh file is halved; 0 for a CAD file."""
         return 0 if self.size else int(np.ceil(np.log2(self.refine)))
 
 
@@ -164,7 +164,7 @@ def mesh_path(part: Part[MeshKeys], scene: DeclaredScene) -> Path:
 
 
 def find_mesh_problems(part: Part[MeshKeys], scene: DeclaredScene) -> Iterator[UsageError]:
-    """Yield an error of the part's mesh file, found without reading the whole file."""
+    """Yield the error of an invalid mesh file, without reading the whole file."""
     try:
         path = mesh_path(part, scene)
         mesh_file.require_format(path)
@@ -179,7 +179,7 @@ def find_mesh_problems(part: Part[MeshKeys], scene: DeclaredScene) -> Iterator[U
 
 
 def read_groups(keys: MeshKeys, home: Path, splits: int) -> mesh_file.GroupedMesh:
-    """Read the mesh with its groups; the path of its file is relative to ``home``.
+    """Read the mesh and its groups; the path of the file is relative to ``home``.
 
     Raises
     ------
@@ -199,7 +199,7 @@ def read_groups(keys: MeshKeys, home: Path, splits: int) -> mesh_file.GroupedMes
 
 
 def assign_materials(names: Iterable[str], groups: mesh_file.GroupedMesh) -> np.ndarray:
-    """Return an array (elements,) with each element's material as an index into ``names``.
+    """Return the index of each element's material in ``names``, as an array.
 
     ``names`` are the names of the mesh groups that have a material.
 

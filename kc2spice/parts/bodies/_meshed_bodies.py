@@ -1,9 +1,10 @@
-"""Bodies with a mesh, for which a run computes stress and electric field if ``fields`` is set.
+"""Bodies with a mesh, whose inner fields a run can compute.
 
-The full model computes the fields from the port waveforms of the run
-(:mod:`kc2spice.bodies.fields`). For each material, the results are the largest principal stress and
-the largest electric field, each with its limit. For the instant of the largest stress, a run also
-writes a VTU file and draws the body. An ``ac`` analysis draws the shapes of the lowest modes.
+If the key ``fields`` is set, the full model computes stress and electric field from the waveforms
+at the ports (:mod:`kc2spice.bodies.fields`). The results for each material are the largest
+principal stress and the largest electric field, each with its limit. A run also draws the body at
+the instant of the largest stress, and writes the fields at this instant to a VTU file. An ``ac``
+analysis draws the shapes of the lowest modes.
 """
 
 from __future__ import annotations
@@ -48,11 +49,11 @@ if TYPE_CHECKING:
 _COARSE_MESH_ADVICE = (
     "refine the mesh (its key refine), or set error_budget, which refines all settings"
 )
-MAX_DRAWN_MODES = 6  # number of drawn modes, lowest first
+MAX_DRAWN_MODES = 6  # number of drawn modes, starting from the lowest
 _SINGULARITY_ADVICE = (
     "look at the VTU file: edges of clamps and corners exceed any limit when refined"
 )
-# For each quantity: word and unit in the metric's name, axis label, and effect above the limit.
+# For each quantity: word and unit in its metric's name, axis label, and effect above the limit.
 _FIELD_DESCRIPTIONS = {
     "principal_stress": (
         "stress", "pa", "largest principal stress in MPa", f"it may crack; {_SINGULARITY_ADVICE}",
@@ -69,18 +70,18 @@ _FIELD_DESCRIPTIONS = {
 
 @dataclass(frozen=True)
 class RecoveredFields:
-    """Motion of a body in a run, and the extremes of stress and electric field."""
+    """Motion of a body in a run, with the extremes of stress and electric field."""
 
     motion: NodalMotion
     extremes: tuple[Extreme, ...]
 
     def select_extremes(self, quantity: str) -> list[Extreme]:
-        """Return the extreme of ``quantity`` in each material."""
+        """Return the extremes of ``quantity``, one for each material."""
         return [item for item in self.extremes if item.quantity == quantity]
 
     @property
     def worst_stress(self) -> Extreme:
-        """Stress extreme that is closest to its limit; without limits, the largest stress."""
+        """Stress extreme that is closest to its limit; without limits, the largest."""
         stresses = self.select_extremes("principal_stress")
         limited = [item for item in stresses if item.limit]
         if not limited:
@@ -89,11 +90,11 @@ class RecoveredFields:
 
 
 class MeshedBody(SoundingBody[FieldKeysT]):
-    """Body with a mesh and the key ``fields``; a subclass builds its finite-element model."""
+    """Base class of bodies with a mesh and the key ``fields``."""
 
     @abstractmethod
     def envelope(self, part: Part[FieldKeysT], scene: DeclaredScene) -> Envelope:
-        """Return the outer size of the body, from which neglected effects are estimated."""
+        """Return the outer size of the body, used to estimate neglected effects."""
 
     @abstractmethod
     def describe_support(self, part: Part[FieldKeysT]) -> str:
@@ -116,10 +117,10 @@ class MeshedBody(SoundingBody[FieldKeysT]):
         """Build the full finite-element model of the body with its mesh."""
 
     def get_fe_model(self, part: Part[FieldKeysT], scene: GovernedScene) -> FiniteElementModel:
-        """Return the full finite-element model, from the workspace if it contains the model.
+        """Return the full finite-element model, from the workspace if possible.
 
-        The workspace stores the latest model of each part type, because the next scene often needs
-        another reduction of the same model.
+        The workspace contains the latest model of each part type, because consecutive scenes often
+        reduce the same model differently.
         """
         key = json.dumps([part.name, self.make_full_model_key(part, scene)], sort_keys=True)
         return scene.workspace.get_or_compute(
@@ -157,7 +158,7 @@ class MeshedBody(SoundingBody[FieldKeysT]):
     def checks(
         self, part: Part[FieldKeysT], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Check | RunEnergyBalance]:
-        """Yield the checks of the body after a run, with mesh errors, stress and field limits."""
+        """Yield checks of the body: mesh errors, stress and electric field."""
         yield from super().checks(part, build, waves)
         yield from check_mesh(part, build)
         recovered = self.recover_inner_fields(part, build, waves)
@@ -212,7 +213,7 @@ class MeshedBody(SoundingBody[FieldKeysT]):
     ) -> RecoveredFields | None:
         """Return the motion, stress and electric field inside the body during a transient.
 
-        Return None without the key ``fields``, or in other analyses.
+        The result is None without the key ``fields``, and in analyses other than a transient.
 
         Raises
         ------
@@ -222,7 +223,7 @@ class MeshedBody(SoundingBody[FieldKeysT]):
             return None
 
         def recover_fields() -> tuple[Waveforms, RecoveredFields]:
-            """Compute the waveforms of the fields, and their extremes in each material."""
+            """Compute the waveforms of the fields and their extremes in each material."""
             from kc2spice.bodies.fields import find_extremes, recover_motion
 
             loads = self.list_port_loads(part, build, waves)
@@ -235,8 +236,8 @@ class MeshedBody(SoundingBody[FieldKeysT]):
             motion = recover_motion(self.get_fe_model(part, build.scene), waves["time"], loads)
             return waves, RecoveredFields(motion, tuple(find_extremes(motion)))
 
-        # The stored result contains a reference to ``waves``.
-        # No other object can therefore get the ``id`` of ``waves``, which is the key of the result.
+        # The stored result contains a reference to ``waves``, so no other object can get the same
+        # ``id``, which is the key of the result.
         kind = f"fields of {part.name}"
         return build.workspace.get_or_compute(kind, id(waves), recover_fields)[1]
 
@@ -246,8 +247,8 @@ def find_field_problems(
 ) -> Iterator[UsageError]:
     """Yield the error of an invalid key ``fields``.
 
-    The key ``fields`` is valid only in transients. With the argument ``shapes``, the value ``true``
-    is also valid in ac analyses, where a run draws the mode shapes.
+    The key ``fields`` is valid only in transients. With the argument ``shapes``, ``fields = true``
+    is also valid in an ac analysis, which then draws mode shapes.
     """
     kind, instants = scene.analysis.type, list_field_instants(part)
     drawn = shapes and kind == "ac" and not instants
@@ -267,7 +268,7 @@ def find_field_problems(
 
 
 def check_mesh(part: Part, build: BuiltScene) -> Iterator[Check]:
-    """Yield checks of the error estimates of a part's mesh against their limits."""
+    """Yield checks of the mesh: its error estimates against their limits."""
     for words, error, limit in list_limited_errors(build.facts(part)):
         name = f"mesh of {part.name}, {words}"
         yield Check(name, error, limit, "relative, estimated", _COARSE_MESH_ADVICE, "warn")
@@ -279,7 +280,7 @@ def list_field_instants(part: Part[FieldKeys]) -> tuple[float, ...]:
 
 
 class BondedBody(MeshedBody[FieldKeysT]):
-    """Body of bonded blocks, which the function ``structure`` of a subclass derives from its keys.
+    """Body of bonded blocks; ``structure`` derives the blocks from the keys.
 
     A block is a box or ring of one material.
     """
@@ -288,7 +289,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
     structure: Callable[[Any, str], BondedBlocks]
 
     def is_clamped(self, part: Part[FieldKeysT]) -> bool:
-        """Return whether the rim is clamped, so that air cannot flow around it."""
+        """Return whether the rim of the body is clamped, so that no air flows around it."""
         return False
 
     def make_bonded_blocks(self, part: Part[FieldKeysT]) -> BondedBlocks:
@@ -296,7 +297,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
         return _build_bonded_blocks(self, part.keys.model_dump_json(exclude={"rom"}), part.name)
 
     def select_used_faces(self, part: Part[FieldKeysT], scene: DeclaredScene) -> BondedBlocks:
-        """Return the blocks with only those acoustic ports that the scene uses."""
+        """Return the blocks with those acoustic ports that the scene uses."""
         bonded, named = self.make_bonded_blocks(part), {}
         for name, face in bonded.faces.items():
             if name in part.pins or scene.is_target(part.name, name):
@@ -306,7 +307,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
     def make_full_model_key(
         self, part: Part[FieldKeysT], scene: GovernedScene
     ) -> Mapping[str, Any]:
-        """Return the cache key of the full model, which includes the used acoustic ports."""
+        """Return the cache key of the full model with the acoustic ports that are used."""
         key, faces = (
             super().make_full_model_key(part, scene),
             [*self.select_used_faces(part, scene).faces],
@@ -320,7 +321,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
     def pin_directions(
         self, part: Part[FieldKeysT], scene: DeclaredScene
     ) -> Mapping[str, tuple[float, ...]]:
-        """Return the unit vector of each mechanical port by pin; all of them point upwards."""
+        """Return the upward unit vector of each mechanical port, keyed by pin."""
         result = {}
         for port in self.ports(part, scene):
             if port.domain in (TRANSLATION, ACCELERATION):
@@ -338,7 +339,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
         clock: StageTimer,
         like: Part[FieldKeysT],
     ) -> LinearModel:
-        """Return the full model of ``part`` on the mesh of ``like``, whose nodes are moved."""
+        """Return the full model of ``part`` on the moved mesh of ``like``."""
         body = replace(self.select_used_faces(part, scene), like=self.make_bonded_blocks(like))
         return body.build_fe_model().model
 
@@ -351,7 +352,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
         return len(self.make_bonded_blocks(part).blocks[0].box)
 
     def envelope(self, part: Part[FieldKeysT], scene: DeclaredScene) -> Envelope:
-        """Return the outer size of the blocks, from which neglected effects are estimated."""
+        """Return the outer size of the blocks, used to estimate neglected effects."""
         blocks = self.make_bonded_blocks(part).blocks
         if len(blocks[0].box) == 3:
             return make_beam_envelope(blocks)
@@ -366,8 +367,8 @@ class BondedBody(MeshedBody[FieldKeysT]):
     def problems(self, part: Part[FieldKeysT], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield an error for each invalid key of a body, and for each implausible layer.
 
-        The width of a layer is the width of the whole body; in bodies without a width, it is the
-        diameter of the layer.
+        The width of a layer is the key ``width`` of the body, or otherwise the diameter of the
+        layer.
         """
         yield from super().problems(part, scene)
         layers, width = getattr(part.keys, "layers", ()), getattr(part.keys, "width", None)
@@ -378,7 +379,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
         yield from check_layers(f"{part.name}.layers", result, plate=width is None)
 
     def outline(self, part: Part[FieldKeysT], scene: Scene) -> Iterator[Shape]:
-        """Yield the side view of the blocks, with the highest face at height zero.
+        """Yield the side view of the blocks, with the top at the height zero.
 
         A block with a bore is drawn on both sides of the axis. The first block of each kind has an
         entry in the legend.
@@ -387,7 +388,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
         top = max(block.box[-1][1] for block in blocks)
         for block in blocks:
             made_of, (inner, outer), (low, high) = block.material, block.box[0], block.box[-1]
-            if len(block.box) == 3:  # a beam is drawn with its middle at x = 0
+            if len(block.box) == 3:  # the middle of a beam is drawn at x = 0
                 outer /= 2
             label = f"{part.name}: {made_of.name}, {2e3 * outer:g} mm by {1e3 * (high - low):g} mm"
             kind: Literal["ceramic", "metal"] = "ceramic" if made_of.is_piezoelectric else "metal"
@@ -400,12 +401,12 @@ class BondedBody(MeshedBody[FieldKeysT]):
 
 @lru_cache(maxsize=32)
 def _build_bonded_blocks(kind: BondedBody, keys: str, name: str) -> BondedBlocks:
-    """Return the blocks of a body of type ``kind`` from a JSON string of its keys."""
+    """Return the blocks of a body of type ``kind`` from the JSON text of its keys."""
     return kind.structure(kind.schema.model_validate_json(keys), name)
 
 
 def make_metric_word(material: str) -> str:
-    """Return a material name as part of a metric's name: letters, digits and underscores."""
+    """Return a material name in letters, digits and underscores for metric names."""
     return re.sub(r"[^a-z0-9]+", "_", material.lower()).strip("_")
 
 
@@ -414,7 +415,8 @@ def _plot_extremes(name: str, recovered: RecoveredFields) -> Figure:
     panels = []
     for quantity, (_, _, label, _) in _FIELD_DESCRIPTIONS.items():
         rows = recovered.select_extremes(quantity)
-        if quantity == "opposing_field":  # omit curves that equal the curves of the electric field
+        # omit each curve that repeats a curve of the electric field
+        if quantity == "opposing_field":
             rows = [e for e in rows if e.limit and e.value > 0]
         if not rows:
             continue

@@ -1,8 +1,8 @@
-"""Effects that all finite-element bodies neglect, each with its size if a formula exists.
+"""Effects that all finite-element bodies neglect, with estimates of their size.
 
-The input of these formulas is an :class:`Envelope` with outer size, mass and layers. These values
-follow from the keys before a mesh exists. An effect that the model includes, such as a layer of
-glue, is not listed.
+The formulas for the sizes use an :class:`Envelope` with outer size, mass and layers of a body. An
+envelope is derived from the keys of a body before a mesh exists. An effect that the model of a body
+includes, such as a layer of glue, is not listed.
 """
 
 from __future__ import annotations
@@ -21,12 +21,13 @@ from kc2spice.physics.declaration import ONE_TEMPERATURE
 from kc2spice.scene.part_records import NeglectedEffect
 
 if TYPE_CHECKING:
-    # Imported for annotations only, because the module loads the finite elements.
+    # Imported for annotations only, because the import of ``device`` also loads the finite
+    # elements.
     from kc2spice.bodies.device import Block
 
 # Heat transfer coefficient [W/(m^2 K)] from a small surface to still air.
-# The coefficient includes convection and radiation, for surfaces of 10 mm to 50 mm.
-# The surfaces are about 20 K warmer than the air.
+# The coefficient includes convection and radiation of surfaces with sizes of 10 mm to 50 mm.
+# The coefficient is valid for surfaces that are about 20 K warmer than the air.
 # Source of the coefficient: VDI Heat Atlas, 2nd ed. 2010, sections F2 and K1.
 COOLING_COEFFICIENT = 10.0
 GLUE_THICKNESS = 10e-6  # thickness [m] of an epoxy joint that is pressed during curing
@@ -37,11 +38,12 @@ NOT_ESTIMATED_TEXT = "not estimated"
 
 @dataclass(frozen=True)
 class Envelope:
-    """Outer size, mass and layers of a body, from which neglected effects are estimated.
+    """Outer size, mass and layers of a body, used to estimate neglected effects.
 
     Attributes
     ----------
-    air : mass [kg] of the air that moves with the body, None if no formula exists for its shape.
+    air : mass [kg] of the air that moves with the body, None if no formula exists for the shape of
+        the body.
     mass : mass of the body [kg], None before the mesh exists.
     surface : surface area [m^2] of the body; for a user's mesh, of its bounding box.
     layers : glued layers from the bottom up; bodies with bolts and mesh files have none.
@@ -59,16 +61,16 @@ class Envelope:
 
 
 def compute_disc_air_mass(radius: float) -> float:
-    """Return the mass [kg] of air that a rigid disc without a baffle moves on both sides.
+    """Return the mass [kg] of air on both sides of a rigid disc without a baffle.
 
     The mass is ``8/3 rho a^3`` for the radius a and the density rho of air. In a baffle, the disc
-    moves this mass on each side (L. L. Beranek, Acoustics, 1986, section 5.2).
+    moves the mass ``8/3 rho a^3`` on each side (L. L. Beranek, Acoustics, 1986, section 5.2).
     """
     return 8 / 3 * AIR_DENSITY * radius**3
 
 
 def make_disc_envelope(blocks: Sequence[Block], baffled: bool, glued: bool) -> Envelope:
-    """Return the envelope of a body of revolution; air cannot flow around a ``baffled`` rim."""
+    """Return the envelope of a body of revolution, with or without a ``baffled`` rim."""
     boxes = np.array([block.box for block in blocks])
     radius = float(boxes[:, 0, 1].max())
     low, high = float(boxes[:, 1, 0].min()), float(boxes[:, 1, 1].max())
@@ -100,12 +102,12 @@ def make_beam_envelope(blocks: Sequence[Block]) -> Envelope:
 
 
 def estimate_box_envelope(sides: Sequence[float]) -> Envelope:
-    """Return the envelope of a box whose side lengths [m] are ``sides``.
+    """Return the envelope of a box with the side lengths [m] ``sides``.
 
-    If only two sides are stated, they are the radius and the height of a cylinder.
+    Two values in ``sides`` are the radius and the height of a cylinder.
 
-    The mass of the moved air is at most ``8/3 rho a^3``. A disc of this radius a has the area of
-    the largest face.
+    The mass of the air that the box moves is at most ``8/3 rho a^3``. A disc with the radius a has
+    the area of the largest face.
     """
     if len(sides) == 2:
         radius, height = sides
@@ -123,8 +125,8 @@ def estimate_neglected_effects(
 ) -> Iterator[NeglectedEffect]:
     """Yield the effects that the model of the body ``name`` neglects.
 
-    If ``support`` names a mounting, one of the effects is the compliance of the mounting. The heat
-    of the losses of a ``heated`` body flows out of its pin ``heat``.
+    A nonempty text ``support`` describes a mounting, whose compliance is then one of the effects.
+    The heat from the losses of a ``heated`` body flows out of its pin ``heat``.
     """
     yield NeglectedEffect(
         f"{name}: load of the air", "its mass and its radiation", _describe_air(envelope)
@@ -148,7 +150,7 @@ def estimate_neglected_effects(
 
 
 def _describe_air(envelope: Envelope) -> str:
-    """Return the effect of the moved air on the first resonance, in words.
+    """Return a text with the effect of the moved air on the first resonance.
 
     The added air mass m_a lowers the natural frequency of a body with the mass m by the fraction
     ``1 - (1 + m_a/m)^-1/2``.
@@ -175,11 +177,11 @@ def _estimate_glue_effect(name: str, envelope: Envelope) -> Iterator[NeglectedEf
 
 
 def compute_shear_transfer_length(below: Block, above: Block) -> float:
-    """Return the length [m] over which the shear of the glue transfers strain between layers.
+    """Return the length [m] over which glue transfers strain between two layers.
 
-    The length is ``(t_g / (G (1/(E1 t1) + 1/(E2 t2))))^1/2``. t1 and t2 are the thicknesses of the
-    layers, E1 and E2 their Young's moduli, and t_g and G the thickness and the shear modulus of the
-    glue (E. F. Crawley and J. de Luis, AIAA J. 25 (1987) 1373).
+    The length is ``(t_g / (G (1/(E1 t1) + 1/(E2 t2))))^1/2``. The layers have the thicknesses t1
+    and t2 and Young's moduli E1 and E2. The glue has the thickness t_g and the shear modulus G (E.
+    F. Crawley and J. de Luis, AIAA J. 25 (1987) 1373).
     """
     shear = find_material("epoxy").C[3, 3]
     softness = 1 / (_compute_youngs_modulus(below) * below.thickness)

@@ -1,4 +1,4 @@
-"""Bodies that radiate sound: warnings, neglected effects and the error of the sound level."""
+"""Bodies that radiate sound: warnings, neglected effects and sound level errors."""
 
 from __future__ import annotations
 
@@ -51,11 +51,11 @@ class SoundingBody(LinearBody[FieldKeysT]):
         node: float | None,
         changes: Iterable[float],
     ) -> dict[float, FiniteElementModel]:
-        """Return full models on supporting rings of changed diameter, keyed by the diameter [m].
+        """Return full models on supporting rings, keyed by the diameter [m] of the ring.
 
         A free body is supported on its nodal circle, which has the diameter ``node``. ``changes``
-        contains the relative changes of the diameter. Rings that are larger than the body are left
-        out. If no ring supports the body, the returned dictionary is empty.
+        contains the relative changes of the ring's diameter. Diameters that are larger than the
+        body are left out. If no ring supports the body, the returned dictionary is empty.
         """
         return {}
 
@@ -84,14 +84,14 @@ class SoundingBody(LinearBody[FieldKeysT]):
         return result
 
     def lightly_loaded_pins(self, part: Part[FieldKeysT], scene: Scene) -> set[str]:
-        """Return the pins of faces that radiate into a gas, which is a light load."""
+        """Return the pins of faces with a light load, which radiate directly into a gas."""
         facing = self.facing_fluids(part, scene)
         return {port for port, item in facing.items() if item.radiation and item.fluid.is_gas}
 
     def estimate_levels_by_port(
         self, part: Part[FieldKeysT], scene: Scene
     ) -> dict[str, FaceLevelEffects]:
-        """Return the effects of the assumptions about each face, keyed by the name of its port."""
+        """Return the effects of assumptions about each face, keyed by the port name."""
         result = {}
         for port, facing in self.facing_fluids(part, scene).items():
             levels = self._load_or_estimate_levels(part, scene, port, facing)
@@ -102,13 +102,14 @@ class SoundingBody(LinearBody[FieldKeysT]):
     def _load_or_estimate_levels(
         self, part: Part[FieldKeysT], scene: Scene, port: str, facing: FluidAtFace
     ) -> FaceLevelEffects | None:
-        """Return the effects of assumptions about a face from the cache, or estimate them."""
+        """Return the effects of assumptions about a face, from the cache if possible."""
         from kc2spice.parts.acoustics._acoustic_load import collect_load
         from kc2spice.parts.bodies._face_levels import FaceLevelEffects
         from kc2spice.parts.bodies._face_response import MAX_MODES, LoadedFace
 
         end = float(self.choose_reduction(part, scene).band[1])
-        # A transient mainly excites the first mode, so a piston is compared with this mode only.
+        # A transient mainly excites the first mode, so only the first mode is compared with a
+        # piston.
         count = MAX_MODES if scene.analysis.is_small_signal else 1
         faces = [item for item in self.used_ports(part, scene) if item.domain is ACOUSTIC]
         joined = tuple(item.name for item in faces)
@@ -135,7 +136,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
             return self._estimate_levels(part, scene, face)
 
         def load_or_estimate_effects() -> FaceLevelEffects | None:
-            """Return the effects of the assumptions from the cache; compute them if necessary."""
+            """Return the effects of assumptions from the cache, or compute them."""
             sources = (*LEVEL_SOURCES, "kc2spice.parts.acoustics", "kc2spice.parts.bodies")
             return load_or_build("face", key, build, classes=(FaceLevelEffects,), sources=sources)
 
@@ -146,7 +147,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
     def _estimate_levels(
         self, part: Part[FieldKeysT], scene: Scene, face: LoadedFace
     ) -> FaceLevelEffects | None:
-        """Return the effects of the assumptions about a face and about its supporting ring."""
+        """Return the effects of assumptions about a face and its supporting ring."""
         from kc2spice.parts.bodies._face_levels import TOLERANCE, estimate_face_levels
 
         result = estimate_face_levels(face)
@@ -162,9 +163,10 @@ class SoundingBody(LinearBody[FieldKeysT]):
     def build(
         self, part: Part[FieldKeysT], scene: Scene, clock: StageTimer, full: bool = False
     ) -> LinearModel | None:
-        """Build the model of the body, and warn about faces that do not move like a piston.
+        """Build the model of the body; warn about faces that do not move like a piston.
 
-        If an acoustic part at the face states ``motion = "piston"``, no warning is printed.
+        If an acoustic part at a face states ``motion = "piston"``, there is no warning about this
+        face.
         """
         from kc2spice.parts.bodies._face_levels import describe_piston_difference
 
@@ -222,7 +224,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
     def _face_displacements(
         self, part: Part[FieldKeysT], build: BuiltScene, waves: Waveforms
     ) -> dict[str, np.ndarray]:
-        """Return the mean displacement [m] of each face with a recorded volume velocity."""
+        """Return the mean displacement [m] of each face whose volume velocity is recorded."""
         from kc2spice.bodies.device import get_area_name
         from kc2spice.parts.acoustics._displacement_figure import integrate_flow
 
@@ -251,7 +253,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
 
 
 def _states_piston_motion(names: Iterable[str], scene: Scene) -> bool:
-    """Return whether one of the parts at a face states that the face moves like a piston."""
+    """Return whether a part at a face states that the face moves like a piston."""
     keys = (scene.parts[name].keys for name in names)
     return any(isinstance(item, FluidKeys) and item.motion is not None for item in keys)
 
@@ -259,9 +261,9 @@ def _states_piston_motion(names: Iterable[str], scene: Scene) -> bool:
 def _describe_peak(
     port: str, levels: FaceLevelEffects, waves: Waveforms, displacement: np.ndarray
 ) -> str:
-    """Return a sentence with the largest displacement of a face at resonance.
+    """Return a sentence about the largest displacement of a face at resonance.
 
-    The displacement is computed from the mode shape and the mean displacement.
+    The largest displacement is the product of the mean displacement and ``levels.peak``.
     """
     place = levels.resonance
     mean = float(np.interp(place, waves.scale.real, np.abs(displacement)))

@@ -1,6 +1,6 @@
-"""Keys of a body that become parameters of its netlist because ``rom.parameters`` lists them.
+"""Keys of a body that ``rom.parameters`` lists as parameters of its netlist.
 
-The module also contains functions that change the values of these keys.
+The module also contains functions that return a part with other values of such keys.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ MIN_RELATIVE_WIDTH = 1e-3  # smallest relative width of a range
 
 @dataclass(frozen=True)
 class VariedKey:
-    """A numeric key of the part, such as ``layers[1].thickness``, with SI unit, value and range.
+    """Numeric key of a part, such as ``layers[1].thickness``, with unit and range.
 
-    The range may begin at zero.
+    A range from zero is possible for some part types.
     """
 
     key: str
@@ -40,14 +40,14 @@ class VariedKey:
 
     @property
     def parameter_axis(self) -> ParameterAxis:
-        """Parameter of the reduction that represents the key, with its range."""
+        """Parameter with a range that represents the key in the reduction of the model."""
         return ParameterAxis(self.key, self.low, self.high, from_zero=self.low == 0)
 
     @property
     def netlist_parameter(self) -> Param:
         """Parameter of the netlist that represents the key."""
         name = re.sub(r"\W+", "_", self.key).strip("_")
-        unit = self.unit.replace(" ", "*") or "-"  # a unit is one word of a header
+        unit = self.unit.replace(" ", "*") or "-"  # a header needs a unit without blanks
         return Param(name, self.value, unit, self.key, self.low, self.high)
 
 
@@ -79,7 +79,7 @@ def list_varied_keys(part: Part[LinearKeysT]) -> tuple[VariedKey, ...]:
 
 
 def read_key_values(keys: Iterable[VariedKey]) -> dict[str, float]:
-    """Return the values of the keys in the part, by name of the key."""
+    """Return the value of each key in the part, by name of the key."""
     return {item.key: item.value for item in keys}
 
 
@@ -96,7 +96,7 @@ def make_varied_key(
     where: str | None = None,
     from_zero: bool = False,
 ) -> VariedKey:
-    """Return a key with its range, whose two ``ends`` can be in any order.
+    """Return a key with its range; the two ``ends`` may have any order.
 
     With ``from_zero``, the range may begin at zero.
 
@@ -121,7 +121,7 @@ def make_varied_key(
 
 
 def check_parameter_ranges(part: Part[LinearKeysT], scene: GovernedScene) -> Iterator[UsageError]:
-    """Yield the errors of invalid parameter ranges, found without building a full model."""
+    """Yield the error of invalid parameter ranges, without building a full model."""
     try:
         keys = list_varied_keys(part)
         ranges = {item.key: (item.low, item.high) for item in keys}
@@ -189,7 +189,7 @@ def _make_non_numeric_key_error(part: Part, key: str, where: str) -> UsageError:
     below = plain.rpartition(".")[0] + "." if "." in plain else ""
     leaves = [above + name.removeprefix(below) for name in known if name.startswith(below)]
     near = did_you_mean(key, leaves) or did_you_mean(plain, known)
-    if near and not above:  # a key of an entry of a list needs the number of the entry
+    if near and not above:  # a key inside a list entry must contain the index of the entry
         near = re.sub(r"'(layers|front|back)\.", r"'\1[0].", near)
     return wrong(where, f"{part.name} has no numeric key of this name", key, expected, near)
 

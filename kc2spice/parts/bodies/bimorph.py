@@ -1,15 +1,15 @@
 """The part ``bimorph``: a layered rectangular beam or plate that bends.
 
-The part models unimorphs, series bimorphs and parallel bimorphs. A beam of metal alone has no
+The part represents unimorphs, series bimorphs and parallel bimorphs. A beam of metal alone has no
 electrical pins.
 
-x runs along the length from the clamp, y along the width, z up. Every layer consists of quadratic
-hexahedra. The model therefore includes the bending of plates, the lateral contraction at the clamp
-and the field inside the layers. Beam theory neglects these three effects. Both faces of a
-piezoelectric layer are completely covered by electrodes. Two faces form one electrode if they lie
-on the same conductor, or if two piezoelectric layers touch at these faces. A positive voltage at
-the anode bends the tip up: the voltage contracts layers above the middle and stretches layers below
-the middle.
+The x axis runs along the length from the clamp, the y axis along the width, and the z axis upwards.
+Every layer consists of quadratic hexahedra. The model therefore includes the bending of plates, the
+lateral contraction at the clamp, and the electric field inside the layers. Beam theory neglects
+these three effects. Electrodes cover both faces of a piezoelectric layer completely. Two faces form
+one electrode if they touch the same conductor, or if they are touching faces of two piezoelectric
+layers. A positive voltage at the anode contracts the layers above the middle and stretches the
+layers below the middle. The voltage thereby bends the tip up.
 
 * *series*: the anode is on top, the cathode is at the bottom, and all electrodes in between float;
 * *parallel*: from the top down, the electrodes belong alternately to the anode and the cathode.
@@ -45,7 +45,7 @@ from kc2spice.parts.bodies._meshed_bodies import BondedBody
 from kc2spice.scene.model import Part
 from kc2spice.scene.parttype import register_part_type
 
-# Numbers of elements along and across the beam for ``mesh.refine = 1``.
+# Numbers of elements along and across the beam if ``mesh.refine`` is 1.
 ELEMENTS_ALONG = 20
 ELEMENTS_ACROSS = 4
 GRADING_RATIO = 1.6
@@ -62,12 +62,14 @@ class BimorphLayer(Section):
 
 
 class BimorphKeys(FieldKeys):
-    """``support`` is *cantilever* (clamped at x = 0), *clamped* (at both ends), *simply_supported*
-    (on knife edges under both ends), *free*, or *quarter*. A *quarter* models a quarter of a plate
-    that is clamped along all edges: it is clamped at x = 0 and y = 0, and its other sides are
-    mirror planes. ``tip_mass`` is distributed over the end face. ``points`` are further ports on
-    the centre line of the top face, each given by its distance from the clamp. For a *quarter*,
-    this line is the centre line of the whole plate.
+    """Keys of a layered beam, or of a quarter of a layered plate.
+
+    ``support`` is *cantilever* (clamped at x = 0), *clamped* (at both ends), *simply_supported*
+    (on knife edges under both ends), *free*, or *quarter*. A *quarter* is a quarter of a plate that
+    is clamped along all edges. The quarter is clamped at x = 0 and y = 0, and its other sides are
+    mirror planes. ``tip_mass`` is distributed evenly over the end face. ``points`` are additional
+    ports on the centre line of the top face, each stated as a distance from the clamp. For a
+    *quarter*, ``points`` are on the centre line of the whole plate.
     """
 
     length: Extent = Field(gt=0, description="Free length of the beam, without its clamped ends")
@@ -119,7 +121,7 @@ class BimorphKeys(FieldKeys):
 
     @model_validator(mode="after")
     def _check_consistency(self) -> BimorphKeys:
-        """Reject ``rows`` without ``patches``, and points with wrong names or positions."""
+        """Reject ``rows`` without ``patches``, and invalid names or positions of points."""
         if self.rows and self.patches is None:
             raise make_invalid_value_error(
                 "rows needs the key `patches`",
@@ -147,9 +149,9 @@ def make_bimorph_blocks(
 ) -> BondedBlocks:
     """Return the layers of a bimorph with electrodes, support, ports and tip mass.
 
-    ``mesh.refine`` divides the element edges in the plane of the layers. Through the thickness, the
-    mesh is refined by half this factor, because a single quadratic element already represents the
-    bending of a plate.
+    ``mesh.refine`` divides the element size in the plane of the layers. The element size through
+    the thickness is divided by only half of ``mesh.refine``, because a single quadratic element
+    already represents the bending of a plate.
 
     Raises
     ------
@@ -177,11 +179,11 @@ def make_bimorph_blocks(
         return (0.0, length), (0.0, width), (height, height)
 
     def make_cross_section(x: float, y: tuple[float, float], z: tuple[float, float]) -> Box:
-        """Return the part of the cross-section at ``x`` that the intervals ``y`` and ``z`` span."""
+        """Return the rectangle at ``x`` that the intervals ``y`` and ``z`` span."""
         return (x, x), y, z
 
     # Electrodes are listed from the bottom up.
-    # The faces on one conductor, or the touching faces of two ceramic layers, form one electrode.
+    # Faces on the same conductor, or touching faces of two ceramic layers, form one electrode.
     ends = [*chain.from_iterable(map(spans.__getitem__, active))]
     levels = [ends[:1], *zip(ends[1:-1:2], ends[2::2], strict=True), ends[-1:]] if active else []
     series = beam.wiring != "parallel"
@@ -243,9 +245,9 @@ def make_bimorph_blocks(
 
 
 def _make_grid(beam: BimorphKeys, heights: list[float]) -> tuple[np.ndarray, ...]:
-    """Return the grid lines of the mesh along the beam, across it and through the layers.
+    """Return the grid lines of the mesh along, across and through the beam.
 
-    The lines along the beam are closer to each other near the clamps.
+    The grid lines along the beam are denser near the clamps.
     """
     refine, rows = beam.mesh.refine, beam.rows or 1
     s = np.linspace(0, 1, ELEMENTS_ALONG * refine + 1)
@@ -264,7 +266,7 @@ def _make_grid(beam: BimorphKeys, heights: list[float]) -> tuple[np.ndarray, ...
 
 
 class Bimorph(BondedBody[BimorphKeys]):
-    """Part type ``bimorph``: layered beam that bends (3-D piezoelectric FE, reduced)."""
+    """Part type ``bimorph``: layered bending beam, a reduced 3-D piezoelectric model."""
 
     name = "bimorph"
     title = "layered beam that bends (3-D piezoelectric FE, reduced)"

@@ -1,6 +1,6 @@
-"""The part ``body``: the user's own mesh or CAD file as a linear model with named ports.
+"""The part ``body``: the user's mesh or CAD file as a linear model.
 
-The groups of the file are used for materials, supports, electrodes and ports::
+The groups of the mesh or CAD file are used for materials, supports, electrodes and ports::
 
     [bracket]
     part = "body"
@@ -17,8 +17,8 @@ The groups of the file are used for materials, supports, electrodes and ports::
         { name = "base", kind = "base", axis = "z" },
     ]
 
-The groups of a CAD file are its labels and the groups that the key ``groups`` defines. This key
-selects entities by points that lie in them, or by a box around them:
+The groups of a CAD file are its labels and the groups that the key ``groups`` defines. The key
+``groups`` selects entities by points in the entities, or by a box around the entities:
 ``groups = { top = { faces = [["5 mm", 0, "1 mm"]] }, end = { faces_in = [[…], […]] } }``.
 """
 
@@ -83,10 +83,10 @@ from kc2spice.scene.parttype import register_part_type
 
 Vector: TypeAlias = tuple[float, float, float]
 _MOTION_NAMES = ("x", "y", "z", "rx", "ry", "rz")
-# Radial, circumferential and axial component of the poling vector, by the name of the direction.
+# Radial, circumferential and axial component of the poling vector, keyed by ``direction``.
 _CYLINDRICAL_VECTORS = {"radial": (1.0, 0.0, 0.0), "tangential": (0.0, 1.0, 0.0)}
-# Physical domain of a port by its kind.
-# A port on a rigid face is not listed, because the domain of this port depends on its motion.
+# Physical domain of each kind of port.
+# A port on a rigid face is missing, because its domain depends on its motion.
 _DOMAINS_OF_KINDS = {"mean": TRANSLATION, "base": ACCELERATION, "face": ACOUSTIC}
 _NEEDS_OF_KINDS = {
     "mean": "needs group or at",
@@ -122,13 +122,13 @@ class SupportKeys(Section):
 class PortKeys(Section):
     """Keys of a mechanical or acoustic port of a body.
 
-    A port of ``kind`` *mean* is the mean displacement of a group along ``axis``, with a force that
-    is distributed over the group. The group consists of elements, faces, curves or points. The kind
-    *rigid* makes a face rigid. Its port is one motion (``x`` … ``rz``) of the face; without
-    ``axis``, its six motions are the ports ``NAME_x`` … ``NAME_rz``. A *base* port is the
-    acceleration of the support of the body. A *face* port is the pressure on a surface group, and
-    the volume that the group displaces. Instead of a group, ``at`` selects the mesh node nearest to
-    a point.
+    A port of the kind *mean* has the mean displacement of a group along ``axis``; its force is
+    distributed over the group. The group of a *mean* port consists of elements, faces, curves or
+    points. A port of the kind *rigid* makes a face rigid. The *rigid* port is one motion (``x`` …
+    ``rz``) of the face; without ``axis``, all six motions become the ports ``NAME_x`` …
+    ``NAME_rz``. The input of a *base* port is the acceleration of the body's support. A *face* port
+    has the pressure on a group of faces, and the volume that the group displaces. Without a group,
+    the key ``at`` selects the mesh node nearest to a point.
     """
 
     name: Name = Field(
@@ -189,7 +189,7 @@ class PortKeys(Section):
 
     @property
     def motions(self) -> tuple[str, ...]:
-        """Names of the motions of the rigid face that become ports."""
+        """Names of the motions of a rigid face that become ports."""
         return _MOTION_NAMES if self.axis is None else (str(self.axis),)
 
     @property
@@ -214,7 +214,7 @@ class PortKeys(Section):
 
 
 class PolingKeys(Section):
-    """Keys of radial or tangential poling, or of poling vectors in a CSV file.
+    """Keys of cylindrical poling, or of poling vectors in a CSV file.
 
     The columns of the file are ``element, px, py, pz`` with the element numbers of a mesh file, or
     ``x, y, z, px, py, pz`` in the unit of the mesh. In a file with points, the point nearest to an
@@ -248,7 +248,7 @@ class PolingKeys(Section):
 
     @property
     def contradiction(self) -> str:
-        """Reason why the keys define no poling; an empty string if they define one."""
+        """Reason why the keys define no valid poling; empty for a valid poling."""
         if (self.direction is None) == (self.file is None):
             return "it needs exactly one of the keys direction and file"
         if self.file and self.model_fields_set != {"file"}:
@@ -259,7 +259,7 @@ class PolingKeys(Section):
 
     @property
     def correction_hint(self) -> str:
-        """Hint on how to correct missing or contradictory poling keys."""
+        """Hint on how to correct invalid poling keys."""
         if self.direction is not None and self.file is not None:
             return "delete direction or file"
         if self.file:
@@ -268,7 +268,7 @@ class PolingKeys(Section):
 
 
 class AxesKeys(Section):
-    """Axes of all tensors of a material, while ``poling`` defines only the third axis."""
+    """Keys of the axes of all tensors of a material; ``poling`` states only one axis."""
 
     z: Vector = Field(
         (0.0, 0.0, 1.0),
@@ -333,7 +333,7 @@ class AxesKeys(Section):
 
     @property
     def rotation(self) -> np.ndarray:
-        """Rotation matrix (3, 3) with the material axes in cartesian coordinates as its columns."""
+        """Rotation matrix (3, 3) whose columns are the material axes."""
         first, third = np.asarray(self.x or (1.0, 0.0, 0.0)), np.asarray(self.z)
         third = third / np.linalg.norm(third)
         first = first - third * (first @ third)
@@ -341,7 +341,7 @@ class AxesKeys(Section):
         return np.stack([first, np.cross(third, first), third], axis=-1)
 
     def rotate_material(self, plain: Material) -> Material:
-        """Return the material with its tensors rotated to the axes of these keys."""
+        """Return the material with its tensors rotated to these axes."""
         if self.kind == "cartesian":
             return plain.rotate(self.rotation)
         return replace(plain, local_axes=CylindricalAxes(self.z, self.origin or (0.0, 0.0, 0.0)))
@@ -350,9 +350,8 @@ class AxesKeys(Section):
 class BodyKeys(MeshKeys):
     """Keys of a piezoelectric or elastic body from a mesh or CAD file.
 
-    The electrode ``cathode`` is the return pin of all other electrodes; without it, the electrode
-    ``gnd``, ``ground``, or the last electrode is the return pin. ``floating`` electrodes are
-    equipotential and have no charge.
+    The return pin of all electrodes is ``cathode``, otherwise ``gnd``, ``ground`` or the last
+    electrode. Electrodes in the list ``floating`` are equipotential, and their charge is zero.
     """
 
     mesh: Annotated[MeshFile, MESH_FIELD]
@@ -478,7 +477,7 @@ class BodyKeys(MeshKeys):
 
 
 def _write_terminal_example(keys: BodyKeys, info: ValidationInfo) -> str:
-    """Return example text for the keys ``electrodes`` or ``ports`` of a body, for an error hint.
+    """Return example text for the keys ``electrodes`` or ``ports`` in an error hint.
 
     The example has electrodes on a piezoelectric group of the mesh. Without such a group, the
     example has a port on a group of faces. Without any group of faces, the example has a port at a
@@ -505,10 +504,10 @@ def _write_terminal_example(keys: BodyKeys, info: ValidationInfo) -> str:
 def build_fe_model(
     keys: BodyKeys | Mapping[str, Any], home: Path, where: str = "body"
 ) -> FiniteElementModel:
-    """Read the mesh with its groups, and assemble the finite-element model of the body.
+    """Read the mesh with its groups, and assemble the full model of the body.
 
     The path of the mesh is relative to ``home``. The key ``refine`` divides the element size. The
-    elements of a ``.msh`` file are split until each edge is at most 1/refine of its original
+    elements of a ``.msh`` file are split until each edge is at most 1/refine times its original
     length.
 
     Raises
@@ -533,7 +532,7 @@ def build_fe_model(
 def _read_polings(
     keys: BodyKeys, home: Path, groups: mesh_file.GroupedMesh
 ) -> dict[str, ElementAxes]:
-    """Return the material axes of each element, read from the CSV files of its group."""
+    """Return the poling axes of each element, read from a CSV file for each group."""
     tables: dict[str, PolingTable] = {}
     for group, file in keys.poling_files.items():
         where = f"poling.{group}"
@@ -576,14 +575,14 @@ def _make_solid(
 
 
 def _orient_material(plain: Material, keys: BodyKeys, group: str) -> Material:
-    """Return the material of a group, rotated to the axes or the poling of the group.
+    """Return the material of a group, rotated to the axes or poling of the group.
 
-    In an axisymmetric body, a poling vector that is not parallel to the axis of revolution turns
-    with the angle about this axis.
+    In an axisymmetric body, a poling vector that is not parallel to the axis of revolution rotates
+    with the angle around this axis.
 
     Raises
     ------
-    UsageError : the axis of cylindrical axes differs from the axis of an axisymmetric mesh.
+    UsageError : cylindrical material axes do not have the axis of an axisymmetric mesh.
     """
     if group in keys.axes:
         turned = keys.axes[group].rotate_material(plain)
@@ -607,7 +606,7 @@ def _orient_material(plain: Material, keys: BodyKeys, group: str) -> Material:
 
 
 def _require_mesh_axis(keys: BodyKeys, about: CylindricalAxes, where: str) -> None:
-    """Raise an error if cylindrical axes differ from the z axis of an axisymmetric mesh."""
+    """Reject cylindrical axes that differ from the axis of an axisymmetric mesh."""
     if keys.axisymmetric and (any(about.axis[:2]) or any(about.point[:2])):
         problem = "the axis of an axisymmetric mesh must be z through the origin"
         hint = "leave out axis and through, or z and origin"
@@ -661,7 +660,7 @@ def _make_rigid_face(port: PortKeys, groups: mesh_file.GroupedMesh, solid: Solid
 
 
 def boundary_facets(port: PortKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> np.ndarray:
-    """Return the facets of an acoustic port, which must be on the surface of the body.
+    """Return the facets of an acoustic port, all on the surface of the body.
 
     Raises
     ------
@@ -678,14 +677,14 @@ def boundary_facets(port: PortKeys, groups: mesh_file.GroupedMesh, solid: Solid)
 
 
 def _find_facet_nodes(solid: Solid, facets: np.ndarray) -> np.ndarray:
-    """Return the numbers of all nodes on the ``facets``."""
+    """Return the numbers of all mesh nodes on the ``facets``."""
     return np.unique(solid.basis(1).get_dofs(facets).flatten())
 
 
 def _find_electrode_nodes(
     solid: Solid, groups: mesh_file.GroupedMesh, name: str, where: str
 ) -> np.ndarray:
-    """Return the nodes of an electrode; raise an error unless it is on a piezoelectric material."""
+    """Return the nodes of an electrode, which must touch a piezoelectric material."""
     facets = groups.get_group(name, where, 1).members
     active = np.array([m.is_piezoelectric for m in solid.materials])[solid.owner]
     sides = solid.mesh.f2t[:, facets]
@@ -723,7 +722,7 @@ def _find_clamped_components(
 def _distribute_unit_force(
     port: PortKeys, groups: mesh_file.GroupedMesh, solid: Solid
 ) -> np.ndarray:
-    """Return an array (nodes,) with the fraction of a unit force on a port at each node."""
+    """Return the fraction of a unit force on a port at each node."""
     shares = np.zeros(solid.node_positions.shape[1])
     if port.at is not None:
         point = np.array(port.at)[solid.axis_indices]
@@ -739,7 +738,7 @@ def _distribute_unit_force(
 
 
 class Body(MeshedBody[BodyKeys]):
-    """Part type ``body``: the user's own mesh (piezoelectric FE, reduced)."""
+    """Part type ``body``: piezoelectric FE model of the user's mesh, reduced."""
 
     name = "body"
     title = "the user's own mesh (piezoelectric FE, reduced)"
@@ -786,13 +785,13 @@ class Body(MeshedBody[BodyKeys]):
         yield from find_mesh_problems(part, scene)
 
     def notes(self, part: Part[BodyKeys], scene: Scene) -> Iterator[str | NeglectedEffect]:
-        """Yield notes for the report: the size of the mesh, then the notes of every linear body."""
+        """Yield notes for the report: the size of the mesh and the notes of linear bodies."""
         sides = self.compute_side_lengths(part, scene)
         yield " x ".join(map("{:.4g}".format, np.multiply(1e3, sides))) + " mm"
         yield from super().notes(part, scene)
 
     def compute_side_lengths(self, part: Part[BodyKeys], scene: DeclaredScene) -> list[float]:
-        """Return the side lengths [m] of the bounding box of the mesh file."""
+        """Return the side lengths [m] of the mesh's bounding box."""
 
         def measure_sides() -> list[float]:
             """Read the side lengths [m] of the bounding box from the mesh file."""
@@ -807,7 +806,7 @@ class Body(MeshedBody[BodyKeys]):
         return load_or_build("extent", key, measure_sides, sources=self.source_modules())
 
     def envelope(self, part: Part[BodyKeys], scene: DeclaredScene) -> Envelope:
-        """Return the bounding box of the mesh, from which the effects of air are estimated."""
+        """Return the bounding box of the mesh, used to estimate effects of air."""
         sides = self.compute_side_lengths(part, scene)
         if part.keys.axisymmetric:
             sides = list(filter(None, sides)) or sides[:2]
@@ -835,7 +834,7 @@ class Body(MeshedBody[BodyKeys]):
     def figures(
         self, part: Part[BodyKeys], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Figure | FileWriter]:
-        """Yield the figure of the mesh, then the figures that every meshed body has."""
+        """Yield the figure of the mesh and the figures of all meshed bodies."""
         curve = load_or_build(
             "outline",
             self.make_full_model_key(part, build.scene),
@@ -854,7 +853,7 @@ class Body(MeshedBody[BodyKeys]):
 
 
 def _find_poling_paths(part: Part[BodyKeys], scene: DeclaredScene) -> dict[str, Path]:
-    """Return the paths of the CSV files with poling vectors, by their key in the scene."""
+    """Return the paths of the poling files, keyed by the key in the scene."""
     result = {}
     for group, file in part.keys.poling_files.items():
         where = f"{part.name}.poling.{group}"

@@ -42,17 +42,18 @@ from kc2spice.parts.bodies._meshed_bodies import BondedBody
 from kc2spice.scene.model import GovernedScene, Part
 from kc2spice.scene.parttype import register_part_type
 
-# number of mesh cells along the largest radius, or along half the height, before refinement
+# Number of mesh cells along the largest radius or half the height, for ``mesh.refine = 1``.
 _RADIAL_CELLS = 20
 
 
 class FeedbackKeys(Section):
     """Keys of the feedback electrode of a self-oscillating buzzer.
 
-    This ring or disc in the top electrode drives the input of the oscillator.
+    The feedback electrode is a ring or disc in the top electrode, which drives the input of the
+    oscillator.
 
-    The electrode in data sheets has the shape of a tongue. The model contains a ring of the same
-    area instead, because only the area matters.
+    In data sheets, the feedback electrode has the shape of a tongue. The model contains a ring of
+    the same area instead, because only the area matters.
     """
 
     inner: Length = Field(
@@ -71,8 +72,7 @@ class FeedbackKeys(Section):
 class DiscLayer(Section):
     """Circular layer of a disc.
 
-    ``electrodes`` is the diameter of the electrodes on those faces of the layer that touch no metal
-    layer.
+    On the faces that touch no metal layer, the electrodes have the diameter ``electrodes``.
     """
 
     material: str | dict[str, Any] = Field(
@@ -130,7 +130,7 @@ class DiscLayer(Section):
 
 
 class KnifeEdgeSupport(Section):
-    """Support of a disc on a knife-edge ring under it."""
+    """Keys of a knife-edge ring that supports a disc from below."""
 
     node: Length = Field(
         gt=0, description="Diameter of the knife-edge ring on which the disc rests"
@@ -140,9 +140,9 @@ class KnifeEdgeSupport(Section):
 class DiscKeys(FieldKeys):
     """Keys of a disc: its layers, support, wiring, damping and mesh.
 
-    ``wiring`` has an effect with two or more ceramic layers. ``parallel`` connects every second
-    electrode to the cathode, beginning with the lowest electrode. ``series`` uses the lowest and
-    the highest electrode, and the electrodes in between float.
+    ``wiring`` only has an effect with at least two ceramic layers. With ``parallel``, the lowest
+    electrode and every second electrode above it are connected to the cathode. With ``series``,
+    only the lowest and the highest electrode are connected, and the electrodes in between float.
     """
 
     layers: tuple[DiscLayer, ...] = Field(
@@ -171,7 +171,7 @@ class DiscKeys(FieldKeys):
 
     @model_validator(mode="after")
     def _require_fitting_support(self) -> DiscKeys:
-        """Reject a support or a centre port outside of the disc."""
+        """Reject a support or a centre port that is larger than the disc."""
         widest, top = self.largest_diameter, self.layers[-1].diameter
         if isinstance(self.support, KnifeEdgeSupport) and self.support.node > widest:
             raise make_invalid_value_error(
@@ -227,7 +227,7 @@ def _make_ring(inner: float, outer: float, height: float) -> Box:
 
 
 def _make_blocks(disc: DiscKeys, where: str) -> list[Block]:
-    """Return a block with the poled material of each layer, from the bottom up."""
+    """Return one block for each layer, with its poled material, from the bottom up."""
     result = []
     ends = pairwise(accumulate((layer.thickness for layer in disc.layers), initial=0.0))
     for i, (layer, span) in enumerate(zip(disc.layers, ends, strict=True)):
@@ -256,7 +256,7 @@ def _make_blocks(disc: DiscKeys, where: str) -> list[Block]:
 def _list_electrodes(disc: DiscKeys, pieces: list[Block], where: str) -> list[list[Box]]:
     """Return the faces of each electrode, lowest electrode first.
 
-    A metal layer forms one electrode with all faces that it touches.
+    All faces that touch the same metal layer form one electrode.
     """
     result: list[list[Box]] = []
     last_metal: int | None = None
@@ -286,7 +286,7 @@ def _list_electrode_faces(
 ) -> list[Box]:
     """Return the faces of an electrode that touches no metal layer.
 
-    The feedback ring and its gaps are cut out of the electrode.
+    The feedback electrode and its gap are cut out of the electrode.
     """
     layers = [disc.layers[k] for k in ceramic]
     diameters = {layer.electrode_diameter for layer in layers}
@@ -307,7 +307,7 @@ def _list_electrode_faces(
 
 
 def _make_supports(disc: DiscKeys, pieces: list[Block], radius: float) -> list[tuple[str, Box]]:
-    """Return the supported faces or circles, each with the axes along which it is fixed."""
+    """Return the supported faces or circles, each with its fixed axes."""
     if disc.support == "free":
         return []
     if isinstance(disc.support, KnifeEdgeSupport):
@@ -341,7 +341,7 @@ class Disc(BondedBody[DiscKeys]):
         node: float | None,
         changes: Iterable[float],
     ) -> dict[float, FiniteElementModel]:
-        """Return full models of the disc on supporting rings of changed diameter [m]."""
+        """Return full models on supporting rings, keyed by the diameter [m] of the ring."""
         keys, faces = part.keys, self.select_used_faces(part, scene).faces
         diameters = {"free": node, "simply_supported": keys.largest_diameter, "clamped": None}
         support = keys.support
@@ -359,7 +359,7 @@ class Disc(BondedBody[DiscKeys]):
         return devices
 
     def is_clamped(self, part: Part[DiscKeys]) -> bool:
-        """Return whether the disc is supported, so that its rim counts as clamped."""
+        """Return whether the rim of the disc counts as clamped."""
         return part.keys.support != "free"
 
 

@@ -92,30 +92,30 @@ from kc2spice.scene.part_records import EquilibriumConditions, NeglectedEffect, 
 from kc2spice.scene.parttype import find_current_into, register_part_type
 from kc2spice.synthesis.heat_netlist import compute_heat_modes
 
-LAYER_ELEMENTS = 4  # number of elements through each layer
-# Factor on the tolerance for errors that are relative to the largest temperature of a pin.
-# Other errors are relative to the temperature of the pin at each frequency.
+LAYER_ELEMENTS = 4  # number of elements along the thickness of each layer
+# Factor on the tolerance if errors are relative to the largest temperature of each pin.
+# Otherwise, errors are relative to the temperature of the pin at each frequency.
 PEAK_TOLERANCE_SHARE = 0.01
 IMPEDANCE_FREQUENCIES = 300  # number of time points of a plotted thermal impedance
-# Upper end of the default band, multiplied by the duration of the run.
+# Product of the default band's upper end and the duration of the run.
 RUN_POINTS = 1e3
 
 ModelT = TypeVar("ModelT", LinearModel, HeatOverRanges)
 
 
 class HeatGeometry:
-    """Meshed solid of a heat body, with functions that find its groups by name."""
+    """Meshed solid of a heat body, with methods that find mesh groups by name."""
 
     def __init__(self, solid: HeatSolid, group: Callable[..., mesh_file.Group]) -> None:
         self.solid = solid
         self._group = group
 
     def find_faces(self, name: str, where: str) -> np.ndarray:
-        """Return the facet numbers of the group ``name``, which must be a group of faces."""
+        """Return the facet numbers of the group ``name``, a group of faces."""
         return self._group(name, where, 1).members
 
     def compute_heat_shares(self, source: str | HeatSourceKeys, where: str) -> np.ndarray:
-        """Return an array (nodes,) with the fraction of a source's heat that enters each node."""
+        """Return the fraction of a source's heat that enters each node."""
         if isinstance(source, str):
             source = HeatSourceKeys(group=source)
         if source.at is not None:
@@ -129,7 +129,7 @@ class HeatGeometry:
 
 
 def make_heat_device(keys: HeatBodyKeys, home: Path, where: str = "heat_body") -> HeatModel:
-    """Read or create the mesh with its groups, and assemble the heat model of the body.
+    """Read or create the mesh of a heat body, and assemble the full model.
 
     Raises
     ------
@@ -148,14 +148,14 @@ def make_heat_device(keys: HeatBodyKeys, home: Path, where: str = "heat_body") -
 
 
 def _is_point(source: str | HeatSourceKeys) -> bool:
-    """Return whether heat enters at a single point."""
+    """Return whether the heat of a source enters the body at a single point."""
     return isinstance(source, HeatSourceKeys) and source.at is not None
 
 
 def _make_boundary_conditions(
     keys: HeatBodyKeys, geometry: HeatGeometry, interfaces: list[tuple[np.ndarray, float]]
 ) -> HeatBoundaryConditions:
-    """Make the supports, electrodes, ports and added masses on the mesh ``solid``."""
+    """Make the boundary conditions of a heat body from its keys."""
     solid = geometry.solid.geometry
     fixed = [find_face_nodes(solid, geometry.find_faces(name, "fixed")) for name in keys.fixed]
     isothermal = []
@@ -186,9 +186,10 @@ def _make_boundary_conditions(
 def _read_solid(
     keys: HeatBodyKeys, home: Path
 ) -> tuple[HeatGeometry, list[tuple[np.ndarray, float]]]:
-    """Read the mesh, and duplicate the nodes at its interfaces.
+    """Read the mesh, and duplicate its nodes at the interfaces.
 
-    The second returned value contains the facets and the thermal resistance of each interface.
+    The second returned value is a list of interfaces, each with its facets and its thermal
+    resistance.
     """
     groups = read_groups(keys, home, keys.split_count)
     owner = assign_materials(keys.materials, groups)
@@ -222,9 +223,10 @@ def _read_solid(
 
 
 def _stack_layers(keys: HeatBodyKeys) -> tuple[HeatGeometry, list[tuple[np.ndarray, float]]]:
-    """Create a one-dimensional mesh of the layers, with double nodes at joints with a resistance.
+    """Create a one-dimensional mesh of layers with double nodes at resistive joints.
 
-    The second returned value contains the facet and the thermal resistance of each joint.
+    The second returned value is a list of the joints with a thermal resistance, each with its facet
+    and this resistance.
     """
     layers, count = keys.layers[::-1], LAYER_ELEMENTS * keys.refine
     thickness = np.array([layer.thickness for layer in layers])
@@ -241,7 +243,7 @@ def _stack_layers(keys: HeatBodyKeys) -> tuple[HeatGeometry, list[tuple[np.ndarr
             problem = "nothing is below the last layer"
             raise wrong(f"layers[{len(layers)}].resistance", problem, hint="delete this key")
         facet = np.flatnonzero(np.isclose(mesh.p[0, mesh.facets[0]], bottoms[number], rtol=1e-12))
-        # The matrices contain the cross-sectional area of the layer at the joint.
+        # The matrices contain the area of the layer that owns the first element at the joint.
         area = layers[owner[int(mesh.f2t[0, facet[0]])]].area
         interfaces.append((facet, layer.resistance * area / layer.area))
     if interfaces:
@@ -260,7 +262,7 @@ def _stack_layers(keys: HeatBodyKeys) -> tuple[HeatGeometry, list[tuple[np.ndarr
         groups[f"layer{number + 1}"] = mesh_file.Group(0, cells)
 
     def find_group(name: str, where: str, *codimensions: int) -> mesh_file.Group:
-        """Return a group of the layers; reject an unknown group, or one that is no face."""
+        """Return a group of the layers; reject unknown and unsuitable groups."""
         if name not in groups:
             raise unknown("the layers have no such group", name, list(groups), where)
         result = groups[name]
@@ -275,7 +277,7 @@ def _stack_layers(keys: HeatBodyKeys) -> tuple[HeatGeometry, list[tuple[np.ndarr
 
 
 class HeatBody(LinearBody[HeatBodyKeys]):
-    """Part type ``heat_body``: heat in a solid (FE, reduced)."""
+    """Part type ``heat_body``: heat conduction in a solid, a reduced FE model."""
 
     name = "heat_body"
     title = "heat in a solid (FE, reduced)"
@@ -326,7 +328,7 @@ dc = "1 W"
     ) -> EquilibriumConditions:
         """Return the pairs of pins between which heat flows in steady state.
 
-        Without a path to the pin ``ambient`` inside the body, heat flows between its other pins.
+        If no path inside the body leads to the pin ``ambient``, heat flows between the other pins.
         """
         rest = super().equilibrium_conditions(part, scene)
         if part.keys.has_path_to_surroundings:
@@ -337,14 +339,14 @@ dc = "1 W"
     def equilibrium_after_build(
         self, part: Part[HeatBodyKeys], build: BuiltScene
     ) -> EquilibriumConditions:
-        """Return the paths of steady heat flow, which do not depend on the built model."""
+        """Return the paths of steady heat flow, which are known before the build."""
         return build.scene.records[part.name].rest
 
     def get_default_band_end(self, scene: Scene) -> float:
         """Return the upper end [Hz] of the default band of a transient.
 
-        The upper end is :data:`RUN_POINTS` divided by the duration of the run, because a heat body
-        has no resonance.
+        The upper end is :data:`RUN_POINTS` divided by the duration of the run; a heat body has no
+        resonances that could define the band.
         """
         return RUN_POINTS / scene.stop_time
 
@@ -354,14 +356,14 @@ dc = "1 W"
         key: Mapping[str, Any],
         full: Callable[[], LinearModel],
     ) -> tuple[float, float]:
-        """Return the band; a default band ends at the highest frequency that the mesh resolves."""
+        """Return the band; a default band ends where the mesh becomes too coarse."""
         low, high = band
         if key["limited"]:
             high = min(high, full().facts[MESH_LIMIT_NAME])
         return low, high
 
     def model_key(self, part: Part[HeatBodyKeys], scene: Scene) -> Mapping[str, Any]:
-        """Return the cache key of the reduced model, with the flag ``limited`` of its band."""
+        """Return the cache key of the reduced model, with a flag for a default band."""
         chosen = (
             self._find_reduction_settings(part, scene) is None
             and not scene.analysis.is_small_signal
@@ -369,7 +371,7 @@ dc = "1 W"
         return {**super().model_key(part, scene), "limited": chosen}
 
     def dimensions(self, part: Part[HeatBodyKeys]) -> int:
-        """Return the number of dimensions of the heat flow; it is 1 in layers."""
+        """Return the number of dimensions of the heat flow, which is 1 for layers."""
         if part.keys.layers:
             return 1
         return 2 if part.keys.axisymmetric else 3
@@ -384,7 +386,7 @@ dc = "1 W"
         return result
 
     def get_fe_model(self, part: Part[HeatBodyKeys], scene: GovernedScene) -> HeatModel:
-        """Return the full heat model, from the workspace if that contains the model."""
+        """Return the full heat model, from the workspace if possible."""
         key = json.dumps([part.name, self.make_full_model_key(part, scene)], sort_keys=True)
 
         def make_full_heat_model() -> HeatModel:
@@ -407,38 +409,39 @@ dc = "1 W"
         model: LinearModel,
         aims: Mapping[str, Any],
     ) -> LinearModel:
-        """Reduce the model with an error estimate that includes prescribed temperatures.
+        """Reduce the model, with prescribed temperatures in the error estimate.
 
         Isothermal faces and the fluids of films have prescribed temperatures. At high frequencies,
         the temperature of a pin behind thick insulation is so small that rounding errors exceed the
-        tolerance. In this case, the tolerance is relative to the largest temperature of each pin.
+        tolerance. If this happens, the tolerance is relative to the largest temperature of each
+        pin.
         """
         prescribed_ports = self.prescribed_ports(part, model)
         tolerance = aims["tolerance"]
 
         def reduce(norm: Norm, share: float) -> LinearModel:
-            """Reduce the model to ``share`` times the tolerance, with an error norm."""
+            """Reduce the model to ``share`` times the tolerance, with the error norm ``norm``."""
             changed = {**aims, "norm": norm, "tolerance": tolerance and share * tolerance}
             return reduce_with_interfaces(model, prescribed_ports, **changed)
 
         return _reduce_with_peak_fallback(part, aims["norm"], reduce)
 
     def prescribed_ports(self, part: Part[HeatBodyKeys], model: LinearModel) -> list[str]:
-        """Return the names of the ports of isothermal faces and of the fluids behind films."""
+        """Return the ports of isothermal faces and of the fluids behind films."""
         known = _list_prescribed_names(part)
         return [*filter(known.__contains__, list_names(model.ports))]
 
     def reduce_over_key_ranges(self, part: Part[HeatBodyKeys], task: RangeTask) -> HeatOverRanges:
-        """Return a reduced model over the ranges of film coefficients and other keys.
+        """Return a model reduced over the ranges of film coefficients and other keys.
 
-        Prescribed temperatures and the error norm are treated as in :meth:`reduce_body`.
+        Prescribed temperatures and the error norm have the same effect as in :meth:`reduce_body`.
         """
         from kc2spice.rom.heat_range_reduction import HeatReduction
 
         reduction = HeatReduction(task.full, task.axes, _list_prescribed_names(part))
 
         def reduce(norm: Norm, share: float) -> HeatOverRanges:
-            """Reduce the ranges to ``share`` times the tolerance, with an error norm."""
+            """Reduce over the ranges to ``share`` times the tolerance, with the norm ``norm``."""
             return reduction.reduce(replace(task, norm=norm, tolerance=share * task.tolerance))
 
         return _reduce_with_peak_fallback(part, task.norm, reduce)
@@ -446,10 +449,10 @@ dc = "1 W"
     def build(
         self, part: Part[HeatBodyKeys], scene: Scene, clock: StageTimer, full: bool = False
     ) -> LinearModel | None:
-        """Return the model; with parameter ranges, its thermal resistances are recomputed.
+        """Return the model with its thermal resistances at the key values of the part.
 
-        With parameter ranges, the thermal resistances are the static resistances of the model at
-        the key values of the part.
+        With parameter ranges, the model is valid for all values in the ranges, so its thermal
+        resistances are computed again.
         """
         model = super().build(part, scene, clock, full)
         if full or model is None or not part.parameter_ranges:
@@ -464,7 +467,7 @@ dc = "1 W"
     def vectors(self, part: Part[HeatBodyKeys], build: BuiltScene) -> Mapping[str, PartResult]:
         """Return the ngspice vectors of the results of the ports, keyed by result name.
 
-        For a port that is connected to a single part, the heat flow into the port is also a result.
+        If a port is connected to only one part, the heat flow into the port is also a result.
         """
         result = dict(super().vectors(part, build))
         for port in self.used_ports(part, build.scene):
@@ -476,7 +479,7 @@ dc = "1 W"
     def metrics(
         self, part: Part[HeatBodyKeys], build: BuiltScene, waves: Waveforms
     ) -> Mapping[str, object]:
-        """Return the thermal resistance of each port, and the peak temperature per material."""
+        """Return thermal resistances of ports and peak temperatures of materials."""
         result: dict[str, object] = dict(super().metrics(part, build, waves))
         for name, value in build.facts(part).items():
             if name.startswith(RESISTANCE_PREFIX):
@@ -498,7 +501,7 @@ dc = "1 W"
     def figures(
         self, part: Part[HeatBodyKeys], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Figure | FileWriter]:
-        """Yield plots of temperatures, of the thermal impedance, and of the temperature field."""
+        """Yield plots of the temperatures and of the thermal impedance."""
         yield from _plot_temperatures(part.name, waves)
         yield from _plot_thermal_impedance(part.name, build.model(part, LinearModel))
         field = self.make_temperature_field(part, build, waves)
@@ -542,15 +545,15 @@ dc = "1 W"
             heat = self.get_fe_model(part, build.scene)
             return waves, recover_temperatures(heat, waves["time"], flows)
 
-        # The stored result contains a reference to ``waves``.
-        # No other object can therefore get the ``id`` of ``waves``, which is the key of the result.
+        # The stored result contains a reference to ``waves``, so no other object can get the same
+        # ``id``, which is the key of the result.
         kind = f"temperatures of {part.name}"
         return build.workspace.get_or_compute(kind, id(waves), recover_field)[1]
 
     def list_neglected_effects(
         self, part: Part[HeatBodyKeys], scene: Scene
     ) -> Iterator[NeglectedEffect]:
-        """Yield the neglected effects, such as materials that depend on temperature."""
+        """Yield the neglected effects, such as the dependence of materials on temperature."""
         yield from super().list_neglected_effects(part, scene)
         what = f"{part.name}: conductivity and specific heat that change with temperature"
         yield NeglectedEffect(
@@ -570,11 +573,11 @@ def _list_prescribed_names(part: Part[HeatBodyKeys]) -> set[str]:
 def _reduce_with_peak_fallback(
     part: Part[HeatBodyKeys], norm: Norm, reduce: Callable[[Norm, float], ModelT]
 ) -> ModelT:
-    """Return a model reduced with the error norm ``norm``, or with the norm ``peak``.
+    """Return a model reduced with the error norm ``norm``, or otherwise ``peak``.
 
-    The norm ``peak`` is used if the reduction fails with ``norm``. With the norm ``peak``, the
-    error is relative to the largest temperature of each pin. ``reduce(norm, share)`` reduces the
-    model to ``share`` times the tolerance.
+    If the reduction with ``norm`` fails, the norm ``peak`` is used instead. With the norm ``peak``,
+    the error is relative to the largest temperature of each pin. ``reduce(norm, share)`` reduces
+    the model to ``share`` times the tolerance.
     """
     try:
         return reduce(norm, 1.0)
@@ -604,7 +607,8 @@ def _plot_temperatures(name: str, waves: Waveforms) -> Iterator[Figure]:
 def _plot_thermal_impedance(name: str, model: LinearModel) -> Iterator[Figure]:
     """Yield the plot of the thermal impedance ``Zth(t)`` of each port.
 
-    ``Zth(t)`` is the temperature rise of a port after a heat flow of 1 W into it starts.
+    ``Zth(t)`` is the temperature rise of a port after the start of a heat flow of 1 W into this
+    port.
     """
     modes = compute_heat_modes(model)
     times = modes.resistance * modes.capacity
@@ -612,7 +616,7 @@ def _plot_thermal_impedance(name: str, model: LinearModel) -> Iterator[Figure]:
     if not moving.size:
         return
     t = np.geomspace(moving.min() / 10, moving.max() * 10, IMPEDANCE_FREQUENCIES)
-    with np.errstate(over="ignore"):  # A mode without heat capacity has no transient.
+    with np.errstate(over="ignore"):  # Without heat capacity, a mode has no transient.
         settled = -np.expm1(-t[:, None] / np.where(times > 0, times, np.finfo(float).tiny))
     curves = []
     for k, port in enumerate(modes.ports):
@@ -626,17 +630,18 @@ def _plot_thermal_impedance(name: str, model: LinearModel) -> Iterator[Figure]:
 def _draw_field(
     figure: str, name: str, heat: HeatModel, instant: float, rises: np.ndarray
 ) -> Iterator[Figure]:
-    """Yield a picture of the nodal temperature rises [K] on the surface, or versus the height.
+    """Yield a picture of the temperature rises [K] at the nodes.
 
-    ``rises`` has the shape (nodes,). The plot versus the height is for a stack of layers.
+    ``rises`` has the shape (nodes,). The picture shows the surface of a mesh; for a stack of
+    layers, it shows the temperature rise versus the height.
     """
     geometry = heat.solid.geometry
     mesh, title = geometry.mesh, f"Temperatures in {name}"
     caption = f"At {instant:.4g} s."
     values = rises[geometry.basis(1).element_dofs.T]
     if mesh.dim() == 1:
-        # The temperature jumps at a joint with a resistance.
-        # The curve therefore contains the nodes of each element separately.
+        # The temperature jumps at a joint with a resistance, so the curve contains the nodes of
+        # each element separately.
         cells = np.argsort(mesh.p[0, mesh.t].mean(axis=0))
         nodes = geometry.basis(1).element_dofs[:, cells]
         nodes = np.take_along_axis(

@@ -1,10 +1,11 @@
-"""The part ``langevin``: a bolted ultrasonic transducer with two masses and ceramic rings.
+"""The part ``langevin``: a bolted ultrasonic transducer with ceramic rings.
 
-The poling of the rings alternates. Touching pieces are bonded. The bolt is bonded to both masses
-along its thread, but not to the rings. The electrical pins are ``anode`` and ``cathode``; the
-masses belong to the cathode. The mechanical ports ``front`` and ``back`` are the mean axial
-displacements of the end faces, positive towards the front. The model neglects the effect of the
-preload on the ceramic, contact compliance, and the metal of the electrodes.
+The ceramic rings have alternating poling directions. Touching pieces are bonded. The bolt is bonded
+to both masses along its thread, but not to the rings. The electrical pins are ``anode`` and
+``cathode``; both masses are connected to the cathode. The mechanical ports ``front`` and ``back``
+are the mean axial displacements of the two end faces, positive towards the front. The model
+neglects the effect of the preload on the ceramic, the compliance of the contacts between pieces,
+and the metal of the electrodes.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.part_records import NeglectedEffect
 from kc2spice.scene.parttype import register_part_type
 
-_RADIAL_CELLS = 8  # number of mesh cells along the largest radius before refinement
+_RADIAL_CELLS = 8  # number of mesh cells along the largest radius, for ``mesh.refine = 1``
 
 
 class PieceKeys(Section):
@@ -60,7 +61,7 @@ class PieceKeys(Section):
 
 
 class CylinderKeys(PieceKeys):
-    """Cylindrical section of the front or back mass."""
+    """Keys of a cylindrical section of the front or back mass."""
 
     diameter: Width = Field(
         gt=0, description="Outer diameter of a cylindrical section of the front or back mass"
@@ -72,7 +73,7 @@ class CylinderKeys(PieceKeys):
 
 
 class RingStackKeys(PieceKeys):
-    """Keys of equal ceramic rings; an even ``count`` joins both masses to the cathode."""
+    """Keys of equal ceramic rings; their even number puts both masses on the cathode."""
 
     outer: Width = Field(gt=0, description="Outer diameter of the ceramic rings")
     inner: Length = Field(gt=0, description="Diameter of the bore of the ceramic rings")
@@ -136,7 +137,7 @@ class BoltKeys(PieceKeys):
 
 
 class LangevinKeys(FieldKeys):
-    """Keys of a bolted transducer; the lists ``front`` and ``back`` begin at the rings."""
+    """Keys of a bolted transducer; ``front`` and ``back`` start at the rings."""
 
     front: tuple[CylinderKeys, ...] = Field(
         examples=['[{ material = "aluminium", diameter = "20 mm", length = "20 mm" }]'],
@@ -186,11 +187,11 @@ class LangevinKeys(FieldKeys):
 def make_langevin_blocks(
     keys: LangevinKeys | Mapping[str, Any], where: str = "langevin"
 ) -> BondedBlocks:
-    """Return the masses, rings and bolt of a transducer with electrodes, support and ports.
+    """Return the blocks of a transducer with electrodes, support and ports.
 
     Raises
     ------
-    UsageError : a key is invalid, or the pieces do not fit into one another.
+    UsageError : a key is invalid, or the pieces of the transducer do not fit together.
     """
     body = validate_table(LangevinKeys, keys, where)
     pieces, rings = _make_blocks(body, where), body.rings
@@ -219,7 +220,7 @@ def make_langevin_blocks(
 
 
 def _make_blocks(body: LangevinKeys, where: str) -> list[Block]:
-    """Return the blocks of the rings, which begin at z = 0, of both masses, and of the bolt."""
+    """Return the blocks of the rings, of the front and back mass, and of the bolt."""
     result: list[Block] = []
 
     def add(

@@ -1,4 +1,4 @@
-"""The part ``matrices``: a linear model with named ports from another program's matrix files."""
+"""The part ``matrices``: a linear model from the matrix files of another program."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from kc2spice.scene.model import DeclaredScene, GovernedScene, Part, Scene
 from kc2spice.scene.parttype import register_part_type
 from kc2spice.scene.settings import FileName
 
-LINE_HEIGHT = 0.02  # smallest drawn height of a mesh, relative to its width
+LINE_HEIGHT = 0.02  # smallest height of a mesh in a drawing, divided by its width
 
 
 class MatricesKeys(LinearKeys):
-    """Keys of a model from matrix files; a TOML file beside these files describes the ports."""
+    """Keys of a model from matrix files; a TOML file describes the ports."""
 
     file: FileName = Field(
         examples=['"FILE"'],
@@ -43,7 +43,7 @@ class MatricesKeys(LinearKeys):
 
 
 class Matrices(LinearBody[MatricesKeys]):
-    """Part type ``matrices``: linear model from the matrices of another tool, reduced."""
+    """Part type ``matrices``: linear model, reduced from another program's matrices."""
 
     name = "matrices"
     title = "linear model from the matrices of another tool, reduced"
@@ -58,10 +58,10 @@ class Matrices(LinearBody[MatricesKeys]):
     def pin_directions(
         self, part: Part[MatricesKeys], scene: DeclaredScene
     ) -> Mapping[str, tuple[float, ...]]:
-        """Return the direction of each translational port, keyed by its pin.
+        """Return the direction of each translational port, keyed by the pin of the port.
 
-        The TOML file states the direction by ``dof`` or ``axis``. A port that is a column of the
-        input matrix B has no direction.
+        The key ``dof`` or ``axis`` in the TOML file states the direction. A port that is stated as
+        a column of the input matrix B has no direction.
         """
         *_, sidecar = locate_model(*self._find_paths(part, scene))
         result = {}
@@ -77,11 +77,11 @@ class Matrices(LinearBody[MatricesKeys]):
         return {**super().make_full_model_key(part, scene), "files": self._hash_files(part, scene)}
 
     def _hash_files(self, part: Part[MatricesKeys], scene: DeclaredScene) -> dict[str, str]:
-        """Return a hash of the content of each matrix file, keyed by its path."""
+        """Return the hash of each matrix file's content, keyed by the path of the file."""
         return {name: hash_file(scene.home / name) for name in self.files(part, scene)}
 
     def files(self, part: Part[MatricesKeys], scene: DeclaredScene) -> tuple[str, ...]:
-        """Return the paths of the matrix files and of their TOML file, relative to the scene."""
+        """Return the paths of the matrix files and the TOML file, relative to the scene."""
         result = list_source_files(*self._find_paths(part, scene))
         return tuple(os.path.relpath(path, scene.home) for path in result)
 
@@ -92,7 +92,7 @@ class Matrices(LinearBody[MatricesKeys]):
         return self._read_model(part, scene)
 
     def outline(self, part: Part[MatricesKeys], scene: Scene) -> Iterator[Shape]:
-        """Yield the side view of the mesh's bounding box, if the TOML file names a mesh."""
+        """Yield the bounding box of the mesh in side view, if the TOML file names a mesh."""
         size = measure_mesh_extent(*self._find_paths(part, scene))
         if size is None or not size[:2].any():
             return
@@ -107,7 +107,7 @@ class Matrices(LinearBody[MatricesKeys]):
     def _find_paths(
         self, part: Part[MatricesKeys], scene: DeclaredScene
     ) -> tuple[Path, Path | None]:
-        """Return the path of the matrix file, and of its TOML file if the key states one."""
+        """Return the path of the matrix file, and the path of its TOML file or None."""
         name, home, keys = part.name, scene.home, part.keys
         sidecar = (
             None
@@ -119,7 +119,7 @@ class Matrices(LinearBody[MatricesKeys]):
 
 @lru_cache(maxsize=4)
 def _read_model_files(path: Path, sidecar: Path | None, stamps: str) -> LinearModel:
-    """Read a model from its files; ``stamps`` contains the files' hashes as a cache key."""
+    """Read a model from its files, cached by path and by the hashes ``stamps``."""
     return read_model(path, sidecar)
 
 

@@ -1,4 +1,4 @@
-"""The part ``piezo_stack``: a finite-element model of a piezoelectric chip with contact rings."""
+"""The part ``piezo_stack``: a layered piezoelectric chip with contact rings."""
 
 from __future__ import annotations
 
@@ -44,27 +44,30 @@ from kc2spice.scene.plausibility import check_range
 from kc2spice.scene.settings import RomKeys
 from kc2spice.synthesis.mode_cards import COARSE_WEIGHTS, THROWING_WEIGHTS, StepWeights
 
-# The modules with meshes and solvers are imported at first use.
+# The modules with meshes and solvers are imported at first use, because most runs read their models
+# from the cache and do not need these modules.
 # Most runs do not need these modules, because they read their models from the cache.
 if TYPE_CHECKING:
     from kc2spice.bodies.pressure import LocalCompliance, PressureBasis
     from kc2spice.bodies.undamped_models import FiniteElementModel
 
-DAMPING_FREQUENCY = 250e3  # frequency [Hz] at which the paper's chip has a damping ratio of 1 %
-# Damping ratio at ``DAMPING_FREQUENCY`` below which modes ring during the whole kick.
-# If modes ring during the whole kick, the errors of the time steps add up.
-# Chips with a damping ratio of 0.01 to 0.1 % have launch velocity errors of up to 2.6e-4.
-# Launch velocity errors of this size occur with the reltol for a damping ratio of 1 %.
+# frequency [Hz] at which the default damping of the paper's chip is a ratio of 1 %
+DAMPING_FREQUENCY = 250e3
+# Damping ratio at ``DAMPING_FREQUENCY`` below which the chip rings during the whole kick.
+# While the chip rings, the errors of the time steps add up.
+# With the reltol for a damping ratio of 1 %, chips with a damping ratio of 0.01 to 0.1 % have
+# launch velocity errors of up to 2.6e-4.
 RINGING_DAMPING = 4e-3
-MIN_DAMPING = 2e-4  # damping ratio below which reltol is not reduced further
+MIN_DAMPING = 2e-4  # reltol is the same for all damping ratios below this value
 # Factor on reltol that makes kicks of 40 to 60 V as accurate as kicks of 100 V.
 LOW_KICK_FACTOR = 0.03
 # Factor on reltol for a downward kick: the chip leaves the sphere, rings, and strikes the sphere.
-# The errors of all time steps contribute to the phase of the ringing at the impact.
+# The errors of all time steps change the phase of the ringing at the impact.
 # For -100 V, the relative error of the launch velocity is 1.2e-2 at a reltol of 1e-4.
 # The error for -100 V is 6e-4 at a reltol of 1e-6, and 1.1e-4 at a reltol of 1e-7.
 DOWNWARD_RELTOL_FACTOR = 2e-3
-DOWNWARD_SPEED_RATIO = 0.1  # speed of a downward kick, relative to an upward kick
+# ratio of the top face's speed in a downward kick to its speed in an upward kick
+DOWNWARD_SPEED_RATIO = 0.1
 OVERSHOOT = 2.0  # ratio of the largest to the static displacement under a sudden load
 MAX_TIME_STEP = 10e-6  # time step [s] that resolves a kick, its contact and the flight after it
 
@@ -84,14 +87,14 @@ PAPER_ORDER = 30  # number of states of the reduced model in the paper
 # Keys that determine the finite-element model.
 # All other keys, such as ``drive``, only affect the circuit.
 CHIP_KEYS = set(StackKeys.model_fields)
-# Keys whose values do not decide whether a chip counts as the paper's chip.
+# A chip counts as the paper's chip for any values of these keys.
 KEYS_IGNORED_FOR_PAPER_CHIP = {"mesh", "damping", "mounting", "preload_spring", "layer_thickness"}
 
 
 class KickPulse(Section):
-    """Kick pulse that begins to rise at ``start`` and has the edge time ``edge``.
+    """Pulse that begins to rise at ``start`` and has the edge time ``edge``.
 
-    ``width`` is its width at half height.
+    ``width`` is the width of the pulse at half its height.
     """
 
     voltage: Voltage = Field(100.0, description="Peak voltage of the drive pulse")
@@ -125,7 +128,7 @@ class KickPulse(Section):
 
 
 class PiezoStackKeys(StackKeys, FieldKeys):
-    """Keys of a piezoelectric stack with a default drive of its anode."""
+    """Keys of a piezoelectric stack, with a default drive of its anode."""
 
     electrical: Literal["open", "short", "driven"] = Field(
         "driven",
@@ -155,9 +158,9 @@ class PiezoStackKeys(StackKeys, FieldKeys):
     @model_validator(mode="before")
     @classmethod
     def _set_drive(cls, data: Any, info: ValidationInfo) -> Any:
-        """Add the kick pulse of the paper to a driven chip whose table has no key ``part``.
+        """Add the default kick pulse to a driven chip without the key ``part``.
 
-        A scene with a table ``harmonic`` applies unit loads, so its chip gets no pulse.
+        In a scene with a table ``harmonic``, the chip gets no pulse, because unit loads drive it.
         """
         short = (info.context or {}).get("short", ())
         if not short or "harmonic" in short or data.get("electrical", "driven") != "driven":
@@ -185,7 +188,7 @@ class PiezoStackKeys(StackKeys, FieldKeys):
 
 
 class PiezoStack(MeshedBody[PiezoStackKeys]):
-    """Part type ``piezo_stack``: layered piezoelectric chip (3-D FE, reduced)."""
+    """Part type ``piezo_stack``: layered piezoelectric chip, a reduced 3-D FE model."""
 
     name = "piezo_stack"
     title = "layered piezoelectric chip (3-D FE, reduced)"
@@ -196,7 +199,7 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
     def generate_tables(
         self, part: Part[PiezoStackKeys], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
-        """Return the tables of the source and the driver that the keys of the stack describe."""
+        """Return the tables of source and driver that the keys of the stack imply."""
         keys: PiezoStackKeys = part.keys
         anode = f"{part.name}.anode"
         if keys.electrical == "short":
@@ -272,7 +275,7 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
     def contact_surface(
         self, part: Part[PiezoStackKeys], scene: GovernedScene, ports: tuple[str, ...] = ()
     ) -> ContactSurface:
-        """Return the surface under a contact: the contact rings, or the pressure patch, on top."""
+        """Return the surface under a contact: the contact rings or the pressure patch."""
         if part.keys.poling == "x":
             problem = 'a stack with poling = "x" moves sideways and cannot have a contact'
             raise part.wrong(
@@ -303,7 +306,7 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
     def numerics(
         self, part: Part[PiezoStackKeys], scene: WiredScene
     ) -> Iterator[NumericalRequirements]:
-        """Yield tighter solver tolerances for chips that ring, and for low kicks.
+        """Yield the solver tolerances that ringing chips and low kicks require.
 
         Ringing increases the phase error of the trapezoidal rule. A kick with a low voltage
         closes fewer contact rings, so its launch velocity depends more on each time step. At 40 to
@@ -316,9 +319,9 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
         close = math.sqrt(min(1.0, max(ratio, MIN_DAMPING) / RINGING_DAMPING))
         speed = _estimate_kick_speed(part, scene)
         if self.weights(part, scene) == COARSE_WEIGHTS and speed is not None:
-            # Parts other than sources at the anode can slow down a kick.
-            # With an amplifier of 5 A, the launch velocity is 0.67 m/s.
-            # With the tolerances for 1 m/s, the relative error of this launch velocity is 1.5e-3.
+            # A part other than a source at the anode can slow down a kick.
+            # With an amplifier of 5 A, for example, the launch velocity is 0.67 m/s.
+            # With the tolerances for 1 m/s, the relative error of the velocity 0.67 m/s is 1.5e-3.
             driven = not scene.list_joined_types(part.name, "anode") <= {"source"}
             close *= min(1.0, LOW_KICK_FACTOR if driven else max(speed**8, LOW_KICK_FACTOR))
         if _moves_down_first(part):
@@ -330,7 +333,7 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
         )
 
     def weights(self, part: Part[PiezoStackKeys], scene: DeclaredScene) -> StepWeights:
-        """Return the weights of the modes in step control; a downward kick has its own weights.
+        """Return the weights of the modes in the control of time steps.
 
         After a downward kick, the chip rings until it hits the sphere.
         """
@@ -339,7 +342,7 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
     def largest_indentations(
         self, part: Part[PiezoStackKeys], scene: GovernedScene
     ) -> Iterator[LargestIndentation]:
-        """Yield the largest dynamic stroke of the chip, an upper bound of an indentation."""
+        """Yield the chip's largest dynamic stroke, an upper bound of the indentation."""
         voltage = find_highest_voltage(part, scene)
         if voltage:
             stroke = compute_free_stroke(part.keys, voltage)
@@ -358,13 +361,13 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
         return f"{self.title}; {describe_mounting(part.keys)}"
 
     def material_rating(self, part: Part[PiezoStackKeys]) -> float:
-        """Return the voltage rating [V], the rated field times the layer thickness."""
+        """Return the voltage rating [V]: rated field times layer thickness."""
         return float(part.keys.rated_field * part.keys.height / part.keys.layers)
 
     def make_full_model_key(
         self, part: Part[PiezoStackKeys], scene: GovernedScene
     ) -> Mapping[str, Any]:
-        """Return the cache key of the full model, with chip, rated field and pressure nodes."""
+        """Return the cache key of the full model."""
         shape, chip = (
             find_pressure_basis(part, scene),
             part.keys.model_dump(mode="json", include=CHIP_KEYS),
@@ -375,9 +378,9 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
     def choose_reduction(self, part: Part[PiezoStackKeys], scene: Scene) -> RomKeys:
         """Return the reduction settings that the scene states, or default settings.
 
-        For the paper's chip, the default is the number of states in the paper. For other stacks,
-        the default is a tolerance in a band whose upper end is inversely proportional to the height
-        of the stack.
+        For the chip of the paper, the default is the number of states that the paper states. For
+        other stacks, the default is a tolerance in a band whose upper end is inversely proportional
+        to the height of the stack.
         """
         specified = part.keys.rom or scene.rom
         if not specified.is_default:
@@ -394,7 +397,7 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
         return RomKeys(band=(low, high * plain.height / part.keys.height))
 
     def envelope(self, part: Part[PiezoStackKeys], scene: DeclaredScene) -> Envelope:
-        """Return the outer size of the stack, from which neglected effects are estimated."""
+        """Return the outer size of the stack, used to estimate neglected effects."""
         keys = part.keys
         (x, y), caps = keys.half_widths, (keys.bottom_cap, keys.top_cap)
         height = keys.height + sum(cap.thickness for cap in caps if cap is not None)
@@ -413,7 +416,7 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
         return "" if part.keys.mounting == "roller" else describe_mounting(part.keys)
 
     def make_fe_model(self, part: Part[PiezoStackKeys], scene: GovernedScene) -> FiniteElementModel:
-        """Build the finite-element model of the stack."""
+        """Build the full finite-element model of the stack."""
         from kc2spice.bodies.stack import make_stack
 
         shape = find_pressure_basis(part, scene)
@@ -436,7 +439,8 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
         if pressed and centre in waves:
             result["kick_stroke_m"] = Metric(float(waves[centre].max()), "m")
         shape, scene = find_pressure_basis(part, build.scene), build.scene
-        # The mesh of the chip does not resolve the stress under the contact.
+        # The stress under the contact is computed separately, because the mesh of the chip does not
+        # resolve it.
         if part.keys.fields and shape is not None:
             from kc2spice.bodies.pressure import UNITS, compute_stresses_under_force
 
@@ -458,7 +462,7 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
         return result
 
     def indentation_modulus(self, part: Part[PiezoStackKeys]) -> float:
-        """Return the indentation modulus [Pa] of the top cap, or of the ceramic without a cap."""
+        """Return the indentation modulus [Pa] of the top cap or the ceramic."""
         keys, cap = part.keys, part.keys.top_cap
         stated = None if cap is None else cap.material
         top = keys.ceramic if stated is None else find_material(stated, "top_cap.material")
@@ -513,13 +517,13 @@ def _estimate_kick_speed(part: Part[PiezoStackKeys], scene: GovernedScene) -> fl
 
 
 def _moves_down_first(part: Part[PiezoStackKeys]) -> bool:
-    """Return whether the pulse has a negative voltage, which first moves the top face down."""
+    """Return whether the pulse has a negative voltage and moves the top face down."""
     drive = part.keys.drive
     return drive is not None and part.keys.electrical == "driven" and drive.voltage < 0
 
 
 def describe_mounting(keys: StackKeys) -> str:
-    """Return a description of the support, and of caps, springs or other additions to a stack."""
+    """Return a description of the support and of additions such as caps."""
     words = [MOUNTING_TEXTS.get(str(keys.mounting), "")]
     if isinstance(keys.mounting, float):
         words = [f"bottom face on springs of {keys.mounting:g} N/m per m2 along each axis"]
@@ -536,7 +540,7 @@ def describe_mounting(keys: StackKeys) -> str:
 
 
 def find_pressure_basis(part: Part[PiezoStackKeys], scene: DeclaredScene) -> PressureBasis | None:
-    """Return the basis functions for the contact pressure on the top face of the chip.
+    """Return the basis functions of the contact pressure on the top face.
 
     Return None if no contact has ``shape = "pressure"``. The basis functions cover the radius of
     the largest contact ring.
@@ -559,7 +563,7 @@ def compute_ring_radii(keys: StackKeys) -> np.ndarray:
 def count_used_rings(part: Part[PiezoStackKeys], scene: JoinedScene) -> int:
     """Return the number of contact rings that are ports, counted from ``ring0``.
 
-    The last of these rings is the outermost ring that another part or a probe uses. If the stack is
+    The last counted ring is the outermost ring that another part or a probe uses. If the stack is
     the only part, all rings are ports.
     """
     if len(scene.parts) == 1 or scene.ports == "all":
@@ -574,12 +578,12 @@ def count_used_rings(part: Part[PiezoStackKeys], scene: JoinedScene) -> int:
 
 
 def list_ring_names(count: int) -> list[str]:
-    """Return the port names of the first ``count`` contact rings, from the centre outwards."""
+    """Return the port names of the ``count`` innermost contact rings."""
     return list(map("ring{}".format, range(count)))
 
 
 def _read_ring_number(part: Part[PiezoStackKeys], name: str) -> int:
-    """Return the number of the ring that a port name states, such as 3 in ``ring3``."""
+    """Return the number of the ring in a port name, such as 3 in ``ring3``."""
     match, last = re.fullmatch(r"ring(\d{1,3})", name), part.keys.mesh.rings
     if match is None or int(match[1]) > last:
         raise part.wrong(
@@ -593,7 +597,7 @@ def _read_ring_number(part: Part[PiezoStackKeys], name: str) -> int:
 
 
 def find_highest_voltage(part: Part[PiezoStackKeys], scene: DeclaredScene) -> float:
-    """Return the largest voltage [V] that the drive of the anode can have; 0 without a drive."""
+    """Return the largest voltage [V] of the anode's drive; 0 without a drive."""
     keys = part.keys
     if keys.drive is not None and keys.electrical == "driven":
         return abs(keys.drive.voltage)
@@ -607,7 +611,7 @@ def find_highest_voltage(part: Part[PiezoStackKeys], scene: DeclaredScene) -> fl
 
 
 def compute_free_stroke(keys: StackKeys, voltage: float) -> float:
-    """Return the static stroke [m] of a stack without load, ``layers |d voltage|``.
+    """Return the static free stroke [m] of a stack, ``layers |d voltage|``.
 
     The piezoelectric constant d is d33, or d15 if the stack deforms in shear.
     """
@@ -616,7 +620,7 @@ def compute_free_stroke(keys: StackKeys, voltage: float) -> float:
 
 
 def _find_compliance(part: Part[PiezoStackKeys], shape: PressureBasis) -> LocalCompliance:
-    """Return the local compliance of the top face under pressure, from the cache if possible."""
+    """Return the local compliance of the top face, from the cache if possible."""
     from kc2spice.bodies.pressure import LocalCompliance, compute_local_compliance
 
     chip = part.keys.model_dump(mode="json", include=CHIP_KEYS - {"damping"})

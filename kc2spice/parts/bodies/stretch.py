@@ -1,19 +1,21 @@
-"""Stretching force of beams and plates with fixed edges, which stiffens them in large bending.
+"""Stretching force of beams and plates with fixed edges.
+
+The stretching force stiffens a beam or plate in large bending.
 
 Bending with the deflection w(x) elongates a beam of length l with fixed ends by ``e = int w'^2 dx /
-2``. The energy of this elongation is ``stiffness e^2 / 2 + tension e`` with stiffness = E A / l (S.
-D. Senturia, Microsystem Design, 2001, chapter 10). The model contains the mean deflections w_k of
-equal strips of width d in a row from clamp to clamp. The slope between the strips k and k+1 is
-``w' = (15 (w_k+1 - w_k) - (w_k+2 - w_k-1)) / (12 d)``, which is exact for cubics. Beyond a clamp, w
-is the mirror image of w before the clamp.
+2``. The elongation e stores the energy ``stiffness e^2 / 2 + tension e`` with stiffness = E A / l
+(S. D. Senturia, Microsystem Design, 2001, chapter 10). The model uses the mean deflections w_k of
+equal strips of width d, which lie in a row between the clamps. The slope between the strips k and
+k+1 is ``w' = (15 (w_k+1 - w_k) - (w_k+2 - w_k-1)) / (12 d)``, which is exact for cubics. Beyond a
+clamp, w is the mirror image of w before the clamp.
 
-For a plate clamped along all edges, whose face is divided into rows of patches, the energy has the
-same expression. For this plate, ``e = int |grad w|^2 dA / (2 width)`` and stiffness = E h width /
-(length (1 - nu^2)). The source of this expression is H. M. Berger, J. Appl. Mech. 22 (1955) 465,
-who neglects the second invariant of the in-plane strains. A twelfth of the squared differences
-between rows is missing in the square of a mean slope; the formula adds this term. At a mirror
-plane, w continues as its mirror image, as at a clamp. A model of a quarter of a plate therefore
-uses length, width and stiffness of the quarter.
+The energy of a plate that is clamped along all edges has the same expression; its face is divided
+into rows of patches. For the plate, ``e = int |grad w|^2 dA / (2 width)`` and stiffness = E h width
+/ (length (1 - nu^2)). H. M. Berger, J. Appl. Mech. 22 (1955) 465, derives this expression by
+neglecting the second invariant of the in-plane strains. The square of a mean slope lacks a twelfth
+of the squared differences between rows, so the formula adds this term. At a mirror plane, as at a
+clamp, w continues as its mirror image. A model of a quarter of a plate therefore uses length, width
+and stiffness of the quarter.
 """
 
 from __future__ import annotations
@@ -36,9 +38,9 @@ from kc2spice.scene.parttype import register_part_type
 class StretchKeys(Section):
     """Keys of the stretching force of a beam or plate.
 
-    ``a`` is the name of a beam that is clamped at both ends and has a row of patches, or a list of
-    at least three ports. ``a`` can also be a plate that is clamped along all edges. The plate has
-    ``rows`` rows of patches, numbered row by row.
+    ``a`` is the name of a beam that is clamped at both ends and has a row of patches. Instead of a
+    name, ``a`` can be a list of at least three ports. ``a`` can also be the name of a plate that is
+    clamped along all edges. On a plate, there are ``rows`` rows of patches, numbered row by row.
     """
 
     a: str | tuple[str, ...] = Field(
@@ -104,17 +106,17 @@ class Stretch(PatchedPart[StretchKeys]):
 
 @lru_cache(maxsize=32)
 def _declare_stretching(count: int, rows: int) -> Declaration:
-    """Return the declaration of the stretching energy for ``count`` patches in ``rows`` rows."""
+    """Return the declaration of the stretching energy of ``count`` patches."""
     along, across = range(1, count // rows + 1), range(1, rows + 1)
 
     def mirror_index(k: int, count: int) -> int:
-        """Return the index of a patch; an index beyond a clamp is mirrored at the clamp."""
+        """Return a patch index; an index beyond a clamp is mirrored at the clamp."""
         if k < 1:
             return 1 - k
         return 2 * count + 1 - k if k > count else k
 
     def deflection_symbol(i: int, j: int) -> str:
-        """Return the symbol of the mean deflection of a patch, mirrored beyond a clamp."""
+        """Return the symbol of a patch's mean deflection, mirrored beyond a clamp."""
         i, j = mirror_index(i, len(along)), mirror_index(j, rows)
         return f"x{(j - 1) * len(along) + i}"
 

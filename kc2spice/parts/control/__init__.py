@@ -1,1 +1,1 @@
-"""Part types of controllers and of the sensors at their inputs."""
+"""Part types of controllers, and of sensors at their inputs."""

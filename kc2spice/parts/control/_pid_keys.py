@@ -1,4 +1,4 @@
-"""Keys of a PID controller, in a separate module because other part types also use them."""
+"""Keys of a PID controller, which several part types use."""
 
 from __future__ import annotations
 
@@ -81,6 +81,6 @@ class PidKeys(Section):
 
     @property
     def switching_times(self) -> tuple[tuple[float, float], ...]:
-        """Pairs of switching time [s] and following state: 1 if enabled, 0 if disabled."""
+        """Switching times [s], each with the next state: 1 is enabled, 0 is disabled."""
         on = self.enable_at if isinstance(self.enable_at, tuple) else (self.enable_at,)
         return tuple(sorted((*product(on, (1.0,)), *product(self.disable_at, (0.0,)))))

@@ -1,9 +1,10 @@
-"""The part ``controller``: a Python function of sampled inputs.
+"""The part ``controller``: a Python function that is called at equal intervals.
 
-The output of the controller is constant between the samples. The function is defined in a Python
-file beside the scene. A run executes this file only with ``--trust``. A Python program may pass the
-function instead: ``kc.run(scene, functions={"NAME": function})``. If kc2spice repeats the run with
-other settings, it reads the file again, or calls the passed function again from time 0 on.
+Between two calls, the output of the controller is constant. The function is defined in a Python
+file in the folder of the scene. A run executes the Python file only with the option ``--trust``. A
+Python program may pass the function instead: ``kc.run(scene, functions={"NAME": function})``. If
+kc2spice repeats the run with other settings, the file is read again, and a passed function is
+called again from time 0.
 """
 
 from __future__ import annotations
@@ -39,8 +40,8 @@ Function = Callable[[float, Mapping[str, float]], float]
 class ControllerKeys(Section):
     """Keys of a sampled controller ``function(time, inputs) -> output`` in SI units.
 
-    The function is called once in each ``period``. ``output`` is a voltage [V], or a current [A]
-    out of the pin ``out``. The output changes at a time ``delay`` after each sample.
+    The function is called once per ``period``. ``output`` is a voltage [V], or a current [A] out of
+    the pin ``out``. Each output value takes effect at a time ``delay`` after its sample.
     """
 
     kind: Literal["python"] = Field("python", description="Kind of controller: a Python function")
@@ -77,7 +78,7 @@ class ControllerKeys(Section):
 
 
 class Controller(PartType[ControllerKeys]):
-    """Part type ``controller``: controller that is a Python function, sampled."""
+    """Part type ``controller``: sampled controller that is a Python function."""
 
     name = "controller"
     title = "controller that is a Python function, sampled"
@@ -150,7 +151,7 @@ wiring = "parallel"
     def list_inner_names(
         self, part: Part[ControllerKeys], scene: WiredScene
     ) -> Iterator[tuple[str, ...]]:
-        """Yield the name of the node whose voltage is the sampled output current."""
+        """Yield the name of the inner node that represents the sampled output."""
         yield part.name.lower(), "held"
 
     def law(self, part: Part[ControllerKeys], build: BuiltScene) -> MissingEquations:
@@ -177,7 +178,7 @@ wiring = "parallel"
             function = build.functions.get(part.name) or self._load_function(part, build)
 
             def compute_output(time: float, values: Mapping[str, float]) -> float:
-                """Return the output of the user's function at a time, for node voltages."""
+                """Return the output of the user's function for a time and node voltages."""
                 inputs = {name: factor * values[net] for name, (net, factor) in sources.items()}
                 return float(function(time, inputs))
 

@@ -1,4 +1,4 @@
-"""PID controller of a sphere's height, as ideal equations or as an op-amp circuit (paper 2.4)."""
+"""PID controller of a sphere's height (paper 2.4), ideal or with op-amps."""
 
 from __future__ import annotations
 
@@ -39,21 +39,22 @@ from kc2spice.scene.part_records import PartResult
 from kc2spice.scene.parttype import register_part_type
 from kc2spice.synthesis.header import render_library
 
-SENSOR_GAIN = 2e3  # V/m; the sensor voltage is 5 V at the paper's set point
-SENSE_RESISTANCE = 100.0  # Ohm; the resistor has 10 V at the paper's current limit of 0.1 A
-# largest command voltage [V] of the output stage, far below the supply of the signal amplifiers
+SENSOR_GAIN = 2e3  # sensor gain [V/m]; the sensor voltage is 5 V at the paper's set point
+# Ohm; the voltage of the resistor is 10 V at the paper's current limit of 0.1 A.
+SENSE_RESISTANCE = 100.0
+# Largest command voltage [V] of the output stage, far below the supply voltage of the amplifiers.
 MAX_COMMAND = 10.0
 SUPPLY_VOLTAGE = 400.0  # smallest supply voltage [V] of the output stage
-SUPPLY_RATIO = 1.2  # ratio of a supply voltage to the required output voltage
+SUPPLY_RATIO = 1.2  # ratio of supply voltage to required output voltage
 ENABLE_EDGE = 1e-8  # s, rise and fall time of the enable signal
-DISCHARGE_TIME = 1e-6  # s, time constant with which a disabled controller's integral decays
+DISCHARGE_TIME = 1e-6  # s, time constant of the integral's decay in a disabled controller
 # Largest permitted fraction of the run during which the current is at its limit.
 # While the current is at its limit, the controller has no effect.
 MAX_SATURATED_SHARE = 0.9
 
 
-# Gains that are parameters of the netlist, each with the other gain that it requires.
-# A gain of zero has no amplifier stage, so this gain is not a parameter.
+# Parameters of the netlist for gains: required nonzero gain, parameter name, unit, description.
+# The circuit has no amplifier stage for a gain of zero, so a zero gain is not a parameter.
 GAIN_PARAMETERS = (
     ("kp", "kp", "A/m", "proportional gain, above zero"),
     ("ki", "ki", "A/(m.s)", "integral gain, above zero"),
@@ -63,7 +64,7 @@ GAIN_PARAMETERS = (
 
 
 def _list_pins(output: bool) -> tuple[Terminal, ...]:
-    """Return the pins of a controller; without an ``output`` stage, its output is ``command``."""
+    """Return the pins of a controller with or without an ``output`` stage."""
     ends = ("drive", "sense") if output else ("command",)
     return (
         Terminal.signal("y", DISPLACEMENT, required=True),
@@ -78,9 +79,10 @@ def declare_control(control: PidKeys, *, output: bool = True) -> Declaration:
 
     The output current is ``i = clip(kp e + ki integral(e) + kd de/dt / (1 + rolloff s),
     +-current_limit)`` between ``drive`` and ``sense``, where ``e = setpoint - y`` is a sensor
-    voltage. Without ``output``, the output is a voltage at ``command``, with 100 V for each ampere.
-    The integral is constant while the current is at its limit. Integral and current are zero until
-    the voltage at ``enable`` is 1 V. A gain of zero has no term in the equation and no parameter.
+    voltage. Without ``output``, the output is the voltage at ``command``: 100 V for each ampere.
+    The integral is constant while the current is at its limit. The integral and the current are
+    zero until the voltage at ``enable`` rises to 1 V. If a gain is zero, its term and its parameter
+    are left out.
     """
     limited = "demand/current_limit"
     within = f"(1 - above({limited} - 1) - above(-{limited} - 1))"
@@ -97,7 +99,8 @@ def declare_control(control: PidKeys, *, output: bool = True) -> Declaration:
     gains = [gain for gain in terms if getattr(control, gain)]
     target = f"on*current_limit*clip({limited})"
     ends: tuple[Branch, ...] = (voltage("command", "command", "ref"),)
-    content = f"0.5*(command - {SENSE_RESISTANCE!r}*{target})^2"  # source resistance of 1 Ohm
+    # voltage source with a resistance of 1 Ohm
+    content = f"0.5*(command - {SENSE_RESISTANCE!r}*{target})^2"
     if output:
         ends = voltage("drop", "drive", "sense"), voltage("sensed", "sense", "ref", "returned")
         content = f"0.5*sensed^2 - {target}*drop"
@@ -146,13 +149,13 @@ def make_pid_subcircuit(
 ) -> Subcircuit:
     """Return the subcircuit of a controller for coils between ``drive`` and ``sense``.
 
-    The inputs of the subcircuit are the height ``y`` and ``enable``. The output stage measures the
-    coil current with a resistor of at most 100 Ohm. The voltage of this resistor at the current
-    limit is at most 10 V, within the rails. The supply voltage of the output stage is a multiple of
-    100 V. With this supply voltage, the stage can drive the limit current through the resistance
-    ``load`` [Ohm] of the coils, with a margin for changes of the current. Without the output stage,
-    the output of the controller is the voltage at ``command``, with 100 V for each ampere of the
-    set current.
+    The inputs of the subcircuit are ``y``, the height of the sphere, and ``enable``. The output
+    stage measures the coil current with a resistor of at most 100 Ohm. At the current limit, this
+    resistor has a voltage of at most 10 V, which is within the supply voltages of the amplifiers.
+    The supply voltage of the output stage is a multiple of 100 V. The supply voltage suffices for
+    the limit current through coils with the resistance ``load`` [Ohm], with a margin for changes of
+    the current. Without the output stage, the output is the voltage at ``command``: 100 V for each
+    ampere of the set current.
     """
     declared = declare_control(control, output=output)
     if control.form == "ideal":
@@ -215,7 +218,7 @@ class Pid(PartType[PidKeys]):
         return _list_pins(not _drives_external_circuit(part, scene))
 
     def default_joins(self, part: Part[PidKeys], scene: GovernedScene) -> Mapping[str, str]:
-        """Return the default connections: input to the controlled sphere, output to the coils."""
+        """Return the default connections: sphere to input, output to coils."""
         ball = sphere.find_controlled_sphere(part, scene)
         joins = {} if ball is None else {"y": f"{ball.name}.y"}
         if not _drives_external_circuit(part, scene):
@@ -282,7 +285,7 @@ class Pid(PartType[PidKeys]):
         return result
 
     def law(self, part: Part[PidKeys], build: BuiltScene) -> laws.Equations | laws.MissingEquations:
-        """Return the equations of the ideal controller, from which an op-amp circuit deviates."""
+        """Return the equations of the ideal controller, without op-amp errors."""
         keys, n, scene = part.keys, part.name, build.scene
         if build.get_net(part, "ref") != "0":
             return laws.MissingEquations("its pin ref is not connected to ground")
@@ -348,7 +351,7 @@ def _find_driven_coils(part: Part[PidKeys], scene: DeclaredScene) -> Part[RingMa
 
 
 def _drives_external_circuit(part: Part[PidKeys], scene: DeclaredScene) -> bool:
-    """Return whether another circuit, which the pin ``command`` controls, drives the coils."""
+    """Return whether another circuit, controlled by ``command``, drives the coils."""
     joined = scene.is_target(part.name, "command") or "command" in part.pins
     return joined or bool(_find_driven_coils(part, scene).keys.driver)
 
@@ -360,9 +363,9 @@ def compute_final_mean(t: np.ndarray, values: np.ndarray) -> float:
 
 
 def compute_settling_time(t: np.ndarray, y: np.ndarray, target: float, band: float) -> float | None:
-    """Return the time at which ``y`` enters the band ``target`` ± ``band`` for the last time.
+    """Return the time of the last entry of ``y`` into the band ``target`` ± ``band``.
 
-    Return None if the last value of ``y`` is outside this band.
+    The result is None if the last value of ``y`` is outside the band.
     """
     outside = np.abs(y - target) > band
     if outside[-1]:

@@ -1,4 +1,7 @@
-"""The part ``sensor``: a position sensor with bandwidth, offset and noise for a controller."""
+"""The part ``sensor``: position sensor with bandwidth, offset and noise.
+
+A controller can use the measured position.
+"""
 
 from __future__ import annotations
 
@@ -35,12 +38,12 @@ from kc2spice.scene.part_records import PartResult
 from kc2spice.scene.parttype import register_part_type
 
 VOLTS_PER_METRE = (
-    f"{DISPLACEMENT.pin_value_per_si_unit:g}"  # V/m, pin voltage that represents one metre
+    f"{DISPLACEMENT.pin_value_per_si_unit:g}"  # V/m, voltage at a pin that represents one metre
 )
 
 
 class SensorKeys(Section):
-    """Keys of a position sensor: bandwidth of its low-pass filter, offset and white noise."""
+    """Keys of a position sensor: bandwidth, offset and white noise."""
 
     bandwidth: Frequency = Field(
         1e6,
@@ -63,8 +66,8 @@ class SensorKeys(Section):
 def declare_sensor(keys: SensorKeys) -> Declaration:
     """Return the declaration of the noise-free sensor.
 
-    The output of the sensor is the position, filtered by a first-order low-pass filter, plus the
-    offset.
+    A first-order low-pass filter filters the position. The output of the sensor is the filtered
+    position plus the offset.
     """
     return Declaration(
         "sensor",
@@ -113,7 +116,7 @@ dc = "1 um"
         )
 
     def problems(self, part: Part[SensorKeys], scene: GovernedScene) -> Iterator[UsageError]:
-        """Yield an error for each invalid key of the part."""
+        """Yield an error if the analysis does not permit noise."""
         kinds = ("transient", "noise")
         if part.keys.noise and scene.analysis.type not in kinds:
             problem = "the noise of a sensor does not apply to this analysis"
@@ -133,7 +136,7 @@ dc = "1 um"
         cards: tuple[Item, ...] = ()
         size = DISPLACEMENT.pin_value_per_si_unit * keys.noise
         if keys.noise and build.has_noise:
-            # The white noise is a multiple of the noise voltage of a resistor of 1 Ohm.
+            # The white noise is the noise voltage of a resistor of 1 Ohm, multiplied by a gain.
             root = math.sqrt(4 * BOLTZMANN * DEFAULT_TEMPERATURE * keys.bandwidth)
             cards = attach_comments((
                 "* noise of 1 Ohm at 27 C times a gain",
@@ -151,7 +154,7 @@ dc = "1 um"
         return (make_declared_subcircuit(header, name, d, d.values(Section()), more=cards),)
 
     def settable_quantities(self, part: Part[SensorKeys], build: BuiltScene) -> Mapping[str, float]:
-        """Return the initial state of the sensor, the height of the measured sphere."""
+        """Return the initial state of the sensor: the height of the measured sphere."""
         start = sphere.find_initial_height(part, "of", build.scene)
         if start is None:
             return {}

@@ -1,1 +1,1 @@
-"""Part types with keys that are the values of a manufacturer's data sheet."""
+"""Part types whose keys are the values of a data sheet."""

@@ -1,6 +1,7 @@
-"""Circuit of a loudspeaker driver: voice coil, eddy currents, suspension, creep and cone.
+"""Circuit of a loudspeaker driver.
 
-B l is the force factor, v the velocity of the cone, u the voltage and i the current of the coil::
+The circuit consists of voice coil, eddy currents, suspension, creep and cone. B l is the force
+factor, v the velocity of the cone, u the voltage and i the current of the coil::
 
     u = re i + leb di/dt + Z_semi i + B l v
     B l i = mass dv/dt + (r0 + 1 / (s c(s))) v + sd (p_front - p_rear)
@@ -47,16 +48,14 @@ _CREEP_AT_FS = complex(0.5 * math.log(2), -math.pi / 4)
 def compute_baffle_air_mass(area: float) -> float:
     """Return the mass [kg] of air that a piston in a baffle moves on one side.
 
-    This mass is the low-frequency limit.
-
-    The mass is ``8/3 rho a^3`` with the radius a and the density rho (L. E. Kinsler et al.,
-    Fundamentals of Acoustics, 2000, section 7.5).
+    The mass at low frequencies is ``8/3 rho a^3`` with the radius a and the density rho (L. E.
+    Kinsler et al., Fundamentals of Acoustics, 2000, section 7.5).
     """
     return 8 / 3 * AIR_DENSITY * (area / math.pi) ** 1.5
 
 
 class SemiInductance(NamedTuple):
-    """Elements that model a voice coil with eddy currents; a missing element is 0.
+    """Circuit elements of a voice coil with eddy currents; missing elements are 0.
 
     The elements are the inductances ``leb`` and ``le`` [H], the semi-inductance ``ke`` [H s^-1/2]
     and the resistance ``rss`` [Ohm] of shorted turns.
@@ -72,7 +71,7 @@ class SemiInductance(NamedTuple):
 class SpeakerParameters:
     """Parameters of a loudspeaker driver in SI units.
 
-    ``mmd`` is the moving mass without air; it is None if the area of the cone is not known.
+    ``mmd`` is the moving mass without air, or None if the area of the cone is not known.
     """
 
     fs: float
@@ -104,7 +103,7 @@ class SpeakerParameters:
 
 @dataclass
 class _DeclarationTerms:
-    """Branches and energy terms that optional effects add to the declaration of a driver."""
+    """Terms that optional effects add to the declaration of a driver."""
 
     branches: list[Branch] = field(default_factory=list)
     energy: list[str] = field(default_factory=list)
@@ -115,7 +114,10 @@ class _DeclarationTerms:
     inner: list[str] = field(default_factory=list)
 
     def add_path(self, name: str, inductance: str, resistance: str) -> None:
-        """Add a current path with a resistance and an inductance in series with the voice coil."""
+        """Add a current path in series with the voice coil.
+
+        The path has a resistance, an inductance, or both in series.
+        """
         self.branches.append(current(name, _EDDY, "minus"))
         if inductance:
             self.coenergy.append(f"0.5*{inductance}*{name}^2")
@@ -130,7 +132,10 @@ def _join_terms(*terms: str) -> str:
 def _add_semi_inductance(
     terms: _DeclarationTerms, semi: SemiInductance, ladder: RelaxationLadder
 ) -> None:
-    """Add the paths of eddy currents: ``le``, ``rss``, and a ladder for ``1/(ke sqrt(s))``."""
+    """Add branches for eddy currents to the declaration.
+
+    The branches are ``le``, ``rss``, and a ladder for ``1/(ke sqrt(s))``.
+    """
     terms.inner.append(_EDDY)
     values = {"leb": "H", "le": "H", "ke": "H/sqrt(s)", "rss": "Ohm"}
     notes = {
@@ -146,7 +151,7 @@ def _add_semi_inductance(
     if semi.leb:
         terms.coenergy.append(f"0.5*leb*{COIL}^2")
     # Parallel inductors are combined into a single inductor.
-    # The distribution of a constant current between two inductors would be undetermined.
+    # With two inductors, the distribution of a constant current would be undetermined.
     conductances = [f"{ladder.constant!r}/ke"] * bool(semi.ke) + ["1/rss"] * bool(semi.rss)
     inverses = [f"{ladder.integral!r}/ke"] * bool(semi.ke) + ["1/le"] * bool(semi.le)
     terms.constants["r_fast"] = f"1/({_join_terms(*conductances)})"
@@ -164,10 +169,11 @@ def _add_semi_inductance(
 
 
 def _add_creep(terms: _DeclarationTerms, creep: float, ladder: RelaxationLadder) -> None:
-    """Add the suspension: the compliance c0 in series with the elements of creep.
+    """Add the suspension with creep to the declaration.
 
-    Each element of creep is a spring in parallel with a damper. The displacement of each inner node
-    is the elongation of one element of creep.
+    The compliance c0 is in series with the elements of creep. Each element of creep is a spring in
+    parallel with a damper. The displacement of each inner node is the elongation of one element of
+    creep.
     """
     terms.params.append(
         make_positive_parameter(
@@ -196,10 +202,10 @@ def _add_creep(terms: _DeclarationTerms, creep: float, ladder: RelaxationLadder)
 
 
 def _add_sound(terms: _DeclarationTerms, sides: tuple[str, ...], area: float) -> None:
-    """Add acoustic pins, which the cone couples to its motion as an ideal transformer.
+    """Add acoustic pins, to which the cone is coupled as an ideal transformer.
 
-    The ratio of the transformer is the area ``sd``. The pressure p on the rear of the cone has the
-    coenergy ``sd x p``. On the front, where the cone presses air out, the coenergy is ``-sd x p``.
+    The ratio of the transformer is the area ``sd``. The pressure p behind the cone contributes the
+    coenergy ``sd x p``. In front of the cone, which presses air out, the coenergy is ``-sd x p``.
     """
     terms.params.append(
         make_positive_parameter("sd", round_to_digits(area), "m2", "effective area of the cone")
@@ -214,7 +220,7 @@ def _add_sound(terms: _DeclarationTerms, sides: tuple[str, ...], area: float) ->
 def declare_motor(
     params: tuple[Param, ...], driver: SpeakerParameters, sides: tuple[str, ...] = ()
 ) -> Declaration:
-    """Declare the motor of a driver: the driver without the mass of its cone."""
+    """Declare a driver without the mass of its cone."""
     more, semi, creeps = _DeclarationTerms(), driver.semi, driver.creep > 0
     if semi:
         _add_semi_inductance(more, semi, make_semi_inductance_ladder())
@@ -252,16 +258,17 @@ def declare_motor(
         sign=SIGN_NOTE + SOUND_SIGN_NOTE * bool(sides),
         inner=tuple(more.inner),
         # The sound pressure is computed from the velocity of the cone.
-        # A second numerical derivative of the displacement would be inaccurate.
+        # A second differentiation of the displacement would be inaccurate.
         velocities={"x": "speed_m"} if sides else {},
     )
 
 
 def declare_moving_mass(mass: float, air: float = 0.0, added: float = 0.0) -> Declaration:
-    """Return the declaration of the moving mass of a driver, with separate netlist nodes.
+    """Return the declaration of the moving mass of a driver.
 
-    ``air`` [kg] is the share of ``mass`` that connected parts of type ``radiation`` already
-    contain. ``added`` [kg] is an additional mass on the cone.
+    The moving mass has separate nodes in the netlist. ``air`` [kg] is the part of ``mass`` that
+    connected parts of type ``radiation`` already model. ``added`` [kg] is an additional mass on the
+    cone.
     """
     moving, params = "mms", [make_positive_parameter("mms", mass, "kg", "moving mass")]
     if air:

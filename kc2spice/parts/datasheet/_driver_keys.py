@@ -1,4 +1,4 @@
-"""Keys of a loudspeaker, and the relations between the values of its data sheet."""
+"""Keys of a loudspeaker, and relations between the values of its data sheet."""
 
 from __future__ import annotations
 
@@ -27,17 +27,16 @@ from kc2spice.physics.conductors import ConductorKeys
 
 AIR_STIFFNESS = AIR_DENSITY * SOUND_SPEED**2  # bulk modulus rho c^2 of air [Pa]
 AREA_KEYS = ("sd", "vas", "mmd")  # keys whose relations contain the area of the cone
-# Unknowns with their start values in the iteration, in SI units, from a common woofer of 17 cm.
+# Start values of the unknowns for the fit, in SI units: a common woofer of 17 cm.
 EXAMPLE_WOOFER = {"re": 6.0, "bl": 6.0, "mms": 15e-3, "cms": 1e-3, "rms": 1.0, "sd": 13e-3}
 Area = Annotated[float, si("m2")]
 
 
 class LoudspeakerKeys(ConductorKeys, NumberedKeys):
-    """Values of a data sheet that determine a loudspeaker driver; redundant values must agree.
+    """Data-sheet values that determine a loudspeaker; redundant values must agree.
 
-    Their relations are ``Bl^2 = 2 pi fs mms re / qes``, ``qms = 2 pi fs mms / rms`` and
-    ``vas = rho c^2 sd^2 cms``
-    (R. H. Small, J. Audio Eng. Soc. 20 (1972) 383).
+    The relations between these values are ``Bl^2 = 2 pi fs mms re / qes``, ``qms = 2 pi fs mms /
+    rms`` and ``vas = rho c^2 sd^2 cms`` (R. H. Small, J. Audio Eng. Soc. 20 (1972) 383).
     """
 
     fs: Frequency | None = Field(
@@ -188,7 +187,7 @@ DRIVER_PARAMETERS = {
 
 
 def compute_thiele_small(driver: Mapping[str, float]) -> dict[str, float]:
-    """Return all data-sheet values of a driver, computed from six of these values.
+    """Return all data-sheet values of a loudspeaker, computed from six values.
 
     ``driver`` contains ``re``, ``bl``, ``mms``, ``cms``, ``rms`` and ``sd`` in SI units.
     """

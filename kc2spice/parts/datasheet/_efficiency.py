@@ -9,21 +9,23 @@ from kc2spice.parts.acoustics.listener import ListenerKeys
 from kc2spice.parts.acoustics.radiation import RadiationKeys
 from kc2spice.scene.model import Part, Scene
 
-STEADY_SHARE = 0.5  # last fraction of a transient in which the oscillation counts as periodic
+STEADY_SHARE = 0.5  # last fraction of a transient that counts as periodic
 
 
 def compute_efficiency(part: Part, scene: Scene, waves: Waveforms) -> np.ndarray | None:
-    """Return the efficiency of a loudspeaker, radiated power divided by electrical power.
+    """Return the efficiency of a loudspeaker.
 
-    The returned array has the shape (n,) with a value for each frequency, or the shape (1,) with
-    the mean over the last periods of a transient. The radiated power is ::
+    The efficiency is the radiated power divided by the electrical power. For frequency responses,
+    the returned array (n,) contains a value for each frequency. For transients, the returned array
+    (1,) contains the mean over the last periods. The radiated power is ::
 
         P = angle r^2 |p|^2 / (rho c)
 
     where p is the pressure on the axis at the distance r, and ``angle`` is the solid angle of the
-    radiating surfaces. The formula neglects that large surfaces radiate less off their axis. The
-    scene must have one loudspeaker, and one listener on the axis of surfaces in one fluid. In a
-    transient, the sources must also have a common period. Otherwise, the function returns None.
+    radiating surfaces. The formula for the radiated power neglects that large surfaces radiate less
+    sound off their axis. The scene must have one loudspeaker, and one listener on the axis of
+    surfaces that radiate into one fluid. In a transient, the sources must also have a common
+    period. If the scene does not meet these conditions, the function returns None.
     """
     listener, lines = scene.find_only_part("listener"), (f"{part.name}.v", f"{part.name}.i")
     if listener is None or scene.find_only_part(part.type.name) is None:
@@ -56,11 +58,12 @@ def _compute_efficiency(
     period: float | None,
     delay: float,
 ) -> np.ndarray | None:
-    """Return an array (1,) with the ratio of mean powers over the last complete periods.
+    """Return an array (1,) with the efficiency over the last complete periods.
 
-    ``radiated`` and ``electrical`` are powers versus time, of shape (n,). The radiated power
-    arrives ``delay`` [s] later than the electrical power that generates it. Return None without a
-    common period.
+    The efficiency is the ratio of the mean radiated power and the mean electrical power.
+    ``radiated`` and ``electrical`` are the powers versus time, arrays of shape (n,). The radiated
+    power is ``delay`` [s] later than the electrical power that causes this radiation. Return None
+    if the sources have no common period.
     """
     count = 0 if not period else int(STEADY_SHARE * (time[-1] - delay) / period)
     if not period or count < 1:

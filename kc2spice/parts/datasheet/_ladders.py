@@ -7,8 +7,8 @@ approximated in a frequency band by ::
 
     f(s) = constant + integral / s + sum_k weight_k corner_k / (s + corner_k)
 
-All coefficients are positive. Each term and the sum are therefore passive two-terminal networks (R.
-M. Foster, Bell System Technical Journal 3 (1924) 259).
+All coefficients are positive. Each term is therefore a passive two-terminal network, and the sum is
+also passive (R. M. Foster, Bell System Technical Journal 3 (1924) 259).
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from functools import cache
 
 import numpy as np
 
-# Numbers of frequencies at which a ladder is fitted, and at which its error is computed.
+# Number of frequencies for the fit of a ladder, and for its error.
 _FIT_POINTS, _CHECK_POINTS = 120, 2000
-# Band [rad/s] of the ladder of semi-inductances: 5 Hz to 50 kHz, wider than the audio band.
+# Band [rad/s] of the ladder for semi-inductances: 5 Hz to 50 kHz, wider than the audio band.
 SEMI_INDUCTANCE_BAND = 2 * np.pi * 5.0, 2 * np.pi * 50e3
-# Number of branches of the ladder of semi-inductances.
+# Number of branches of the ladder for semi-inductances.
 # Each additional branch divides the error of the ladder by 2.3.
 SEMI_INDUCTANCE_BRANCHES = 9
-# Frequency band of the ladder of creep, relative to the creep frequency.
+# Frequency band of the ladder for creep, divided by the creep frequency.
 CREEP_BAND = 1e-3, 30.0
-# Number of elements of the ladder of creep. Each additional element divides the error by 2.9.
+# Number of elements of the ladder for creep. Each additional element divides the error by 2.9.
 CREEP_ELEMENTS = 6
 
 
@@ -43,7 +43,7 @@ class RelaxationLadder:
     error: float
 
     def evaluate(self, s: np.ndarray) -> np.ndarray:
-        """Return an array (n,) with the ladder's response at the complex frequencies ``s``."""
+        """Return the response (n,) of the ladder at the complex frequencies ``s``."""
         corners, weights = np.array(self.corners), np.array(self.weights)
         terms = weights * corners / (s[:, None] + corners)
         return np.asarray(self.constant + self.integral / s + terms.sum(axis=1))
@@ -55,15 +55,16 @@ def fit_ladder(
     count: int,
     ends: bool,
 ) -> RelaxationLadder:
-    """Return a ladder, fitted to a response by least squares of the relative error.
+    """Return a ladder that is fitted to a response by least squares.
 
-    The unknowns of the fit are the logarithms of the coefficients, so that all coefficients are
-    positive. The start values of the corners are a geometric sequence in the band.
+    The fit minimises the relative error of the response. The unknowns of the fit are the logarithms
+    of the coefficients. Therefore, all coefficients are positive. The start values of the corners
+    are a geometric sequence in the band.
 
     Parameters
     ----------
     response : callable
-        Function of complex frequencies ``s``, an array (n,), that returns the response (n,).
+        Function that returns the response (n,) at the complex frequencies ``s`` (n,).
     band : pair of float
         Lowest and highest angular frequency of the fit.
     count : int
@@ -92,7 +93,10 @@ def fit_ladder(
         start.append(np.log([high / 3, low * band[0] / 3]))
 
     def evaluate_terms(x: np.ndarray) -> np.ndarray:
-        """Return the terms of the ladder, divided by the response, for log-coefficients ``x``."""
+        """Return the terms of the ladder, divided by the response to be fitted.
+
+        ``x`` contains the logarithms of the coefficients.
+        """
         weight, corner = np.exp(x[:count]), np.exp(x[count : 2 * count])
         columns = [weight * corner / (s[:, None] + corner)]
         if ends:
@@ -101,7 +105,7 @@ def fit_ladder(
         return np.hstack(columns) / target[:, None]
 
     def residuals(x: np.ndarray) -> np.ndarray:
-        """Return real and imaginary parts of the ladder's relative error."""
+        """Return the real and imaginary parts of the ladder's relative error."""
         error = evaluate_terms(x).sum(axis=1) - 1
         return np.concatenate([error.real, error.imag])
 
@@ -125,14 +129,18 @@ def fit_ladder(
 
 @cache
 def make_semi_inductance_ladder() -> RelaxationLadder:
-    """Return the ladder for ``1/sqrt(s)``, the admittance of a semi-inductance of 1 semi-henry."""
+    """Return the ladder for ``1/sqrt(s)``.
+
+    The function ``1/sqrt(s)`` is the admittance of a semi-inductance of 1 H s^(-1/2).
+    """
     return fit_ladder(lambda s: s**-0.5, SEMI_INDUCTANCE_BAND, SEMI_INDUCTANCE_BRANCHES, ends=True)
 
 
 @cache
 def fit_creep_ladder() -> RelaxationLadder:
-    """Return the ladder for ``ln(1 + 1/s)``, the relative increase of a compliance by creep.
+    """Return the ladder for ``ln(1 + 1/s)``.
 
-    The frequency ``s`` is relative to the creep frequency.
+    The function ``ln(1 + 1/s)`` is the relative increase of a compliance by creep. Here ``s`` is
+    the complex frequency, divided by the creep frequency.
     """
     return fit_ladder(lambda s: np.log(1 + 1 / s), CREEP_BAND, CREEP_ELEMENTS, ends=False)

@@ -1,12 +1,13 @@
-"""Resonators as Butterworth-Van Dyke circuits, as in data sheets of ceramics and crystals.
+"""Resonators as Butterworth-Van Dyke circuits.
 
-A clamped capacitance ``c0`` is in parallel with a series branch of ``lm``, ``cm`` and ``rm`` for
-each mode. The admittance is
+Data sheets of piezoelectric ceramics and crystals use Butterworth-Van Dyke circuits. A clamped
+capacitance ``c0`` is in parallel with a series branch of ``lm``, ``cm`` and ``rm`` for each mode.
+The admittance is
 
     Y(s) = s c0 + sum_n s cm_n / (1 + s rm_n cm_n + s^2 lm_n cm_n)
 
-(K. S. Van Dyke, Proc. IRE 16 (1928) 742; IEEE Std 177-1966). Part types define their keys as
-functions of the circuit elements. The module :mod:`._stated_values` solves for the elements that
+(K. S. Van Dyke, Proc. IRE 16 (1928) 742; IEEE Std 177-1966). Each part type defines its keys as
+functions of the circuit elements. The module :mod:`._stated_values` computes the elements that
 match the keys.
 """
 
@@ -61,7 +62,7 @@ TWO_PI = 2 * math.pi
 
 
 class NumberedKeys(Section):
-    """Base class for the keys of all parts with a part number."""
+    """Base class for the keys of parts with a part number."""
 
     number: PartNumber | None = Field(
         None,
@@ -72,7 +73,7 @@ class NumberedKeys(Section):
 
 
 class RatedKeys(NumberedKeys):
-    """Base class for the keys of all electrical parts with a rated voltage."""
+    """Base class for the keys of electrical parts with a rated voltage."""
 
     rated_voltage: Voltage | None = Field(
         None,
@@ -88,7 +89,7 @@ class Resonator:
     """Circuit elements of a resonator in SI units.
 
     The elements are the clamped capacitance ``c0``, and for each mode the series resonance
-    frequency ``fs``, the capacitance ``cm`` and the resistance ``rm``.
+    frequency ``fs``, the motional capacitance ``cm`` and the motional resistance ``rm``.
     """
 
     c0: float
@@ -98,7 +99,10 @@ class Resonator:
 
     @classmethod
     def from_unknowns(cls, values: np.ndarray) -> Resonator:
-        """Return a resonator from the unknowns ``(c0, fs_1, …, cm_1, …, rm_1, …)`` of a fit."""
+        """Return a resonator from the unknowns of a fit.
+
+        The unknowns are ``(c0, fs_1, …, cm_1, …, rm_1, …)``.
+        """
         c0, *others = map(float, values)
         modes = len(others) // 3
         columns = (tuple(others[k * modes : (k + 1) * modes]) for k in range(3))
@@ -111,11 +115,11 @@ class Resonator:
 
     @cached_property
     def fp(self) -> tuple[float, ...]:
-        """Antiresonance frequencies [Hz] of the circuit without losses, in the order of ``fs``.
+        """Antiresonance frequencies [Hz] of the circuit without losses.
 
-        With the charges of the branches as unknowns, the squared angular frequencies of the open
-        circuit are the eigenvalues of ``diag(w^2) + g g' / c0`` with ``w_n = 2 pi fs_n`` and ``g_n
-        = lm_n^(-1/2)``.
+        The frequencies have the order of the series resonance frequencies ``fs``. The unknowns are
+        the charges of the branches. The squared angular antiresonance frequencies are the
+        eigenvalues of ``diag(w^2) + g g' / c0`` with ``w_n = 2 pi fs_n`` and ``g_n = lm_n^(-1/2)``.
         """
         w, g = TWO_PI * np.array(self.fs), 1 / np.sqrt(self.lm)
         squares = np.linalg.eigvalsh(np.diag(w**2) + np.outer(g, g) / self.c0)
@@ -124,7 +128,7 @@ class Resonator:
         return tuple(map(float, result))
 
     def admittance(self, frequency: np.ndarray) -> np.ndarray:
-        """Return the complex admittance [S] at each frequency [Hz], an array of shape (n,)."""
+        """Return the complex admittance [S] at each frequency [Hz] as an array (n,)."""
         s = 2j * np.pi * np.asarray(frequency, float)
         result = s * self.c0
         for cm, lm, rm in zip(self.cm, self.lm, self.rm, strict=True):
@@ -150,9 +154,10 @@ class Resonator:
 
 @dataclass(frozen=True)
 class ResonatorNetlist:
-    """Parameters of a subcircuit, and its circuit elements as expressions of the parameters.
+    """Netlist parameters of a resonator, and its circuit elements as expressions.
 
-    ``modes`` contains the suffix of the element names of each mode.
+    The expressions of the circuit elements contain the netlist parameters. ``modes`` contains the
+    suffix of the element names for each mode.
     """
 
     params: tuple[Param, ...]
@@ -161,10 +166,10 @@ class ResonatorNetlist:
 
 
 class NumberedPart(PartType[KeysT]):
-    """Part with a library that is named after its part number."""
+    """Part whose library has the part number as its name."""
 
     def subcircuit_name(self, part: Part[KeysT], scene: Scene) -> str:
-        """Return the name of the subcircuit, which is the part number if there is one."""
+        """Return the name of the subcircuit: the part number, if the part has a number."""
         number = getattr(part.keys, "number", None)
         if not number:
             return super().subcircuit_name(part, scene)
@@ -189,14 +194,14 @@ class ResonatorPart(NumberedPart[KeysT]):
 
     @abstractmethod
     def make_resonator_netlist(self, part: Part[KeysT], circuit: Resonator) -> ResonatorNetlist:
-        """Return the parameters of the netlist, and expressions for its circuit elements."""
+        """Return the netlist parameters, and the expressions of the circuit elements."""
 
     def shared_data(self, part: Part[KeysT], scene: GovernedScene) -> Resonator:
-        """Return the circuit elements of the resonator, for use by other parts."""
+        """Return the circuit elements of the resonator for use by other parts."""
         return self.resonator(part)
 
     def circuit(self, part: Part[KeysT], scene: GovernedScene) -> Resonator:
-        """Return the circuit elements of the part, from the record of the scene if it has them."""
+        """Return the circuit elements, from the record of the scene if available."""
         record = scene.get_record(part)
         if record is None or not isinstance(record.shared_data, Resonator):
             return self.resonator(part)
@@ -214,7 +219,10 @@ class ResonatorPart(NumberedPart[KeysT]):
         )
 
     def equilibrium_conditions(self, part: Part[KeysT], scene: WiredScene) -> EquilibriumConditions:
-        """Return the paths for steady flow in equilibrium; the pin ``heat`` is on none of them."""
+        """Return the paths for steady flow in equilibrium.
+
+        No path includes the pin ``heat``.
+        """
         paths = super().equilibrium_conditions(part, scene).paths
         return EquilibriumConditions(tuple(path for path in paths if HEAT not in path))
 
@@ -328,23 +336,23 @@ class ResonatorPart(NumberedPart[KeysT]):
 
 
 def make_unknowns_relation(value: Callable[[Resonator], float]) -> Relation:
-    """Return a function that computes ``value`` of the resonator with the passed unknowns."""
+    """Return a function of the unknowns that computes a ``value`` of the resonator."""
     return lambda unknowns: value(Resonator.from_unknowns(unknowns))
 
 
 def _list_cards(content: ResonatorNetlist, plus: str, minus: str) -> Iterator[Item]:
     """Yield the cards of the circuit between two pins, with a leak for floating nets.
 
-    The leakage current is proportional to the stored charge, so that the sum of floating charges is
-    conserved.
+    The leakage current is proportional to the stored charge. Therefore, the sum of floating charges
+    is conserved.
     """
     for name, text in content.constants.items():
         yield Parameters({name: f"{{{text}}}"})
     yield Element.from_words("Vmeter", plus, "inner", "0")
     yield Element.from_words("C0", "inner", minus, "{c0}")
     for n in content.modes:
-        # The inductor separates the resistor with a large conductance from the capacitor.
-        # At a common node, this conductance would cause rounding errors in the small admittance.
+        # The inductor separates the capacitor from the large conductance of the resistor.
+        # At a common node, the large conductance would cause rounding errors.
         inductor, capacitor = f"motion{n}", f"charge{n}"
         yield Element.from_words(f"Rm{n}", "inner", inductor, f"{{rm{n}}}")
         yield Element.from_words(f"Lm{n}", inductor, capacitor, f"{{lm{n}}}")
@@ -356,7 +364,10 @@ def _list_cards(content: ResonatorNetlist, plus: str, minus: str) -> Iterator[It
 
 
 def _list_heat_cards(content: ResonatorNetlist) -> Iterator[Item]:
-    """Yield the cards of the heat pin: its ammeter, and the power of each motional resistance."""
+    """Yield the cards of the heat pin.
+
+    The heat pin has an ammeter, and a heat source for each motional resistance.
+    """
     yield from attach_comments(write_heat_meter())
     for n in content.modes:
         drop = f"V(inner,motion{n})"
@@ -375,5 +386,5 @@ def write_tolerance_note(value: float, tolerance: float | None) -> str:
 
 
 def list_mode_suffixes(modes: int) -> Sequence[str]:
-    """Return the suffix of each mode's element names; an empty suffix for a single mode."""
+    """Return the suffix of the element names for each mode; empty for a single mode."""
     return ("",) if modes == 1 else [str(n + 1) for n in range(modes)]

@@ -1,12 +1,12 @@
-"""Solution for the unknowns of a circuit that match the values of a data sheet.
+"""Unknowns of a circuit that match the values of a data sheet.
 
-Some values may be redundant. Each value is a function of the unknowns. Unknowns and values are
+Each value is a function of the unknowns, and some values may be redundant. Unknowns and values are
 positive, and the equations are solved for their logarithms: with ``x = ln(unknowns)`` and the
 tolerance t of each value,
 
     minimise  sum_j (ln value_j(x) - ln stated_j)^2 / t_j^2.
 
-A redundant value must agree with all other values within the tolerances.
+Each redundant value must agree with all other values within the tolerances.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ import numpy as np
 from kc2spice.core.errors import MAX_CANDIDATES, UsageError
 
 VALUE_ROUNDING = 0.005  # largest relative rounding error of a value with three significant digits
-# Step of the central differences of logarithms; the differences have errors of 1e-10 and 1e-11.
+# Step of the central differences of logarithms; the results have errors of 1e-10 and 1e-11.
 DIFFERENCE_STEP = 1e-5
-# Relative singular value below which an unknown counts as undetermined.
-# This singular value is far above the errors of the central differences.
+# An unknown counts as undetermined if its relative singular value is below this tolerance.
+# The tolerance is far above the errors of the central differences.
 RANK_TOLERANCE = 1e-7
 SOLUTION_TOLERANCE = 1e-6  # largest relative error of an equation that counts as solved
 # factor by which one unknown changes at the start of the search for a second circuit
@@ -43,11 +43,11 @@ Relation = Callable[[np.ndarray], float]
 class StatedValues:
     """Stated values of a data sheet, and each value as a function of the unknowns.
 
-    ``stated`` contains the values by their keys. ``relations`` contains the functions for all
-    values that a data sheet can state. The argument of each function is the vector of unknowns in
-    SI units. ``start`` contains the unknowns at the start of the iteration. ``units`` contains the
-    units of the values. The relative tolerance of a value is its entry in ``tolerance``, or without
-    such an entry, its entry in ``rounding``.
+    ``stated`` contains the stated values, keyed by name. ``relations`` contains a function for each
+    value that a data sheet can state. The argument of each function is the vector of unknowns in SI
+    units. ``start`` contains the unknowns at the start of the iteration. ``units`` contains the
+    units of the values. ``tolerance`` contains relative tolerances of values. For values without a
+    tolerance, ``rounding`` contains the relative rounding error.
     """
 
     part: str
@@ -84,7 +84,10 @@ class StatedValues:
     # --- equations --------------------------------------------------------------------------------
 
     def _compute_logarithm(self, key: str, x: np.ndarray) -> float:
-        """Return the logarithm of the value ``key`` for the logarithms ``x`` of the unknowns."""
+        """Return the logarithm of the value ``key``.
+
+        ``x`` contains the logarithms of the unknowns.
+        """
         unknowns = np.exp(np.clip(x, -LARGEST_LOGARITHM, LARGEST_LOGARITHM))
         value = self.relations[key](unknowns)
         return math.log(value) if 0 < value < math.inf else -LARGEST_LOGARITHM
@@ -107,22 +110,25 @@ class StatedValues:
 
     @cached_property
     def _fitted_logarithms(self) -> np.ndarray:
-        """Logarithms of the unknowns, fitted to the stated values."""
+        """Logarithms of the unknowns that match the stated values best."""
         return self._fit_unknowns(np.log(self.start))
 
     def _fit_unknowns(self, start: np.ndarray) -> np.ndarray:
-        """Return the logarithms of the unknowns, fitted to the stated values from ``start`` on."""
+        """Return the logarithms of the unknowns, fitted to the stated values.
+
+        ``start`` contains the logarithms at the start of the iteration.
+        """
         from scipy.optimize import least_squares  # loads slowly
 
         weights = np.array([1 / self.get_log_tolerance(key) for key in self.stated])
         weights /= weights.max()
 
         def residuals(x: np.ndarray) -> np.ndarray:
-            """Return the residuals of all stated values, divided by their tolerances."""
+            """Return the residuals of all stated values, divided by the tolerances."""
             return weights * [self._compute_residual(key, x) for key in self.stated]
 
         def slopes(x: np.ndarray) -> np.ndarray:
-            """Return the derivatives of the weighted residuals with respect to ``x``."""
+            """Return the derivatives of the residuals with respect to ``x``."""
             return weights[:, None] * [self._compute_gradient(key, x) for key in self.stated]
 
         close = {"xtol": 1e-15, "ftol": 1e-15, "gtol": 1e-15}
@@ -135,7 +141,10 @@ class StatedValues:
         return replace(self, stated=stated)
 
     def _count_determined_unknowns(self, x: np.ndarray, *more: str) -> int:
-        """Return how many unknowns the stated values and the values ``more`` determine."""
+        """Return the number of unknowns that the values determine.
+
+        The stated values and the values ``more`` are considered.
+        """
         rows = [self._compute_gradient(key, x) for key in (*self.stated, *more)]
         return int(np.linalg.matrix_rank(np.array(rows), tol=RANK_TOLERANCE)) if rows else 0
 
@@ -173,7 +182,7 @@ class StatedValues:
         )
 
     def _require_solution(self, x: np.ndarray) -> None:
-        """Raise an error if the values are just enough but match no circuit."""
+        """Raise an error if there are no redundant values and no circuit matches."""
         if len(self.stated) > x.size:
             return
         misses = {key: abs(self._compute_residual(key, x)) for key in self.stated}
@@ -198,11 +207,12 @@ class StatedValues:
         )
 
     def _require_agreement(self, x: np.ndarray) -> None:
-        """Raise an error if redundant values contradict each other beyond their tolerances.
+        """Raise an error if a redundant value contradicts the other values.
 
-        The other values imply each redundant value. ``S_k`` are the derivatives of the implied
-        value with respect to the other values, and t and ``t_k`` are tolerances. The implied value
-        may differ from the stated value by ``t + sum |S_k| t_k``.
+        For each redundant value, the other values imply a value. ``S_k`` is the derivative of the
+        implied value with respect to the other value k. The tolerances are t for the redundant
+        value and ``t_k`` for the value k. The implied value may differ from the stated value by ``t
+        + sum |S_k| t_k``.
         """
         redundant = {}
         for key in self.stated if len(self.stated) > x.size else ():
@@ -217,23 +227,23 @@ class StatedValues:
         raise self._make_contradiction_error(key, other)
 
     def _is_contradicted(self, key: str, shares: Mapping[str, float], x: np.ndarray) -> bool:
-        """Return whether the value ``key`` contradicts the value that all other values imply."""
+        """Return whether all other values together contradict the value ``key``."""
         implied = sum(share * self._compute_residual(name, x) for name, share in shares.items())
         allowed = sum(abs(share) * self.get_log_tolerance(name) for name, share in shares.items())
         return abs(implied - self._compute_residual(key, x)) > allowed + self.get_log_tolerance(key)
 
     def _compute_deviation(self, key: str) -> float:
-        """Return how far the value ``key`` is from the value that all other values imply.
+        """Return the deviation of the value ``key`` from the value that the others imply.
 
-        The distance is the magnitude of the logarithm of the ratio of both values.
+        The deviation is the absolute value of the logarithm of the ratio of both values.
         """
         return abs(self._compute_residual(key, self._drop_value(key)._fitted_logarithms))
 
     def _require_unique_circuit(self, x: np.ndarray) -> None:
-        """Raise an error if two circuits have the same data-sheet values.
+        """Raise an error if two circuits have the same stated values.
 
-        The search for a second circuit begins with one of the unknowns larger or smaller by the
-        factor :data:`RESTART_FACTOR`, for each unknown in turn.
+        For each unknown, the search for a second circuit starts with this unknown multiplied and
+        divided by :data:`RESTART_FACTOR`.
         """
         steps = math.log(RESTART_FACTOR) * np.eye(x.size)
         for start in (*(x + steps), *(x - steps)):
@@ -257,18 +267,18 @@ class StatedValues:
                 )
 
     def _compare_circuits(self, key: str, x: np.ndarray, y: np.ndarray) -> float:
-        """Return the logarithm of the ratio of the value ``key`` in two circuits."""
+        """Return the logarithm of the ratio of the values ``key`` of two circuits."""
         return self._compute_logarithm(key, x) - self._compute_logarithm(key, y)
 
     def _compute_sensitivities(self, key: str, x: np.ndarray) -> dict[str, float]:
-        """Return the derivatives of the implied value of ``key`` with respect to other values."""
+        """Return derivatives of the implied value of ``key`` for all stated values."""
         weights = np.array([1 / self.get_log_tolerance(name) for name in self.stated])
         slopes = np.array([self._compute_gradient(name, x) for name in self.stated])
         solution = np.linalg.pinv(weights[:, None] * slopes) * weights
         return dict(zip(self.stated, self._compute_gradient(key, x) @ solution, strict=True))
 
     def _make_contradiction_error(self, key: str, other: str) -> UsageError:
-        """Return the error for the two contradicting values ``key`` and ``other``."""
+        """Return the error for two values that contradict each other."""
         implied = {name: self._drop_value(name) for name in (key, other)}
         texts = {
             name: self.text(name, math.exp(rest._compute_logarithm(name, rest._fitted_logarithms)))
@@ -293,5 +303,5 @@ class StatedValues:
 
 
 def _join_words(words: list[str]) -> str:
-    """Join words with commas, and with ``and`` before the last word."""
+    """Join words with commas, and join the last word with ``and``."""
     return " and ".join(filter(None, (", ".join(words[:-1]), words[-1])))

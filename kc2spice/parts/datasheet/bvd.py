@@ -1,4 +1,7 @@
-"""Piezoelectric part from its data sheet: resonances, capacitance, coupling and losses."""
+"""The part ``bvd``: piezoelectric resonator from its data sheet.
+
+The data sheet states resonances, capacitance, coupling and losses.
+"""
 
 from __future__ import annotations
 
@@ -37,19 +40,19 @@ from kc2spice.scene.parttype import register_part_type
 MAX_MODES = 8
 CAPACITANCE_FREQUENCY = 1e3  # Hz, at which data sheets usually state capacitances
 FREQUENCY_ROUNDING = 5e-4  # largest relative rounding error of a frequency with four digits
-# Start values of the iteration: ratio of motional to clamped capacitance, and Q factor.
+# Start values of the fit: ratio of motional to clamped capacitance, and Q factor.
 # These start values belong to a ceramic with a coupling coefficient of 0.22.
 START_RATIO = 0.05
 START_QUALITY = 100.0
 # smallest ratio of motional to clamped capacitance, below the ratio of any crystal
 SMALLEST_RATIO = 1e-9
-# Start values of the iteration for frequencies [Hz] and capacitances [F] that no key states.
+# Start values of the fit for frequencies [Hz] and capacitances [F] that are not stated.
 START_FREQUENCY = 1e4
 START_CAPACITANCE = 1e-9
 
 
 def _convert_to_sequence(value: object) -> object:
-    """Return a single value as a tuple, and return a list unchanged."""
+    """Return a single value as a tuple, and a list unchanged."""
     if isinstance(value, (list, tuple)):
         if value == []:  # the default is an empty tuple
             raise make_invalid_value_error(
@@ -65,9 +68,9 @@ Modes = BeforeValidator(_convert_to_sequence)
 
 
 class BvdKeys(RatedKeys):
-    """Values of a data sheet that determine a resonator; redundant values must agree.
+    """Data-sheet values that determine a resonator; redundant values must agree.
 
-    For a part with several modes, the values are lists with an entry for each mode.
+    For a resonator with several modes, each value is a list with one entry for each mode.
     """
 
     fs: Annotated[tuple[Annotated[Frequency, Field(gt=0)], ...], Modes] = Field(
@@ -160,7 +163,7 @@ VALUE_NAMES = {
 
 
 class Bvd(ResonatorPart[BvdKeys]):
-    """Part type ``bvd``: resonator from its data sheet (Butterworth-Van Dyke)."""
+    """Part type ``bvd``: resonator from its data sheet (Butterworth-Van Dyke model)."""
 
     name = "bvd"
     title = "resonator from its data sheet (Butterworth-Van Dyke)"
@@ -186,7 +189,7 @@ stop = "10 kHz"
 """
 
     def problems(self, part: Part[BvdKeys], scene: GovernedScene) -> Iterator[UsageError]:
-        """Yield an error for each invalid key of the part."""
+        """Yield an error if the frequency of the low-frequency capacitance is too high."""
         circuit = self.circuit(part, scene)
         if part.keys.c_low is not None and part.keys.c_low_at >= min(circuit.fs):
             yield part.wrong(
@@ -198,7 +201,7 @@ stop = "10 kHz"
             )
 
     def resonator(self, part: Part[BvdKeys]) -> Resonator:
-        """Return the circuit elements of the resonator from its data sheet."""
+        """Return the circuit elements of the resonator, computed from its data sheet."""
         keys, modes = part.keys, self._count_modes(part)
         stated: dict[str, float] = {}
         for name in MODE_VALUES:
@@ -240,7 +243,7 @@ stop = "10 kHz"
         return most
 
     def _require_tolerance_values(self, part: Part[BvdKeys]) -> None:
-        """Reject a tolerance whose value the data sheet does not state."""
+        """Reject the tolerance of a value that the data sheet does not state."""
         for name in part.keys.tolerance:
             if not (name in VALUE_UNITS_OF_SHEET and getattr(part.keys, name)):
                 values = [key for key in VALUE_UNITS_OF_SHEET if getattr(part.keys, key)]
@@ -283,7 +286,7 @@ stop = "10 kHz"
 
 
 def _find_impossible_pairs(part: Part[BvdKeys], start: np.ndarray) -> Iterator[UsageError]:
-    """Yield an error for each pair of stated values that no circuit can have."""
+    """Yield an error for each pair of stated values that no resonator can have."""
     keys = part.keys
     for fs, fp in zip(keys.fs, keys.fp, strict=False):
         if fs >= fp:
@@ -315,12 +318,15 @@ def _find_impossible_pairs(part: Part[BvdKeys], start: np.ndarray) -> Iterator[U
 
 
 def _list_mode_labels(name: str, modes: int) -> list[str]:
-    """Return the label of each mode; a single mode has the plain ``name``."""
+    """Return the label of the value ``name`` for each mode.
+
+    For a single mode, the label is ``name`` itself.
+    """
     return [name] if modes == 1 else [f"{name}[{n}]" for n in range(modes)]
 
 
 def _list_relations(modes: int, low: float) -> dict[str, Relation]:
-    """Return all values that a data sheet can state, each as a function of the unknowns."""
+    """Return all possible data-sheet values as functions of the unknowns."""
     result: dict[str, Relation] = {}
     for name, function in MODE_VALUES.items():
         functions = (make_unknowns_relation(partial(function, mode=n)) for n in range(modes))
@@ -331,7 +337,10 @@ def _list_relations(modes: int, low: float) -> dict[str, Relation]:
 
 
 def _choose_initial_unknowns(keys: BvdKeys, modes: int) -> np.ndarray:
-    """Return the start values of the unknowns: stated values, or values of a typical ceramic."""
+    """Return the start values of the unknowns for the fit.
+
+    The start values are stated values, or values of a typical ceramic.
+    """
     ratio = np.full(modes, START_RATIO)
     if keys.keff:
         ratio = np.square(keys.keff) / (1 - np.square(keys.keff))
@@ -355,14 +364,14 @@ def _choose_initial_unknowns(keys: BvdKeys, modes: int) -> np.ndarray:
 
 
 def _choose_ratio_key(keys: BvdKeys, modes: int) -> str:
-    """Return the key of the netlist parameter that determines the motional capacitances."""
+    """Return the netlist parameter that determines the motional capacitances."""
     if keys.cm:
         return "cm"
     return "fp" if keys.fp and not keys.keff and modes == 1 else "keff"
 
 
 def _choose_loss_key(keys: BvdKeys, modes: int) -> str:
-    """Return the key of the netlist parameter that determines the motional resistances."""
+    """Return the netlist parameter that determines the motional resistances."""
     if keys.qm or keys.rm:
         return "rm" if keys.rm else "qm"
     return "zs" if modes == 1 else "rm"
@@ -377,8 +386,8 @@ def _describe_key(keys: BvdKeys, key: str, value: float) -> str:
 def _make_mode_parameter(keys: BvdKeys, circuit: Resonator, key: str, mode: int, end: str) -> Param:
     """Return the netlist parameter ``key`` of a mode.
 
-    The coupling coefficient is the coefficient of this mode alone, because ``c0`` is also a
-    parameter.
+    The coupling coefficient is that of a resonator with this mode only, because the clamped
+    capacitance ``c0`` is also a parameter.
     """
     value = MODE_VALUES[key](circuit, mode)
     if key == "keff":
@@ -388,7 +397,10 @@ def _make_mode_parameter(keys: BvdKeys, circuit: Resonator, key: str, mode: int,
 
 
 def _write_element_equations(end: str, ratio: str, loss: str) -> dict[str, str]:
-    """Return the equations of a mode's circuit elements that are not netlist parameters."""
+    """Return equations of the circuit elements of a mode, keyed by element.
+
+    Elements that are netlist parameters have no equation.
+    """
     fs, cm, rm = f"fs{end}", f"cm{end}", f"rm{end}"
     result = {} if ratio == "cm" else {cm: f"c0*ratio{end}"}
     result[f"lm{end}"] = f"1/({TWO_PI**2!r}*{fs}*{fs}*{cm})"

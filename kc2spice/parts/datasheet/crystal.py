@@ -24,9 +24,9 @@ from kc2spice.parts.datasheet._stated_values import Relation, StatedValues
 from kc2spice.scene.model import Part
 from kc2spice.scene.parttype import register_part_type
 
-# Relative rounding error of a stated frequency, a tenth of the usual frequency tolerance.
+# Relative rounding error of a stated frequency: a tenth of the usual frequency tolerance.
 FREQUENCY_ROUNDING = 1e-6
-# Start values of the iteration: ratio c1 / c0 and Q factor of usual crystals.
+# Start values of the fit: ratio c1 / c0 and Q factor of usual crystals.
 START_RATIO = 1 / 300
 START_QUALITY = 5e4
 SHUNT_CAPACITANCE = 3e-12  # F, typical shunt capacitance of a crystal
@@ -36,7 +36,8 @@ class CrystalKeys(RatedKeys):
     """Keys of a crystal with the frequency ``f = fs sqrt(1 + c1 / (c0 + cl))``.
 
     ``cl`` is the load capacitance, and ``fs`` is the series resonance. If both ``c1`` and ``l1``
-    are stated, or both ``r1`` and ``q``, the two values must agree.
+    are stated, the two values must agree. If both ``r1`` and ``q`` are stated, these two values
+    must also agree.
     """
 
     f: Frequency = Field(
@@ -165,13 +166,16 @@ scale = "linear"
 
 
 def _compute_loaded_frequency(circuit: Resonator, load: float | None) -> float:
-    """Return the resonance frequency [Hz] of the crystal with a load capacitance [F] in series."""
+    """Return the resonance frequency [Hz] of the crystal with a load capacitance [F].
+
+    The load capacitance is in series with the crystal.
+    """
     shift = 0.0 if load is None else circuit.cm[0] / (circuit.c0 + load)
     return circuit.fs[0] * math.sqrt(1 + shift)
 
 
 def _list_relations(load: float | None) -> dict[str, Relation]:
-    """Return all values that a data sheet can state, each as a function of the unknowns."""
+    """Return all possible data-sheet values as functions of the unknowns."""
     values: dict[str, Callable[[Resonator], float]] = {
         "f": lambda circuit: _compute_loaded_frequency(circuit, load),
         "c0": lambda circuit: circuit.c0,

@@ -1,4 +1,4 @@
-"""Loudspeaker or voice coil with a cone, from Thiele-Small parameters."""
+"""Loudspeaker, or voice coil with a cone, from Thiele-Small parameters."""
 
 from __future__ import annotations
 
@@ -79,7 +79,9 @@ def _list_joined_sides(part: Part, scene: DeclaredScene) -> tuple[str, ...]:
 
 
 def _read_semi_inductance(part: Part[LoudspeakerKeys]) -> SemiInductance | None:
-    """Return the semi-inductance from the keys; None for a constant inductance.
+    """Return the elements of the semi-inductance from the keys.
+
+    Return None if the keys describe a constant inductance.
 
     Raises
     ------
@@ -109,9 +111,9 @@ def _read_semi_inductance(part: Part[LoudspeakerKeys]) -> SemiInductance | None:
 
 
 def _require_area_and_mass(part: Part[LoudspeakerKeys], driver: SpeakerParameters) -> None:
-    """Raise an error if a driver with acoustic pins has no area or too small a moving mass.
+    """Raise an error if a driver with acoustic pins has no area or too little mass.
 
-    The moving mass is too small if it is less than the mass of the air that it includes.
+    The moving mass must exceed the mass of the air that it includes.
     """
     if driver.sd is None or driver.mmd is None:
         raise part.wrong(
@@ -161,11 +163,11 @@ stop = "1 kHz"
 """
 
     def shared_data(self, part: Part[LoudspeakerKeys], scene: GovernedScene) -> SpeakerParameters:
-        """Return the parameters of the loudspeaker, for use by other parts."""
+        """Return the parameters of the loudspeaker for use by other parts."""
         return self.solve(part)
 
     def solve(self, part: Part[LoudspeakerKeys]) -> SpeakerParameters:
-        """Return the driver parameters; raise a UsageError if the keys do not determine them."""
+        """Return the driver parameters; raise an error if the keys do not determine them."""
         keys = part.keys
         stated = {key: value for key in DRIVER_UNITS if (value := getattr(keys, key)) is not None}
         for name in keys.tolerance:
@@ -181,7 +183,7 @@ stop = "1 kHz"
         names = tuple(name for name in EXAMPLE_WOOFER if name != "sd" or has_area)
         known = [key for key in DRIVER_UNITS if key not in AREA_KEYS or has_area]
         first = EXAMPLE_WOOFER | {name: stated[name] for name in names if name in stated}
-        # The iteration must begin with a positive mmd, also for a large cone.
+        # The iteration must begin with a positive mmd, even for a large cone.
         if "mmd" in stated and "mms" not in stated:
             first["mms"] = stated["mmd"] + 2 * compute_baffle_air_mass(first["sd"])
         start = np.array(list(map(first.__getitem__, names)))
@@ -211,7 +213,7 @@ stop = "1 kHz"
     def _find_parameters(
         self, part: Part[LoudspeakerKeys], scene: GovernedScene
     ) -> SpeakerParameters:
-        """Return the parameters of the part, from the record of the scene if it has them."""
+        """Return the parameters of the part, from the record of the scene if available."""
         record = scene.get_record(part)
         if record is None or not isinstance(record.shared_data, SpeakerParameters):
             return self.solve(part)
@@ -242,8 +244,7 @@ stop = "1 kHz"
     def declare_mass(self, part: Part[LoudspeakerKeys], scene: WiredScene) -> Declaration:
         """Return the declaration of the moving mass.
 
-        The moving mass excludes the mass of the air that connected parts of type ``radiation``
-        contain.
+        The declared mass excludes the air mass that connected parts of type ``radiation`` model.
         """
         driver = self._find_parameters(part, scene)
         sides = [
@@ -257,13 +258,14 @@ stop = "1 kHz"
     def equilibrium_conditions(
         self, part: Part[LoudspeakerKeys], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the path for a steady force in equilibrium, the suspension from cone to frame."""
+        """Return the path of a steady force: the suspension between cone and frame."""
         return EquilibriumConditions((self.moving_pins,), inertial_pins=self.moving_pins[:1])
 
     def vectors(self, part: Part[LoudspeakerKeys], build: BuiltScene) -> Mapping[str, PartResult]:
         """Return the ngspice vectors of the part's results, keyed by result name.
 
-        The results are those of the declaration, and the current and voltage of the whole part.
+        The results are the results of the declaration, and the current and voltage of the voice
+        coil.
         """
         result, n = dict(super().vectors(part, build)), part.name
         if f"{n}.{COIL}" in result:
@@ -339,7 +341,10 @@ stop = "1 kHz"
     def _describe_air(
         self, part: Part[LoudspeakerKeys], scene: Scene, area: float, sides: tuple[str, ...]
     ) -> Iterator[str | NeglectedEffect]:
-        """Yield a note on each side of the cone, stating which part contains the air mass."""
+        """Yield a note on each side of the cone.
+
+        The note states which part contains the mass of the air.
+        """
         load = f"{1e3 * compute_baffle_air_mass(area):.3g} g"
         for side in (FRONT, REAR):
             if side not in sides:
@@ -383,7 +388,10 @@ stop = "1 kHz"
 def _describe_ladder(
     key: str, ladder: RelaxationLadder, band: tuple[float, float], unit: float
 ) -> str:
-    """Return size, band and error of a ladder in words; ``unit`` [Hz] is the unit of ``band``."""
+    """Return the number of elements, the band and the error of a ladder, in words.
+
+    ``unit`` [Hz] is the unit of ``band``.
+    """
     low, high = (f"{unit * end:.3g}" for end in band)
     return (
         f"{key}: a ladder of {len(ladder.corners)} elements from {low} to {high} Hz, whose largest "

@@ -24,17 +24,17 @@ from kc2spice.scene.model import GovernedScene, JoinedScene, Part, Scene, Termin
 from kc2spice.scene.part_records import NeglectedEffect, NumericalRequirements
 from kc2spice.scene.parttype import register_part_type
 
-# Assumed rise time of the current, divided by the operate time, for an unknown inductance.
+# Assumed rise time of the current, divided by the operate time, if the inductance is not known.
 CURRENT_RISE_SHARE = 0.9
-# time from one end of the armature's travel to the middle, in time constants of the armature
+# time from one end of the armature's travel to the middle, divided by the time constant
 HALF_WAY_TIME = math.log(2)
 
 
 class RelayKeys(ConductorKeys, NumberedKeys):
     """Keys of a relay from its data sheet.
 
-    The armature pulls in when the product of current and coil resistance exceeds ``pick_up``. It
-    releases when this product falls below ``release``.
+    The armature pulls in when the product of current and coil resistance exceeds ``pick_up``. The
+    armature releases when this product falls below ``release``.
     """
 
     resistance: Resistance = Field(gt=0, description="Resistance of the relay's coil")
@@ -79,11 +79,12 @@ class RelayTiming:
 
 
 def solve_timing(part: Part[RelayKeys]) -> RelayTiming:
-    """Return the coil inductance and the armature time constant that match the operate time.
+    """Return coil inductance and armature time constant from the operate time.
 
-    At the rated voltage V, the current reaches its pick-up value after ``L/R ln(V / (V - Vp))``,
-    where L and R are inductance and resistance of the coil and Vp is the pick-up voltage. The
-    armature then reaches the middle of its travel after ``ln 2`` time constants.
+    Inductance and time constant together give the operate time in the data sheet. At the rated
+    voltage V, the current reaches the pick-up current after the time ``L/R ln(V / (V - Vp))``. L
+    and R are the inductance and the resistance of the coil, and Vp is the pick-up voltage. The
+    armature then needs ``ln 2`` time constants to the middle of its travel.
     """
     keys = part.keys
     if not keys.release < keys.pick_up < keys.voltage:
@@ -132,10 +133,10 @@ def solve_timing(part: Part[RelayKeys]) -> RelayTiming:
 def declare_relay(params: tuple[Param, ...], changeover: bool) -> Declaration:
     """Return the declaration of the coil, the armature and the contacts of a relay.
 
-    The position of the armature is 0 at rest and at most 1. The armature moves towards 1 while the
+    The position of the armature is 0 at rest, and at most 1. The armature moves towards 1 while the
     voltage across the coil resistance exceeds the pick-up voltage. Beyond the middle of its travel,
-    the armature moves towards 1 while this voltage exceeds the release voltage. The contacts switch
-    when the armature is in the middle.
+    the armature already moves towards 1 while the voltage exceeds the release voltage. The contacts
+    switch when the armature is in the middle.
     """
     closed, opened = "1/contact_resistance", "1/insulation_resistance"
     step = f"({closed} - {opened})*above(armature - 0.5)"
@@ -193,7 +194,7 @@ pins = { a = "relay.com", b = "gnd" }
 """
 
     def shared_data(self, part: Part[RelayKeys], scene: GovernedScene) -> RelayTiming:
-        """Return the inductance and the time constant of the relay, for use by other parts."""
+        """Return inductance and time constant of the relay for use by other parts."""
         return solve_timing(part)
 
     def problems(self, part: Part[RelayKeys], scene: GovernedScene) -> Iterator[UsageError]:
@@ -238,12 +239,18 @@ pins = { a = "relay.com", b = "gnd" }
         return declare_relay(params, keys.changeover)
 
     def pins(self, part: Part[RelayKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
-        """Return the pins of the coil, and the pins of the contacts, which may stay unconnected."""
+        """Return the pins of the coil and of the contacts.
+
+        The pins of the contacts may stay unconnected.
+        """
         pins = super().pins(part, scene)
         return tuple(replace(p, required=False) if p.name in ("no", "nc") else p for p in pins)
 
     def numerics(self, part: Part[RelayKeys], scene: WiredScene) -> Iterator[NumericalRequirements]:
-        """Yield numerical requirements, with a time step that resolves the armature's motion."""
+        """Yield a time step that resolves the motion of the armature.
+
+        A smaller Newton tolerance is also yielded if necessary.
+        """
         yield from super().numerics(part, scene)
         times = solve_timing(part)
         yield NumericalRequirements(

@@ -1,1 +1,1 @@
-"""Part types of sources, elements with two pins, diodes, drivers and user's netlists."""
+"""Part types of sources, two-pin elements, diodes, drivers and user's netlists."""

@@ -1,10 +1,10 @@
 """Equations of the drivers' circuits, for the independent integrator.
 
-Each function ``declare_…`` returns the declaration of the circuit in a netlist template
-``templates/driver_….j2``, with the same nodes. In the declaration, the content function describes
-resistors, the coenergy describes capacitors, and output currents describe controlled sources. An
-inner node of a driver is declared as a pin to which no other part is connected. The equations do
-not include noise.
+Each function ``declare_…`` returns the declaration of the same circuit as a netlist template
+``templates/driver_….j2``, with equal nodes. In the declaration, the content represents resistors,
+the coenergy represents capacitors, and output currents represent controlled sources. An inner node
+of a driver is declared as a pin to which no other part is connected. The equations do not include
+noise.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from kc2spice.physics.law import DeclaredLaw
 
 OUTPUT_RESISTANCE = 0.1  # Ohm, output resistance of an operational amplifier
 STATIC_GAIN = 1e7  # voltage gain of an operational amplifier at zero frequency
-RAIL_STIFFNESS = 1e3  # restoring rate divided by the slew rate, per volt beyond a rail [1/V]
+RAIL_STIFFNESS = 1e3  # restoring rate divided by slew rate, for each volt beyond a rail [1/V]
 FULL_TURN = repr(2 * math.pi)
 # Name of the parameter with the resistance [Ohm] of ``Rout``, the last resistor of each circuit.
 SERIES_PARAMETER = "series_resistance"
-# Gain with which a linear amplifier limits a voltage beyond a rail.
-# The gain is the conductance of the rail, 1 kS, divided by that of the input stage, 1 mS.
+# Gain with which the amplifier of a controller limits voltages beyond a rail.
+# The gain is the conductance of the rail, 1 kS, divided by the input conductance, 1 mS.
 RAIL_GAIN = 1e6
 # Amplitude of the sine whose arcsine is the triangle.
-# An amplitude of the sine below 1 rounds the corners of the triangle.
+# With an amplitude below 1, the corners of the triangle are rounded.
 SINE_SHARE = 0.9999
 PI_BANDWIDTH = 1e7  # Hz, gain-bandwidth product of the amplifier of a PI controller
 INPUT_RESISTANCE = 1e5  # Ohm, input resistor of a PI controller
-SENSE_LOAD = 1e3  # Ohm, resistor that converts a current to the voltage of a sensor
+SENSE_LOAD = 1e3  # Ohm, resistor that converts the current of a sensor to a voltage
 GATE_SUPPLY = 12.0  # supply voltage [V] of the gate drivers
 THRESHOLD_VOLTAGE = 3.0  # threshold voltage [V] of the transistors
 SATURATION_CURRENT = 1e-14  # saturation current [A] of the diodes from source to drain
@@ -40,10 +40,11 @@ THERMAL_VOLTAGE = BOLTZMANN * DEFAULT_TEMPERATURE / ELEMENTARY_CHARGE  # V, at 2
 
 
 def declare_amplifier(parameters: Iterable[Param], sink: float) -> Declaration:
-    """Return the declaration of an amplifier with the gain 20 and the rails ``rail`` and ``sink``.
+    """Return the declaration of an amplifier with a voltage gain of 20.
 
-    ``sink`` [V] is the lower rail. Two voltage dividers divide the command and the feedback by 20.
-    The feedback divider has 20 kOhm from ``drive`` to ``ref``.
+    The parameter ``rail`` is the upper rail. ``sink`` [V] is the lower rail. Two voltage dividers
+    divide the command and the feedback by 20. The feedback divider connects ``drive`` to ``ref``
+    with 20 kOhm.
     """
     return Declaration(
         "amplifier",
@@ -61,10 +62,10 @@ def declare_amplifier(parameters: Iterable[Param], sink: float) -> Declaration:
 
 
 def declare_charge_drive(parameters: Iterable[Param]) -> Declaration:
-    """Return the declaration of a charge drive, which controls the voltage of ``cathode``.
+    """Return the declaration of a charge drive.
 
-    Chip and sense capacitor have leak conductances, which in siemens equal their capacitances in
-    farads.
+    The charge drive controls the voltage of ``cathode``. The chip and the sense capacitor have leak
+    conductances, whose value in siemens equals the capacitance in farads.
     """
     product = "bandwidth*(sense + capacitance)/capacitance"
     return Declaration(
@@ -150,13 +151,14 @@ def declare_half_bridge(parameters: Iterable[Param]) -> Declaration:
 def declare_pwm_drive(
     parameters: Iterable[Param], carrier: float, headroom: float, shunt: float, sense: float
 ) -> Declaration:
-    """Return the declaration of an H-bridge with its modulator and its PI controller.
+    """Return the declaration of an H-bridge with modulator and PI controller.
 
     A comparator compares the output of the controller with a triangle between plus and minus
     ``carrier`` [V]. The triangle is the arcsine of the sine on the pin ``sine``. ``shunt`` [Ohm] is
-    the resistor in the return line. ``sense`` [Ohm] is the amplified voltage for each ampere in the
-    shunt. The operational amplifier of the controller has a linear input stage. The rails of this
-    amplifier are plus and minus ``headroom`` times ``carrier``.
+    the resistance of the resistor in the return line. ``sense`` [Ohm] is the amplified voltage
+    across ``shunt``, divided by the current through ``shunt``. The operational amplifier of the
+    controller has a linear input stage. The rails of the operational amplifier are at plus and
+    minus ``headroom`` times ``carrier``.
     """
     rounded = f"{SINE_SHARE!r}*sine"
     supply = headroom * carrier
@@ -193,17 +195,20 @@ def declare_pwm_drive(
 
 
 def _write_transistor_current(gate: str, drain: str, source: str) -> str:
-    """Return the expression of a transistor's current [A] from ``drain`` to ``source``."""
+    """Return the expression of the current [A] from ``drain`` to ``source``.
+
+    The current of a transistor includes the current of its diode between source and drain.
+    """
     ends = (f"max(0, {gate} - {end} - {THRESHOLD_VOLTAGE!r})^2" for end in (source, drain))
     diode = f"{SATURATION_CURRENT!r}*(exp(({source} - {drain})/{THERMAL_VOLTAGE!r}) - 1)"
     return f"0.5*kp*({' - '.join(ends)}) - {diode}"
 
 
 def _declare_nodes(*names: str) -> tuple[Branch, ...]:
-    """Return the branches from each node, and from ``command``, to ``ref``.
+    """Return branches to ``ref`` from each node and from ``command``.
 
-    Every node has two branches to ``ref``. The branch ``NAME`` carries the current ``i_NAME``, and
-    the branch ``v_NAME`` only measures the voltage.
+    From every node, two branches lead to ``ref``. The branch ``NAME`` carries the current
+    ``i_NAME``, and the branch ``v_NAME`` only measures the voltage.
     """
     acting = (voltage(name, name, "ref", f"i_{name}") for name in names)
     seen = (measured(voltage(f"v_{name}", name, "ref")) for name in names)
@@ -211,16 +216,19 @@ def _declare_nodes(*names: str) -> tuple[Branch, ...]:
 
 
 def _write_output_current(node: str) -> str:
-    """Return the expression of an amplifier's limited output current [A] into a node."""
+    """Return the expression of an amplifier's limited output current [A].
+
+    The current flows into ``node``.
+    """
     return f"current_limit*clip((compensation - v_{node})/({OUTPUT_RESISTANCE!r}*current_limit))"
 
 
 def _write_compensation_rate(difference: str, low: str, high: str) -> str:
     """Return the expression of the rate [V/s] of an amplifier's internal voltage c.
 
-    c is the voltage before the output resistance. ``difference`` [V] is the difference of the input
-    voltages, and ``low`` and ``high`` are the rails. ``unity`` is the angular frequency of unit
-    gain, and ``slew`` is the slew rate::
+    The voltage c is measured before the output resistance. ``difference`` [V] is the difference of
+    the input voltages, and ``low`` and ``high`` [V] are the rails. ``unity`` is the angular
+    frequency of unit gain, and ``slew`` is the slew rate::
 
         rate = clip(unity difference, +-slew) - unity c / STATIC_GAIN
                - RAIL_STIFFNESS slew (max(0, c - high) - max(0, low - c))
@@ -232,9 +240,9 @@ def _write_compensation_rate(difference: str, low: str, high: str) -> str:
 
 
 def _write_rail_excess(low: str, high: str) -> str:
-    """Return the expression of the voltage [V] by which an amplifier exceeds a rail.
+    """Return the expression of the voltage [V] of an amplifier beyond its rails.
 
-    The amplifier's voltage is the voltage before its output resistance.
+    The voltage of the amplifier is measured before the output resistance.
     """
     return f"max(0, compensation - ({high})) - max(0, {low} - compensation)"
 
@@ -245,7 +253,7 @@ def build_driver_equations(
     """Return the model equations of the driver ``name``.
 
     The results are the voltages of ``command`` and ``terminals``, and the output current
-    ``NAME.i``. This current flows through the last resistor, from ``inner_node`` to the first
+    ``NAME.i``. The output current flows through the last resistor, from ``inner_node`` to the first
     terminal.
     """
     values, pins = declared.values(Section()), ("command", *terminals)

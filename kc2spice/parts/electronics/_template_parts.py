@@ -1,7 +1,8 @@
-"""Base classes of parts with a netlist template in ``templates/``, and of all drivers.
+"""Base classes of drivers and of other parts with a netlist template.
 
-A driver is the electronic circuit between a command voltage and electrodes or coils. The module
-also contains the operational amplifier of these templates.
+The netlist templates are in ``templates/``. A driver is the electronic circuit between a command
+voltage and electrodes or coils. The module also contains the operational amplifier that the
+templates use.
 """
 
 from __future__ import annotations
@@ -53,7 +54,10 @@ _NOTHING: Mapping[str, Any] = {}
 
 
 class InputNoise(Section):
-    """Keys for the white input noise of an operational amplifier, used in noise analyses only."""
+    """Keys of the white input noise of an operational amplifier.
+
+    Only noise analyses use the input noise.
+    """
 
     noise_voltage: Voltage | None = Field(
         None,
@@ -74,11 +78,12 @@ class InputNoise(Section):
 
 
 class TemplatePart(PartType[KeysT]):
-    """Part with a netlist template in ``templates/``; the attribute ``template`` is its name.
+    """Part with a netlist template in ``templates/``.
 
-    ``heading`` describes the part in the first line of its library. ``fixed`` contains the pins.
-    ``constants`` contains numbers of the template that no key sets. ``opamp`` is the level of the
-    operational amplifier in the template; None if there is none.
+    The attribute ``template`` is the name of the netlist template. ``heading`` describes the part
+    in the first line of its library file. ``fixed`` contains the pins. ``constants`` contains
+    numbers for the template that no key sets. ``opamp`` is the level of the operational amplifier
+    in the template, or None without an operational amplifier.
     """
 
     template: ClassVar[str]
@@ -96,7 +101,7 @@ class TemplatePart(PartType[KeysT]):
     def template_values(
         self, part: Part[KeysT], build: BuiltScene
     ) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
-        """Return the parameters of the netlist, and additional values for the template."""
+        """Return the netlist parameters, and further values for the template."""
         return parameters(part.keys), _NOTHING
 
     def subcircuits(
@@ -140,12 +145,13 @@ def parameters(keys: Section, *names: str) -> tuple[Param, ...]:
 def make_opamp_subcircuit(
     header: Header, level: Level = "pole", noise: InputNoise | None = None
 ) -> Subcircuit:
-    """Return the subcircuit of an operational amplifier with output resistance and input offset.
+    """Return the subcircuit of an operational amplifier.
 
-    Between the rails ``vee`` and ``vcc``, the output voltage is ``V(out) = A(s) (V(inp) - V(inn))``
-    with ``A = a0 / (1 + s a0 / (2 pi gbw))``. With the level ``slew``, the subcircuit
-    ``opamp_slew`` also limits slew rate and output current. The input ``noise`` of ``opamp_slew``
-    is the thermal noise ``sqrt(4 k T 1 Ohm)`` of resistors of 1 Ohm, multiplied by a gain.
+    The model includes output resistance and input offset. Between the rails ``vee`` and ``vcc``,
+    the output voltage is ``V(out) = A(s) (V(inp) - V(inn))`` with ``A = a0 / (1 + s a0 / (2 pi
+    gbw))``. With the level ``slew``, the subcircuit ``opamp_slew`` also limits the slew rate and
+    the output current. A resistor of 1 Ohm generates the input ``noise`` of ``opamp_slew``: its
+    thermal noise ``sqrt(4 k T 1 Ohm)`` is multiplied by a gain.
     """
     pins = [Terminal(pin, "V", "A") for pin in ("inp", "inn", "out", "vcc", "vee", "ref")]
     params = (
@@ -173,7 +179,7 @@ def make_opamp_subcircuit(
 
 
 # Relative margin of rail checks.
-# The relative margin allows for the resistance of supplies and for the errors of saved time points.
+# The margin allows for the resistance of supplies and for errors at the recorded time points.
 RAIL_MARGIN = 1e-3
 OVERDRIVE_ADVICE = (
     "its load drives it beyond its rails, where diodes of a real output would conduct"
@@ -183,18 +189,18 @@ OVERDRIVE_ADVICE = (
 class CoilLoad(NamedTuple):
     """Load of a coil driver between its pins ``drive`` and ``ret``.
 
-    Both coils are in series, with the lower coil reversed.
+    The load is a series connection of both coils, with the lower coil reversed.
     """
 
     inductance: float  # of the coils [H]
     resistance: float  # of the coils [Ohm]
-    current: float = 1.0  # A, largest set current of the controller
+    current: float = 1.0  # A, largest current that the controller can set
 
 
 def list_pin_voltages(part: Part, build: BuiltScene, pins: Iterable[str]) -> dict[str, PartResult]:
     """Return the vectors of the results ``PART.PIN``, which are pin voltages.
 
-    The voltages are relative to the pin ``ref`` if the part has this pin, otherwise to node 0.
+    The voltages are relative to the pin ``ref`` if the part has such a pin, otherwise to node 0.
     """
     base = build.get_net(part, "ref") if (part.name, "ref") in build.scene.nets else "0"
     result = {}
@@ -213,9 +219,10 @@ def make_driver_pins(*terminals: str) -> tuple[Terminal, ...]:
 
 
 class Driver(TemplatePart[KeysT]):
-    """Base class of drivers, which have the pin ``command`` and output terminals.
+    """Base class of drivers with the pin ``command`` and output terminals.
 
-    The last resistor of the netlist is ``Rout``, from ``inner_node`` to the first terminal.
+    The last resistor of the netlist is ``Rout``, which connects ``inner_node`` to the first
+    terminal.
     """
 
     opamp: ClassVar[Level | None] = "slew"
@@ -243,7 +250,10 @@ class Driver(TemplatePart[KeysT]):
         return build_driver_equations(part.name, declared, self.inner_node, self.terminals)
 
     def subcircuit_name(self, part: Part[KeysT], scene: Scene) -> str:
-        """Return the name of the driver's template, or of the part if the scene has several."""
+        """Return the name of the template without ``driver_``.
+
+        If the scene has several such drivers, return the name of the part.
+        """
         return (
             self.template.removeprefix("driver_")
             if len(scene.list_parts(self.name)) == 1
@@ -259,10 +269,11 @@ class Driver(TemplatePart[KeysT]):
         return result | {f"{part.name}.i": PartResult(read, 1.0, "A", self.terminals[:1])}
 
     def checks(self, part: Part[KeysT], build: BuiltScene, waves: Waveforms) -> Iterator[Check]:
-        """Yield the check that the load does not drive the amplifier's output beyond its rails.
+        """Yield the check that the amplifier's output stays between its rails.
 
-        The checked voltage is the voltage before all output resistances. A bridge is not checked,
-        because its diodes keep the voltage within the rails.
+        A load could drive the output beyond the rails. The checked voltage is the voltage before
+        the output resistances. A bridge is not checked, because its diodes keep the voltage within
+        the rails.
         """
         name, i = f"{part.name}.{self.terminals[0]}", f"{part.name}.i"
         if self.opamp == "slew" and {"time", name, i} <= set(waves.data):
@@ -283,8 +294,8 @@ class Driver(TemplatePart[KeysT]):
 class CoilDriver(Driver[KeysT]):
     """Base class of drivers that are current sources for coils.
 
-    The current is ``V(command) / 100 Ohm``. The control loop is designed for the coils at the
-    terminals.
+    The set current is ``V(command) / 100 Ohm``. The control loop is designed for the coils that are
+    connected to the terminals.
     """
 
     terminals, fixed = ("drive", "ret"), make_driver_pins("drive", "ret")
@@ -302,14 +313,17 @@ class CoilDriver(Driver[KeysT]):
         """Return netlist parameters and template values for the coils ``load``."""
 
     def default_joins(self, part: Part[KeysT], scene: GovernedScene) -> Mapping[str, str]:
-        """Return the default connection, from ``command`` to the only controller of the scene."""
+        """Return the default connection of the pin ``command``.
+
+        The pin ``command`` is connected to the only controller of the scene.
+        """
         control = scene.find_only_part("pid")
         return {} if control is None else {"command": f"{control.name}.command"}
 
     def compute_coil_load(self, part: Part[KeysT], build: BuiltScene) -> CoilLoad:
-        """Return the load of the driver, which consists of the coils at its terminals.
+        """Return the load of the driver: the coils at its terminals.
 
-        The inductance of the coils is computed with the sphere at its set point.
+        The inductance of the coils is computed for a sphere at the set point.
         """
         coils = _find_joined_part(part, "drive", build.scene, "ring_magnet_coils")
         if coils is None:
@@ -330,7 +344,10 @@ class CoilDriver(Driver[KeysT]):
 
 
 def _find_joined_part(part: Part, pin: str, scene: WiredScene, kind: str) -> Part | None:
-    """Return the part of type ``kind`` that is connected to ``pin``; None if there is none."""
+    """Return the part of type ``kind`` that is connected to ``pin``.
+
+    Return None if no part of this type is connected.
+    """
     joined = (scene.parts[name] for name, _ in scene.list_joined_pins(part.name, pin))
     return next((other for other in joined if other.type.name == kind), None)
 
@@ -338,6 +355,9 @@ def _find_joined_part(part: Part, pin: str, scene: WiredScene, kind: str) -> Par
 def make_rails_check(
     name: str, volts: np.ndarray, low: float, high: float, slack: float, advice: str
 ) -> Check:
-    """Return the check that ``volts`` stay between ``low`` and ``high``, within ``slack`` [V]."""
+    """Return the check that the voltage ``volts`` stays between two rails.
+
+    The voltage may exceed the rails ``low`` and ``high`` by ``slack`` [V].
+    """
     beyond = max(0.0, float(np.maximum(volts - high, low - volts).max()))
     return Check(f"{name} within its rails", beyond, slack, "V beyond", advice, wiring=True)

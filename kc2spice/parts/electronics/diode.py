@@ -1,4 +1,4 @@
-"""The part ``diode``: a junction diode, ngspice's ``.model D`` with documented parameters."""
+"""The part ``diode``: junction diode with the ``.model D`` of ngspice."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from kc2spice.scene.parttype import register_part_type
 class DiodeKeys(Section):
     """Keys of a diode with the current ``i = IS (exp((v - RS i)/(N VT)) - 1)``.
 
-    The model also contains capacitance and breakdown.
+    The model also includes the junction capacitance and the breakdown.
 
-    The defaults are common values of the small-signal diode 1N4148 for 100 V.
+    The default values are common values of the small-signal diode 1N4148 for 100 V.
     """
 
     saturation_current: Current = Field(
@@ -94,8 +94,7 @@ class Diode(TemplatePart[DiodeKeys]):
     def numerics(self, part: Part[DiodeKeys], scene: WiredScene) -> Iterator[NumericalRequirements]:
         """Yield a tighter tolerance for all analyses except transients.
 
-        Newton's method needs this tighter tolerance, because the equation of the diode is
-        exponential.
+        Newton's method needs a tighter tolerance, because the equation of the diode is exponential.
         """
         if scene.analysis.type != "transient":
             change = "1e-9", "change at which Newton's method stops: exponential laws"

@@ -1,4 +1,4 @@
-"""The part types of drivers: keys, circuit and supply voltages of each type."""
+"""The part types of drivers, with the keys, circuit and rails of each type."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ from kc2spice.scene.parttype import register_part_type
 
 
 class AmplifierKeys(InputNoise):
-    """Keys of a high-voltage operational amplifier with a class-AB output stage and gain 20."""
+    """Keys of a high-voltage amplifier with a class-AB output stage and a gain of 20."""
 
     rail: Voltage = Field(120.0, gt=0, description="Positive supply voltage of the amplifier")
     resistance: Resistance = Field(
@@ -69,7 +69,10 @@ class AmplifierKeys(InputNoise):
 
 
 class Amplifier(Driver[AmplifierKeys]):
-    """Part type ``amplifier``: high-voltage amplifier with slew rate and current limit."""
+    """Part type ``amplifier``: high-voltage amplifier with limited slew rate.
+
+    The amplifier also limits its output current.
+    """
 
     name, title = "amplifier", "high-voltage amplifier with slew rate and current limit"
     schema = AmplifierKeys
@@ -125,7 +128,7 @@ class ChargeDriveKeys(InputNoise):
 
 
 class ChargeDrive(Driver[ChargeDriveKeys]):
-    """Part type ``charge_drive``: charge drive for a floating capacitive load."""
+    """Part type ``charge_drive``: charge control of a floating capacitive load."""
 
     name, title = "charge_drive", "charge drive for a floating capacitive load"
     schema = ChargeDriveKeys
@@ -143,7 +146,7 @@ class ChargeDrive(Driver[ChargeDriveKeys]):
 
 
 class HalfBridgeKeys(Section):
-    """Keys of a half-bridge of two transistors that is supplied by a charged capacitor.
+    """Keys of a half-bridge of two transistors, supplied by a charged capacitor.
 
     The upper transistor conducts during the kick pulse.
     """
@@ -195,14 +198,14 @@ class HalfBridge(Driver[HalfBridgeKeys]):
         return declare_half_bridge(parameters)
 
     def rails(self, part: Part[HalfBridgeKeys]) -> tuple[float, float]:
-        """Return the lowest and the highest output voltage [V]: zero and the supply voltage."""
+        """Return the lowest and highest output voltage [V]: 0 and the supply voltage."""
         return 0.0, part.keys.rail
 
 
 class LinearDriverKeys(InputNoise):
     """Keys of a linear current source for coils.
 
-    It consists of an operational amplifier between two rails and a sense resistor.
+    The source consists of a linear operational amplifier between two rails, and a sense resistor.
     """
 
     rail: Voltage = Field(
@@ -219,7 +222,7 @@ class LinearDriverKeys(InputNoise):
 
 
 class LinearDrive(CoilDriver[LinearDriverKeys]):
-    """Part type ``linear_drive``: current source for coils, linear amplifier between two rails."""
+    """Part type ``linear_drive``: current source for coils with a linear amplifier."""
 
     name, title = "linear_drive", "current source for coils, linear amplifier between two rails"
     schema = LinearDriverKeys
@@ -260,14 +263,14 @@ class LinearDrive(CoilDriver[LinearDriverKeys]):
         }
 
 
-# number of carrier harmonics that contain 99.9 % of the energy of a triangular current ripple
+# number of carrier harmonics with 99.9 % of the energy of a triangular current ripple
 RIPPLE_HARMONICS = 3
 
 
 class PwmKeys(Section):
     """Keys of a switched current source for coils.
 
-    It consists of an H-bridge, a pulse-width modulator and a PI controller.
+    The source consists of an H-bridge, a pulse-width modulator and a PI controller.
     """
 
     rail: Voltage = Field(100.0, gt=0, description="Supply voltage of the H-bridge")
@@ -288,7 +291,7 @@ class PwmKeys(Section):
 
 
 class PwmDrive(CoilDriver[PwmKeys]):
-    """Part type ``pwm_drive``: current source for coils, pulse-width modulated H-bridge."""
+    """Part type ``pwm_drive``: current source for coils with a switched H-bridge."""
 
     name, title = "pwm_drive", "current source for coils, pulse-width modulated H-bridge"
     schema = PwmKeys
@@ -305,7 +308,10 @@ class PwmDrive(CoilDriver[PwmKeys]):
         return declare_pwm_drive(parameters, **self.constants)
 
     def law(self, part: Part[PwmKeys], build: BuiltScene) -> laws.Equations | laws.MissingEquations:
-        """Return the model equations of the circuit, and of the sine that generates the carrier."""
+        """Return the model equations of the circuit and of the carrier.
+
+        A sine generates the triangular carrier.
+        """
         result = super().law(part, build)
         if isinstance(result, laws.MissingEquations):
             return result
@@ -330,9 +336,9 @@ class PwmDrive(CoilDriver[PwmKeys]):
         """Return parameters and values of the control loop for the coils ``load``.
 
         The output of the controller is ``u = command + (command - 100 Ohm i) ratio (1 + 1 / (s L /
-        R))`` with ``ratio = 2 pi f L carrier / (100 Ohm rail)``. This output is compared with a
-        triangle of the amplitude ``carrier``. f is the bandwidth of the loop, and L and R are the
-        inductance and the resistance of the coils.
+        R))`` with ``ratio = 2 pi f L carrier / (100 Ohm rail)``. A comparator compares the output
+        of the controller with a triangle of the amplitude ``carrier``. f is the bandwidth of the
+        loop, and L and R are the inductance and the resistance of the coils.
         """
         resistance = load.resistance + 2 * keys.resistance + self.constants["shunt"]
         r2 = (
@@ -353,7 +359,7 @@ class PwmDrive(CoilDriver[PwmKeys]):
         }
 
     def numerics(self, part: Part[PwmKeys], scene: WiredScene) -> Iterable[NumericalRequirements]:
-        """Return the longest time step and the highest frequency that the carrier requires."""
+        """Return the longest time step and highest frequency that the carrier requires."""
         f, edge = part.keys.frequency, part.keys.edge
         what = f"a tenth of a period of the carrier of {part.name}"
         return (NumericalRequirements(what, 0.1 / f, 1 / edge),)
@@ -361,7 +367,7 @@ class PwmDrive(CoilDriver[PwmKeys]):
     def make_frequency_estimator(
         self, part: Part[PwmKeys], scene: DeclaredScene
     ) -> HighestFrequency:
-        """Return a function for the highest relevant frequency [Hz] of the current ripple."""
+        """Return a function that computes the highest frequency [Hz] of the ripple."""
         return partial(_compute_ripple_frequency, float(part.keys.frequency))
 
 

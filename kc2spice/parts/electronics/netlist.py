@@ -1,4 +1,4 @@
-"""The part ``netlist``: a subcircuit from the user's netlist.
+"""The part ``netlist``: subcircuit from a netlist of the user.
 
 The netlist is checked before a simulator reads it.
 """
@@ -48,7 +48,7 @@ from kc2spice.scene.part_records import PartResult
 from kc2spice.scene.parttype import register_part_type
 from kc2spice.scene.settings import FileName
 
-# Device parameter that is the current of an element in ngspice, by the letter of the element.
+# Device parameter of ngspice for the current of an element, keyed by the element's first letter.
 # The device parameter is empty for elements with a branch current.
 _CURRENT_PARAMETERS = {
     **dict.fromkeys("rclb", "i"),
@@ -67,9 +67,9 @@ RATING_ADVICE = (
 
 
 class PinRating(Section):
-    """Limits of a pin of a user's subcircuit: lowest and highest voltage, and slew rate.
+    """Limits of the voltage and slew rate at a pin of a user's subcircuit.
 
-    The voltages are relative to ``ref`` if the circuit has this pin.
+    The voltages are relative to the pin ``ref`` if the circuit has such a pin.
     """
 
     low: Voltage | None = Field(
@@ -92,7 +92,10 @@ class PinRating(Section):
 
 
 class NetlistKeys(Section):
-    """Keys of a user's subcircuit ``.subckt SUBCKT`` in a netlist file beside the scene."""
+    """Keys of a user's subcircuit ``.subckt SUBCKT`` in a netlist file.
+
+    The netlist file is in the folder of the scene.
+    """
 
     file: FileName = Field(
         examples=['"FILE"'],
@@ -125,7 +128,7 @@ class NetlistKeys(Section):
     )
 
 
-# Kind of pin that an error message suggests, by the unit that the user wrote.
+# Kind of pin that an error message suggests, for each unit that the user may have written.
 _UNITS_OF_PINS = {
     "K": "K/W", "degC": "K/W", "C": "K/W", "V": "V/A", "A": "V/A", "um": "um/N", "m": "um/N",
     "mm": "um/N", "N": "um/N", "m/s": "m/s/N", "Pa": "Pa/cm3/s", "rad": "rad/Nm",
@@ -134,7 +137,7 @@ _UNITS_OF_PINS = {
 
 
 class Netlist(PartType[NetlistKeys]):
-    """Part type ``netlist``: the user's own subcircuit."""
+    """Part type ``netlist``: subcircuit of the user."""
 
     name = "netlist"
     noise = "that of its own cards"
@@ -154,7 +157,10 @@ class Netlist(PartType[NetlistKeys]):
         return tuple(result)
 
     def default_joins(self, part: Part[NetlistKeys], scene: GovernedScene) -> Mapping[str, str]:
-        """Return the default connection of a driver, ``command`` to the controller's output."""
+        """Return the default connection of a driver.
+
+        The pin ``command`` is connected to the output of the controller.
+        """
         control = scene.find_only_part("pid")
         commanded = part.at[1:2] == ("driver",) and "drive" in part.pins
         if control is None or not commanded or "command" not in _read_pins(part, scene):
@@ -210,7 +216,7 @@ class Netlist(PartType[NetlistKeys]):
                 )
 
     def has_ac_source(self, part: Part[NetlistKeys], scene: DeclaredScene) -> bool:
-        """Return whether the netlist contains a source with a small-signal (``ac``) amplitude."""
+        """Return whether the netlist contains a source with an ``ac`` amplitude."""
         return _read_subcircuits(
             part.keys.file, scene.home, _read_modification_time(part, scene)
         ).excites
@@ -233,14 +239,14 @@ class Netlist(PartType[NetlistKeys]):
         return (Subcircuit(name, pins, (), tree, title=title, file=file, source=source),)
 
     def law(self, part: Part[NetlistKeys], build: BuiltScene) -> MissingEquations:
-        """Return the reason why the netlist has no model equations."""
+        """Return the reason why the part has no model equations."""
         return MissingEquations("its equations are a netlist of the user")
 
     def vectors(self, part: Part[NetlistKeys], build: BuiltScene) -> Mapping[str, PartResult]:
         """Return the ngspice vectors of the part's results, keyed by result name.
 
-        The results are the voltages of rated pins, and the pins, currents and inner nodes that
-        probes measure.
+        The results are the voltages of pins with ratings, and the pins, currents and inner nodes
+        that probes measure.
         """
         scene, pins = build.scene, {t.name: t for t in build.scene.pins(part.name)}
         rated = part.keys.ratings if scene.analysis.type == "transient" else ()
@@ -292,13 +298,13 @@ def make_driver_table(
 ) -> dict[str, Any]:
     """Return the part table of the driver that the key ``driver`` describes.
 
-    ``known`` maps the names of drivers to their part types. A netlist part without a file uses the
-    first file of the scene's key ``include``.
+    ``known`` maps the names of drivers to their part types. A driver of type ``netlist`` without a
+    file uses the first file of the scene's key ``include``.
 
     Raises
     ------
-    UsageError : the key does not contain exactly one driver, its type does not exist, or it has no
-        file.
+    UsageError : the key does not contain exactly one driver, the type of the driver does not exist,
+        or the driver has no file.
     """
     expected = "one table of " + ", ".join(known)
     if len(drivers) != 1:
@@ -333,7 +339,7 @@ def make_driver_table(
 
 
 def _read_pins(part: Part[NetlistKeys], scene: DeclaredScene) -> tuple[str, ...]:
-    """Return the pins of the subcircuit in the order of its file.
+    """Return the pins of the subcircuit in the order of the netlist file.
 
     Raises
     ------
@@ -375,9 +381,9 @@ def _read_pins(part: Part[NetlistKeys], scene: DeclaredScene) -> tuple[str, ...]
 
 
 def _list_probed_nodes(part: Part[NetlistKeys], scene: DeclaredScene) -> Iterator[tuple[str, str]]:
-    """Yield the name of each probe of this part, and the pin, node or ``i(ELEMENT)`` it measures.
+    """Yield each probe of this part and the measured pin, node or ``i(ELEMENT)``.
 
-    Probes of the current or power at a pin are left out.
+    Probes of the current or power at a pin are omitted.
     """
     for name, probe in scene.probes.items():
         owner, dot, node = probe.of.partition(".")
@@ -386,10 +392,10 @@ def _list_probed_nodes(part: Part[NetlistKeys], scene: DeclaredScene) -> Iterato
 
 
 def _write_inner_vector(node: str, part: str = "") -> str:
-    """Return the ngspice vector of a node or an element current inside a subcircuit.
+    """Return the ngspice vector of a node or of an element current in a subcircuit.
 
-    ``node`` is the name of the node, ``i(ELEMENT)`` or ``i(x1.ELEMENT)``. With ``part``, the vector
-    belongs to the instance of this part in the deck.
+    ``node`` is the name of a node, or a current ``i(ELEMENT)`` or ``i(x1.ELEMENT)``. With ``part``,
+    the vector belongs to the instance of the part in the deck.
     """
     low, instance = node.lower(), f"x{part.lower()}." if part else ""
     match = re.fullmatch(r"i\((?:(.+)\.)?(\w+)\)", low)
@@ -402,7 +408,7 @@ def _write_inner_vector(node: str, part: str = "") -> str:
 
 
 def _read_subcircuit(part: Part[NetlistKeys], scene: DeclaredScene) -> Scope:
-    """Return the scope of the part's subcircuit, which contains its elements and nodes."""
+    """Return the elements and nodes of the part's subcircuit."""
     flat = read_untrusted_netlist(part.keys.file, scene.home)
     tree = translate_circuit(read_cards(flat.text, flat.file), part.keys.syntax)
     result = build_scope(tree).find_subcircuit(part.keys.subckt)
@@ -412,14 +418,14 @@ def _read_subcircuit(part: Part[NetlistKeys], scene: DeclaredScene) -> Scope:
 
 
 def _read_modification_time(part: Part[NetlistKeys], scene: DeclaredScene) -> int:
-    """Return the modification time [ns] of the part's netlist file; 0 without the file."""
+    """Return the modification time [ns] of the netlist file; 0 without the file."""
     path = scene.home / part.keys.file
     return path.stat().st_mtime_ns if path.is_file() else 0
 
 
 @dataclass(frozen=True)
 class _NetlistFile:
-    """Pins of each subcircuit in a netlist file, and whether the file has an ``ac`` source."""
+    """Pins of each subcircuit in a netlist file, and the presence of an ``ac`` source."""
 
     pins: dict[str, tuple[str, ...]]
     excites: bool
@@ -429,7 +435,7 @@ class _NetlistFile:
 def _read_subcircuits(file: str, home: Path, stamp: int) -> _NetlistFile:
     """Return the pins of all subcircuits in a netlist file.
 
-    ``stamp`` is the modification time of the file, as a key of the cache.
+    ``stamp`` is the modification time of the file, and is part of the cache key.
     """
     result, excites = {}, False
     for card in read_untrusted_netlist(file, home).cards():

@@ -1,4 +1,4 @@
-"""The part ``source``: independent sources for the quantities of all physical domains."""
+"""The part ``source``: independent source of a quantity of any physical domain."""
 
 from __future__ import annotations
 
@@ -47,9 +47,9 @@ from kc2spice.scene.parttype import register_part_type
 
 
 class SourceKind(NamedTuple):
-    """Kind of a source, defined by domain and side of the prescribed quantity.
+    """Kind of a source: the domain and the side of the prescribed quantity.
 
-    The side is across or through.
+    The side is ``across`` (such as a voltage) or ``through`` (such as a current).
     """
 
     domain: Domain
@@ -87,21 +87,21 @@ class SourceKind(NamedTuple):
 
 
 SOURCE_TYPES = {name: SourceKind(*place) for name, place in QUANTITIES.items()}
-# Kinds of sources with steps that an inductance or a mass smooths.
-# All other kinds of sources prescribe motions or flows.
+# Kinds of sources whose steps an inductance or a mass smooths.
+# All other kinds of sources prescribe motions or flows, whose steps are not smoothed.
 SMOOTHED_KINDS = ("voltage", "force")
 WAVEFORM_KEYS = ("dc", "pulse", "sine", "pwl", "file")
 MAX_ROWS = 100_000  # largest number of rows of a waveform file
 # Time points per period of a sine.
-# With these points, linear interpolation has an error of 4e-4 of the amplitude.
+# With 125 points, linear interpolation has an error of 4e-4 of the amplitude.
 POINTS_PER_PERIOD = 125
-# Highest frequency of an edge, multiplied by the edge time.
-# A fraction of 1e-4 of the spectrum of an edge is above this highest frequency.
+# Highest relevant frequency of an edge, multiplied by the duration of the edge.
+# Above the highest relevant frequency, a fraction of 1e-4 of the spectrum remains.
 EDGE_FACTOR = 0.5
-# Highest resolved frequency, relative to the frequency of a sine that is switched on.
-# With a frequency ratio of 3, a mode above the band had an error of 1.3 %.
+# Highest resolved frequency, divided by the frequency of a sine that is switched on.
+# With a ratio of 3, a mode above the band had an error of 1.3 %.
 RESOLVED_HARMONICS = 8.0
-# Largest deviation of a simulated source from its definition, relative to its range of values.
+# Largest deviation of a simulated source from its definition, divided by its range of values.
 MAX_DEVIATION = 1e-3
 
 
@@ -109,7 +109,7 @@ class SourceKeys(Section):
     """Keys of an independent source.
 
     One of the keys ``dc``, ``pulse``, ``sine``, ``pwl`` and ``file`` defines the waveform. Numbers
-    without a unit are in the SI unit of the quantity that ``kind`` selects.
+    without a unit have the SI unit of the quantity that ``kind`` selects.
     """
 
     kind: Literal[tuple(SOURCE_TYPES)] = Field(  # type: ignore[valid-type]
@@ -142,7 +142,7 @@ class SourceKeys(Section):
     @field_validator("pwl", mode="before")
     @classmethod
     def _require_corners(cls, rows: object) -> object:
-        """Check that ``pwl`` is a list of corners, each a time and a value."""
+        """Require that ``pwl`` is a list of corners, each a time and a value."""
         expected = "a list of corners, [[TIME, VALUE], [TIME, VALUE], …]"
         hint = 'write for example  pwl = [[0, 0], ["1 ms", 1]]'
         if rows is None:
@@ -165,7 +165,7 @@ class SourceKeys(Section):
 
     @model_validator(mode="after")
     def _require_one_waveform(self, info: ValidationInfo) -> SourceKeys:
-        """Require at most one waveform, and read the waveform and the amplitude."""
+        """Require at most one waveform key, and read the waveform and the amplitude."""
         shapes = self._stated_waveform_keys
         if len(shapes) > 1:
             hint = f"delete the key {shapes[0]} or the key {shapes[1]}"
@@ -189,12 +189,12 @@ class SourceKeys(Section):
 
     @property
     def has_only_amplitude(self) -> bool:
-        """Whether the source has the key ``ac``, and no key for a waveform."""
+        """Whether the source has the key ``ac``, but no waveform key."""
         return bool(self.amplitude) and not self._stated_waveform_keys
 
     @property
     def _stated_waveform_keys(self) -> list[str]:
-        """Names of the stated keys that define a waveform."""
+        """Names of the stated waveform keys."""
         return [name for name in WAVEFORM_KEYS if getattr(self, name) is not None]
 
     @property
@@ -209,11 +209,13 @@ class SourceKeys(Section):
 
     @property
     def amplitude(self) -> float:
-        """Amplitude of the source in ac analyses, in SI units."""
+        """Amplitude of the source in an ac analysis, in SI units."""
         return self._amplitude
 
     def _read_waveform(self, home: Path) -> Waveform:
-        """Return the waveform versus time in SI units; ``home`` is the folder of ``file``.
+        """Return the waveform versus time in SI units.
+
+        The key ``file`` is a path in the folder ``home``.
 
         Raises
         ------
@@ -276,7 +278,10 @@ class Source(PartType[SourceKeys]):
         )
 
     def problems(self, part: Part[SourceKeys], scene: GovernedScene) -> Iterator[UsageError]:
-        """Warn about a source that is zero in the default analysis, which is a transient."""
+        """Warn about a source that is zero in the default analysis.
+
+        The default analysis is a transient, in which the key ``ac`` has no effect.
+        """
         yield from super().problems(part, scene)
         if part.keys.has_only_amplitude and "analysis" not in scene.frame.model_fields_set:
             warnings.warn(
@@ -296,17 +301,17 @@ class Source(PartType[SourceKeys]):
             yield NumericalRequirements(part.name, period=pulse.period)
 
     def voltage(self, part: Part[SourceKeys], scene: DeclaredScene) -> Waveform | None:
-        """Return the prescribed voltage [V] versus time; None for other kinds of sources."""
+        """Return the prescribed voltage [V] versus time; None for other quantities."""
         return part.keys.waveform if part.keys.kind == "voltage" else None
 
     def has_ac_source(self, part: Part[SourceKeys], scene: DeclaredScene) -> bool:
-        """Return whether the source has a small-signal amplitude."""
+        """Return whether the source has an amplitude for small-signal analyses."""
         return part.keys.amplitude != 0
 
     def make_frequency_estimator(
         self, part: Part[SourceKeys], scene: DeclaredScene
     ) -> HighestFrequency:
-        """Return a function for the highest relevant frequency [Hz] of the waveform."""
+        """Return a function that computes the highest relevant frequency [Hz]."""
         share = 1.0 if part.keys.kind in SMOOTHED_KINDS else 0.0
         return partial(_find_filtered_frequency, part.keys.waveform, scene.stop_time, share)
 
@@ -315,14 +320,14 @@ class Source(PartType[SourceKeys]):
     ) -> EquilibriumConditions:
         """Return the conditions that the source sets for the equilibrium at t = 0.
 
-        A source of an across quantity prescribes the difference between its pins. A source of a
-        through quantity loads its pins with a constant flow.
+        A source of an across quantity prescribes the difference of this quantity between its pins.
+        A source of a through quantity loads its pins with a constant flow.
         """
         pair = (("out", "ret"),)
         if SOURCE_TYPES[part.keys.kind].letter == "V":
             wave = part.keys.waveform
             moves = wave.amplitude or np.ptp(np.array(wave.points)[:, 1])
-            # The derivative of a sine that starts later also has a jump.
+            # A sine that starts later also has a jump of its derivative.
             kinked = part.keys.kind == "displacement" and moves
             return EquilibriumConditions(
                 pair, pair, jump_key=part.keys.waveform_key if kinked else ""
@@ -334,7 +339,7 @@ class Source(PartType[SourceKeys]):
         """Return the cards of the part in the deck."""
         kind = SOURCE_TYPES[part.keys.kind]
         ends = [build.get_net(part, "out"), build.get_net(part, "ret")]
-        if kind.letter == "I":  # the current flows out of the source at "out" and back at "ret"
+        if kind.letter == "I":  # the source pushes current out of "out" and back into "ret"
             ends.reverse()
         if _sweeps_back(part, build.scene):
             swept = _write_sweep_cards(part, build, kind, ends)
@@ -348,7 +353,7 @@ class Source(PartType[SourceKeys]):
     def list_inner_names(
         self, part: Part[SourceKeys], scene: WiredScene
     ) -> Iterator[tuple[str, ...]]:
-        """Yield the names of the inner nodes for a dc sweep that returns to its first value."""
+        """Yield the inner nodes of a dc sweep that runs back to its first value."""
         if _sweeps_back(part, scene):
             yield part.name, "swept"
             yield part.name, "folded"
@@ -356,7 +361,7 @@ class Source(PartType[SourceKeys]):
     def settable_quantities(
         self, part: Part[SourceKeys], build: BuiltScene
     ) -> Mapping[str, SweptSource]:
-        """Return the simulator's source that a dc sweep of the key ``dc`` varies."""
+        """Return the source in the netlist that a dc sweep of the key ``dc`` varies."""
         kind = SOURCE_TYPES[part.keys.kind]
         if _sweeps_back(part, build.scene):
             return {
@@ -386,7 +391,10 @@ class Source(PartType[SourceKeys]):
     def checks(
         self, part: Part[SourceKeys], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Check]:
-        """Yield the check that the simulated source equals its definition at all time points."""
+        """Yield the check that the simulated source equals its definition.
+
+        The simulated values and the defined values are compared at all time points.
+        """
         result = waves.data.get(f"{part.name}.{SOURCE_TYPES[part.keys.kind].prescribed_symbol}")
         if result is None or "time" not in waves:
             return
@@ -419,15 +427,16 @@ class Source(PartType[SourceKeys]):
 
 
 def _find_filtered_frequency(wave: Waveform, stop: float, share: float, constant: float) -> float:
-    """Return the highest relevant frequency [Hz] of a waveform after a low-pass filter.
+    """Return the highest relevant frequency [Hz] of a low-pass filtered waveform.
 
-    The time constant of the filter is ``constant`` [s] times ``share``.
+    The waveform is filtered by a first-order low-pass filter. The time constant of the filter is
+    ``constant`` [s] times ``share``.
     """
     return find_waveform_frequency(wave, stop, share * constant)
 
 
 def _sweeps_back(part: Part[SourceKeys], scene: DeclaredScene) -> bool:
-    """Return whether a dc sweep of this source returns to its first value."""
+    """Return whether a dc sweep of this source also runs back to its first value."""
     selected = scene.analysis
     moved = selected.type == "dc" and selected.sweep == f"{part.name}.dc"
     return moved and bool(selected.back)
@@ -436,11 +445,11 @@ def _sweeps_back(part: Part[SourceKeys], scene: DeclaredScene) -> bool:
 def _write_sweep_cards(
     part: Part[SourceKeys], build: BuiltScene, kind: SourceKind, ends: list[str]
 ) -> Iterator[Element]:
-    """Yield the cards of a source with a dc sweep that returns from ``to`` to its first value.
+    """Yield the cards of a source for a dc sweep to ``to`` and back.
 
-    The simulator sweeps an auxiliary voltage beyond ``to``. The source reflects this voltage at
-    ``to``. Both directions therefore form a single sweep, in which each point starts from the
-    solution of the previous point.
+    The simulator sweeps an auxiliary voltage from the first value to beyond ``to``. Beyond ``to``,
+    the value of the source is the mirror image of the auxiliary voltage. The sweep to ``to`` and
+    back is therefore a single sweep. Each point starts from the solution of the previous point.
     """
     selected = build.scene.analysis
     first = kind.netlist_factor * convert_quantity(selected.from_, kind.unit)
@@ -458,7 +467,10 @@ def _write_sweep_cards(
 
 
 def list_waveform_numerics(name: str, wave: Waveform) -> Iterator[NumericalRequirements]:
-    """Yield the largest time step and the highest frequency of a waveform's sine or edges."""
+    """Yield the longest time step and the highest frequency of a waveform.
+
+    Sines and edges determine both values.
+    """
     if not wave.is_piecewise_linear:
         f = wave.frequency
         what = f"1/{POINTS_PER_PERIOD} of a period of {name}, a sine at {f:g} Hz"
@@ -482,7 +494,10 @@ def _drives_only_signals(part: Part[SourceKeys], build: BuiltScene) -> bool:
 
 
 def _make_waveform(points: np.ndarray, data_name: str) -> Waveform:
-    """Return the piecewise linear waveform through ``points``, whose times must increase."""
+    """Return the piecewise linear waveform through ``points``.
+
+    The times of the points must increase.
+    """
     key = "pwl" if data_name == "pwl" else "file"
     if len(points) < 2:
         expected = "at least two rows of time and value"

@@ -1,8 +1,9 @@
-"""Part types of linear elements between two pins, such as resistors, springs and dampers.
+"""Part types of linear two-pin elements, such as resistors and springs.
 
-The part types are generated from a table. A row of the table contains the energy that an element
-stores, or the power that it loses (:mod:`kc2spice.physics.declaration`). Keys, netlist card,
-results, documentation, and the equations for the independent integrator are generated from the row.
+The part types are generated from a table. A table row contains the energy that an element stores,
+or the power that an element loses (:mod:`kc2spice.physics.declaration`). The program generates
+keys, netlist card, results, documentation, and the equations for the independent integrator from
+the table row.
 """
 
 from __future__ import annotations
@@ -106,9 +107,9 @@ TABLE = (
 )  # fmt: skip
 
 
-# Types with a plausible range of values, by the unit of the key.
+# Key types with a plausible range of values, keyed by the unit of the key.
 _TYPES_OF_UNITS: Mapping[str, Any] = {"F": Capacitance, "H": Inductance}
-# Descriptions of the key of each element.
+# Description of the key of each element.
 _KEY_DESCRIPTIONS = {
     "resistor": "Electrical resistance of the resistor",
     "capacitor": "Capacitance of the capacitor",
@@ -124,7 +125,7 @@ _KEY_DESCRIPTIONS = {
 
 
 def declare_element(row: ElementRow) -> Declaration:
-    """Return the declaration of the element of a table row, with its key and an example."""
+    """Return the declaration of the element in a table row, with key and example."""
     value = Field(gt=0, description=_KEY_DESCRIPTIONS[row.name])
     number = _TYPES_OF_UNITS.get(row.unit, Annotated[float, si(row.unit)])
     fields: dict[str, Any] = {row.key: (number, value)}
@@ -149,23 +150,23 @@ part = "source"
 class LinearElement(DeclaredPart[KeysT]):
     """Linear element that is a single netlist card.
 
-    The equation of an element is ``through = admittance d^order/dt^order`` of ``across``. An
-    element with a connected pin ``heat`` is a subcircuit instead.
+    The equation of an element is ``through = admittance d^order/dt^order across``. An element whose
+    pin ``heat`` is connected is a subcircuit instead.
 
-    The current of an element is not the device parameter ``@r[i]``, because in an ac analysis
-    ngspice computes this parameter only at the operating point. The current of a resistance is
-    computed from its voltage. The current of an inductance is its branch current. A capacitance has
-    an ideal ammeter in series at the pin ``a``.
+    The current of an element is not read from the device parameter ``@r[i]``. In an ac analysis,
+    ngspice computes device parameters only at the operating point. The current of a resistance is
+    computed from its voltage. The current of an inductance is its branch current. The current of a
+    capacitance is measured by an ideal ammeter in series at the pin ``a``.
     """
 
     @cached_property
     def branch(self) -> Branch:
-        """The only branch of the element."""
+        """Branch of the element."""
         return self.declaration.branches[0]
 
     @cached_property
     def admittance_term(self) -> tuple[int, Tree]:
-        """Order of the time derivative, and admittance as an expression."""
+        """Order of the time derivative in the equation, and admittance as an expression."""
         d, b = self.declaration, self.branch
         flow = d.derive_direct_flow(b)
         stiff, slow = differentiate_tree(flow, b.name), differentiate_tree(flow, b.rate)
@@ -188,11 +189,11 @@ class LinearElement(DeclaredPart[KeysT]):
         return ONE if value == 1 else Number(f"{value:g}")
 
     def _evaluate(self, part: Part[KeysT], tree: Tree) -> float:
-        """Return the value of an expression of the keys, for the keys of the part."""
+        """Return the value of an expression for the keys of the part."""
         return float(evaluate_tree(tree, self.declaration.values(part.keys)))
 
     def is_subcircuit(self, part: Part[KeysT], scene: DeclaredScene) -> bool:
-        """Return whether the element has the pin ``heat``, and is therefore a subcircuit."""
+        """Return whether the element has a connected pin ``heat`` and is a subcircuit."""
         return is_heated(part, scene)
 
     def subcircuits(
@@ -236,11 +237,11 @@ class LinearElement(DeclaredPart[KeysT]):
     def _write_leak_card(
         self, part: Part[KeysT], build: BuiltScene, a: str, b: str
     ) -> tuple[Element, ...]:
-        """Return the card of a leak conductance that conserves the charge of a floating net.
+        """Return the card of a leak conductance for a floating net.
 
-        The conductance is proportional to the capacitance, as for an electrode of a body. If the
-        sum of the charges ``C v`` on a net is zero, the sum of the leakage currents ``rate C v`` is
-        therefore also zero.
+        The leak conserves the charge of the net. The conductance is proportional to the
+        capacitance, as for an electrode of a body. If the sum of the charges ``C v`` on a net is
+        zero, the sum of the leakage currents ``rate C v`` is also zero.
         """
         value = LEAK_RATE * self._evaluate(
             part, multiply_trees(self._unit_factor, self.admittance_term[1])
@@ -253,21 +254,25 @@ class LinearElement(DeclaredPart[KeysT]):
 
     @cached_property
     def _has_loss(self) -> bool:
-        """Whether the element has a loss, and therefore thermal noise."""
+        """Whether the element has a loss, which causes thermal noise."""
         return self.declaration.derive_loss_coefficient(self.branch) != ZERO
 
     @cached_property
     def _has_si_units(self) -> bool:
-        """Whether the pins have SI units, so that a resistor card has the noise of the loss."""
+        """Whether the pins have SI units.
+
+        With SI units, a resistor card also has the thermal noise of the loss.
+        """
         return self._unit_factor == ONE
 
     def _write_noise_cards(
         self, part: Part[KeysT], build: BuiltScene, a: str, b: str
     ) -> tuple[Element, ...]:
-        """Return the cards of the thermal noise of a loss, such as the force noise of a damper.
+        """Return the cards of the thermal noise of a loss.
 
-        The spectral density of the force is ``4 k T c`` [N^2/Hz] for the damping c. The value of
-        this density equals the voltage noise density of a resistor of c ohms.
+        An example is the force noise of a damper. For the damping c, the force noise has the
+        spectral density ``4 k T c`` [N^2/Hz]. A resistor of c ohms has a voltage noise density with
+        the same numerical value.
         """
         if not self._has_loss:
             return ()

@@ -1,4 +1,4 @@
-"""The part ``comb_drive``: an electrostatic comb drive with a stop."""
+"""The part ``comb_drive``: electrostatic comb drive with a stop."""
 
 from pydantic import Field
 
@@ -11,8 +11,8 @@ from kc2spice.scene.parttype import register_part_type
 class CombDriveKeys(_stop.StopKeys):
     """Keys of an electrostatic comb drive.
 
-    Its capacitance is ``C = 2 fingers eps0 thickness (overlap + x) / gap``. The force
-    ``fingers eps0 thickness v^2 / gap`` does not depend on the displacement x.
+    The capacitance of the comb drive is ``C = 2 fingers eps0 thickness (overlap + x) / gap``. The
+    force ``fingers eps0 thickness v^2 / gap`` does not depend on the displacement x.
     """
 
     fingers: Ratio = Field(

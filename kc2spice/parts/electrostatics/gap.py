@@ -1,26 +1,28 @@
-"""Gap between faces of a body and a fixed electrode: pull-in, contact, release, squeezed film.
+"""Electrostatic gap between a body and a fixed electrode.
 
-The face consists of patches. Each patch is a port of the body, and x is the upward displacement of
-the patch. The distance d of the patch to the electrode is ``gap - x`` for an electrode above, and
-``gap + x`` for an electrode below. At the voltage v, a patch of area A has the coenergy ``C v^2 /
-2`` with the capacitance ``C = permittivity eps0 A / d``. With ``fringing``, C is the capacitance of
-a strip of width w and thickness t. The capacitance per length of the strip is ``eps0 permittivity
-(w/d + 0.77 + 1.06 (w/d)^(1/4) + 1.06 (t/d)^(1/2))`` (N. van der Meijs, J. T. Fokkema, Integration 2
-(1984) 85). Beyond the displacement ``travel``, a stop acts (:mod:`kc2spice.parts.mechanics._stop`).
+The model includes pull-in, release, a stop and the squeezed gas film. The face of the body consists
+of patches. Each patch is a port of the body, and x is the upward displacement of the patch. The
+distance d of the patch to the electrode is ``gap - x`` for an electrode above, and ``gap + x`` for
+an electrode below. At the voltage v, a patch of area A has the coenergy ``C v^2 / 2`` with the
+capacitance ``C = permittivity eps0 A / d``. With the key ``fringing``, C is the capacitance of a
+strip of width w and thickness t above a plane at the distance d. The capacitance per length of the
+strip is ``eps0 permittivity (w/d + 0.77 + 1.06 (w/d)^(1/4) + 1.06 (t/d)^(1/2))`` (N. van der Meijs,
+J. T. Fokkema, Integration 2 (1984) 85). Beyond the displacement ``travel``, a stop acts on the
+patch (:mod:`kc2spice.parts.mechanics._stop`).
 
 The gas film is a rectangle of length l and width w that is vented on all sides (J. J. Blech, J.
 Lubr. Technol. 105 (1983) 615). The pressure of the gas film is a series of the terms ``sin(m pi x /
-l) sin(n pi y / w)`` with odd m and n. Each term is a damper c in series with a spring k of the
-trapped gas. The displacement of a term is the sum of the patch displacements, weighted with the
-contribution of each patch to the term::
+l) sin(n pi y / w)`` with odd m and n. Each term of the series is modelled as a damper c in series
+with a spring k, which represents the trapped gas. The displacement of a term is the weighted sum of
+the patch displacements. The weight of a patch is its contribution to the term::
 
     S = 4 l w / (pi^2 m n)     q^2 = pi^2 (m^2 / l^2 + n^2 / w^2)
     c = 48 viscosity S^2 / (q^2 gap^3 l w)     k = 4 pressure S^2 / (gap l w)
 
-The ``branches`` largest terms have a spring, and the dampers of all other terms form a single
-damper. By default, the number of branches keeps the errors of damping and force within a tolerance
-up to the highest frequency of the scene. All dampers grow as ``(gap / mean d)^3`` when the gap
-closes.
+Only the ``branches`` largest terms have a spring. All other terms together form a single damper. By
+default, the number of terms with a spring keeps the errors of damping and force within a tolerance
+up to the highest frequency of the scene. All dampers increase in proportion to ``(gap / mean d)^3``
+when the gap closes.
 """
 
 from __future__ import annotations
@@ -70,7 +72,7 @@ from kc2spice.scene.part_records import PartResult
 from kc2spice.scene.parttype import register_part_type
 
 PATCH_PREFIX = "patch"  # prefix of the names of ports that form a row of patches
-# Relative error of force / displacement due to the iterations of an operating point.
+# Relative error of force divided by displacement, due to the iterations of an operating point.
 ITERATION_ROUNDING = 1e-9
 # Largest relative change of the capacitance that counts as zero.
 # This change of the capacitance is far above the rounding errors of ngspice.
@@ -86,7 +88,7 @@ MAX_BRANCHES = 100
 
 
 class FringingKeys(Section):
-    """Keys for the fringing field between a strip and a plane."""
+    """Keys of the fringing field between a strip and a plane."""
 
     width: Length = Field(gt=0, description="Width of the strip whose fringing field is modelled")
     thickness: Length = Field(
@@ -187,7 +189,10 @@ class GapKeys(_stop.StopKeys):
 
 
 class PatchedPart(DeclaredPart[KeysT]):
-    """Part with a pin ``p1``, ``p2``, … for each patch that its key ``a`` names."""
+    """Part with a pin for each surface patch that its key ``a`` names.
+
+    The pins are ``p1``, ``p2``, ….
+    """
 
     def pins(self, part: Part[KeysT], scene: JoinedScene) -> tuple[Terminal, ...]:
         """Return the pins in the order of the subcircuit."""
@@ -218,14 +223,18 @@ class Gap(PatchedPart[GapKeys]):
     def build(
         self, part: Part[GapKeys], scene: Scene, clock: StageTimer, full: bool = False
     ) -> int | None:
-        """Return the number of film branches of the reference model; None for the netlist model.
+        """Return the number of film branches of the more accurate reference model.
 
-        With ``full``, the film has :data:`REFINEMENT_RATIO` times as many branches as the netlist.
+        Return None for the model of the netlist. With ``full``, the gas film has
+        :data:`REFINEMENT_RATIO` times as many branches as in the netlist.
         """
         return REFINEMENT_RATIO * count_film_branches(part, scene) or None if full else None
 
     def law(self, part: Part[GapKeys], build: BuiltScene) -> laws.Equations:
-        """Return the model equations, without pins of film branches that the netlist lacks."""
+        """Return the model equations with the pins that the netlist also has.
+
+        A reference model with more film branches has additional pins, which are omitted.
+        """
         result, known = super().law(part, build), set(list_names(build.scene.pins(part.name)))
         return replace(result, pins=tuple(pair for pair in result.pins if pair[0] in known))
 
@@ -254,7 +263,7 @@ class Gap(PatchedPart[GapKeys]):
     def vectors(self, part: Part[GapKeys], build: BuiltScene) -> Mapping[str, PartResult]:
         """Return the ngspice vectors of the part's results, keyed by result name.
 
-        The forces at the pins of the film are zero, and are not among the results.
+        The forces at the pins of the gas film are zero, and are not among the results.
         """
         result = super().vectors(part, build)
         return {name: row for name, row in result.items() if ".film_force" not in name}
@@ -264,8 +273,9 @@ class Gap(PatchedPart[GapKeys]):
     ) -> Iterator[Check | RunEnergyBalance | Gate]:
         """Yield the checks of the gap after a run.
 
-        After a dc sweep, the checks include a check that no point is on the unstable branch between
-        pull-in and release. At a stable point, the capacitance never decreases with ``v^2``.
+        After a dc sweep, an additional check requires that no point is unstable. Unstable points
+        lie between pull-in and release. At a stable point, the capacitance never decreases with
+        ``v^2``.
         """
         yield from super().checks(part, build, waves)
         yield from _check_film(part, build, waves)
@@ -290,9 +300,10 @@ class Gap(PatchedPart[GapKeys]):
         """Return the metrics: pull-in voltage, release voltage and largest displacement.
 
         At pull-in, the first patch touches the stop. At release, the last patch leaves the stop.
-        Each voltage is the mean of the points before and after the event. In ``ac``, the metrics
-        are the stiffness and the damping at the last frequency f. The stiffness is the real part of
-        force divided by displacement, and the damping is the imaginary part divided by ``2 pi f``.
+        The pull-in voltage is the mean of the voltages before and after pull-in, and likewise the
+        release voltage. After an ac analysis, the metrics are the stiffness and the damping at the
+        last frequency f. The stiffness is the real part of force divided by displacement, and the
+        damping is the imaginary part divided by ``2 pi f``.
         """
         of = {
             "x": _list_patch_waves(part, "x", waves),
@@ -323,7 +334,7 @@ class Gap(PatchedPart[GapKeys]):
 
 
 def list_patch_ports(part: Part, scene: DeclaredScene) -> tuple[str, ...]:
-    """Return the ports of the body on which a part acts, in the order of its patches."""
+    """Return the ports of the body on which a part acts, in the order of the patches."""
     name = getattr(part.keys, "a", "")
     if not isinstance(name, str):
         return tuple(name)
@@ -342,7 +353,7 @@ def list_patch_ports(part: Part, scene: DeclaredScene) -> tuple[str, ...]:
 
 
 def count_film_branches(part: Part[GapKeys], scene: GovernedScene) -> int:
-    """Return the number of terms of the film series that have a spring; 0 without a film."""
+    """Return the number of terms of the film series with a spring; 0 without a film."""
     keys = part.keys
     if keys.film is None:
         return 0
@@ -359,12 +370,12 @@ def count_film_branches(part: Part[GapKeys], scene: GovernedScene) -> int:
 def compute_truncation_error(
     film: SqueezeFilmKeys, gap: float, branches: int, frequency: float
 ) -> float:
-    """Return the larger of the relative errors of damping and force with ``branches`` springs.
+    """Return the error of the film series if ``branches`` terms have a spring.
 
-    The errors are computed at ``frequency`` [Hz]. A term of the film series has the ratio of force
-    to displacement ``z = j w c / (1 + j w c / k)``, or ``j w c`` without a spring. c is the damper,
-    k the spring and w the angular frequency. The damping is proportional to the imaginary part of
-    z.
+    The result is the larger of the relative errors of damping and force at ``frequency`` [Hz]. For
+    each term of the film series, force divided by displacement is ``z = j w c / (1 + j w c / k)``,
+    or ``j w c`` without a spring. c is the damper, k the spring and w the angular frequency. The
+    damping is proportional to the imaginary part of z.
     """
     if not frequency:
         return 0.0
@@ -376,15 +387,19 @@ def compute_truncation_error(
 
 
 def _list_patch_waves(part: Part[GapKeys], word: str, waves: Waveforms) -> list[np.ndarray]:
-    """Return the recorded waveforms of all patches for ``word``, which is ``x`` or ``force``."""
+    """Return the recorded waveforms of the quantity ``word`` for all patches.
+
+    ``word`` is ``x`` or ``force``.
+    """
     prefix = f"{part.name}.{word}"
     return [wave for name, wave in waves.data.items() if name.startswith(prefix)]
 
 
 def _check_film(part: Part[GapKeys], build: BuiltScene, waves: Waveforms) -> Iterator[Check | Gate]:
-    """Yield checks of the error of the film series at the highest frequency of a run.
+    """Yield checks of the error of the gas film at the highest frequency of a run.
 
-    In a transient, 99.9 % of the energy of the patch velocities is below this frequency.
+    In a transient, frequencies below the highest frequency contain 99.9 % of the energy of the
+    patch velocities.
     """
     film, frequency = part.keys.film, 0.0
     if film is None:
@@ -410,10 +425,10 @@ def _check_film(part: Part[GapKeys], build: BuiltScene, waves: Waveforms) -> Ite
 
 @lru_cache(maxsize=32)
 def _declare_gap(text: str, count: int, film_branches: int, top: float) -> Declaration:
-    """Return the declaration of a gap with ``count`` patches and ``film_branches`` film branches.
+    """Return the declaration of a gap with ``count`` patches.
 
-    ``text`` contains the keys of the gap as a JSON string. The branches resolve frequencies up to
-    ``top`` [Hz].
+    The series of the gas film has ``film_branches`` terms with a spring. ``text`` contains the keys
+    of the gap as a JSON string. The terms with a spring resolve frequencies up to ``top`` [Hz].
     """
     keys = GapKeys.model_validate_json(text)
     shares = keys.shares or (1 / count,) * count
@@ -429,7 +444,7 @@ def _declare_gap(text: str, count: int, film_branches: int, top: float) -> Decla
         # A divisor in metres would be inaccurate, because ngspice adds 1e-32 to every divisor.
         gap = f"(1 - {sign}1*x{k}/gap)"
         capacitance = f"share{k}*area/gap/{gap}"
-        # The gap is limited, because the argument of a root must not be negative in any iteration.
+        # The gap has a lower limit, because the argument of a root must not be negative.
         if keys.fringing is not None:
             gap = f"(least + max(0, {gap[1:-1]} - least))"
             roots = f"1.06*sqrt(sqrt(width/gap/{gap})) + 1.06*sqrt(thickness/gap/{gap})"
@@ -503,10 +518,11 @@ def _list_neglected_effects(
 
 
 def _compute_series_terms(film: SqueezeFilmKeys) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the dampers, the springs and the indices m of all terms of the film series.
+    """Return dampers, springs and indices m of all terms of the film series.
 
     Each returned array has the shape (n,) and begins with the term of the largest damper. The
-    dampers are multiplied by gap^3, and the springs by gap.
+    dampers are multiplied by gap^3, and the springs are multiplied by gap, so that both do not
+    depend on the gap.
     """
     area, odd = film.length * film.width, np.arange(1, MAX_SERIES_INDEX + 1, 2)
     m, n = np.reshape(np.meshgrid(odd, odd), (2, -1))
@@ -520,10 +536,11 @@ def _compute_series_terms(film: SqueezeFilmKeys) -> tuple[np.ndarray, np.ndarray
 def _split_series(
     film: SqueezeFilmKeys, count: int, branches: int
 ) -> tuple[list[tuple[float, float, np.ndarray]], float]:
-    """Return the terms of the film series with a spring, and the sum of all other dampers.
+    """Return the terms of the film series with a spring, and the damper of the rest.
 
-    A term contains the damper times gap^3, the spring times gap, and the contribution of each patch
-    to the motion of the term.
+    The second value is the sum of the dampers of all other terms. Each term contains the damper
+    times gap^3, the spring times gap, and the contribution of each patch to the displacement of the
+    term.
     """
     dampers, springs, orders = _compute_series_terms(film)
     edges = np.linspace(0, 1, count + 1)

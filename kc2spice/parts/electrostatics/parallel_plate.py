@@ -1,4 +1,4 @@
-"""The part ``parallel_plate``: an electrostatic actuator of two parallel plates with a stop."""
+"""The part ``parallel_plate``: electrostatic actuator of two plates with a stop."""
 
 from typing import Annotated
 
@@ -13,9 +13,9 @@ from kc2spice.scene.parttype import register_part_type
 class ParallelPlateKeys(_stop.StopKeys):
     """Keys of two parallel plates with the coenergy ``C v^2 / 2``.
 
-    The capacitance is ``C = permittivity eps0 area / (gap - x)``, so that a voltage increases the
-    displacement x. If a spring of stiffness ``k`` holds the plate, the pull-in voltage is ``sqrt(8
-    k gap^3 / (27 eps area))`` with ``eps = permittivity eps0``.
+    The capacitance is ``C = permittivity eps0 area / (gap - x)``. A voltage therefore increases the
+    displacement x. If a spring of stiffness ``k`` supports the plate, the pull-in voltage is
+    ``sqrt(8 k gap^3 / (27 eps area))`` with ``eps = permittivity eps0``.
     """
 
     area: Annotated[float, si("m2")] = Field(gt=0, description="Area of each of the two plates")

@@ -1,4 +1,4 @@
 """Part types for the experiments of the paper.
 
-The experiments are impact, imprint, frequency response and force map.
+The experiments are impacts, imprints, frequency responses and force maps.
 """

@@ -1,6 +1,6 @@
-"""The part ``current_cases``: force of two coils on a sphere versus its height (Fig. 6).
+"""The part ``current_cases``: force of two coils on a sphere versus its height.
 
-The force is computed for every pair of currents in a list.
+Fig. 6 of the paper shows the force. The force is computed for every pair of currents from a list.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ from kc2spice.scene.model import (
 from kc2spice.scene.part_records import Governed, PartResult, SweptSource
 from kc2spice.scene.parttype import register_part_type
 
-# number of heights at which the force table is evaluated: five for each segment of the table
+# number of heights at which the force is computed: five for each segment of the table
 LOOKUP_HEIGHTS = 2001
 
 
 class CurrentCasesKeys(Section):
-    """Keys of the experiment: the currents of each coil.
+    """Keys of the experiment: the currents in each coil.
 
     A dc sweep moves the sphere through all heights of the force table.
     """
@@ -59,7 +59,10 @@ class CurrentCasesKeys(Section):
 
 
 class CurrentCases(PartType[CurrentCasesKeys]):
-    """Part type ``current_cases``: force of two coils versus height, for pairs of currents."""
+    """Part type ``current_cases``: force of two coils versus the height of a sphere.
+
+    The force is computed for several pairs of currents.
+    """
 
     name = "current_cases"
     title = "force on a sphere over height for every pair of coil currents"
@@ -149,7 +152,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
     def law(self, part: Part[CurrentCasesKeys], build: BuiltScene) -> laws.Equations:
         """Return the model equations of all copies of the coils.
 
-        A source prescribes the height of the sphere, and the forces of the coils act on the sphere.
+        A source prescribes the height of the sphere on which the coils act.
         """
         n, pulled, fed = part.name, _find_sphere(part, build.scene), _find_coils(part, build.scene)
         table, height = build.model(fed, MagnetostaticTable), [f"{n}.out"]
@@ -168,11 +171,10 @@ class CurrentCases(PartType[CurrentCasesKeys]):
     def checks(
         self, part: Part[CurrentCasesKeys], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Check | Gate]:
-        """Yield the check of the force table's slope, and the error limits of the forces.
+        """Yield the check of the force table's slope, and the permitted force errors.
 
-        The check sets a limit for the largest jump of the slope between two segments of the table.
-        The heights of the sweep are closer than the segments, so the sweep contains each jump in
-        full.
+        The check limits the jumps of the slope between segments of the table. The sweep has several
+        heights in each segment, so that the forces contain each jump in full.
         """
         forces = _read_recorded_forces(part, build, waves)
         slope = np.diff(forces, axis=1) / np.diff(waves[f"{_find_sphere(part, build.scene)}.y"])
@@ -210,7 +212,7 @@ def _read_recorded_forces(
 
 
 def _find_coils(part: Part[CurrentCasesKeys], scene: DeclaredScene) -> Part[RingMagnetCoilsKeys]:
-    """Return the coils whose force the experiment computes."""
+    """Return the coils of the experiment."""
     return scene.find_partner(part, "ring_magnet_coils").with_schema(RingMagnetCoilsKeys)
 
 

@@ -1,6 +1,6 @@
-"""The part ``port_loads``: frequency responses of a body from every port to every port.
+"""The part ``port_loads``: frequency responses between all ports of a body.
 
-The deck contains a copy of the body for each loaded port (Fig. 7).
+The deck contains one copy of the body for each loaded port (Fig. 7 of the paper).
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ from kc2spice.scene.part_records import Governed, PartResult
 from kc2spice.scene.parttype import register_part_type
 
 # Capacitance [F] in series with a voltage source of 1 C / CHARGE_CAPACITANCE.
-# The charge of this capacitance is one coulomb at any voltage of the anode.
+# At any voltage of the anode, the charge of the capacitance is one coulomb.
 CHARGE_CAPACITANCE = 1e-24
 
 
 class PortLoadsKeys(Section):
-    """Keys of the experiment: the body, and the frequencies of the unit loads on its ports."""
+    """Keys of the experiment: the body, and the frequencies of the unit loads."""
 
     start: Frequency = Field(
         0.0,
@@ -73,7 +73,7 @@ class PortLoadsKeys(Section):
 
 
 class PortLoads(PartType[PortLoadsKeys]):
-    """Part type ``port_loads``: unit load on every port of a body in turn, all responses."""
+    """Part type ``port_loads``: responses of a body to a unit load on each port."""
 
     name = "port_loads"
     title = "unit load on every port of a body in turn, all responses"
@@ -83,7 +83,7 @@ class PortLoads(PartType[PortLoadsKeys]):
     def generate_tables(
         self, part: Part[PortLoadsKeys], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
-        """Return the analysis: a linear frequency sweep of the loads."""
+        """Return the analysis: a linear frequency sweep of the unit loads."""
         start, stop, points = part.keys.start, part.keys.stop, part.keys.steps
         linear = {"scale": "linear", "points": points, "stop": stop}
         return {"analysis": {"type": "ac", "start": start + (stop - start) / points, **linear}}
@@ -93,7 +93,7 @@ class PortLoads(PartType[PortLoadsKeys]):
         return True
 
     def problems(self, part: Part[PortLoadsKeys], scene: GovernedScene) -> Iterator[UsageError]:
-        """Yield an error for each invalid key of the part."""
+        """Yield an error if the frequency range is empty."""
         find_loaded_body(part, scene)
         if part.keys.start >= part.keys.stop:
             got = f"{part.keys.start:g} … {part.keys.stop:g} Hz"
@@ -144,7 +144,7 @@ class PortLoads(PartType[PortLoadsKeys]):
     def list_inner_names(
         self, part: Part[PortLoadsKeys], scene: WiredScene
     ) -> Iterator[tuple[str, ...]]:
-        """Yield the names of the copies of the body, and of the elements that load these copies."""
+        """Yield the names of the copies of the body and of their loads."""
         rings = _list_loaded_rings(find_loaded_body(part, scene), scene)
         for load in (*rings, "anode"):
             yield (f"X{load}",)
@@ -177,7 +177,11 @@ class PortLoads(PartType[PortLoadsKeys]):
     def metrics(
         self, part: Part[PortLoadsKeys], build: BuiltScene, waves: Waveforms
     ) -> Mapping[str, object]:
-        """Return the metric ``amplitude[input][output]`` for a unit input at each frequency."""
+        """Return the response amplitudes to a unit load, at all frequencies.
+
+        The metric ``amplitude[input][output]`` contains the amplitude of an output for a unit load
+        on an input.
+        """
         amplitude: dict[str, dict[str, Metric]] = {}
         vectors = build.records[part.name].vectors
         for name, response in waves.data.items():
@@ -190,7 +194,10 @@ class PortLoads(PartType[PortLoadsKeys]):
     def checks(
         self, part: Part[PortLoadsKeys], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Gate]:
-        """Yield the error limits of the responses, which include the tolerance of the reduction."""
+        """Yield the permitted errors of the responses to the unit loads.
+
+        The permitted errors include the tolerance of the model reduction.
+        """
         gates, target = (
             build.scene.gates,
             find_loaded_body(part, build.scene).keys.rom or build.scene.rom,
@@ -215,9 +222,9 @@ class PortLoads(PartType[PortLoadsKeys]):
     def law(
         self, part: Part[PortLoadsKeys], build: BuiltScene
     ) -> laws.Equations | laws.MissingEquations | None:
-        """Return the model equations of the body, with a copy for each loaded port.
+        """Return the model equations of all copies of the body, one for each loaded port.
 
-        A large voltage in series with a very small capacitance represents a unit charge.
+        A large voltage source in series with a very small capacitance applies a unit charge.
         """
         body = find_loaded_body(part, build.scene)
         equations = body.type.law(body, build)
@@ -259,7 +266,7 @@ class PortLoads(PartType[PortLoadsKeys]):
 
 
 def find_loaded_body(part: Part[PortLoadsKeys], scene: DeclaredScene) -> Part[PiezoStackKeys]:
-    """Return the stack on which the loads act.
+    """Return the piezo stack on which the unit loads act.
 
     Raises
     ------
@@ -288,7 +295,7 @@ def find_loaded_body(part: Part[PortLoadsKeys], scene: DeclaredScene) -> Part[Pi
 
 
 def _list_loaded_rings(body: Part, scene: WiredScene) -> tuple[str, ...]:
-    """Return the names of the contact rings of ``body``, on which the unit loads act."""
+    """Return the names of the contact rings of ``body``, which carry the unit loads."""
     pins = scene.pins(body.name)
     return tuple(pin.name for pin in pins if pin.unit == DISPLACEMENT.pin_unit and pin.name != BASE)
 

@@ -1,6 +1,7 @@
-"""The part ``push``: quasi-static push of a sphere into a body (Fig. 8).
+"""The part ``push``: sphere that is pushed slowly into a body.
 
-The result is the contact force versus the depth.
+Fig. 8 of the paper shows the experiment. The result is the contact force as a function of the
+depth.
 """
 
 from __future__ import annotations
@@ -59,7 +60,10 @@ class PushKeys(Section):
 
 
 class Push(TouchablePart[PushKeys]):
-    """Part type ``push``: sphere pushed down in equal steps, each an operating point."""
+    """Part type ``push``: sphere that is pushed down in equal steps.
+
+    Each step is an operating point.
+    """
 
     name = "push"
     title = "sphere pushed down in equal steps, each an operating point"
@@ -118,7 +122,7 @@ class Push(TouchablePart[PushKeys]):
         return {f"{part.name}.depth": replace(bottom, factor=-bottom.factor)}
 
     def numerics(self, part: Part[PushKeys], scene: WiredScene) -> Iterator[NumericalRequirements]:
-        """Yield the solver tolerances that resolve the closing of the contact rings."""
+        """Yield solver tolerances that resolve the moments at which contact rings close."""
         last = "1e-09", "the law is piecewise linear, so the last iteration is exact"
         if _find_contact(part, scene).keys.shape == "pressure":
             last = "1e-12", "the law is curved, and this is the error of the last iteration"
@@ -132,7 +136,7 @@ class Push(TouchablePart[PushKeys]):
     def metrics(
         self, part: Part[PushKeys], build: BuiltScene, waves: Waveforms
     ) -> Mapping[str, object]:
-        """Return the contact force on a symmetry sector at each depth, and the largest force."""
+        """Return the contact force on one symmetry sector at each depth, and its maximum."""
         pair = _find_contact(part, build.scene)
         force = waves[f"{pair.part.name}.force"] / pair.lower_surface.sectors
         return {
@@ -145,8 +149,8 @@ class Push(TouchablePart[PushKeys]):
         """Yield the checks of the part after a run."""
         pair, gates = _find_contact(part, build.scene), build.scene.gates
         # At the first depths, only one basis function carries the contact force.
-        # A single basis function is too coarse, so all errors are relative to the largest force.
-        # The error limit against the full model is the error of the pressure basis.
+        # A single basis function is inaccurate, so all errors are relative to the largest force.
+        # The permitted error against the full model is the error of the pressure basis.
         law = pair.estimate_basis_error()
         limits = {
             "rom_vs_fom": max(gates.imprint_rom, law),
@@ -170,7 +174,7 @@ class Push(TouchablePart[PushKeys]):
 
 
 def _find_contact(part: Part[PushKeys], scene: GovernedScene) -> ContactPair:
-    """Return the contact pair of the sphere and the surface below it."""
+    """Return the contact of the sphere with the surface below it."""
     return make_pair(scene.find_partner(part, "contact"), scene)
 
 

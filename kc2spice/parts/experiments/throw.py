@@ -1,6 +1,7 @@
-"""The part ``throw``: a sphere that hits a body (section 2.2.2 and Fig. 9 of the paper).
+"""The part ``throw``: a sphere that hits a body.
 
-The part sets the motion of the sphere at t = 0, and computes the metrics of the impact.
+The experiment is described in section 2.2.2 and Fig. 9 of the paper. The part sets the motion of
+the sphere at t = 0, and computes the metrics of the impact.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ class ThrowKeys(Section):
 
 
 class Throw(_contact_surfaces.TouchablePart[ThrowKeys]):
-    """Part type ``throw``: velocity and height of a sphere at t = 0."""
+    """Part type ``throw``: initial velocity and initial height of a sphere."""
 
     name = "throw"
     title = "velocity and height of a sphere at t = 0"
@@ -60,7 +61,7 @@ class Throw(_contact_surfaces.TouchablePart[ThrowKeys]):
         return ()
 
     def problems(self, part: Part[ThrowKeys], scene: GovernedScene) -> Iterator[UsageError]:
-        """Yield an error for each invalid key of the part."""
+        """Yield an error if the sphere does not move towards the contact."""
         find_sphere(part, scene)
         if part.keys.velocity >= 0:
             got = f"{part.keys.velocity:g} m/s"
@@ -75,11 +76,14 @@ class Throw(_contact_surfaces.TouchablePart[ThrowKeys]):
     def governed_parts(
         self, part: Part[ThrowKeys], scene: DeclaredScene
     ) -> Mapping[str, InitialState]:
-        """Return the sphere, and the initial velocity and gap that this part sets."""
+        """Return the initial velocity and gap that this part sets for the sphere."""
         return {find_sphere(part, scene).name: InitialState(part.keys.velocity, part.keys.gap)}
 
     def numerics(self, part: Part[ThrowKeys], scene: WiredScene) -> Iterator[NumericalRequirements]:
-        """Yield a tighter ``chgtol`` for slow impacts, proportional to the impact speed."""
+        """Yield a tighter ``chgtol`` for slow impacts.
+
+        The tolerance ``chgtol`` is proportional to the impact speed.
+        """
         speed = max(1e-3, _compute_impact_speed(part, scene))
         yield NumericalRequirements(f"impact at {speed:.3g} m/s", chgtol=min(1.0, speed))
 
@@ -96,8 +100,8 @@ class Throw(_contact_surfaces.TouchablePart[ThrowKeys]):
     ) -> Mapping[str, object]:
         """Return the metrics of the impact.
 
-        Positions are relative to the first contact, and the force is the force on one symmetry
-        sector.
+        Positions are relative to the height of first contact. The force is the force on one
+        symmetry sector.
         """
         pair = _contact_surfaces.find_single_contact(build.scene)
         if pair is None or "time" not in waves:
@@ -147,9 +151,9 @@ def _compute_impact_speed(part: Part[ThrowKeys], scene: DeclaredScene) -> float:
 
 
 def find_minimum(t: np.ndarray, y: np.ndarray) -> tuple[float, float]:
-    """Return time and value of the minimum of ``y``.
+    """Return the time and the value of the minimum of ``y``.
 
-    Time and value are computed from a parabola through the lowest sample and its two neighbours.
+    The minimum is the vertex of a parabola through the lowest sample and its two neighbours.
     """
     k = int(np.argmin(y))
     if k in (0, t.size - 1):

@@ -1,1 +1,1 @@
-"""Part types of coils, magnets, moving iron, and conductors with eddy currents."""
+"""Part types for coils, magnets, moving iron, and conductors with eddy currents."""

@@ -1,4 +1,7 @@
-"""Heat in the wire of two coils: heat balance, temperature rise and metrics of a run."""
+"""Heat in the wire of two coils.
+
+The module computes the heat balance, the temperature rise and the metrics of a run.
+"""
 
 from __future__ import annotations
 
@@ -19,20 +22,20 @@ from kc2spice.physics.declaration import (
 from kc2spice.physics.symbolic import evaluate_tree, parse_simplified
 from kc2spice.scene.checks import Check, Metric, RunEnergyBalance
 
-# largest error of the heat due to the time steps of a run, relative to the heat
+# largest permitted error of the heat due to the time steps, relative to the heat
 _UNEXPLAINED = 1e-3
 
 
 def get_wire_coefficients(keys: ConductorKeys) -> tuple[float, float]:
-    """Return the temperature coefficient [1/K] and the reference temperature [K] of the wire."""
+    """Return temperature coefficient [1/K] and reference temperature [K] of the wire."""
     coefficient, reference = get_conductor_values(keys)
     return find_resistance_coefficient("copper") if coefficient is None else coefficient, reference
 
 
 def compute_resistance_ratio(keys: ConductorKeys, temperature: np.ndarray) -> np.ndarray:
-    """Return the resistance of the wire, relative to its stated resistance.
+    """Return the resistance of the wire, divided by the stated resistance.
 
-    ``temperature`` [K] is the difference from the ambient temperature.
+    ``temperature`` [K] is the temperature above the ambient temperature.
     """
     coefficient, reference = get_wire_coefficients(keys)
     values = {TEMPERATURE: temperature, COEFFICIENT: coefficient, REFERENCE: reference}
@@ -46,7 +49,7 @@ def check_heat_balance(
     currents: Mapping[str, np.ndarray],
     waves: Waveforms,
 ) -> Iterator[RunEnergyBalance]:
-    """Yield the check that the heat of the wire equals the heat out of the pin ``heat``.
+    """Yield the check that all heat of the wire flows out of the pin ``heat``.
 
     Parameters
     ----------
@@ -80,7 +83,7 @@ def check_heat_balance(
 def check_temperature(
     name: str, prefix: str, rated_rise: float, waves: Waveforms
 ) -> Iterator[Check]:
-    """Yield the check of the wire's largest temperature rise against ``rated_rise`` [K]."""
+    """Yield the check that the wire's temperature rise is within ``rated_rise`` [K]."""
     if f"{prefix}.{TEMPERATURE}" in waves:
         largest = float(waves[f"{prefix}.{TEMPERATURE}"].max())
         advice = "the coils overheat: use less current, or cool the coils better"
@@ -90,9 +93,9 @@ def check_temperature(
 
 
 def compute_heat_metrics(keys: ConductorKeys, prefix: str, waves: Waveforms) -> dict[str, Metric]:
-    """Return the metrics of heated coils: temperature rise, heat and largest resistance.
+    """Return the metrics of heated coils: temperature rise, heat and resistance.
 
-    Without a recorded temperature, there are no metrics.
+    Return no metrics if the temperature was not recorded.
     """
     if f"{prefix}.{TEMPERATURE}" not in waves or "time" not in waves:
         return {}

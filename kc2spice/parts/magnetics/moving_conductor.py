@@ -1,7 +1,7 @@
-"""The part ``moving_conductor``: a conductor that moves along coils and magnets.
+"""The part ``moving_conductor``: conductor that moves along coils and magnets.
 
-The model represents the eddy currents in the body of revolution by a few current loops. The base
-class of this part is also the base class of the part ``moving_magnet``.
+A few current loops represent the eddy currents in the body of revolution. The base class
+``MovingBody`` is also the base class of the part ``moving_magnet``.
 """
 
 from __future__ import annotations
@@ -67,32 +67,32 @@ from kc2spice.scene.parttype import register_part_type
 
 Conductivity = Annotated[float, si("1/(Ohm m)")]
 LOOP_SOURCES = ("kc2spice.fem.magnet_rings", __name__)
-# ratio of the full model's tolerance to the reduced model's tolerance
+# tolerance of the full model, divided by the tolerance of the reduced model
 TOLERANCE_RATIO = 0.1
-MIN_TURN_SHARE = 0.05  # smallest change of height between two turning points, relative to its range
+MIN_TURN_SHARE = 0.05  # smallest height change between two turning points, as fraction of the range
 MAX_TURNS = 5  # largest number of turning points among the metrics
-# Factor on the number of rings and on the highest frequency for the full model.
+# Factor from the reduced to the full model, for the number of rings and for the highest frequency.
 REFINEMENT_RATIO = 2
 # description of the method that computes couplings without rings
 CIRCLE_METHOD = "closed form of coaxial circles"
 MIN_FREQUENCY = 1e3  # Hz, frequency up to which eddy currents are always resolved
-# Assumed inductance of a coil above a conductor, relative to that of the coil alone.
+# Assumed inductance of a coil above a conductor, divided by the inductance of the coil alone.
 SCREENED_RATIO = 0.5
-# Largest permitted frequency of a run's currents, relative to the resolved frequency.
+# Largest permitted frequency of a run's currents, divided by the resolved frequency.
 MAX_FREQUENCY_RATIO = 2.0
-# Fraction of a coil current's energy below the highest frequency of a run.
-# This fraction is less than 1, because a short sine also has energy above its frequency.
+# Fraction of a coil current's energy at frequencies below the highest frequency of a run.
+# The fraction is less than 1, because a short sine also has energy above its frequency.
 CURRENT_ENERGY_SHARE = 0.99
 MAX_RING_ERROR = 0.02  # largest relative error of flux, force and loss due to the rings
-# Largest permitted relative change of a magnet's path in ``verify``.
-# In ``verify``, the tolerance of the magnet's field is ten times smaller.
+# Largest permitted change of a magnet's path in ``verify``, relative to the path.
+# The full model of ``verify`` has a ten times smaller tolerance for the magnet's field.
 MAX_PATH_CHANGE = 1e-3
-# Finer rings are assumed to remove at least this share of the error of the rings.
+# Finer rings are assumed to remove at least this fraction of the ring error.
 MIN_CHANGE_RATIO = 0.1
 
 
 class CoilKeys(Section):
-    """Keys of a coaxial coil with a rectangular cross-section of its winding."""
+    """Keys of a coaxial coil whose winding has a rectangular cross-section."""
 
     radius: Length = Field(gt=0, description="Mean radius of the coil's winding")
     width: Length = Field(
@@ -109,7 +109,7 @@ class CoilKeys(Section):
 class MagnetKeys(RingKeys):
     """Keys of a fixed ring or cylinder magnet.
 
-    It is magnetised along the axis, and has the permeability of air.
+    The magnet is magnetised along the axis, and has the permeability of air.
     """
 
     remanence: FluxDensity = Field(
@@ -118,7 +118,7 @@ class MagnetKeys(RingKeys):
 
 
 class ConductionKeys(Section):
-    """Keys of a conducting body that are parameters of its netlist."""
+    """Keys of a conducting body that are also parameters of its netlist."""
 
     conductivity: Conductivity = Field(
         gt=0, description="Electrical conductivity of the moving body, such as 3.4e7 1/(Ohm m)"
@@ -128,8 +128,8 @@ class ConductionKeys(Section):
 class MovingBodyKeys(ConductorKeys):
     """Keys of a body that moves along the common axis of coils and magnets.
 
-    y is the height of its centre of mass. A part ``mass`` at the pin ``a`` represents the mass of
-    the body.
+    The coordinate y is the height of the body's centre of mass. A part ``mass`` at the pin ``a``
+    represents the mass of the body.
     """
 
     radius: Length = Field(gt=0, description="Outer radius of the moving body")
@@ -224,7 +224,11 @@ def _declare_body(
     reach: str = "",
     **physics: Any,
 ) -> Declaration:
-    """Return the declaration of a moving body with its branches, limits and equations."""
+    """Return the declaration of a moving body with its ``branches``.
+
+    ``low`` and ``high`` are expressions that are positive within the range of heights, and
+    ``reach`` describes the validity of the currents.
+    """
     limits = {"y above y_min": low, "y below y_max": high} if low else {}
     return Declaration(
         kind.name,
@@ -245,9 +249,9 @@ def _declare_body(
 def declare_moving_body(part: Part[MovingBodyKeys], model: LoopModel) -> Declaration:
     """Return the declaration of a moving body from its built ``model``.
 
-    The coenergy is ``i' L i / 2`` with the currents i of coils and loops. The couplings in L are
-    power series of the height. A magnet has no loops, and the couplings of a magnet are per tesla
-    of remanence.
+    The coenergy is ``i' L i / 2`` with the currents i of coils and loops. The couplings in the
+    inductance matrix L are power series of the height. A magnet has no current loops. The couplings
+    of a magnet are stated per tesla of remanence.
     """
     keys, coils = part.keys, list(map(_name_coil_current, part.keys.coils))
     eddies = _list_loop_currents(model.rates.size)
@@ -288,7 +292,7 @@ class MovingBody(DeclaredPart[MovingT]):
     rating: ClassVar[str]
 
     def numerics(self, part: Part[MovingT], scene: WiredScene) -> Iterator[NumericalRequirements]:
-        """Return the numerical requirements of a dc sweep of the height."""
+        """Return the numerical requirements of a dc sweep of the body's height."""
         return list_newton_numerics(part, scene)
 
     def make_declaration(self, part: Part[MovingT], scene: GovernedScene) -> Declaration:
@@ -296,7 +300,7 @@ class MovingBody(DeclaredPart[MovingT]):
         return _declare_body(self, _list_branches(part.keys, 0))
 
     def declare_after_build(self, part: Part[MovingT], build: BuiltScene) -> Declaration:
-        """Return the declaration with the current loops of the built model."""
+        """Return the declaration, which contains the current loops of the built model."""
         return declare_moving_body(part, build.model(part, LoopModel))
 
     def problems(self, part: Part[MovingT], scene: GovernedScene) -> Iterator[UsageError]:
@@ -371,7 +375,7 @@ class MovingBody(DeclaredPart[MovingT]):
     ) -> LoopModel:
         """Return the current loops of the body and their couplings to the coils.
 
-        The ``full`` model has more loops and rings, which resolve twice the highest frequency. The
+        The ``full`` model has more loops and rings, and resolves twice the highest frequency. The
         couplings of the full model are also more accurate.
         """
         keys, frequency = part.keys, self.find_resolved_frequency(part, scene)
@@ -398,7 +402,7 @@ class MovingBody(DeclaredPart[MovingT]):
         sources = (*LOOP_SOURCES, type(self).__module__)
         try:
             return load_or_build(self.name, key, build, classes=(LoopModel,), sources=sources)
-        except UsageError as error:  # the range of heights causes this error
+        except UsageError as error:  # the cause is the range of heights
             details = str(error.message), error.got, error.expected, error.hint
             raise part.wrong("y_max", *details) from None
 
@@ -455,27 +459,39 @@ class MovingBody(DeclaredPart[MovingT]):
             yield Figure(f"{part.name}_height", title, caption, (panel,), main=True)
 
     def describe_discretisation(self, part: Part[MovingT], build: BuiltScene) -> str:
-        """Return the error estimate of the division into rings in words."""
+        """Return the error estimate of the division into rings, in words."""
         return _describe_ring_error(build.model(part, LoopModel)) or f"no mesh: {CIRCLE_METHOD}"
 
     @abstractmethod
     def make_current_loops(
         self, keys: MovingT, fixed: list[Winding], tolerance: float, rings: int, frequency: float
     ) -> LoopModel:
-        """Return the current loops of the body, coupled to the coils and ``fixed`` currents."""
+        """Return the current loops of the body with their couplings.
+
+        The loops are coupled to the coils and to the ``fixed`` currents.
+        """
 
     def shape_problems(self, part: Part[MovingT]) -> Iterator[UsageError]:
-        """Yield an error for each key that does not fit the shape; none by default."""
+        """Yield an error for each key that does not apply to the body's shape.
+
+        By default, there are no errors.
+        """
         return iter(())
 
     def find_resolved_frequency(self, part: Part[MovingT], scene: Scene) -> float:
-        """Return the largest frequency [Hz] of resolved eddy currents; 0 without eddy currents."""
+        """Return the highest frequency [Hz] at which eddy currents are resolved.
+
+        Return 0 for a body without eddy currents.
+        """
         return 0.0
 
     def add_ring_error(
         self, ladder: LoopModel, keys: MovingT, fixed: list[Winding], rings: int
     ) -> LoopModel:
-        """Return the model with an error estimate for the division into rings, if it has rings."""
+        """Return the model with an error estimate for the division into rings.
+
+        A model without rings is returned unchanged.
+        """
         return ladder
 
 
@@ -491,7 +507,7 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
     source = "rings (integral equation, axisymmetric), reduced"
 
     def shape_problems(self, part: Part[MovingConductorKeys]) -> Iterator[UsageError]:
-        """Yield an error for each key that does not fit the shape of the body."""
+        """Yield an error for each key that does not apply to the body's shape."""
         keys = part.keys
         if keys.shape == "disc" and not keys.thickness:
             yield part.wrong(
@@ -512,7 +528,7 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
             )
 
     def find_resolved_frequency(self, part: Part[MovingConductorKeys], scene: Scene) -> float:
-        """Return the largest frequency [Hz] of resolved eddy currents."""
+        """Return the highest frequency [Hz] at which eddy currents are resolved."""
         return float(
             part.keys.frequency
             or max(
@@ -528,7 +544,10 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
         rings: int,
         frequency: float,
     ) -> LoopModel:
-        """Return the current loops of the body, coupled to the coils and ``fixed`` currents."""
+        """Return the current loops of the body with their couplings.
+
+        The loops are coupled to the coils and to the ``fixed`` currents.
+        """
         body, coils = _divide_body(keys, rings, frequency), make_windings(keys)
         settings = keys.y_min, keys.y_max, keys.conductivity, frequency, tolerance
         return reduce_to_loops(body, coils, fixed, *settings)
@@ -539,7 +558,8 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
         """Return the model with an error estimate for its division into rings.
 
         The error is proportional to the square of the ring size, and therefore to the reciprocal of
-        the number of rings. The estimate is derived from the change due to finer rings.
+        the number of rings. The estimate is computed from the change of the results with finer
+        rings.
         """
         finer = _divide_body(keys, REFINEMENT_RATIO * rings, ladder.frequency)
         changed = compare_rings(finer, ladder, make_windings(keys), fixed, keys.conductivity)
@@ -571,16 +591,16 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
 
 
 def _describe_ring_error(model: LoopModel) -> str:
-    """Return the error estimate of the rings in words; an empty string without rings."""
+    """Return the error estimate of the rings in words; empty without rings."""
     errors = describe_mesh_errors(model.facts)
     return f"error estimate of its {model.rings} rings: {errors}" if errors else ""
 
 
 def find_turning_points(time: np.ndarray, y: np.ndarray) -> list[tuple[float, float]]:
-    """Return the times [s] and heights [m] of alternating maxima and minima of ``y``.
+    """Return times [s] and heights [m] of alternating maxima and minima of ``y``.
 
-    Between two turning points, ``y`` changes by more than the fraction ``MIN_TURN_SHARE`` of its
-    range. Smaller ripple is ignored.
+    Between two turning points, ``y`` changes by more than ``MIN_TURN_SHARE`` times the range of
+    ``y``. Smaller ripple is ignored.
     """
     result, best, sign = [], 0, 0
     least = MIN_TURN_SHARE * np.ptp(y)
@@ -597,12 +617,18 @@ def find_turning_points(time: np.ndarray, y: np.ndarray) -> list[tuple[float, fl
 
 
 def _compute_skin_depth(keys: MovingConductorKeys, frequency: float) -> float:
-    """Return the skin depth ``1 / sqrt(pi f MU_0 conductivity)`` [m] at ``frequency`` [Hz]."""
+    """Return the skin depth [m] at ``frequency`` [Hz].
+
+    The skin depth is ``1 / sqrt(pi f MU_0 conductivity)``.
+    """
     return 1 / math.sqrt(math.pi * frequency * MU_0 * keys.conductivity)
 
 
 def _divide_body(keys: MovingConductorKeys, rings: int, frequency: float) -> RingCells:
-    """Return the cells of the body's rings, which resolve the skin depth at ``frequency`` [Hz]."""
+    """Return the division of the body into rings.
+
+    The rings resolve the skin depth at ``frequency`` [Hz].
+    """
     box = keys.inner, keys.radius, -_body_height(keys) / 2, _body_height(keys) / 2, rings
 
     def is_inside_sphere(r: np.ndarray, z: np.ndarray) -> np.ndarray:
@@ -616,7 +642,7 @@ def _divide_body(keys: MovingConductorKeys, rings: int, frequency: float) -> Rin
 
 
 def _find_shortest_time_constant(part: Part[MovingBodyKeys], scene: WiredScene) -> float:
-    """Return the shortest time constant [s] of the coils, including their series resistors."""
+    """Return the shortest time constant [s] of the coils with their series resistors."""
     result = []
     for name, coil, winding in zip(
         part.keys.coils, part.keys.coils.values(), make_windings(part.keys), strict=True
@@ -627,7 +653,7 @@ def _find_shortest_time_constant(part: Part[MovingBodyKeys], scene: WiredScene) 
 
 
 def _sum_series_resistance(part: Part[MovingBodyKeys], scene: WiredScene, pins: set[str]) -> float:
-    """Return the sum [Ohm] of the resistors that are connected in series at a coil's ``pins``."""
+    """Return the sum [Ohm] of the series resistors at a coil's ``pins``."""
     coil_nets = {scene.get_net(part.name, pin) for pin in pins} - {"0"}
     result = 0.0
     for resistor in scene.list_parts("resistor"):
@@ -639,10 +665,10 @@ def _sum_series_resistance(part: Part[MovingBodyKeys], scene: WiredScene, pins: 
 def _find_highest_run_frequency(
     part: Part[MovingBodyKeys], build: BuiltScene, waves: Waveforms
 ) -> float:
-    """Return the highest frequency [Hz] of a run.
+    """Return the highest relevant frequency [Hz] of a run.
 
-    The highest frequency of a frequency response is its last frequency. The highest frequency of a
-    transient is that of the coil currents.
+    The highest frequency of a frequency response is the last frequency. The highest frequency of a
+    transient is the highest frequency of the coil currents.
     """
     if "frequency" in waves:
         return float(waves["frequency"].real[-1])
@@ -661,7 +687,7 @@ def make_windings(keys: MovingBodyKeys) -> list[Winding]:
 
 
 def compute_surface_currents(ring: RingKeys, remanence: float) -> list[Winding]:
-    """Return the surface currents [A] that are equivalent to a magnet of ``remanence`` [T]."""
+    """Return the surface currents [A] that represent a magnet of ``remanence`` [T]."""
     current = remanence * ring.height / MU_0
     result = [Winding(ring.outer, 0.0, ring.height, ring.y, current)]
     if ring.inner:
@@ -670,16 +696,16 @@ def compute_surface_currents(ring: RingKeys, remanence: float) -> list[Winding]:
 
 
 def _make_cross_section(ring: RingKeys) -> Winding:
-    """Return the cross-section of a magnet, represented by a winding with 0 turns."""
+    """Return the cross-section of a magnet as a winding with 0 turns."""
     middle, width = (ring.inner + ring.outer) / 2, ring.outer - ring.inner
     return Winding(middle, width, ring.height, ring.y, 0.0)
 
 
 def _outline_body(part: Part[MovingT], scene: Scene) -> Iterator[Shape]:
-    """Yield the cross-section of the body at its initial height for the drawing.
+    """Yield the cross-section of the body at its initial height, for the drawing.
 
-    This height is the key ``position`` of a part ``mass`` at the pin ``a``, limited to the range of
-    heights.
+    The initial height is the key ``position`` of a part ``mass`` at the pin ``a``, limited to the
+    range of heights.
     """
     keys = part.keys
     y = keys.y_min

@@ -30,7 +30,7 @@ from kc2spice.scene.parttype import register_part_type
 
 
 class MagnetisationKeys(Section):
-    """Keys of a moving magnet that are parameters of its netlist."""
+    """Keys of a moving magnet that are also parameters of its netlist."""
 
     remanence: FluxDensity = Field(
         description="Remanence of the moving magnet, positive for an upward magnetisation"
@@ -38,11 +38,12 @@ class MagnetisationKeys(Section):
 
 
 class MovingMagnetKeys(MagnetisationKeys, MovingBodyKeys):
-    """Keys of a moving cylinder or ring that is magnetised along the axis.
+    """Keys of a moving magnet: an axially magnetised cylinder or ring.
 
-    The magnetisation is assumed uniform. It is ``remanence / (MU_0 (1 + N (mu_r - 1)))`` with the
-    demagnetising factor N of the shape. The magnet is modelled by surface currents of ``thickness``
-    times the magnetisation. Flux and force are integrals of Maxwell's formula for coaxial circles.
+    The model assumes the uniform magnetisation ``remanence / (MU_0 (1 + N (mu_r - 1)))`` with the
+    demagnetising factor N of the shape. The model replaces the magnet by surface currents, which
+    equal ``thickness`` times the magnetisation. Maxwell's formula for coaxial circles gives the
+    flux and the force.
     """
 
     thickness: Length = Field(gt=0, description="Thickness of the moving magnet along the axis")
@@ -66,10 +67,10 @@ class MovingMagnetKeys(MagnetisationKeys, MovingBodyKeys):
 
 
 def compute_demagnetising_factor(inner: float, outer: float, height: float) -> float:
-    """Return the magnetometric demagnetising factor N of a ring or cylinder along its axis.
+    """Return the axial demagnetising factor N of a ring or cylinder.
 
-    The mean field of the magnet's surface currents is ``(1 - N)`` times the field of a very long
-    magnet.
+    N is the magnetometric factor: the mean field of the magnet's surface currents is ``(1 - N)``
+    times the field of a very long magnet.
     """
     shells = [Winding(outer, 0.0, height, 0.0, 1.0)]
     if inner:
@@ -79,7 +80,7 @@ def compute_demagnetising_factor(inner: float, outer: float, height: float) -> f
 
 
 class MovingMagnet(MovingBody[MovingMagnetKeys]):
-    """Part type ``moving_magnet``: magnet that moves along coils and magnets."""
+    """Part type ``moving_magnet``: magnet that moves along coils and fixed magnets."""
 
     name = "moving_magnet"
     title = "magnet that moves along coils and magnets"
@@ -124,7 +125,10 @@ sine = { amplitude = "1 V", frequency = "50 Hz" }
         rings: int,
         frequency: float,
     ) -> LoopModel:
-        """Return the couplings of the magnet with the coils and the ``fixed`` currents."""
+        """Return the couplings of the magnet with the coils and the ``fixed`` currents.
+
+        The ``fixed`` currents represent fixed magnets.
+        """
         shape = keys.inner, keys.radius, keys.thickness
         share = 1 / (1 + compute_demagnetising_factor(*shape) * (keys.mu_r - 1))
         ring = RingKeys(height=shape[2], outer=shape[1], inner=shape[0], y=0.0)

@@ -1,4 +1,4 @@
-"""The part ``reluctance``: a magnet or coil that pulls iron across air gaps.
+"""The part ``reluctance``: magnet or coil that pulls iron across air gaps.
 
 The part models relays, valves and holding magnets.
 """
@@ -19,9 +19,10 @@ class ReluctanceKeys(ConductorKeys, _stop.StopKeys):
     """Keys of a magnetic circuit that attracts an iron armature.
 
     The flux is ``(turns i + magnet) / (core + gaps (gap - x) / (MU_0 area))`` with the current i
-    and the displacement x. It causes a force ``gaps flux^2 / (2 MU_0 area)`` in the direction of x.
-    A permanent magnet of length l and area A has the magnetomotive force ``magnet = remanence l /
-    (MU_0 mu_r)``, and contributes ``l / (MU_0 mu_r A)`` to ``core``.
+    and the displacement x. The flux causes the force ``gaps flux^2 / (2 MU_0 area)`` in the
+    direction of the displacement x. A permanent magnet of length l and area A has the magnetomotive
+    force ``magnet = remanence l / (MU_0 mu_r)``. The key ``core`` must include the reluctance ``l /
+    (MU_0 mu_r A)`` of the magnet.
     """
 
     area: Annotated[float, si("m2")] = Field(

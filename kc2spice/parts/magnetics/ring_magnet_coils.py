@@ -1,9 +1,10 @@
-"""The part ``ring_magnet_coils``: a ring magnet and two coils that catch a magnetic sphere.
+"""The part ``ring_magnet_coils``: actuator that catches a magnetic sphere.
 
-The sphere moves along the common axis (paper 2.2.1, 2.4). The force on the sphere is a polynomial
-of both coil currents with six coefficients, which are tabulated functions of the height. With an
-ideal current drive, the coils are resistors. Otherwise, the coils have inductance and back-EMF from
-the same table. :mod:`kc2spice.physics.coils` contains the declarations.
+The actuator consists of a ring magnet and two coils on a common axis. The sphere moves along the
+axis (sections 2.2.1 and 2.4 of the paper). The force on the sphere is a polynomial of both coil
+currents. The six coefficients of this polynomial are tabulated functions of the height. With an
+ideal current drive, the coils are modelled as resistors. With any other drive, the coils also have
+inductance and back-EMF. :mod:`kc2spice.physics.coils` contains the declarations.
 """
 
 from __future__ import annotations
@@ -77,16 +78,16 @@ MAGNET_CONDUCTIVITY = 150e3  # conductivity [S/m] of the sphere, from table A1 o
 COLD_TEXT = "coils at the temperature of their data, without heating"
 HOT_TEXT = "resistances linear in the temperature, which is the same for both coils"
 UNRATED = "not known; compare the coils' currents with what their wire stands"
-# Current [A] in plots and checks of the force, if the scene states no current limit.
+# Current [A] in plots and checks of the force if no current limit is stated.
 DEFAULT_CURRENT = 0.1
-# factor on the number of mesh cells along each edge for the mesh of ``verify``
+# factor on the number of mesh cells along each edge for the finer mesh of ``verify``
 REFINEMENT_RATIO = 2
-# Factor on the number of heights for the denser table, with which the netlist's table is compared.
+# Factor on the number of heights for a denser table, which is compared with the netlist's table.
 DENSITY_RATIO = 4
-LOOKUP_POINTS = 201  # number of lookup points for an error of 6e-6 of the largest force
+LOOKUP_POINTS = 201  # number of points of a lookup, for an error of 6e-6 of the largest force
 # Largest permitted error of the force spline between heights, relative to the largest force.
 MAX_SPLINE_ERROR = 1e-2
-# suggested launch velocity, relative to the velocity with which a flight reaches the table's end
+# suggested launch velocity, divided by the velocity that lets a flight reach the table's end
 KICK_MARGIN = 0.85
 COPPER_HEAT_CAPACITY = 3.45e6  # J/(m3 K), 385 J/(kg K) times 8960 kg/m3
 COIL_NAMES = ("lower", "upper")
@@ -94,7 +95,7 @@ TABLE_SOURCES = ("kc2spice.linalg", "kc2spice.fem", "kc2spice.core.gmsh_session"
 
 
 class RingMagnetCoilsKeys(ConductorKeys, CatchKeys):
-    """Keys of an electromagnetic catch actuator, with an optional driver for its coils."""
+    """Keys of an electromagnetic catch actuator, with an optional driver circuit."""
 
     driver: dict[str, dict[str, Any]] | None = Field(
         None,
@@ -119,9 +120,9 @@ class RingMagnetCoilsKeys(ConductorKeys, CatchKeys):
     )
 
 
-# In the control loop, a single current i flows through both coils: i2 = i and i1 = -i.
-# The force is then a polynomial of the single current i.
-# These weights convert the coefficients of the force table to those of the polynomial.
+# In the control loop, a single current i flows through both coils in series: i2 = i and i1 = -i.
+# The force is then a polynomial of the current i.
+# The weights convert the coefficients of the force table to the coefficients of this polynomial.
 SERIES_COEFFICIENTS = {
     name: tuple((-1) ** a * (a + b == power) for a, b in CURRENT_EXPONENTS.values())
     for power, name in enumerate(("c0", "d1", "d2"))
@@ -138,10 +139,11 @@ SERIES_PINS = (Terminal("drive", "V", "A"), Terminal("ret", "V", "A"), *POSITION
 
 
 def compute_rated_heating(keys: RingMagnetCoilsKeys) -> float:
-    """Return the integral of the squared current [A^2 s] that heats a coil by the rated rise.
+    """Return the permitted integral of the squared current [A^2 s] of a coil.
 
-    Without cooling, the integral is ``rise c A^2 / resistivity`` for any number of turns. c is the
-    volumetric heat capacity and A the cross-section of the wire.
+    The permitted integral heats the wire by the rated temperature rise. Without cooling, the
+    integral is ``rise c A^2 / resistivity`` for any number of turns. c is the volumetric heat
+    capacity, and A is the cross-section of the wire.
     """
     section = np.pi / 4 * keys.wire_diameter**2
     return float(keys.rated_rise * COPPER_HEAT_CAPACITY * section**2 / keys.resistivity)
@@ -150,8 +152,8 @@ def compute_rated_heating(keys: RingMagnetCoilsKeys) -> float:
 def _compute_force_contributions(values: np.ndarray, current: float) -> np.ndarray:
     """Return the contribution of each of :data:`SERIES_COEFFICIENTS` to the force [N].
 
-    The returned array has the shape (3, heights), for the series ``current`` [A] in both coils.
-    ``values`` contains the coefficients of the force table, of shape (heights, 6).
+    The returned array has the shape (3, heights). ``current`` [A] flows through both coils in
+    series. ``values`` contains the coefficients of the force table, an array of shape (heights, 6).
     """
     weights = np.array(list(SERIES_COEFFICIENTS.values()), dtype=float)
     return current ** np.arange(3)[:, None] * (weights @ values.T)
@@ -167,17 +169,18 @@ def make_coils_subcircuit(
     rating: str = UNRATED,
     wire: tuple[float, float] | None = None,
 ) -> Subcircuit:
-    """Return the subcircuit of the coils, with the force on the node ``v`` of the sphere.
+    """Return the subcircuit of the coils.
 
-    With ``apart``, the lower coil is between ``lp`` and ``ln``, the upper coil is between ``up``
-    and ``un``, and both have resistance, inductance and back-EMF. Otherwise, both coils are
-    resistors in series between ``drive`` and ``ret``, with the lower coil reversed. The force then
-    needs three functions of the height instead of six. :func:`kc2spice.physics.coils.declare_coils`
+    The magnetic force acts on the node ``v`` of the sphere. With ``apart``, the coils have
+    resistance, inductance and back-EMF. The lower coil is between ``lp`` and ``ln``, and the upper
+    coil is between ``up`` and ``un``. Otherwise, the coils are resistors in series between
+    ``drive`` and ``ret``, and the current in the lower coil is reversed. The force then needs only
+    three functions of the height instead of six. :func:`kc2spice.physics.coils.declare_coils`
     defines the pins and equations.
 
-    ``points`` is the number of equally spaced heights in the resampled lookup tables. ``wire``
-    contains the temperature coefficient [1/K] and the reference temperature [K] of the wire;
-    without ``wire``, there are no heat pins.
+    ``points`` is the number of equally spaced heights in the lookups. ``wire`` contains the
+    temperature coefficient [1/K] and the reference temperature [K] of the wire. Without ``wire``,
+    there are no heat pins.
     """
     declared = coils.declare_coils("y") if apart else coils.declare_resistive_coils("y")
     low, high = DISPLACEMENT.pin_value_per_si_unit * table.y[[0, -1]]
@@ -205,7 +208,10 @@ def make_coils_subcircuit(
 
 
 class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
-    """Part type ``ring_magnet_coils``: ring magnet and two coils around a magnetic sphere."""
+    """Part type ``ring_magnet_coils``: ring magnet and two coils around a sphere.
+
+    The coils and the ring magnet pull the magnetic sphere.
+    """
 
     name = "ring_magnet_coils"
     title = "ring magnet and two coils that pull a magnetic sphere (axisymmetric FE, force table)"
@@ -216,7 +222,7 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
     def generate_tables(
         self, part: Part[RingMagnetCoilsKeys], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
-        """Return the table of the driver that the key ``driver`` describes."""
+        """Return the part table of the driver that the key ``driver`` describes."""
         if part.keys.driver is None:
             return {}
         known = {"linear": "linear_drive", "pwm": "pwm_drive", "user": "netlist"}
@@ -242,7 +248,10 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
     def equilibrium_conditions(
         self, part: Part[RingMagnetCoilsKeys], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the paths in equilibrium: every pin except ``heat`` has a path to ground."""
+        """Return the paths in equilibrium.
+
+        Every pin except ``heat`` has a path to ground.
+        """
         clamps = super().equilibrium_conditions(part, scene).paths
         return EquilibriumConditions(tuple(path for path in clamps if HEAT not in path))
 
@@ -251,7 +260,7 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
     ) -> Mapping[str, str]:
         """Return the default connections of ``y`` and ``v`` to the sphere.
 
-        If another part prescribes the motion of the sphere, ``y`` and ``v`` are connected to that
+        If another part prescribes the motion of the sphere, ``y`` and ``v`` are connected to this
         part.
         """
         ball = find_sphere(part, scene).name
@@ -276,7 +285,7 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
             )
         bodies: dict[str, RingKeys] = {item: getattr(keys, item) for item in ("ring", *COIL_NAMES)}
         for body_name, body in bodies.items():
-            # Each rule: problem, key, whether the value is valid, limit in words, limit.
+            # Each rule contains: problem, key, validity of the value, limit in words, limit.
             rules = (
                 ("inner is not smaller than outer", "inner", body.inner < body.outer,
                  "less than outer", body.outer),
@@ -324,7 +333,7 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
     def largest_indentations(
         self, part: Part[RingMagnetCoilsKeys], scene: GovernedScene
     ) -> Iterator[LargestIndentation]:
-        """Yield the indentation that the sphere causes after a fall from the table's upper end."""
+        """Yield the indentation by a sphere that falls from the upper end of the table."""
         sphere = find_sphere(part, scene)
         drop = 2 * scene.gravity * (part.keys.y_max - sphere.keys.radius)
         speed = math.sqrt(max(0.0, drop))
@@ -347,7 +356,7 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
                 yield Shape(x, ring.y + keys.shift, wide, ring.height, kind, label)
 
     def _make_unit_remanence_keys(self, part: Part[RingMagnetCoilsKeys], count: int) -> CatchKeys:
-        """Return keys for a force table of unit remanence with ``count`` heights."""
+        """Return the keys for a force table of unit remanence with ``count`` heights."""
         alone = {"remanence": 1.0, "shift": 0.0, "points": LOOKUP_POINTS, "positions": count}
         return CatchKeys(
             **{name: getattr(part.keys, name) for name in CatchKeys.model_fields} | alone
@@ -363,9 +372,10 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
     ) -> MagnetostaticTable:
         """Return the force table of the actuator.
 
-        The table is computed for unit remanence, and then scaled and shifted without an error. A
-        ``full`` table has so many heights that the interpolation error of its splines is
-        ``DENSITY_RATIO**4`` times smaller. The air box of the mesh moves with the ring magnet.
+        The table is computed for unit remanence. Scaling by the remanence and shifting by the key
+        ``shift`` are exact. A ``full`` table has more heights, so that the interpolation error of
+        its splines is ``DENSITY_RATIO**4`` times smaller. The air box of the mesh moves with the
+        ring magnet.
         """
         keys, count = part.keys, (DENSITY_RATIO if full else 1) * (part.keys.positions - 1) + 1
         unit = self._make_unit_remanence_keys(part, count)
@@ -384,7 +394,7 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
         return table.scale_magnets(keys.remanence, keys.shift)
 
     def subcircuit_name(self, part: Part[RingMagnetCoilsKeys], scene: Scene) -> str:
-        """Return the name of the subcircuit, which is ``coil`` or the name of the part."""
+        """Return the name of the subcircuit: ``coil``, or the name of the part."""
         coil = _has_coil_terminals(part, scene) and part.name == "catch"
         name = "coil" if coil else part.name
         return f"heated_{name}" if is_heated(part, scene) else name
@@ -433,7 +443,7 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
     def forces(
         self, part: Part[RingMagnetCoilsKeys], build: BuiltScene, waves: Waveforms
     ) -> Mapping[str, np.ndarray]:
-        """Return the magnetic force on the sphere, computed from its height and the currents."""
+        """Return the magnetic force on the sphere at the recorded heights and currents."""
         y = waves.data.get(f"{find_sphere(part, build.scene).name}.y")
         if y is None or compute_distance_outside(build.model(part, MagnetostaticTable), y) > 0:
             return {}
@@ -486,7 +496,10 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
     def compare_with_finer_mesh(
         self, part: Part[RingMagnetCoilsKeys], build: BuiltScene, clock: StageTimer, most: float
     ) -> Iterator[Check | str]:
-        """Yield the relative changes of force and inductance on a mesh of half the cell size."""
+        """Yield the errors of force and inductance, relative to a finer mesh.
+
+        The mesh cells of the finer mesh have half the size.
+        """
         from kc2spice.fem.magnet_field import choose_compared_count, compute_catch_table
 
         table, keys = build.model(part, MagnetostaticTable), part.keys
@@ -506,7 +519,7 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
         key = {**self.model_key(part, build.scene), "finer": settings}
 
         def compute_finer_table() -> MagnetostaticTable:
-            """Compute the force table on the mesh of half the cell size."""
+            """Compute the force table on a mesh with cells of half the size."""
             with clock.time_stage("full model", f"{part.name}: mesh half as wide") as share:
                 return compute_catch_table(unit, key["radius"], share)
 
@@ -647,7 +660,7 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
 def plot_force(part: Part[RingMagnetCoilsKeys], build: BuiltScene) -> Figure:
     """Plot the force on the sphere versus its height.
 
-    The curves are for zero current, equal currents and opposite currents in the coils.
+    The curves are for no current, equal currents and opposite currents in the coils.
     """
     table = build.model(part, MagnetostaticTable)
     limit = find_largest_current(part, build.scene) or DEFAULT_CURRENT
@@ -665,7 +678,7 @@ def plot_force(part: Part[RingMagnetCoilsKeys], build: BuiltScene) -> Figure:
 def plot_impedance(part: Part[RingMagnetCoilsKeys], build: BuiltScene) -> Figure:
     """Plot the impedance ``R + j w L`` of each coil, and of both coils in series.
 
-    In series, the coils have opposite currents.
+    In the series connection, the coils have opposite currents.
     """
     table = build.model(part, MagnetostaticTable)
     matrix = table.coenergy.compute_inductances(0.5 * (table.y[0] + table.y[-1]))
@@ -681,13 +694,16 @@ def plot_impedance(part: Part[RingMagnetCoilsKeys], build: BuiltScene) -> Figure
 def get_result_prefix(part: Part[RingMagnetCoilsKeys]) -> str:
     """Return the prefix of the part's result names.
 
-    The prefix is ``coil`` for the part ``catch`` of the paper, otherwise the name of the part.
+    The prefix is ``coil`` for a part with the name ``catch``, otherwise the name of the part.
     """
     return "coil" if part.name == "catch" else part.name
 
 
 def has_real_coils(part: Part[RingMagnetCoilsKeys], scene: DeclaredScene) -> bool:
-    """Return whether a circuit drives the coils, which then have inductance and back-EMF."""
+    """Return whether a circuit drives the coils.
+
+    Coils with a drive circuit have inductance and back-EMF in the model.
+    """
     joined = any(scene.is_target(part.name, pin) or pin in part.pins for pin in COIL_PINS)
     return bool(part.keys.driver) or joined
 
@@ -698,7 +714,7 @@ def _has_coil_terminals(part: Part[RingMagnetCoilsKeys], scene: DeclaredScene) -
 
 
 def _format_end(height: float) -> str:
-    """Return a suggested end of the force table in mm, beyond a height [m] of the sphere."""
+    """Return an end of the force table in mm that includes a height [m] of the sphere."""
     return f"{math.ceil(abs(1.05e3 * height)) * (1 if height > 0 else -1)} mm"
 
 
@@ -713,7 +729,7 @@ def _format_height(height: float) -> str:
 
 
 def _advise_less_energy(scene: Scene, y: np.ndarray, table: MagnetostaticTable) -> str:
-    """Return the advice to reduce the kick that moves the sphere out of the force table.
+    """Return advice on how to reduce a kick that moves the sphere out of the table.
 
     ``y`` contains the heights [m] of the sphere.
 
@@ -737,7 +753,10 @@ def _advise_less_energy(scene: Scene, y: np.ndarray, table: MagnetostaticTable) 
 
 
 def _list_coil_currents(part: Part[RingMagnetCoilsKeys], waves: Waveforms) -> dict[str, np.ndarray]:
-    """Return the recorded currents [A] of the coils by name, upper coil first."""
+    """Return the recorded currents [A] of the coils, keyed by coil name.
+
+    The upper coil is first.
+    """
     result = {}
     for coil in reversed(COIL_NAMES):
         name = f"{get_result_prefix(part)}.{coil}.current"
@@ -759,7 +778,8 @@ def _is_driven(part: Part[RingMagnetCoilsKeys], scene: JoinedScene) -> bool:
 def find_largest_current(part: Part[RingMagnetCoilsKeys], scene: JoinedScene) -> float:
     """Return the largest coil current [A] that a controller of the scene can set.
 
-    If another kind of part drives the coils, return 1 A. Without a drive, return 0.
+    If a part other than a controller drives the coils, return 1 A. If no part drives the coils,
+    return 0.
     """
     limits = [pid.keys.current_limit for pid in scene.list_parts_with_schema("pid", PidKeys)]
     return float(max(limits, default=1.0 if _is_driven(part, scene) else 0.0))
@@ -768,17 +788,18 @@ def find_largest_current(part: Part[RingMagnetCoilsKeys], scene: JoinedScene) ->
 def estimate_interpolation_error(table: MagnetostaticTable, current: float) -> float:
     """Return the error estimate of the force spline, relative to the largest force.
 
-    The largest force is for currents up to ``current`` [A] in both coils. Doubling the distance
-    between heights makes the error of a fine spline 16 times larger. The smallest measured ratio is
-    11, for the paper's magnets with 9 heights. The estimate is the error of a spline through every
-    second height, divided by a ratio of at most 8. The ratio is smaller if the error of a spline
-    through every fourth height is less than 8 times larger. With too few heights, the ratio is 1.
+    The largest force occurs at currents up to ``current`` [A] in both coils. If the distance
+    between heights is doubled, the error of an accurate spline becomes 16 times larger. The
+    smallest measured factor is 11, for the magnets of the paper with 9 heights. The estimate is the
+    error of a spline through every second height, divided by at most 8. The divisor is smaller if
+    the error of a spline through every fourth height is less than 8 times larger. With too few
+    heights, the divisor is 1.
     """
     values = table.coefficients
     largest = float(np.abs(_compute_force_contributions(values, current)).sum(axis=0).max())
 
     def estimate_interpolation_error(step: int) -> float:
-        """Return the relative error of interpolation from every ``step``-th height."""
+        """Return the relative error of a spline through every ``step``-th height."""
         result = interpolate_by_splines(table.y[::step], values[::step])(table.y)
         off = _compute_force_contributions(result - values, current)
         return float(np.abs(off).sum(axis=0).max()) / largest
@@ -789,7 +810,10 @@ def estimate_interpolation_error(table: MagnetostaticTable, current: float) -> f
 
 
 def compute_distance_outside(table: MagnetostaticTable, y: np.ndarray) -> float:
-    """Return the largest distance [m] of the heights ``y`` [m] from the range of the table."""
+    """Return how far [m] the heights ``y`` [m] are outside of the table.
+
+    Return 0 if the table contains all heights.
+    """
     return max(0.0, float(table.y[0] - y.min()), float(y.max() - table.y[-1]))
 
 

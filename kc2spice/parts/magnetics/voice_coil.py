@@ -1,4 +1,7 @@
-"""The part ``voice_coil``: a voice coil and suspension with properties that depend on stroke."""
+"""The part ``voice_coil``: voice coil and suspension for large strokes.
+
+Force factor and compliance depend on the displacement.
+"""
 
 from typing import Annotated
 
@@ -15,10 +18,11 @@ from kc2spice.scene.parttype import register_part_type
 class VoiceCoilKeys(ConductorKeys):
     """Keys of a voice coil and its suspension.
 
-    The force factor is ``Bl(x) = bl + bl1 x + bl2 x^2``, and the compliance is ``Cms(x) = cms +
-    cms1 x + cms2 x^2``, for the displacement x. The force of the coil is ``Bl(x) i``, the force of
-    the suspension is ``x / Cms(x)``, and the voltage of the coil is ``resistance i + inductance i'
-    + Bl(x) x'`` (W. Klippel, J. Audio Eng. Soc. 54 (2006) 907)."""
+    For the displacement x, the force factor is ``Bl(x) = bl + bl1 x + bl2 x^2``, and the compliance
+    is ``Cms(x) = cms + cms1 x + cms2 x^2``. The force of the coil is ``Bl(x) i``, the force of the
+    suspension is ``x / Cms(x)``, and the voltage of the coil is ``resistance i + inductance i' +
+    Bl(x) x'`` (W. Klippel, J. Audio Eng. Soc. 54 (2006) 907).
+    """
 
     resistance: Resistance = Field(gt=0, description="Electrical resistance of the voice coil")
     inductance: Inductance = Field(gt=0, description="Inductance of the voice coil")

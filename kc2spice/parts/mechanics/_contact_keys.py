@@ -1,4 +1,7 @@
-"""Keys of a contact, in a separate module because the parts on both sides also use them."""
+"""Keys of a contact.
+
+The keys are in a separate module, because the parts on both sides of a contact also use these keys.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,7 @@ MAX_STIFFNESS = 1e15
 
 
 class ContactKeys(Section):
-    """Keys of a penalty contact, with one spring for each port of its side ``a``."""
+    """Keys of a penalty contact, with one spring at each port of its side ``a``."""
 
     penalty: Stiffness = Field(
         1e8,

@@ -1,4 +1,4 @@
-"""Contact surfaces of parts, largest indentations, and the separation of contacts."""
+"""Contact surfaces of parts, largest indentations, and launches from a contact."""
 
 from __future__ import annotations
 
@@ -29,26 +29,27 @@ if TYPE_CHECKING:
 
 FLOOR_PORT = "floor"  # name of the port of a fixed rigid plane
 SPHERE_PATCH = "patch"  # name of the port of an elastic sphere
-# Assumed force error of the pressure basis, relative to the change of the force on refinement.
+# Assumed force error of the pressure basis, divided by the change of the force on refinement.
 # On refinement, the basis functions of the pressure have half the width.
-# A comparison with basis functions of a quarter of the width gives a ratio of 1.8.
+# A comparison with basis functions of a quarter of the width gives a quotient of 1.8.
 REFINEMENT_LIMIT = 3.0
 _MIN_FLIGHT = 20e-6  # s, several periods of a chip; a shorter interval is a bounce in the kick
-# Safety factor on an estimated indentation.
-# A body is not a half-space, and only a few rings carry the force, so this factor is necessary.
+# Safety factor on the estimated indentation.
+# The factor is necessary, because a body is not a half-space and only a few rings carry the force.
 _INDENTATION_MARGIN = 1.25
 
 
 @dataclass(frozen=True)
 class ContactSurface:
-    """Surface of a part in a contact, with its pins and their distances [m] from the axis.
+    """Surface of a part in a contact.
 
-    The voltages of the pins ``ports`` are positions in um, and the contact force acts on these
-    pins. For a rigid part, the force acts on the pin ``velocity`` instead. ``radius`` [m] is the
-    radius of a sphere, None for a plane. ``sectors`` is the number of symmetry sectors if the
-    stiffness applies to a single sector. If the port is a patch with a pressure basis, ``patch``
-    [m] is its radius, ``compliance`` is its compliance, and ``pace`` [s] is its response time. If
-    the surface is rigid, ``elastic`` is the part that models its elasticity with the port
+    ``distance`` [m] contains the distances of the ports from the axis. The voltages of the pins
+    ``ports`` are positions in um, and the contact force acts on these pins. For a rigid part, the
+    force acts on the pin ``velocity`` instead. ``radius`` [m] is the radius of a sphere, None for a
+    plane. ``sectors`` is the number of symmetry sectors if the stiffness applies to a single
+    sector. If the port is a patch with a pressure basis, ``patch`` [m] is its radius,
+    ``compliance`` is its compliance, and ``pace`` [s] is its response time. If the surface is
+    rigid, ``elastic`` is the name of the part that models the elasticity; this part has the port
     ``patch``. ``modulus`` [Pa] is the indentation modulus if the surface is a half-space.
     """
 
@@ -66,7 +67,7 @@ class ContactSurface:
 
     @property
     def is_rigid(self) -> bool:
-        """Whether the surface is rigid, so that contact forces act on the pin ``velocity``."""
+        """Whether the surface is rigid; contact forces then act on the pin ``velocity``."""
         return bool(self.velocity)
 
     @property
@@ -75,7 +76,7 @@ class ContactSurface:
         return (self.velocity,) if self.velocity else self.ports
 
     def map_pins_to_surface(self, pins: Iterable[str], scene: GovernedScene) -> dict[str, str]:
-        """Return the connections of the contact's ``pins`` to the pins of this surface.
+        """Return the connections of the contact's ``pins`` to this surface.
 
         If another part prescribes the motion of the surface, the pins of that part are used.
         """
@@ -86,7 +87,7 @@ class ContactSurface:
         return {pin: f"{owner}.{end}" for pin, end in zip(pins, ends, strict=False)}
 
     def compute_surface_position(self, port: str, waves: Waveforms) -> np.ndarray | None:
-        """Return the position [m] of the surface at ``port``, which is zero at the first touch."""
+        """Return the position [m] of the surface at ``port``; zero at the first touch."""
         if self.part == GROUND:
             return np.zeros(next(iter(waves.data.values())).size)
         if self.radius is not None and self.is_rigid:
@@ -97,14 +98,17 @@ class ContactSurface:
 
 @dataclass(frozen=True)
 class LargestIndentation:
-    """Largest indentation [m] of two surfaces in a contact, with its cause."""
+    """Largest indentation [m] of two surfaces in a contact, and its cause."""
 
     depth: float
     why: str
 
 
 class TouchablePart(PartType[KeysT]):
-    """Base class of part types that have a contact surface, or that press surfaces together."""
+    """Base class of part types with a contact surface or with influence on a contact.
+
+    A part without a contact surface can press two surfaces together.
+    """
 
     def contact_surface(
         self, part: Part[KeysT], scene: GovernedScene, ports: tuple[str, ...] = ()
@@ -115,7 +119,7 @@ class TouchablePart(PartType[KeysT]):
     def largest_indentations(
         self, part: Part[KeysT], scene: GovernedScene
     ) -> Iterable[LargestIndentation]:
-        """Return the largest indentations that the part can cause in the scene's contacts."""
+        """Return the largest indentation in contacts that the part can cause."""
         return ()
 
 
@@ -124,7 +128,7 @@ def find_surface(
 ) -> ContactSurface | None:
     """Return the contact surface of a part at ``ports``; None if the part has none.
 
-    Without ``ports``, the part selects its contact ports.
+    Without ``ports``, the surface contains the default contact ports of the part.
     """
     return (
         part.type.contact_surface(part, scene, ports)
@@ -134,10 +138,11 @@ def find_surface(
 
 
 def compute_ring_gaps(distance: np.ndarray, sphere_radius: float) -> np.ndarray:
-    """Return the gap [m] between a sphere and a plane that touch at r = 0.
+    """Return the gap [m] between a sphere and a plane at each ``distance``.
 
-    At the distance r from the axis, the gap under a sphere of radius R is ``R - sqrt(R^2 - r^2)``.
-    The gap is computed as ``r^2 / (R + sqrt(R^2 - r^2))``, which avoids cancellation.
+    ``distance`` [m] is the distance from the axis. The sphere touches the plane on the axis. At the
+    distance r from the axis, the gap between a plane and a sphere of radius R is ``R - sqrt(R^2 -
+    r^2)``. The formula ``r^2 / (R + sqrt(R^2 - r^2))`` gives the same gap without cancellation.
     """
     r = np.asarray(distance, dtype=float)
     return r**2 / (sphere_radius + np.sqrt(sphere_radius**2 - r**2))
@@ -147,7 +152,7 @@ def compute_ring_gaps(distance: np.ndarray, sphere_radius: float) -> np.ndarray:
 class ContactPair:
     """Both sides of a contact: the surface ``a`` below and the surface ``b`` above.
 
-    Side ``a`` has one or several ports. The contact opens if ``b`` rises.
+    Side ``a`` has one or several ports. The contact opens when ``b`` rises.
     """
 
     part: Part[ContactKeys]
@@ -171,7 +176,7 @@ class ContactPair:
     def _find_side(self, key: str, *, spherical: bool) -> ContactSurface:
         """Return the surface that the key ``a`` or ``b`` selects.
 
-        Without the key, the side is the only surface of the scene that fits.
+        Without the key, the scene must have exactly one suitable surface.
         """
         part, scene = self.part, self.scene
         selected: str | tuple[str, ...] | None = getattr(part.keys, key)
@@ -214,7 +219,7 @@ class ContactPair:
 
     @cached_property
     def gaps(self) -> np.ndarray:
-        """Gap [m] at each port of ``a`` with both sides at rest."""
+        """Gap [m] at each port of ``a``, with both sides at rest."""
         distance = np.array(self.lower_surface.distance)
         curved = (
             0.0 * distance
@@ -225,7 +230,7 @@ class ContactPair:
 
     @cached_property
     def ports(self) -> tuple[str, ...]:
-        """Ports of ``a`` with a contact spring, beginning with the port nearest to the axis."""
+        """Ports of ``a`` with a contact spring, sorted by distance from the axis."""
         rings, ports = self.keys.rings, self.lower_surface.ports
         if (
             rings == "all"
@@ -254,7 +259,7 @@ class ContactPair:
     def may_move_at_start(self) -> bool:
         """Whether a side of the contact may already move at t = 0.
 
-        Motion at t = 0 is also assumed for a fixed upper side, and for a rigid lower side.
+        A fixed upper side and a rigid lower side also count as moving.
         """
         return (
             self.upper_surface.part == GROUND
@@ -273,13 +278,14 @@ class ContactPair:
         """Law of the contact force at each port.
 
         For a sphere of radius R, the force is ``4/3 E* sqrt(R) x^(3/2)`` at the indentation x
-        (Hertz 1881). The combined modulus follows from the indentation moduli of both sides,
-        ``1/E* = 1/M_a + 1/M_b``. For two spheres, ``1/R = 1/R_a + 1/R_b``. In a groove of opening
-        angle g, both flanks are indented by ``s x`` with ``s = sin(g/2)``, and the fraction ``s``
-        of the flank forces acts along the axis. The stiffness is therefore ``2 s^(1 + power)``
-        times the stiffness of one flank, and the damping depends on the closing speed ``s x'``. The
-        normal force of each flank is ``F / (2 s)``, so that the friction force along the groove is
-        ``1 / s`` times the friction force on a plane.
+        (Hertz 1881). The combined modulus ``E*`` follows from the indentation moduli ``M_a`` and
+        ``M_b`` of both sides: ``1/E* = 1/M_a + 1/M_b``. For two spheres of radii R_a and R_b, ``1/R
+        = 1/R_a + 1/R_b``. In a groove of opening angle g, the axial indentation x indents each
+        flank by ``s x`` with ``s = sin(g/2)``. The fraction ``s`` of the flank forces acts along
+        the axis. The stiffness is therefore ``2 s^(1 + power)`` times the stiffness of one flank,
+        and the damping depends on the closing speed ``s x'``. If F is the axial force, the normal
+        force of each flank is ``F / (2 s)``. The friction force along the groove is therefore ``1 /
+        s`` times the friction force on a plane.
         """
         keys, along = self.keys, (self.keys.damping, self.keys.friction, self.keys.creep)
         if keys.shape == "pressure":
@@ -338,18 +344,18 @@ class ContactPair:
 
     @cached_property
     def pressure_basis(self) -> PressureBasis:
-        """Piecewise linear (P1) basis functions for the pressure on the patch of side ``a``."""
+        """Piecewise linear basis functions for the pressure on the patch of side ``a``."""
         from kc2spice.bodies.pressure import choose_pressure_basis
 
         return choose_pressure_basis(self.keys.spacing, self.lower_surface.patch)
 
     @cached_property
     def basis_compliance(self) -> tuple[LocalCompliance, float]:
-        """Compliance of both sides for the pressure basis, with the response time [s]."""
+        """Compliance of both sides for the pressure basis, and response time [s]."""
         return self._combine_compliances(self.pressure_basis)
 
     def _combine_compliances(self, shape: PressureBasis) -> tuple[LocalCompliance, float]:
-        """Return the sum of the compliances of both sides, and its response time [s].
+        """Return the sum of the compliances of both sides, and the response time [s].
 
         The response time is the mean of the response times of both sides, weighted by their
         compliances.
@@ -370,7 +376,7 @@ class ContactPair:
         return replace(result, compliance=total, patch=result.patch + other.patch), pace
 
     def compute_basis_forces(self, force: float) -> np.ndarray:
-        """Return the contact force [N] on each basis function as an array of shape (n,).
+        """Return an array (n,) with the contact force [N] on each basis function.
 
         The sum of these forces is ``force``.
         """
@@ -386,11 +392,12 @@ class ContactPair:
         return np.asarray(force / result.sum() * result)
 
     def estimate_basis_error(self) -> float:
-        """Return the error estimate of the force due to the pressure basis; 0 for rings.
+        """Return the error estimate of the contact force due to the pressure basis.
 
-        The estimate is a multiple of the relative change of the force with basis functions of half
-        the width. The forces are compared at depths between half of the largest depth of the scene
-        and this depth. Both forces include the compliance of the patch.
+        The estimate is 0 for a contact with rings. The estimate is proportional to the largest
+        relative change of the force with basis functions of half the width. The forces are compared
+        at indentations between half of the largest indentation of the scene and the largest
+        indentation. Both forces include the compliance of the patch.
         """
         from kc2spice.bodies.pressure import choose_pressure_basis
 
@@ -415,7 +422,10 @@ class ContactPair:
         return waves.data.get(f"{self.scene.movers.get(self.upper_surface.part)}.depth")
 
     def compute_lowest_point(self, waves: Waveforms) -> np.ndarray | None:
-        """Return the position [m] of the lowest point of side ``b``, zero at the first touch."""
+        """Return the position [m] of the lowest point of side ``b``.
+
+        The position is zero at the first touch.
+        """
         depth = self.find_prescribed_indentation(waves)
         result = (
             self.upper_surface.compute_surface_position(self.upper_surface.ports[0], waves)
@@ -429,7 +439,7 @@ class ContactPair:
 
 
 def make_pair(contact: Part, scene: GovernedScene) -> ContactPair:
-    """Return both sides of a contact, from the record of the scene if it has them."""
+    """Return both surfaces of a contact, from the record of the scene if available."""
     record = scene.get_record(contact)
     if record is None or not isinstance(record.shared_data, ContactPair):
         return ContactPair(contact.with_schema(ContactKeys), scene)
@@ -437,7 +447,7 @@ def make_pair(contact: Part, scene: GovernedScene) -> ContactPair:
 
 
 def find_single_contact(scene: GovernedScene) -> ContactPair | None:
-    """Return the contact pair of the scene if it has exactly one contact, otherwise None."""
+    """Return the contact pair of the scene; None without exactly one contact."""
     contact = scene.find_only_part("contact")
     return None if contact is None else make_pair(contact, scene)
 
@@ -445,13 +455,16 @@ def find_single_contact(scene: GovernedScene) -> ContactPair | None:
 def _get_indentation_law(
     shape: PressureBasis, compliance: np.ndarray, radius: float
 ) -> IndentationLaw:
-    """Return the indentation law of a pressure basis; equal laws are computed once."""
+    """Return the indentation law of a pressure basis.
+
+    Equal laws are computed only once.
+    """
     return _fit_cached_law(shape.nodes.tobytes(), compliance.tobytes(), radius)
 
 
 @lru_cache(maxsize=8)
 def _fit_cached_law(nodes: bytes, compliance: bytes, radius: float) -> IndentationLaw:
-    """Fit the law of ``fit_indentation_law`` to arrays that are given as bytes."""
+    """Fit an indentation law to a pressure basis and a compliance, both as bytes."""
     from kc2spice.bodies.pressure import PressureBasis, fit_indentation_law
 
     shape = PressureBasis(np.frombuffer(nodes))
@@ -459,17 +472,18 @@ def _fit_cached_law(nodes: bytes, compliance: bytes, radius: float) -> Indentati
     return fit_indentation_law(shape, matrix, compute_ring_gaps(shape.mean_gap_radii, radius))
 
 
-# --- how far a sphere can come --------------------------------------------------------------------
+# --- largest indentation by a sphere --------------------------------------------------------------
 
 
 def estimate_impact_indentation(
     sphere: Part, mass: float, scene: GovernedScene, speed: float, why: str
 ) -> Iterator[LargestIndentation]:
-    """Yield the largest indentation by a sphere that arrives at ``speed`` [m/s].
+    """Yield the largest indentation by a sphere that hits a surface.
 
-    Among all states with the indentation d, the static state has the smallest stored energy. The
-    static law of Hertz (1881) therefore gives an upper bound of d, ``m v^2 / 2 = 8/15 E sqrt(R)
-    d^(5/2)``. m is the mass of the sphere, v its speed, R its radius and E the combined modulus.
+    The sphere arrives at ``speed`` [m/s], and ``why`` is the reason in words. Among all states with
+    the indentation d, the static state has the smallest stored energy. The static law of Hertz
+    (1881) therefore gives an upper bound of d: ``m v^2 / 2 = 8/15 E sqrt(R) d^(5/2)``. m is the
+    mass of the sphere, v is its speed, R is its radius, and E is the combined modulus.
     """
     energy = 0.5 * mass * speed**2
     for contact in scene.list_parts("contact"):
@@ -486,22 +500,22 @@ def estimate_impact_indentation(
             yield LargestIndentation(_INDENTATION_MARGIN * float(depth), why)
 
 
-# --- separation of both sides ---------------------------------------------------------------------
+# --- launch from a contact ------------------------------------------------------------------------
 
 
 def find_separation(
     t: np.ndarray, force: np.ndarray, v: np.ndarray, busy: float = math.inf, power: float = 1.0
 ) -> tuple[float, float] | None:
-    """Return the time [s] and velocity [m/s] of the launch, at which the flight begins.
+    """Return the time [s] and the velocity [m/s] at which a flight begins.
 
     Return None without a flight. In contact, the force is proportional to ``overlap**power``.
 
     An interval without contact is a flight if it lasts at least 20 us, or until the end of the
-    data. There can be several flights, because a body may rebound and strike again later. Only
-    flights that begin at most 20 us after ``busy`` [s], the end of the drive, are compared. If
-    there is no such flight, only the first flight is used. The launch is the first compared flight
-    with at least half of the largest speed of all compared flights. By default, the end of the
-    drive is unknown, and all flights are compared.
+    data. A run can contain several flights, because a body can fall back and rebound again. The
+    drive ends at the time ``busy`` [s]. Only flights that begin at most 20 us after the end of the
+    drive are compared. If no flight begins within 20 us, only the first flight is used. The result
+    is the start of the first compared flight whose speed is at least half of the largest speed. By
+    default, the end of the drive is not known, and all flights are compared.
     """
     loaded = force > 1e-9 * force.max(initial=0.0)
     force = np.maximum(force, 0.0) ** (1 / power)
@@ -520,10 +534,11 @@ def find_separation(
 def _extrapolate_release(
     t: np.ndarray, v: np.ndarray, force: np.ndarray, last: int
 ) -> tuple[float, float]:
-    """Return the time [s] and velocity [m/s] at which the extrapolated contact force is zero.
+    """Return time [s] and velocity [m/s] at which the contact force vanishes.
 
-    The velocity is extrapolated from the flight back to this time. After the last sample with a
-    contact force, the velocity still changes under load. In flight, the velocity changes steadily.
+    The contact force is extrapolated to zero. The velocity at this time is extrapolated from the
+    flight. The velocity after the last sample with a contact force is not suitable, because it
+    still changes under load. In flight, the velocity changes steadily.
     """
     time, free = float(t[last]), last + 1
     if last > 0 and force[last - 1] > force[last]:
@@ -537,8 +552,8 @@ def _extrapolate_release(
 def find_last_source_change(scene: WiredScene) -> float:
     """Return the time [s] after which all sources of the scene are constant.
 
-    Sources that are connected only to controllers are ignored. The time is infinite if no other
-    source changes, or if another source never stops changing.
+    Sources that drive only controllers are ignored. The time is infinite if all other sources are
+    constant, or if a source never stops changing.
     """
     ends = []
     for source in scene.list_parts_with_schema("source", SourceKeys):

@@ -1,16 +1,16 @@
-"""Stop of a moving plate, comb or armature, a spring that returns part of the impact energy.
+"""Stop that limits a displacement and returns part of the impact energy.
 
-Beyond the displacement ``travel``, the stop is indented by d at the rate v = dd/dt. The force of
-the stop is::
+Plates, combs and armatures can have a stop. Beyond the displacement ``travel``, the moving part
+indents the stop by d at the rate v = dd/dt. The force of the stop is::
 
     F = stop d (1 + loss v / sqrt(v^2 + slow^2) + damping v)
     loss = (1 - restitution^2) / (1 + restitution^2)
 
 Without ``damping``, a mass that is faster than ``slow`` feels ``1 + loss`` times the stiffness
-``stop`` while d increases, and ``1 - loss`` times this stiffness while d decreases. A mass that is
-faster than ``slow`` keeps the fraction ``restitution^2`` of its energy. Slower masses come to rest
-(O. R. Walton, R. L. Braun, J. Rheol. 30 (1986) 949). The damping is proportional to the stiffness
-(H. Hunt, F. R. E. Crossley, J. Appl. Mech. 42 (1975) 440).
+``stop`` while d increases, and ``1 - loss`` times this stiffness while d decreases. After an
+impact, a mass that was faster than ``slow`` has the fraction ``restitution^2`` of its energy.
+Slower masses come to rest (O. R. Walton, R. L. Braun, J. Rheol. 30 (1986) 949). The damping term is
+proportional to the stiffness (H. Hunt, F. R. E. Crossley, J. Appl. Mech. 42 (1975) 440).
 """
 
 from typing import Annotated
@@ -19,13 +19,13 @@ from pydantic import Field
 
 from kc2spice.core.quantities import Ratio, Section, si
 
-# Velocity [m/s] below which an impact has no rebound.
-# At this velocity, a mass rebounds by only a nanometre against an acceleration of 5 m/s2.
+# Velocity [m/s] below which a mass does not rebound.
+# A mass that rebounds with this velocity would rise by only a nanometre against 5 m/s2.
 MIN_STRIKE_VELOCITY = 1e-4
 
 
 class StopKeys(Section):
-    """Keys of a stop: coefficient of restitution, and damping."""
+    """Keys of a stop: coefficient of restitution, and damping coefficient."""
 
     restitution: Ratio = Field(
         0.5,
@@ -56,15 +56,15 @@ STOP_NEGLECTED = (
 
 
 def write_stop_energy(indentation: str, share: str = "") -> str:
-    """Return the expression of the energy of a stop's spring, times ``share``.
+    """Return the expression of the energy of a stop, times ``share``.
 
-    ``indentation`` is negative before the stop is reached.
+    The expression ``indentation`` is negative as long as the stop is not reached.
     """
     return f"0.5*{share}stop*max(0, {indentation})^2"
 
 
 def write_stop_loss(indentation: str, rate: str, share: str = "") -> str:
-    """Return the expression of a stop's dissipative force, times ``share``.
+    """Return the expression of the dissipative force of a stop, times ``share``.
 
     ``rate`` is the velocity of the coordinate on which the force acts.
     """

@@ -1,4 +1,7 @@
-"""The part ``contact``: unilateral contact between bodies, or a body and a sphere (eq. 10)."""
+"""The part ``contact``: unilateral contact of bodies, or of a body and a sphere.
+
+The paper gives the contact law in eq. 10.
+"""
 
 from __future__ import annotations
 
@@ -56,37 +59,40 @@ from kc2spice.scene.part_records import (
 )
 from kc2spice.scene.parttype import register_part_type
 
-# Limits of the relative difference between the launch velocities of the reduced and the full model.
-# The constants are a factor on the error estimate, the limit without an estimate, and a maximum.
-# The maximum is necessary, because the error at a sharp resonance can be arbitrarily large.
-# Runs print a warning if the error under load exceeds 1 %.
+# Error limits of the launch velocity of the reduced model, relative to the full model.
+# The constants are a factor on the error estimate, a default limit without an estimate, and the
+# largest limit. The largest limit is necessary, because the error estimate at a sharp resonance may
+# be huge. Runs print a warning if the error estimate under load exceeds 1 %.
 ESTIMATE_FACTOR = 0.4
 DEFAULT_LAUNCH_LIMIT = 1e-3
 MAX_LAUNCH_LIMIT = 1e-2
 # Largest permitted energy error of the contact springs.
-# The energy error is relative to the energy that flowed through the springs.
+# The error is relative to the energy that flowed through the springs.
 MAX_ENERGY_ERROR = 1e-3
-# Number of basis functions across the radius of a contact, for a relative force error of 5e-3.
-# With half of this number of basis functions, the relative force error is 3e-2.
+# Smallest number of basis functions across the radius of a contact, for a relative force error of
+# 5e-3. With half as many basis functions, the relative force error is 3e-2.
 FUNCTIONS_PER_RADIUS = 3.0
 MAX_BASIS_ERROR = 3e-2  # largest permitted relative force error of a pressure basis
-MAX_RING_MOTION = 0.95  # largest permitted motion of an omitted ring, relative to its gap
-# Largest permitted product of reltol and the number of contact events in a kick.
-# Every contact event adds the error of a time step.
-# In 37 kicks of chips with damping ratios of 0.01 to 0.05 %, some products exceeded this limit.
-# If a product exceeded this limit, the launch velocity had a relative error of 9e-4.
+MAX_RING_MOTION = 0.95  # largest permitted motion of an omitted ring, divided by its gap
+# Largest permitted product of reltol and the number of contacts during a kick.
+# Every contact adds the error of a time step.
+# In tests of 37 kicks, the launch velocity had a relative error of 9e-4 if the product exceeded
+# this limit. The chips of these kicks had damping ratios of 0.01 to 0.05 %.
 MAX_EVENT_RELTOL = 4e-3
-MAX_START_HEIGHT = 1e-8  # largest height [m] above the body that counts as resting on it
+MAX_START_HEIGHT = 1e-8  # largest height [m] above a body at which a sphere counts as resting
 CONTACT_FREQUENCY = 500e3  # highest frequency [Hz] that a contact excites in bodies
 # Factors on ``solver.reltol`` for Hertzian or pressure contacts, and for damped contacts.
 CURVED_RELTOL_FACTOR = 0.1
 DAMPED_RELTOL_FACTOR = 0.01
-MIN_EVENTS = 20  # number of contact events up to which every reltol is sufficient
+MIN_EVENTS = 20  # number of contacts up to which every reltol is accurate enough
 INDENTATION_PIN = "dent"  # pin that is connected to the port of an elastic sphere
 
 
 class Contact(DeclaredPart[ContactKeys]):
-    """Part type ``contact``: unilateral contact with a force law from its keys and both parts."""
+    """Part type ``contact``: unilateral contact with a force law.
+
+    The keys of the contact and both parts determine the force law.
+    """
 
     name = "contact"
     title = "unilateral penalty contact"
@@ -94,7 +100,7 @@ class Contact(DeclaredPart[ContactKeys]):
     schema = ContactKeys
 
     def shared_data(self, part: Part[ContactKeys], scene: GovernedScene) -> ContactPair:
-        """Return both sides of the contact, for use by other parts."""
+        """Return both sides of the contact for use by other parts."""
         return ContactPair(part, scene)
 
     def make_declaration(self, part: Part[ContactKeys], scene: GovernedScene) -> Declaration:
@@ -132,7 +138,7 @@ class Contact(DeclaredPart[ContactKeys]):
     def equilibrium_conditions(
         self, part: Part[ContactKeys], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the paths in equilibrium, which include surfaces that touch at rest."""
+        """Return the paths to ground, and the paths between surfaces that touch at rest."""
         pair = make_pair(part, scene)
         pins = ("base", *["va"] * pair.lower_surface.is_rigid, *["v"] * pair.upper_surface.is_rigid)
         clamps = [*product(pins, (GROUND,))]
@@ -149,9 +155,9 @@ class Contact(DeclaredPart[ContactKeys]):
     ) -> Iterator[NumericalRequirements]:
         """Yield tighter solver tolerances for damped and nonlinear contact laws.
 
-        The errors of the trapezoidal rule at closing and opening cancel only for a linear spring.
-        With these tolerances, the speeds of rebounds that lose 0 to 70 % of their energy have
-        relative errors of 1.5e-4.
+        With the trapezoidal rule, the errors at closing and at opening cancel only for a linear
+        spring. In tests with the tighter tolerances, rebound speeds had relative errors of 1.5e-4.
+        The rebounds of these tests lost 0 to 70 % of their energy.
         """
         curved = part.keys.law == "hertz" or part.keys.shape == "pressure"
         reltol = (
@@ -183,7 +189,7 @@ class Contact(DeclaredPart[ContactKeys]):
         if part.keys.shape == "pressure":
             yield from _check_pressure(pair)
         else:
-            assert pair.contact_force  # raises an error if the contact law does not fit both sides
+            assert pair.contact_force  # raises an error if the law does not fit both sides
 
     def vectors(self, part: Part[ContactKeys], build: BuiltScene) -> Mapping[str, PartResult]:
         """Return the ngspice vectors of the part's results, keyed by result name."""
@@ -284,13 +290,16 @@ class Contact(DeclaredPart[ContactKeys]):
     def compare_with_finer_mesh(
         self, part: Part[ContactKeys], build: BuiltScene, clock: StageTimer, most: float
     ) -> Iterator[Check | str]:
-        """Yield the error estimate from pressure basis functions of half the width."""
+        """Yield the error estimate, computed with basis functions of half the width."""
         if part.keys.shape == "pressure":
             name = f"force of {part.name}, pressure basis functions half as wide"
             yield Check(name, make_pair(part, build.scene).estimate_basis_error(), MAX_BASIS_ERROR)
 
     def describe_discretisation(self, part: Part[ContactKeys], build: BuiltScene) -> str:
-        """Return a note on the error estimate of the pressure basis; empty for contact rings."""
+        """Return a note on the error estimate of the pressure basis.
+
+        Return an empty string for a contact with rings.
+        """
         return f"mesh: {SPACING_NOTE}" if part.keys.shape == "pressure" else ""
 
     def notes(self, part: Part[ContactKeys], scene: Scene) -> Iterator[str | NeglectedEffect]:
@@ -345,7 +354,7 @@ def _declare_pair(
     under: tuple[float, tuple[float, ...]] | None = None,
     groove: float | None = None,
 ) -> Declaration:
-    """Return the declaration of a contact pair with its contact law."""
+    """Return the declaration of a contact pair for a contact law."""
     ports, rigid = pair.ports, (pair.lower_surface.is_rigid, pair.upper_surface.is_rigid)
     carried, gaps = (
         INDENTATION_PIN if pair.upper_surface.elastic else "",
@@ -356,9 +365,9 @@ def _declare_pair(
 
 
 def _list_result_factors(pair: ContactPair) -> dict[str, float]:
-    """Return the factors that convert the sum of all port forces to results, by result.
+    """Return factors that convert the sum of port forces to results, keyed by result.
 
-    The results are ``force``, and for a groove the normal force ``flank`` of a flank.
+    The results are ``force``, and for a groove also ``flank``, the normal force of one flank.
     """
     return {"force": 1.0} | (
         {} if pair.half_angle_sine is None else {"flank": 1 / (2 * pair.half_angle_sine)}
@@ -366,7 +375,7 @@ def _list_result_factors(pair: ContactPair) -> dict[str, float]:
 
 
 def _check_pressure(pair: ContactPair) -> Iterator[UsageError]:
-    """Yield an error for each key that a contact with a pressure basis cannot have."""
+    """Yield an error for each key that a contact with pressure basis cannot have."""
     part, a, b = pair.part, pair.lower_surface, pair.upper_surface
     hint = 'delete this key, or write  shape = "rings"'
     if a.compliance is None:
@@ -391,7 +400,7 @@ def _check_pressure(pair: ContactPair) -> Iterator[UsageError]:
 
 
 def _find_loaded_interval(force: np.ndarray) -> slice:
-    """Return the index range of the first contacts, with a margin."""
+    """Return the index range of the first period of contact, with a margin."""
     loaded = np.flatnonzero(force > 1e-2 * force.max(initial=0.0))
     if loaded.size == 0:
         return slice(None)
@@ -403,10 +412,11 @@ def _find_loaded_interval(force: np.ndarray) -> slice:
 def _balance_energy(
     pair: ContactPair, waves: Waveforms, place: np.ndarray
 ) -> Iterator[RunEnergyBalance]:
-    """Yield the energy balance of the contact springs: work, stored energy and damping losses.
+    """Yield the energy balance of the contact springs.
 
-    The springs must release all of their stored energy. An energy gain would cause too high a
-    rebound. The scale of the balance is the work on the springs, or their stored energy if nothing
+    The balance contains work, stored energy and damping losses. The springs must release all of
+    their stored energy. If the springs released more energy than they stored, the rebound would be
+    too fast. The error is relative to the work on the springs, or to the stored energy if nothing
     moves.
     """
     normal, ports = pair.contact_force, pair.ports
@@ -416,7 +426,7 @@ def _balance_energy(
     closing = np.array(heights) - place  # both arrays have the shape (ports, n)
     force, p = pair.forces(waves), normal.power
     elastic, energy = force, force ** (1 + 1 / p) / ((p + 1) * normal.stiffness ** (1 / p))
-    if normal.damping or normal.radius:  # the force also depends on the velocity
+    if normal.damping or normal.radius:  # the force may also depend on the velocity
         x = closing - pair.gaps[: len(ports), None]
         elastic, energy = normal.force(x), normal.energy(x)
     resting, gained = float(energy.max()), energy - energy[:, :1]
@@ -456,7 +466,7 @@ def _check_start(pair: ContactPair, waves: Waveforms, place: np.ndarray) -> Iter
 
 
 def _check_events(pair: ContactPair, waves: Waveforms) -> Iterator[Check]:
-    """Yield checks of the largest indentation, and of the number of contact events in a kick."""
+    """Yield checks of the penetration, and of the number of contacts during a kick."""
     n, scene, forces = pair.part.name, pair.scene, pair.forces(waves)
     if pair.upper_surface.radius is not None and pair.gaps.size > 1:
         depth = float(forces.max()) / pair.contact_force.stiffness
@@ -483,17 +493,17 @@ def _check_open_ports(
 ) -> Iterator[Check]:
     """Yield the check that the contact stays inside the modelled contact rings.
 
-    The check is *ring_left_out*, or *outer_ring* if all rings have contact springs.
+    The name of the check is *ring_left_out*, or *outer_ring* if all rings have contact springs.
 
-    *ring_left_out* checks that the first ring without a contact spring stays open. The
-    displacement of this ring is not a result of the run. The displacement of the first ring without
-    a spring is estimated as the displacement of the outermost ring K with a spring, plus the
-    indentation of K by the recorded forces F_j, ``u_K + sum_j S_Kj F_j``. Any indentation of the
-    omitted ring only increases the distance of the ring to the sphere. S is the static compliance,
-    because the response time over the distance of one ring is negligible. According to models with
-    all rings, the estimate is 10 to 100 % above the largest displacement of the next ring, or below
-    it by at most 5 % of the gap. If all rings have springs, *outer_ring* checks that the last ring
-    stays open.
+    The check *ring_left_out* requires that the first ring without a contact spring stays open. The
+    displacement of the first ring without a spring is not a result of the run. The displacement is
+    estimated as ``u_K + sum_j S_Kj F_j``: the displacement of the outermost ring K with a spring,
+    plus the indentation of K by the recorded forces F_j. An indentation of the omitted ring would
+    only increase the distance between ring and sphere. S is the static compliance; the response
+    time over the distance between two rings is negligible. In tests with all rings, the estimate
+    was 10 to 100 % above the largest displacement of the next ring, or below it by at most 5 % of
+    the gap. If all rings have springs, the check *outer_ring* requires that the last ring stays
+    open.
     """
     n, a, ports, action = pair.part.name, pair.lower_surface, pair.ports, pair.scene.checks.range
     if pair.upper_surface.radius is None or len(a.ports) < 2:
@@ -524,8 +534,8 @@ def _check_open_ports(
 def _check_depth(pair: ContactPair, waves: Waveforms, place: np.ndarray) -> Iterator[Check]:
     """Yield checks of the indentation of a contact with a pressure basis.
 
-    The contact law is accurate until the contact radius is half of the patch radius. The contact
-    law is inaccurate if only a few basis functions carry the force (:data:`FUNCTIONS_PER_RADIUS`).
+    The contact law is accurate up to a contact radius of half of the patch radius. The contact law
+    is inaccurate if only a few basis functions carry the force (:data:`FUNCTIONS_PER_RADIUS`).
     """
     height = pair.lower_surface.compute_surface_position(pair.lower_surface.ports[0], waves)
     if pair.keys.shape != "pressure" or height is None:

@@ -1,4 +1,4 @@
-"""The part ``cubic_spring``: a spring with a cubic force term between two displacement pins."""
+"""The part ``cubic_spring``: a spring whose force has a cubic term."""
 
 from typing import Annotated
 

@@ -1,6 +1,6 @@
-"""The part ``elastic_sphere``: indentation and vibration modes of a sphere.
+"""The part ``elastic_sphere``: indentation and vibration of a sphere.
 
-Indentation and vibration are added to the rigid-body motion, which the part ``sphere`` models.
+The part ``sphere`` models the rigid-body motion, to which indentation and vibration are added.
 """
 
 from __future__ import annotations
@@ -36,13 +36,16 @@ from kc2spice.synthesis.mode_cards import COARSE_WEIGHTS, StepWeights
 if TYPE_CHECKING:
     from kc2spice.bodies.pressure import LocalCompliance, PressureBasis, TransverselyIsotropicSphere
 
-# Upper end of the band, relative to the lowest natural frequency.
-# With this ratio, the band contains the radial mode of the sphere.
+# Upper end of the frequency band, divided by the lowest natural frequency.
+# With a ratio of 2, the frequency band contains the radial mode of the sphere.
 BAND_RATIO = 2.0
 
 
 class ElasticSphereKeys(LinearKeys):
-    """Keys of the elasticity of a sphere, which the key ``elastic`` of the sphere contains."""
+    """Keys of the elasticity of a sphere.
+
+    The keys are the entries of the key ``elastic`` of the sphere.
+    """
 
     of: str = Field(
         examples=['"SPHERE"'], description="Name of the sphere whose elasticity this part models"
@@ -52,7 +55,7 @@ class ElasticSphereKeys(LinearKeys):
 
 
 class ElasticSphere(LinearBody[ElasticSphereKeys]):
-    """Part type ``elastic_sphere``: elasticity of a sphere, relative to its centre of mass."""
+    """Part type ``elastic_sphere``: deformation of a sphere about its centre of mass."""
 
     name = "elastic_sphere"
     title = "elasticity of a sphere, relative to its centre of mass (axisymmetric FE, reduced)"
@@ -83,7 +86,7 @@ elastic = true
     def problems(self, part: Part[ElasticSphereKeys], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield an error for each invalid key of the part."""
         yield from super().problems(part, scene)
-        _find_contact(part, scene)  # raises an error if the contact of the sphere is not valid
+        _find_contact(part, scene)  # raises an error if the sphere's contact is not valid
         owner = scene.parts[part.keys.of].with_schema(SphereKeys)
         stuff = make_sphere_material(owner)
         if stuff.is_piezoelectric:
@@ -117,9 +120,9 @@ elastic = true
     def contact_surface(
         self, part: Part[ElasticSphereKeys], scene: GovernedScene, ports: tuple[str, ...] = ()
     ) -> ContactSurface | None:
-        """Return the patch of the elastic sphere if ``ports`` names it; otherwise None.
+        """Return the patch of the elastic sphere if ``ports`` contains only the patch.
 
-        All other contacts touch the part ``sphere``.
+        Otherwise, return None. All other contact surfaces belong to the part ``sphere``.
         """
         if ports != (SPHERE_PATCH,):
             return None
@@ -133,7 +136,7 @@ elastic = true
     def make_full_model_key(
         self, part: Part[ElasticSphereKeys], scene: GovernedScene
     ) -> Mapping[str, Any]:
-        """Return the cache key of the full model, with sphere, mesh and pressure nodes."""
+        """Return the cache key of the full model: sphere, mesh and pressure nodes."""
         body, mesh = (
             _make_elastic_sphere(part, scene),
             part.keys.model_dump(mode="json", include={"mesh"}),
@@ -165,8 +168,8 @@ elastic = true
     def choose_reduction(self, part: Part[ElasticSphereKeys], scene: Scene) -> RomKeys:
         """Return the reduction settings of the elastic sphere.
 
-        The settings of the scene do not apply to the elastic sphere, because the modes of a sphere
-        are above the band of any actuator.
+        The settings of the scene do not apply, because the modes of a sphere are above the
+        frequency band of any actuator.
         """
         specified: RomKeys | None = part.keys.rom
         if specified is not None:
@@ -180,17 +183,17 @@ elastic = true
         )
 
     def weights(self, part: Part[ElasticSphereKeys], scene: DeclaredScene) -> StepWeights:
-        """Return weights of the modes that ignore the ringing in free flight.
+        """Return step weights that do not resolve the ringing in free flight.
 
-        With a damping ratio of 0.01 %, resolving the ringing at several megahertz during the flight
-        would need eight times as many time steps.
+        Time steps that resolve the ringing in free flight would be eight times as many, at a
+        damping ratio of 0.01 %.
         """
         return COARSE_WEIGHTS
 
     def list_neglected_effects(
         self, part: Part[ElasticSphereKeys], scene: Scene
     ) -> Iterator[NeglectedEffect]:
-        """Yield the neglected effect of the model, the ringing of the sphere in free flight."""
+        """Yield the neglected effect: the ringing of the sphere in free flight."""
         why = "steps do not resolve it in flight, and it does not change the path of the centre"
         yield NeglectedEffect(f"free ringing of {part.keys.of}", why, "none on the path")
 
@@ -240,7 +243,10 @@ def _make_elastic_sphere(
 
 
 def _find_contact(part: Part[ElasticSphereKeys], scene: GovernedScene) -> Part[ContactKeys]:
-    """Return the only contact of the sphere, which must have a pressure basis."""
+    """Return the only contact of the sphere.
+
+    Raise an error if the sphere has several contacts, or if the contact has no pressure basis.
+    """
     owner = scene.parts[part.keys.of]
     pairs = (
         (contact, make_pair(contact, scene))

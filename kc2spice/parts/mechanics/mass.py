@@ -31,17 +31,17 @@ from kc2spice.scene.parttype import register_part_type
 from kc2spice.scene.settings import ProbeKeys
 from kc2spice.scene.start_conditions import find_floating_nets, find_rigid_groups
 
-_FRAME_PIN = "frame"  # pin for the acceleration of a frame; the next pins are frame2, frame3, …
+_FRAME_PIN = "frame"  # pin for the acceleration of a frame; further pins are frame2, frame3, …
 
 
 class MassKeys(Section):
-    """Keys of a point mass with ``F = m x''``; ``weight`` adds the force ``-m g``.
+    """Keys of a point mass with ``F = m x''``.
 
-    If the mass is connected to a body with an accelerated ``base``, its displacement x is relative
-    to the base. The inertial force ``-m a`` then acts on the mass, where a is the acceleration of
-    the base. If the mass has a support, a transient begins in equilibrium unless ``position`` or
-    ``velocity`` is stated. Without a support, the transient begins at ``position`` with
-    ``velocity``.
+    The key ``weight`` adds the force ``-m g``. If the mass is connected to a body with an
+    accelerated ``base``, the displacement x of the mass is relative to the base. The inertial force
+    ``-m a`` with the acceleration a of the base then acts on the mass. If the mass has a support
+    and neither ``position`` nor ``velocity`` is stated, a transient begins in equilibrium. Without
+    a support, a transient begins at ``position`` with ``velocity``.
     """
 
     mass: Mass = Field(gt=0, description="Mass of the rigid body")
@@ -63,7 +63,10 @@ class MassKeys(Section):
 
 
 def _list_frame_pins(count: int) -> list[str]:
-    """Return the names of the pins for ``count`` frame accelerations: ``frame``, ``frame2``, …"""
+    """Return the names of ``count`` pins for frame accelerations.
+
+    The names are ``frame``, ``frame2``, ….
+    """
     return [_FRAME_PIN + str(k) * (k > 1) for k in range(1, 1 + count)]
 
 
@@ -75,10 +78,11 @@ def declare_point_mass(
     velocity: float = 0.0,
     shaken: tuple[float, ...] = (),
 ) -> Declaration:
-    """Return the declaration of a mass at the pin ``a``, which may be in an accelerated frame.
+    """Return the declaration of a mass at the pin ``a``.
 
-    ``shaken`` contains the cosine s_k of the angle between each frame acceleration a_k and the
-    displacement x. The force on the pin is ``F = m x'' + m g + m sum_k s_k a_k``.
+    The mass may be in an accelerated frame. For each frame acceleration a_k, ``shaken`` contains
+    the cosine s_k of the angle between a_k and the displacement x. The force on the pin is ``F = m
+    x'' + m g + m sum_k s_k a_k``.
     """
     branches = [displacement("x", "a", "base")]
     shares, inertia = [], []
@@ -125,7 +129,10 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
     follows_frames = True
 
     def default_joins(self, part: Part[MassKeys], scene: GovernedScene) -> Mapping[str, str]:
-        """Return the default connections of the acceleration pins to those of the body."""
+        """Return the default connections of the acceleration pins.
+
+        The acceleration pins are connected to the acceleration pins of the body.
+        """
         shakes = _list_frame_accelerations(part, scene)
         pins = zip(_list_frame_pins(len(shakes)), shakes, strict=True)
         return {pin: ".".join(shake.pin) for pin, shake in pins}
@@ -133,7 +140,7 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
     def equilibrium_conditions(
         self, part: Part[MassKeys], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the equilibrium conditions of the mass; its weight loads the pin ``a``."""
+        """Return the equilibrium conditions of the mass; its weight acts on the pin ``a``."""
         falls = part.keys.weight and scene.gravity
         return EquilibriumConditions(
             (("base", GROUND),), loaded_pins=("a",) if falls else (), inertial_pins=("a",)
@@ -160,13 +167,14 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
     def contact_surface(
         self, part: Part[MassKeys], scene: GovernedScene, ports: tuple[str, ...] = ()
     ) -> ContactSurface:
-        """Return the contact surface of the mass, a plane at its pin ``a``."""
+        """Return the contact surface of the mass: a plane at the pin ``a``."""
         return ContactSurface(part.name, ("a",), (0.0,))
 
     def initial_motion(self, part: Part[MassKeys], build: BuiltScene) -> tuple[float, float] | None:
-        """Return position [m] and velocity [m/s] at t = 0; None for a start in equilibrium.
+        """Return position [m] and velocity [m/s] at t = 0.
 
-        If several masses are fixed to each other, the first mass determines the initial state.
+        Return None for a start in equilibrium. If several masses are fixed to each other, the first
+        mass determines the initial state.
 
         Raises
         ------
@@ -202,7 +210,11 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
         return state if next(masses) == part.name else None
 
     def checks(self, part: Part[MassKeys], build: BuiltScene, waves: Waveforms) -> Iterator[Any]:
-        """Return no checks, because the energy of a mass near rest is below time step errors."""
+        """Return no checks.
+
+        The energy balance is not checked. The energy of a mass near rest is smaller than the errors
+        of the time steps.
+        """
         return iter(())
 
     def main_metrics(self, part: Part[MassKeys], build: BuiltScene) -> Mapping[str, ProbeKeys]:
@@ -231,7 +243,7 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
 def _list_frame_accelerations(
     part: Part[MassKeys], scene: GovernedScene
 ) -> tuple[FrameAcceleration, ...]:
-    """Return the accelerations of the frame of the mass; none for a mass in a fixed frame."""
+    """Return the accelerations of the mass's frame; none for a fixed frame."""
     frame = scene.frames.get((part.name, "a"))
     return () if frame is None else frame.shakes
 

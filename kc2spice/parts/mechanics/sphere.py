@@ -1,4 +1,7 @@
-"""The part ``sphere``: a mass with the vertical motion ``m y'' = sum of forces - m g``."""
+"""The part ``sphere``: sphere that moves vertically.
+
+The equation of motion is ``m y'' = sum of forces - m g``.
+"""
 
 from __future__ import annotations
 
@@ -57,20 +60,20 @@ from kc2spice.synthesis.header import SIGN_TEXT
 AIR_VISCOSITY = 1.825e-5  # viscosity of air [Pa s]
 STEEL_DENSITY = 7850.0  # density of steel [kg/m^3]
 REST_STATE = InitialState(0.0, 0.0)
-SETTLING_BAND = 0.05  # half-width of the settling band, relative to the step to the set point
+SETTLING_BAND = 0.05  # half-width of the settling band, divided by the step to the set point
 # Largest permitted relative error of the work on a sphere.
-# With this error of the work, a launch velocity has a relative error of about 1e-3.
+# With this error of the work, the relative error of a launch velocity is about 1e-3.
 MAX_WORK_ERROR = 1e-4
 
 
 def _find_default_density(keys: dict[str, Any]) -> float:
-    """Return the density [kg/m^3] of the material in ``keys``, by default of steel."""
+    """Return the density [kg/m^3] of the material in ``keys``; by default steel."""
     material = keys.get("material")
     return STEEL_DENSITY if material is None else _load_material(material).density
 
 
 def _load_material(name_or_table: str | dict[str, Any]) -> Material:
-    """Return the material of a sphere from the material's name or table."""
+    """Return the material of a sphere from the name or the table of the material."""
     try:
         return find_material(name_or_table, "sphere.material")
     except UsageError as error:
@@ -122,7 +125,7 @@ class SphereKeys(Section):
     def _require_known_material(
         cls, material: str | dict[str, Any] | None
     ) -> str | dict[str, Any] | None:
-        """Return the material; raise an error if it does not exist."""
+        """Return the material; raise an error if the material does not exist."""
         if material is not None:
             _load_material(material)
         return material
@@ -144,11 +147,11 @@ class SphereKeys(Section):
 def declare_sphere(
     mass: float, radius: float, gravity: float, velocity: float = 0.0, height: float = 0.0
 ) -> Declaration:
-    """Return the declaration of a sphere; x is the height of the sphere's lowest point.
+    """Return the declaration of a sphere.
 
-    x is zero at the first touch. If x were the height of the centre, an indentation of a picometre
-    would be within rounding errors. Without the option ``uic``, ngspice starts from the operating
-    point.
+    x is the height of the sphere's lowest point, and is zero at the first touch. With the height of
+    the centre in place of x, an indentation of a picometre would be lost in rounding errors.
+    Without the option ``uic``, ngspice starts from the operating point.
     """
     declaration = declare_point_mass(mass, gravity, height, velocity)
     weight, pull, place, fast = declaration.given
@@ -183,7 +186,10 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
     def generate_tables(
         self, part: Part[SphereKeys], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
-        """Return the table of the part that models the elasticity, if the sphere is elastic."""
+        """Return the table of the part that models the elasticity of the sphere.
+
+        Return no table for a rigid sphere.
+        """
         if (elastic := part.keys.elastic) is None:
             return {}
         table = {"part": "elastic_sphere", "of": part.name, "at": (part.name, "elastic")}
@@ -222,7 +228,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
     def contact_surface(
         self, part: Part[SphereKeys], scene: GovernedScene, ports: tuple[str, ...] = ()
     ) -> ContactSurface:
-        """Return the contact surface of the sphere, which is its lower pole."""
+        """Return the contact surface of the sphere: the lower pole."""
         keys, carried = part.keys, _name_elastic_part(part)
         known = keys.material is not None or carried
         modulus = make_sphere_material(part).indentation_modulus if known else None
@@ -237,7 +243,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
     def governed_parts(
         self, part: Part[SphereKeys], scene: DeclaredScene
     ) -> Mapping[str, InitialState]:
-        """Return the initial velocity and height that the keys of the sphere state."""
+        """Return the initial velocity and height from the keys of the sphere."""
         keys = part.keys
         moving = keys.velocity or keys.height
         return {part.name: InitialState(keys.velocity, keys.height)} if moving else {}
@@ -245,7 +251,10 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
     def equilibrium_conditions(
         self, part: Part[SphereKeys], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the equilibrium conditions of the sphere; its weight loads the pin ``v``."""
+        """Return the equilibrium conditions of the sphere.
+
+        The weight of the sphere loads the pin ``v``.
+        """
         if _has_prescribed_motion(part, scene):
             return EquilibriumConditions()
         return EquilibriumConditions(
@@ -253,7 +262,10 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         )
 
     def settable_quantities(self, part: Part[SphereKeys], build: BuiltScene) -> Mapping[str, float]:
-        """Return zero displacement and velocity at t = 0 for a sphere without support."""
+        """Return the initial displacement and velocity of a sphere without support.
+
+        Initial displacement and initial velocity are zero.
+        """
         joined = build.scene.list_joined_pins(part.name, "v")
         if (
             joined
@@ -261,7 +273,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
             or part.name in build.scene.initial_states
         ):
             return {}
-        # A sphere without support starts at rest, at the height at which it touches the body below.
+        # A sphere without support starts at rest, and just touches the body below.
         return {build.get_net(part, "v"): 0.0, build.get_net(part, "bottom"): 0.0}
 
     def vectors(self, part: Part[SphereKeys], build: BuiltScene) -> Mapping[str, PartResult]:
@@ -296,9 +308,9 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
     def checks(
         self, part: Part[SphereKeys], build: BuiltScene, waves: Waveforms
     ) -> Iterator[RunEnergyBalance | Gate]:
-        """Yield the check that the work of all forces equals the gain in kinetic energy.
+        """Yield the check that the work of all forces equals the gain of kinetic energy.
 
-        The scale of the error is the sum of the magnitudes of the work of all forces.
+        The error is relative to the sum of the absolute work of all forces.
         """
         if "time" not in waves or f"{part.name}.v" not in waves:
             return
@@ -356,7 +368,10 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
     def initial_motion(
         self, part: Part[SphereKeys], build: BuiltScene
     ) -> tuple[float, float] | None:
-        """Return position [m] and velocity [m/s] at t = 0; None for a start in equilibrium."""
+        """Return position [m] and velocity [m/s] at t = 0.
+
+        Return None for a start in equilibrium.
+        """
         n, scene, states = part.name, build.scene, build.scene.initial_states
         if not states and (scene.list_joined_pins(n, "v") or scene.list_joined_pins(n, "bottom")):
             return None
@@ -394,12 +409,12 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
 
 
 def find_sphere(part: Part, scene: DeclaredScene) -> Part[SphereKeys]:
-    """Return the sphere that another part throws, pushes or pulls."""
+    """Return the sphere that a part throws, pushes or pulls."""
     return scene.find_partner(part, "sphere", "of").with_schema(SphereKeys)
 
 
 def make_sphere_material(part: Part[SphereKeys]) -> Material:
-    """Return the material of the sphere, by default steel, with the key ``density``."""
+    """Return the material of the sphere with the key ``density``; by default steel."""
     return replace(_load_material(part.keys.material or "steel"), density=part.keys.density)
 
 
@@ -412,13 +427,16 @@ def _name_elastic_part(part: Part[SphereKeys]) -> str:
 
 
 def find_controlled_sphere(pid: Part[PidKeys], scene: DeclaredScene) -> Part[SphereKeys] | None:
-    """Return the sphere whose height a controller controls."""
+    """Return the sphere whose height a controller controls; None without a sphere."""
     ball = scene.parts.get(pid.keys.of) if pid.keys.of else scene.find_only_part("sphere")
     return None if ball is None else ball.with_schema(SphereKeys)
 
 
 def compute_settling_band(pid: Part[PidKeys], ball: Part[SphereKeys]) -> float:
-    """Return the half-width [m] of the band around the set point for a settled sphere."""
+    """Return the half-width [m] of the settling band around the set point.
+
+    A sphere within the settling band counts as settled.
+    """
     return SETTLING_BAND * abs(float(pid.keys.setpoint - ball.keys.radius))
 
 
@@ -428,9 +446,10 @@ def _has_prescribed_motion(part: Part[SphereKeys], scene: GovernedScene) -> bool
 
 
 def find_height_offset(part: Part, pin: str, scene: WiredScene) -> float:
-    """Return the height [m] of a sphere's centre above its coordinate in the equations.
+    """Return the height [m] of a sphere's centre, relative to its coordinate.
 
-    The sphere is connected to ``pin``; without a sphere, the height is 0.
+    In the equations, the coordinate is the unknown height of the sphere. The sphere is connected to
+    ``pin``. Without a sphere, the height is 0.
     """
     ball = _find_sphere_at(part, pin, scene)
     return 0.0 if ball is None else float(ball.keys.radius)
@@ -439,7 +458,8 @@ def find_height_offset(part: Part, pin: str, scene: WiredScene) -> float:
 def find_initial_height(part: Part, pin: str, scene: WiredScene) -> float | None:
     """Return the height [m] of the centre of the sphere at ``pin`` at t = 0.
 
-    Return None without a sphere at the pin, or if an operating point determines the height.
+    Return None if no sphere is connected to the pin, or if an operating point determines the
+    height.
     """
     ball, states = _find_sphere_at(part, pin, scene), scene.initial_states
     if ball is None or not states:
@@ -448,7 +468,7 @@ def find_initial_height(part: Part, pin: str, scene: WiredScene) -> float | None
 
 
 def _find_sphere_at(part: Part, pin: str, scene: WiredScene) -> Part[SphereKeys] | None:
-    """Return the sphere with a height that ``pin`` measures; None without such a sphere."""
+    """Return the sphere whose height ``pin`` measures; None without such a sphere."""
     for name, other in scene.list_joined_pins(part.name, pin):
         if other == "y" and scene.parts[name].type.name == Sphere.name:
             return scene.parts[name].with_schema(SphereKeys)
@@ -456,7 +476,7 @@ def _find_sphere_at(part: Part, pin: str, scene: WiredScene) -> Part[SphereKeys]
 
 
 def _describe_elasticity_effect(part: Part[SphereKeys], scene: GovernedScene) -> str:
-    """Return the effect that the sphere's elasticity would have on the contact, in words."""
+    """Return the effect of the sphere's neglected elasticity on a contact, in words."""
     sphere_modulus = make_sphere_material(part).indentation_modulus
     moduli = [
         make_pair(contact, scene).lower_surface.modulus for contact in scene.list_parts("contact")
@@ -468,9 +488,9 @@ def _describe_elasticity_effect(part: Part[SphereKeys], scene: GovernedScene) ->
 
 
 def _estimate_air_drag(keys: SphereKeys) -> NeglectedEffect:
-    """Return the neglected air drag at 1 m/s, relative to the weight of the sphere.
+    """Return the neglected air drag at 1 m/s, divided by the weight of the sphere.
 
-    The drag coefficient follows the formula of Schiller and Naumann.
+    The drag coefficient is computed by the formula of Schiller and Naumann.
     """
     speed = 1.0
     reynolds = AIR_DENSITY * speed * 2 * keys.radius / AIR_VISCOSITY

@@ -1,8 +1,8 @@
 """Balanced truncation over all frequencies, by the Gramians of a stable model.
 
-Balanced coordinates are sorted by controllability and observability of the states, largest first.
-Inputs and outputs are scaled by the peaks of the response, so that small and large entries have
-equal weights.
+In balanced coordinates, each state is as controllable as it is observable. The most controllable
+state comes first. Inputs and outputs are scaled by the peaks of the response, so that small and
+large entries have equal weights.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from kc2spice.rom.pencil import Pencil, make_explicit_pencil
 from kc2spice.rom.reduced_basis import ReducedBasis, ReductionTask
 from kc2spice.rom.reductors.base import Reductor
 
-# limits by computing time, which grows with the cube of the number of states; found by trials
+# limits of the computing time, which grows with the cube of the number of states; found by trials
 MAX_STATES = 2000  # largest number of first-order states for dense Gramians
-# largest number of first-order states for which unscaled inputs and outputs are tried too
+# largest number of first-order states for which unscaled inputs and outputs are also tried
 MAX_UNSCALED_STATES = 500
 # Smallest decay rate of a pole, relative to the angular frequency at the end of the band.
 # Gramians of models with slower poles contain only rounding errors.
@@ -30,10 +30,10 @@ NOT_STABLE_TEXT = "the model is not strictly stable"
 class BalancedTruncation(Reductor):
     """Balanced truncation by the square root method.
 
-    With the Gramians ``P = R R'`` and ``Q = L L'`` of a stable first-order model and the singular
+    The Gramians of a stable first-order model are ``P = R R'`` and ``Q = L L'``. With the singular
     value decomposition ``L'R = U S Z'``, the projection is ``V = R Z S^(-1/2)`` and ``W = L U
-    S^(-1/2)``. For order q, the largest singular value of the error at any frequency is at most
-    ``2 (s_(q+1) + s_(q+2) + ...)``.
+    S^(-1/2)``. For order q, the largest singular value of the error at any frequency is at most ``2
+    (s_(q+1) + s_(q+2) + ...)``.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ class BalancedTruncation(Reductor):
         self.name = "balanced truncation" + ("" if scaled else " of outputs as they are")
 
     def obstacle(self, task: ReductionTask) -> str:
-        """Return the reason why the model has no Gramians, or why scale factors have no effect."""
+        """Return the reason why the method does not apply to a model, "" if it applies."""
         reason = explain_no_gramians(task)
         if reason or self.scaled:
             return reason
@@ -73,11 +73,11 @@ class BalancedTruncation(Reductor):
         return explain_too_large(task.first_order_response.pencil.size, MAX_UNSCALED_STATES)
 
     def basis(self, task: ReductionTask) -> ReducedBasis | None:
-        """Return the balanced model; None if the model is not strictly stable."""
+        """Return the balanced model, or None if the model is not strictly stable."""
         return task.get_shared_value(self.name, lambda: self._balance(task))
 
     def _balance(self, task: ReductionTask) -> ReducedBasis | None:
-        """Return the balanced basis of a task, None if the Gramians do not exist."""
+        """Return the balanced basis of a task, or None if the Gramians do not exist."""
         rows, columns = compute_balancing_factors(task.estimator.exact_response_and_scales[1].peak)
         if not self.scaled:
             rows, columns = np.ones(len(rows)), np.ones(len(columns))
@@ -90,7 +90,7 @@ class BalancedTruncation(Reductor):
 def compute_hankel_singular_values(task: ReductionTask) -> np.ndarray | None:
     """Return the Hankel singular values of the intermediate model in descending order.
 
-    Return None if the model is not strictly stable or too large.
+    The result is None if the model is too large, or is not strictly stable.
     """
     if not has_gramians(task):
         return None
@@ -115,16 +115,16 @@ def _compute_gramian_roots(
 
 
 def has_gramians(task: ReductionTask) -> bool:
-    """Return whether dense Gramians exist and are small enough.
+    """Return whether dense Gramians exist and are small enough to be computed.
 
-    The Gramians exist if the model has a static response, and if no damping couples rigid-body
-    modes to other motions.
+    The Gramians exist if the model has a static response, and if rigid-body modes are not coupled
+    to other motions by damping.
     """
     return not explain_no_gramians(task)
 
 
 def explain_no_gramians(task: ReductionTask) -> str:
-    """Return the reason why dense Gramians are not computed, "" if they are computed."""
+    """Return the reason why dense Gramians cannot be computed, or "" if they can."""
     if task.pencil_without_rigid_modes.free:
         return "damping couples rigid-body modes to other motions, so Gramians do not exist"
     if not task.intermediate.static:
@@ -133,7 +133,7 @@ def explain_no_gramians(task: ReductionTask) -> str:
 
 
 def explain_too_large(states: int, largest: int) -> str:
-    """Return why a model with this number of states is too large, "" if it is small enough."""
+    """Return the reason why a model has too many states, or "" if it is small enough."""
     if states <= largest:
         return ""
     return f"the intermediate model has {states} first-order states, more than {largest}"
@@ -144,8 +144,8 @@ def balance_model(
 ) -> ReducedBasis | None:
     """Balance a model ``x' = A x + B u`` with square roots of both Gramians.
 
-    Return None if the product of the square roots exceeds the range of double precision. An example
-    is a model with poles at 1e21 1/s.
+    The result is None if the product of the square roots overflows, as for a model with poles at
+    1e21 1/s.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         product = observable.T @ controllable
@@ -166,10 +166,10 @@ def balance_model(
 
 
 def compute_balancing_factors(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return factors of rows and columns whose products are closest to the entries of ``size``.
+    """Return row and column factors with products close to the entries of ``size``.
 
-    ``size`` has the shape (..., rows, columns). The closest products have the smallest sum of
-    squared differences between the logarithms of products and entries.
+    ``size`` has the shape (..., rows, columns). The factors minimise the sum of the squared
+    differences between the logarithms of products and entries.
     """
     log = np.log(np.where(size > 0, size, size.max(initial=0.0) or 1.0))
     half = 0.5 * log.mean(axis=(-2, -1))[..., None]
@@ -179,11 +179,11 @@ def compute_balancing_factors(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 def _compute_gramian_root(T: np.ndarray, Q: np.ndarray, transposed: bool = False) -> np.ndarray:
     """Compute a square root R of the solution ``X = R R'`` of ``T X + X T' = -Q Q'``.
 
-    T is in real Schur form. If ``transposed`` is true, T' replaces T. If rounding errors
-    make X slightly indefinite, its negative eigenvalues are set to zero.
+    The matrix T is in real Schur form. If ``transposed`` is true, the equation contains T' instead
+    of T. If rounding errors make X slightly indefinite, its negative eigenvalues are set to zero.
     """
     C = -Q @ Q.T
-    if transposed:  # in reverse order, T' is again in Schur form
+    if transposed:  # if rows and columns are reversed, T' is in Schur form
         X = _solve_sylvester(T.T[::-1, ::-1], T.T[::-1, ::-1], C[::-1, ::-1])[::-1, ::-1]
     else:
         X = _solve_sylvester(T, T, C)
@@ -194,9 +194,9 @@ def _compute_gramian_root(T: np.ndarray, Q: np.ndarray, transposed: bool = False
 def _solve_sylvester(A: np.ndarray, B: np.ndarray, C: np.ndarray) -> np.ndarray:
     """Solve ``A X + X B' = C`` for A and B in real Schur form by recursive division.
 
-    LAPACK solves for one column after another. Here, products of large blocks replace most of the
-    work for single columns.
-    Source: I. Jonsson, B. Kagstrom, ACM Trans. Math. Softw. 28 (2002) 392.
+    LAPACK computes one column of X after another. The recursion computes most of X by faster
+    products of large blocks. Source: I. Jonsson, B. Kagstrom, ACM Trans. Math. Softw. 28 (2002)
+    392.
     """
     rows, columns = C.shape
     if max(rows, columns) <= SYLVESTER_BLOCK:
@@ -214,6 +214,6 @@ def _solve_sylvester(A: np.ndarray, B: np.ndarray, C: np.ndarray) -> np.ndarray:
 
 
 def _find_schur_middle(T: np.ndarray) -> int:
-    """Return an index near the middle of a Schur form that does not divide a 2 x 2 block."""
+    """Return an index near the middle of a Schur form that splits no 2 x 2 block."""
     k = len(T) // 2
     return k + 1 if T[k, k - 1] else k

@@ -14,19 +14,19 @@ from kc2spice.rom.reductors.balanced_truncation import (
 )
 from kc2spice.rom.reductors.base import Reductor
 
-# largest number of first-order states for which the method is tried; a limit found by trials
+# largest number of first-order states for which the method is tried; found by trials
 MAX_STATES = 900
-# In the norm *peak*, which ignores notches, every fourth sample is enough; found by trials.
+# Every fourth sample is enough in the norm *peak*, which ignores notches; found by trials.
 PEAK_NORM_STEP = 4
 
 
 class BandLimitedBalancing(Reductor):
     """Balanced truncation with Gramians that are sums over samples in the band.
 
-    The Gramians are quadratures of ``x x*`` and ``y y*`` with the states ``x = (j w - A)^-1 B`` and
-    ``y = (j w - A)^-* C'`` at the frequencies of the error estimate. Weights make the integrand a
-    relative error in the norm of the task: relative to the peak of the response, or to the response
-    at the same frequency.
+    The Gramians are sums of ``x x*`` and ``y y*`` over the frequencies of the error estimate, with
+    the states ``x = (j w - A)^-1 B`` and ``y = (j w - A)^-* C'``. Each term is weighted, so that
+    errors are relative to the peak of the response, or to the response at the same frequency. The
+    norm of the task determines which of the two is used.
 
     Examples
     --------
@@ -49,7 +49,7 @@ class BandLimitedBalancing(Reductor):
     congruence = False
 
     def obstacle(self, task: ReductionTask) -> str:
-        """Return the reason why the model is too large, or why its samples take too long."""
+        """Return the reason why the method does not apply to a model, "" if it applies."""
         reason = explain_no_gramians(task) or explain_too_large(
             task.first_order_response.pencil.size, MAX_STATES
         )
@@ -87,7 +87,7 @@ def _compute_weights(frequency: np.ndarray, base: np.ndarray) -> tuple[np.ndarra
 
 
 def _compute_sum_root(x: np.ndarray) -> np.ndarray:
-    """Return a real matrix R for which ``R R'`` is the real part of the sum of ``x x*``."""
+    """Return a real matrix R with ``R R'`` equal to the real part of sum ``x x*``."""
     columns = np.moveaxis(x, 0, 1).reshape(x.shape[1], -1)
     both = np.hstack([columns.real, columns.imag])
     return np.asarray(

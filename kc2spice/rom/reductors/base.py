@@ -17,8 +17,8 @@ class Reductor(ABC):
     A subclass has a ``name``, a literature ``reference`` and the method :meth:`basis`. The choice
     of the order, the error estimate and the proofs of stability and passivity are the same for all
     methods. ``congruence`` (by default True) states that the projection is a Galerkin projection,
-    which preserves the form of the matrices. If :meth:`basis` returns None, error messages contain
-    ``no_basis`` as the reason.
+    which preserves the form of the matrices. ``no_basis`` is the reason in error messages if
+    :meth:`basis` returns None.
 
     Examples
     --------
@@ -46,40 +46,40 @@ class Reductor(ABC):
     no_basis: str = "its basis() returns None"
 
     def obstacle(self, task: ReductionTask) -> str:
-        """Return the reason why the method does not apply to this model, "" if it applies."""
+        """Return the reason why the method does not apply to a model, "" if it applies."""
         return ""
 
     def applies_to(self, task: ReductionTask) -> bool:
-        """Return whether the method applies to this model.
+        """Return whether the method applies to the model of a task.
 
-        By default a method applies if there is no obstacle.
+        By default, a method applies if :meth:`obstacle` returns "".
         """
         return not self.obstacle(task)
 
     @abstractmethod
     def basis(self, task: ReductionTask) -> ReducedBasis | None:
-        """Return the basis, usually ``task.project(V)``; None if no basis exists.
+        """Return the basis, usually ``task.project(V)``, or None if no basis exists.
 
         Parameters
         ----------
-        task : Task
-            Model and required accuracy. ``task.model`` contains the dense matrices to be projected.
-            The coordinates of these matrices may differ from the unknowns of the full-order model.
-            ``task.band``, ``task.norm`` and ``task.tolerance`` are the required accuracy.
+        task : ReductionTask Model and required accuracy. ``task.model`` contains the dense matrices
+            to be projected. The coordinates of these matrices may differ from the unknowns of the
+            full-order model. ``task.band``, ``task.norm`` and ``task.tolerance`` are the required
+            accuracy.
         """
 
     def shorten_basis(
         self, basis: ReducedBasis, order: int, tolerance: float
     ) -> tuple[ReducedBasis, int]:
-        """Return a basis that meets the tolerance with fewer vectors, and its order.
+        """Return a basis that meets the tolerance with fewer vectors, and the order.
 
-        By default this method returns its arguments.
+        By default, the method returns the arguments ``basis`` and ``order``.
         """
         return basis, order
 
 
 def require_basis(reductor: Reductor, result: Any) -> ReducedBasis | None:
-    """Return the result of :meth:`Reductor.basis` if it is a basis or None.
+    """Return the ``result`` of :meth:`Reductor.basis`, which must be a basis or None.
 
     Raises
     ------

@@ -8,12 +8,12 @@ import numpy as np
 
 from kc2spice.core.errors import UsageError
 
-# A unit vector counts as dependent if its distance to the span of earlier vectors is below 450 eps.
-# The rounding errors in a QR factorisation of a few hundred vectors are about 1e-14.
+# Largest distance of a dependent unit vector from the span of earlier vectors, about 450 eps. The
+# rounding errors in a QR factorisation of a few hundred vectors are about 1e-14.
 DEPENDENT_BY_ROUNDING = 1e-13
 # Largest condition number of a basis V that is not orthonormalised.
 # Rounding errors change the smallest eigenvalue of V'KV by eps times (condition number)^2.
-# The relative change of the eigenvalue is therefore below 3e-10.
+# For the condition number 1e3, this relative change is below 3e-10.
 MAX_CONDITION = 1e3
 
 
@@ -27,13 +27,13 @@ def require_vectors(value: Any, where: str, shape: tuple[int, int | None]) -> np
     where : str
         Name of the argument, for error messages.
     shape : tuple
-        Required numbers of rows and columns. If the second item is None, any number of columns is
+        Required numbers of rows and columns. If the number of columns is None, any number is
         accepted.
 
     Raises
     ------
-    UsageError : the value is not a matrix of this shape, contains numbers that are not real or not
-        finite, or has dependent columns.
+    UsageError : the value is not a matrix of the required ``shape``, contains numbers that are
+        complex or not finite, or has linearly dependent columns.
     """
     V, (rows, columns) = _require_real_matrix(value, where, shape[0]), shape
     if len(V) != rows or columns not in (None, V.shape[1]):
@@ -74,9 +74,10 @@ def require_vectors(value: Any, where: str, shape: tuple[int, int | None]) -> np
 def scale_to_unit_norm(V: np.ndarray) -> np.ndarray:
     """Scale vectors so that their norms are between 0.7 and 1.5.
 
-    The factors are powers of two, so there are no rounding errors, and orthonormal vectors do not
-    change. The scale of a basis vector has no effect on the response of the reduced model. However,
-    without scaling, a reduced mass of 1e-22 beside masses of 1 would count as zero.
+    The scale factors are powers of two, so scaling causes no rounding errors. Orthonormal vectors
+    do not change. The scale of a basis vector has no effect on the response of the reduced model.
+    Without scaling, however, a reduced model could contain a mass of 1e-22 and another mass of 1.
+    The small mass would then count as zero.
 
     >>> scale_to_unit_norm(np.array([[0.6, 3e-11], [0.8, 4e-11]])).round(2)
     array([[0.6 , 0.52],
@@ -90,16 +91,16 @@ def scale_to_unit_norm(V: np.ndarray) -> np.ndarray:
 def improve_conditioning(V: np.ndarray) -> np.ndarray:
     """Return well-conditioned basis vectors that span the same spaces as V.
 
-    The columns of V may be almost dependent: for example, a static response is nearly a sum of many
-    modes. If the condition number of V exceeds a thousand, the matrix Q of the factorisation
-    ``V = Q R`` is returned. For each q, the first q columns of Q and of V span the same space.
-    Otherwise, V is returned unchanged.
+    The columns of V may be almost linearly dependent. For example, a static response is nearly a
+    sum of many modes. If the condition number of V exceeds a thousand, the result is the matrix Q
+    of the factorisation ``V = Q R``. For each q, the first q columns of Q and of V span the same
+    space. If V is well-conditioned, the result is V.
 
     >>> abs(improve_conditioning(np.array([[1.0, 1.0], [0.0, 1e-6]]))).round(9)
     array([[1., 0.],
            [0., 1.]])
     """
-    spectrum = np.linalg.eigvalsh(V.T @ V)  # squares of the singular values
+    spectrum = np.linalg.eigvalsh(V.T @ V)  # squared singular values of V
     if spectrum[0] * MAX_CONDITION**2 >= spectrum[-1]:
         return V
     return np.linalg.qr(V)[0]
@@ -110,7 +111,7 @@ def _require_real_matrix(value: Any, where: str, rows: int) -> np.ndarray:
     expected = f"a real array of {rows} rows, one for each coordinate of task.model"
     try:
         V = np.asarray(value)
-    except ValueError:  # the rows have different lengths
+    except ValueError:  # NumPy rejects rows of different lengths
         V = np.empty(0, dtype=object)
     if V.dtype.kind == "c":
         advice = "use real and imaginary parts: np.linalg.qr(np.hstack([V.real, V.imag]))[0]"
@@ -129,7 +130,7 @@ def _require_real_matrix(value: Any, where: str, rows: int) -> np.ndarray:
 
 
 def _find_dependent_column(V: np.ndarray) -> int | None:
-    """Return the index of the first column that depends on earlier columns, or None."""
+    """Return the index of the first linearly dependent column, or None."""
     norms = np.linalg.norm(V, axis=0)
     distance = np.zeros(V.shape[1])
     diagonal = np.abs(np.diag(np.linalg.qr(V / np.where(norms > 0, norms, 1.0), mode="r")))

@@ -1,7 +1,7 @@
 """Block Krylov subspace at one expansion point, s0 = 0.
 
 The basis of a larger order contains the bases of all smaller orders. The static responses to all
-ports are exact, and each block of vectors matches two moments of a model with definite matrices.
+ports are exact. For a model with definite matrices, each block of vectors matches two moments.
 """
 
 from __future__ import annotations
@@ -17,22 +17,23 @@ from kc2spice.rom.reduced_basis import ReducedBasis, ReductionTask
 from kc2spice.rom.reductors.base import Reductor
 from kc2spice.rom.response import Response
 
-# Number of blocks beyond the requested order, for the error estimate; found by trials.
-# The change of the response by the second block shows whether the first block was sufficient.
+# Number of additional blocks for the error estimate, found by trials. The change of the response by
+# the second additional block shows whether the first was sufficient.
 EXTRA_BLOCKS = 2
-# Number of Krylov vectors for a requested tolerance, per state of the intermediate model.
-# The number was found by trials; the intermediate model may have several expansion points.
+# Ratio of the number of Krylov vectors to the number of states of the intermediate model. The ratio
+# was found by trials. The intermediate model may have several expansion points.
 VECTORS_PER_STATE = 2
-# a candidate vector is dependent if its part outside of the basis is below this share of its length
+# largest part of a dependent vector outside of the span of the basis, relative to its length
 DEFLATION_LIMIT = 1e-10
 Operator = Callable[[np.ndarray], np.ndarray]
 
 
 class BlockKrylov(Reductor):
-    """Block Krylov vectors at zero frequency by block Arnoldi with the inner product of K.
+    """Block Krylov vectors at zero frequency, orthonormal in the inner product of K.
 
     The vectors span ``{X, A X, A^2 X, ...}`` with ``X = K^-1 B`` and ``A = K^-1 M`` (equations 6
-    and 7 of the reference). K must be definite, and damping proportional or zero.
+    and 7 of the reference). The matrix K must be definite, and damping must be proportional or
+    zero.
 
     Examples
     --------
@@ -52,7 +53,7 @@ class BlockKrylov(Reductor):
     reference = "Schütz, Maeter and Bechtold, Actuators 10 (2021) 279, section 2.3"
 
     def obstacle(self, task: ReductionTask) -> str:
-        """Return the reason why the method does not apply to this model, "" if it applies.
+        """Return the reason why the method does not apply to a model, "" if it applies.
 
         The method needs a positive definite K, and proportional or no damping.
         """
@@ -67,8 +68,8 @@ class BlockKrylov(Reductor):
         return "its stiffness matrix is not positive definite"
 
     def basis(self, task: ReductionTask) -> ReducedBasis:
-        """Return nested Krylov vectors and the full-order model projected on them."""
-        if not task.intermediate.proof:  # the order is prescribed, and the Krylov basis exists
+        """Return nested Krylov vectors and the projection of the full-order model."""
+        if not task.intermediate.proof:  # for a prescribed order, the Krylov basis is already known
             V = task.intermediate.basis
             return ReducedBasis(task, task.intermediate.pencil, vectors=V, coordinates="full order")
         V = compute_krylov_vectors(task.pencil, VECTORS_PER_STATE * task.intermediate.pencil.size)
@@ -93,9 +94,10 @@ def compute_krylov_vectors(pencil: Pencil, count: int) -> np.ndarray:
 def make_nested_model(
     pencil: Pencil, order: int, space: BlockArnoldi | None = None
 ) -> IntermediateModel:
-    """Return the model of a Krylov basis with two blocks more than ``order``, to estimate errors.
+    """Return the projection on ``order`` Krylov vectors and two additional blocks.
 
-    ``space`` is the Krylov subspace of the model if this subspace is known.
+    The projection serves as a reference for error estimates. ``space`` is the Krylov subspace of
+    the model, if already known.
     """
     count = order + EXTRA_BLOCKS * pencil.B.shape[1]
     V = (space or make_krylov_space(pencil)).vectors(count)
@@ -118,19 +120,19 @@ class BlockArnoldi:
     """Nested bases V of ``span{X, AX, A^2 X, ...}`` with ``V'KV = 1``.
 
     Here ``X = K^-1 B`` and ``A = K^-1 M``. The first q columns of V are the basis of order q. The
-    columns of a block have the sequence of the ports, and the last block may be incomplete. The
-    first block contains the static responses to all ports. A one-sided projection matches two
-    moments per block.
+    columns of a block are in the order of the ports. The last block may be incomplete. The first
+    block contains the static responses to all ports. A one-sided projection matches two moments per
+    block.
     """
 
     def __init__(self, stiffness: Operator, solve: Operator, mass: Operator, B: np.ndarray) -> None:
         self._solve, self._mass = solve, mass
         self._basis = OrthonormalBasis(stiffness, B.shape[0])
-        # right-hand sides of the next block, empty if there is no next block
+        # right-hand sides of the equations for the next block, empty after the last block
         self._right_sides: np.ndarray = B
 
     def vectors(self, count: int) -> np.ndarray:
-        """Return the first ``count`` columns, or fewer if the Krylov subspace has fewer."""
+        """Return the first ``count`` basis vectors, or all if there are fewer vectors."""
         while self._basis.vectors.shape[1] < count and self._right_sides.shape[1]:
             columns, _ = self._basis.extend(self._solve(self._right_sides))
             self._right_sides = self._mass(columns)
@@ -138,7 +140,7 @@ class BlockArnoldi:
 
 
 class OrthonormalBasis:
-    """Growing basis V (n, k) with ``V'KV = 1``, and the products ``K V``.
+    """Growing basis V (n, k) with ``V'KV = 1``, and the stored products ``K V``.
 
     Inner products ``V'K x`` use the stored products ``K V`` instead of new products with K.
 
@@ -166,17 +168,17 @@ class OrthonormalBasis:
         return self._images[:, : self._count]
 
     def extend(self, candidates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Extend the basis by candidates (n, m), and return the new columns of V and of ``K V``.
+        """Extend the basis by candidates (n, m); return the new columns of V and ``K V``.
 
         Candidates that depend linearly on earlier vectors are omitted.
         """
         lengths = np.sqrt(np.einsum("ki,ki->i", candidates, self._stiffness(candidates)))
-        # One product for the whole block takes a fraction of the time of a product for each column.
+        # One matrix product for the whole block is much faster than one product for each column.
         candidates = candidates - self.vectors @ (self.stiffness_products.T @ candidates)
         self._reserve_columns(candidates.shape[1])
         old = self._count
         for vector, length in zip(candidates.T, lengths, strict=True):
-            for first in (old, 0):  # two passes suffice (Kahan, Parlett)
+            for first in (old, 0):  # two orthogonalisation passes are enough (Kahan and Parlett)
                 V, KV = self.vectors[:, first:], self.stiffness_products[:, first:]
                 vector = vector - V @ (KV.T @ vector)
             image = self._stiffness(vector)
@@ -195,7 +197,7 @@ class OrthonormalBasis:
         self._count = both.stop
 
     def _reserve_columns(self, count: int) -> None:
-        """Allocate memory for ``count`` more columns, and for at least twice as many as before."""
+        """Allocate memory for ``count`` more columns, and at least double the capacity."""
         if self._count + count <= self._vectors.shape[1]:
             return
         shape = len(self._vectors), 2 * self._count + count

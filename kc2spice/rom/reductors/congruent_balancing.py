@@ -1,8 +1,8 @@
-"""Balanced truncation of symmetric first-order models, such as networks of R and C.
+"""Balanced truncation of symmetric first-order models, such as RC networks.
 
-The controllability and the observability Gramian of a symmetric model are equal. The balanced
-coordinates are therefore orthonormal in E, and truncation preserves symmetry, real poles and
-passivity.
+The controllability Gramian of a symmetric model equals the observability Gramian. Balanced
+coordinates are therefore orthonormal in the inner product of E. Truncation preserves symmetry, real
+poles and passivity.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from kc2spice.rom.reductors.base import Reductor
 class CongruentBalancing(Reductor):
     """Balanced truncation of ``E x' = A x + B u``, ``y = B'x`` with symmetric E and A.
 
-    In the coordinates of the modes ``X'EX = 1``, ``-X'AX = diag(r)``, both Gramians are ``P_ij =
-    b_i b_j' / (r_i + r_j)`` with the rows ``b_i`` of ``X'B``. The basis is ``V = X U`` with the
-    eigenvectors U of P. The eigenvalues of P are the Hankel singular values. The static responses
-    of conservative ports come first in the basis.
+    The modes X satisfy ``X'EX = 1`` and ``-X'AX = diag(r)``. In modal coordinates, both Gramians
+    are ``P_ij = b_i b_j' / (r_i + r_j)`` with the rows ``b_i`` of ``X'B``. The basis is ``V = X U``
+    with the eigenvectors U of P. The eigenvalues of P are the Hankel singular values. The static
+    responses of conservative ports come first in the basis.
 
     Examples
     --------
@@ -49,7 +49,7 @@ class CongruentBalancing(Reductor):
     no_basis = NOT_STABLE_TEXT
 
     def obstacle(self, task: ReductionTask) -> str:
-        """Return the reason why the Gramians are not equal, or do not exist."""
+        """Return the reason why the method does not apply to a model, "" if it applies."""
         core = task.pencil_without_rigid_modes
         if core.degree == 2:
             return "the model is of second order"
@@ -58,15 +58,15 @@ class CongruentBalancing(Reductor):
         return explain_no_gramians(task)
 
     def basis(self, task: ReductionTask) -> ReducedBasis | None:
-        """Return the balanced model; None if the model is not strictly stable."""
+        """Return the balanced model, or None if the model is not strictly stable."""
         return task.get_shared_value(self.name, lambda: self._balance(task))
 
     def _balance(self, task: ReductionTask) -> ReducedBasis | None:
-        """Return the basis of static responses and of eigenvectors of the Gramian of a task."""
+        """Return the basis of static responses and of eigenvectors of the Gramian."""
         core = task.pencil_without_rigid_modes
         try:
             rates, X = scipy.linalg.eigh(*core.coefficients)
-        except scipy.linalg.LinAlgError:  # E is singular: some unknowns have no capacity
+        except scipy.linalg.LinAlgError:  # E is singular if unknowns have no capacity
             return None
         if rates[0] <= MIN_DECAY * task.band[1]:
             return None
@@ -80,7 +80,7 @@ class CongruentBalancing(Reductor):
         others = np.eye(len(rates)) - static @ static.T
         hankel, U = np.linalg.eigh(others @ gramian @ others)
         count = int((hankel > HANKEL_ROUNDING * hankel[-1]).sum())
-        # further eigenvectors are rounding errors
+        # at most this number of eigenvectors is independent of the static responses
         count = min(count, len(rates) - static.shape[1])
         directions = np.hstack([static, U[:, ::-1][:, :count]])
         return task.project(X @ directions, fixed=static.shape[1])

@@ -1,8 +1,8 @@
-"""Rational Krylov subspaces of definite models, at zero and at real shifts.
+"""Rational Krylov subspaces of definite models at zero and at real shifts w^2.
 
-``K - w^2 M`` is the same real matrix for both expansion points +-j w, so all vectors and all
+The real matrix ``K - w^2 M`` belongs to both expansion points +j w and -j w, so all vectors and all
 factorisations are real. Blocks of vectors are added at one shift w^2 as long as each block changes
-the response much less than the block before. The next shift is the frequency at which the last
+the response much less than the previous block. The next shift is at the frequency at which the last
 block changed the response most.
 """
 
@@ -27,15 +27,15 @@ from kc2spice.rom.rigid_body import estimate_hidden_frequency
 from kc2spice.rom.rounding import add_rounding_floor, estimate_removed_stiffness, find_zero_entries
 
 # Largest number of blocks at the expansion point zero and at a shift, found by trials.
-# Blocks at the expansion point zero are cheaper as long as they converge.
-# A Cholesky factor at zero takes a fraction of the time and memory of the factor at a shift.
+# Blocks at the expansion point zero are cheaper, as long as the response converges. A Cholesky
+# factor at zero takes a fraction of the time and memory of the factor at a shift.
 BLOCKS_AT_ZERO = 60
 BLOCKS_AT_SHIFT = 3
 # Usual number of blocks for solids with several modes in the band.
 # The first estimate of the remaining time assumes USUAL_BLOCKS blocks.
 USUAL_BLOCKS = 14
-# Smallest ratio (change of the response by the previous block) / (change by the last block).
-# Below the ratio MIN_REDUCTION, the next block is computed at a new expansion point.
+# Smallest ratio of the change of the response by the previous block to the change by the last
+# block. Below this ratio, the next block is computed at a new expansion point.
 MIN_REDUCTION = 3.0
 # smallest distance of two expansion points, relative to the upper band limit
 MIN_POINT_DISTANCE = 1e-3
@@ -48,13 +48,14 @@ def reduce_definite_model(
     limit: float,
     body: FreeBody | None = None,
 ) -> IntermediateModel:
-    """Return a reduced definite model whose error over ``band`` [Hz] is at most ``target``.
+    """Reduce a definite model to an error of at most ``target`` over ``band`` [Hz].
 
-    If rounding errors prevent an error of ``target``, the error is at most ``limit``. The error is
-    estimated as the change of the response by each of the last two blocks.
+    If rounding errors prevent an error of ``target``, the error is at most ``limit``. The error
+    estimate is the change of the response by the last block. The estimates of the last two blocks
+    must be at most ``target``.
 
-    For a free ``body``, rigid-body modes are deflated, and a small negative shift replaces the
-    expansion point zero.
+    For an unsupported ``body``, rigid-body modes are deflated, and a small negative shift replaces
+    the expansion point zero.
 
     Raises
     ------
@@ -86,7 +87,7 @@ def reduce_definite_model(
             basis = V @ coordinates
         response = Response(small)
         response.zero = find_zero_entries(pencil, basis, response, band)
-        # the frequencies beside resonances include notches, at which the response converges last
+        # frequencies beside resonances include notches, at which the response converges last
         frequency = sample_band(response, band, GRID_FREQUENCIES, not small.free, (0.0, 1.0, 4.0))
         s = 2j * np.pi * frequency
         H = response.transfer(s)

@@ -1,10 +1,10 @@
 """Oblique projection of ill-conditioned dense models on refined solutions.
 
-If rounding errors of large entries of a matrix exceed the entries of slow motions, neither
-eigenvectors nor projections are accurate. Solutions are accurate if they are refined with residuals
-in extended precision. The solutions ``X = P(s)^-1 B`` and ``Y = P(s)^-T C'`` at a few frequencies
-span two bases. Because ``A X = s E X - B``, the projection of the model on these bases needs no
-product with the large matrix A.
+In some models, rounding errors of large matrix entries exceed the entries of slow motions.
+Eigenvectors and projections of such models are inaccurate. Solutions are accurate if they are
+refined with residuals in extended precision. The solutions ``X = P(s)^-1 B`` and ``Y = P(s)^-T C'``
+at a few frequencies span two bases. A projection of the model on both bases needs the product ``A
+X``, which is computed as ``s E X - B``, without the inaccurate matrix A.
 
 Source: balancing by samples, Gosea, Gugercin and Beattie, SIAM J. Sci. Comput. 44 (2022),
 arXiv:2104.01006.
@@ -30,22 +30,22 @@ from kc2spice.rom.response import (
 )
 from kc2spice.rom.rounding import describe_uncertainty, estimate_rounding_uncertainty
 
-# numbers of frequencies, found by trials
+# the following numbers of frequencies were found by trials
 FIRST_SAMPLES = 12  # number of samples before the error is first estimated
 MAX_SAMPLES = 90  # largest number of samples
 CANDIDATE_FREQUENCIES = 151  # number of candidate frequencies for the next sample
-# Candidates for the relative singular value below which directions are noise.
-# The candidate with the smallest error at the samples is used.
+# Candidates for the relative singular value below which singular vectors are omitted as noise. The
+# candidate with the smallest error at the samples is used.
 NOISE_LIMITS = 10.0 ** -np.arange(13, 6, -1)
 
 
 def split_real_parts(x: np.ndarray) -> list[np.ndarray]:
-    """Return real vectors that span the same space as complex vectors."""
+    """Return the real parts of complex vectors, and the nonzero imaginary parts."""
     return [x.real, x.imag] if np.iscomplexobj(x) and x.imag.any() else [x.real]
 
 
 class ExactSamples:
-    """Solutions of the full model at sample frequencies, and projections on these solutions."""
+    """Solutions of the full model at sample frequencies, and projections on them."""
 
     def __init__(self, pencil: Pencil) -> None:
         self.pencil = pencil
@@ -75,7 +75,7 @@ class ExactSamples:
         self._left = np.hstack([self._left, *split_real_parts(y / np.linalg.norm(y, axis=0))])
 
     def model(self) -> tuple[Pencil, float]:
-        """Return the oblique projection that best reproduces the samples, and its error.
+        """Return the oblique projection with the smallest error, and this error.
 
         The error is the largest relative error at the samples.
         """
@@ -100,7 +100,8 @@ class ExactSamples:
     def compute_relative_errors(self, difference: np.ndarray, H: np.ndarray) -> np.ndarray:
         """Return the magnitude of ``difference`` relative to ``H``.
 
-        The divisor is the magnitude of ``H``, but at least a share of the peak of all samples.
+        The divisor of an entry is its magnitude in ``H``, but at least a share of its peak in all
+        samples.
         """
         return compute_relative_errors(difference, H, EntryScales.from_response(self.H))
 
@@ -160,9 +161,9 @@ def reduce_by_samples(
 
 
 def _remove_growing_poles(small: Pencil) -> Pencil:
-    """Remove growing poles, which are rounding errors of a stable model.
+    """Remove the growing poles of a stable model, which rounding errors have caused.
 
-    The matrices of the result consist of real blocks, one for each pole or pair of poles.
+    The result consists of decoupled real blocks, one for each real pole or pair of complex poles.
     """
     from kc2spice.rom.decoupled_blocks import decouple_states
 

@@ -1,10 +1,11 @@
 """Rational Krylov basis to which one expansion point after another is added.
 
-Points are chosen alternately by two criteria: the largest residual, and the largest change of the
-response by the last point. The residual is estimated with random combinations of the equations (a
-sketch). At each point, the solution of the full model first tests the projected model. Then the
-solution of the full model and its derivative with respect to s are added to the basis. Real and
-imaginary parts are separate vectors, so that all matrices remain real.
+Points are chosen alternately by two criteria: where the residual is largest, and where the last
+point has changed the response most. The residual is estimated with random combinations of the
+equations (a sketch). At each point, the projected model is first compared with the solution of the
+full model. After the comparison, the solution of the full model and its derivative with respect to
+s are added to the basis. Real and imaginary parts are separate vectors, so that all matrices remain
+real.
 """
 
 from __future__ import annotations
@@ -27,14 +28,14 @@ from kc2spice.rom.rounding import ZERO_ENTRY_FACTOR, find_zero_entries
 # Largest residual of K x = B, relative to B, for which a model counts as supported.
 # The matrix K of an unsupported model is singular.
 SINGULAR_RESIDUAL = 1e-6
-# numbers found by trials
+# the following numbers were found by trials
 SKETCH_SIZE = 32  # number of random combinations of equations that represent all residuals
-# number of frequencies of each grid of candidates: a linear and a logarithmic grid
+# number of candidate frequencies in the linear grid and in the logarithmic grid
 CANDIDATE_FREQUENCIES = 101
 
 
 class GreedyBasis:
-    """Rational Krylov basis, with the projections that the estimate of residuals needs.
+    """Rational Krylov basis, and projections for the estimates of residuals.
 
     If ``static`` is true, the basis begins with the static responses.
     """
@@ -79,8 +80,8 @@ class GreedyBasis:
     def choose_next_point(self) -> complex:
         """Choose the next expansion point.
 
-        The point is alternately the candidate with the largest residual, and the candidate with the
-        largest change of the response by the last point.
+        Candidates are chosen alternately by the largest residual, and by the largest change of the
+        response that the last point caused.
         """
         points = self._list_candidate_frequencies()
         s = 2j * np.pi * points
@@ -111,7 +112,7 @@ class GreedyBasis:
         return sample_band(self.response, self.band, CANDIDATE_FREQUENCIES, self.static)
 
     def _add_static(self) -> bool:
-        """Add the static responses to the basis; return False for a free model without them."""
+        """Add the static responses to the basis, or return False if none exist."""
         b = self.pencil.B
         try:
             answers = self.solve(0.0)
@@ -163,8 +164,8 @@ class GreedyBasis:
         """Separate the rigid-body motion of the projected model.
 
         A motion is a rigid-body motion if its energy is within the rounding errors of the entries
-        of the full model. If the model has a static response, no input excites this motion, and the
-        motion is omitted.
+        of the full model. If the model has a static response, no input excites a rigid-body motion,
+        and such motions are omitted.
         """
         V, coefficients = self.modal_basis, self.pencil.coefficients
         sizes, eps = list(map(compute_absolute_entries, coefficients)), np.finfo(float).eps
@@ -182,21 +183,21 @@ class GreedyBasis:
 
     @property
     def frequencies(self) -> tuple[float, ...]:
-        """Frequencies [Hz] of the expansion points, in the sequence in which they were added."""
+        """Frequencies [Hz] of the expansion points, in the order of addition."""
         return tuple(float(abs(s) / (2 * np.pi)) for s in self._used)
 
     @property
     def modal_basis(self) -> np.ndarray:
-        """Basis of the same subspace, in which each column is a mode of the projected model.
+        """Basis of the Krylov subspace, with one mode of the projected model per column.
 
-        Projected matrices of thin bodies are small differences of large numbers. A projection on
-        modes has fewer small differences of large numbers, and therefore smaller rounding errors.
+        Projected matrices of thin bodies are small differences of large numbers. In a projection on
+        modes, fewer entries are small differences, so rounding errors are smaller.
         """
         return self.basis @ self.turn
 
 
 class _Sketch:
-    """Estimate of residuals of ``P(s) V x(s) = b`` by random combinations of the equations."""
+    """Estimate of residuals of ``P(s) V x(s) = b`` by random sums of equations."""
 
     def __init__(self, sketch: np.ndarray, coefficients: tuple[Any, ...], b: np.ndarray) -> None:
         self._rows = [np.asarray((P.T @ sketch.T).T) for P in coefficients]
@@ -226,7 +227,7 @@ def _compute_modes(pencil: Pencil) -> np.ndarray:
         K, _, M = pencil.coefficients
         try:
             return np.asarray(scipy.linalg.eigh(K, M)[1])
-        except np.linalg.LinAlgError:  # the mass matrix is not positive definite
+        except np.linalg.LinAlgError:  # undamped modes need a positive definite mass matrix
             pass
     return np.eye(pencil.size)
 
@@ -234,12 +235,12 @@ def _compute_modes(pencil: Pencil) -> np.ndarray:
 def _find_independent_directions(basis: np.ndarray, new: np.ndarray) -> np.ndarray:
     """Compute orthonormal directions of ``new`` outside of the span of ``basis``.
 
-    Dependent directions are omitted.
+    Linearly dependent directions are omitted.
     """
     result = np.empty((basis.shape[0], 0))
     for column in new.T:
         length = np.linalg.norm(column)
-        for _ in range(2):  # two passes suffice (Kahan, Parlett)
+        for _ in range(2):  # two orthogonalisation passes are enough (Kahan and Parlett)
             column = column - basis @ (basis.T @ column)
             column = column - result @ (result.T @ column)
         rest = np.linalg.norm(column)

@@ -20,12 +20,12 @@ from kc2spice.rom.response import Response
 
 POLE_TOLERANCE = 1e-9  # relative change of the poles at which the iteration ends
 MAX_ITERATIONS = 100  # largest number of iterations, found by trials
-# largest error of a balanced model, relative to the tolerance, from which the iteration starts
+# largest error of a balanced model, relative to the tolerance, at which the iteration is tried
 MAX_START_ERROR = 10.0
 
 
 class Irka(Reductor):
-    """Tangential interpolation at mirror images of the reduced model's poles.
+    """Tangential interpolation at the mirrored poles of the reduced model.
 
     A model of order q with poles ``l_i`` and residues ``c_i b_i'`` gives the projection ``V =
     [(-l_i - A)^-1 B b_i]`` and ``W = [(-l_i - A)^-T C' c_i]``. The iteration begins with a model of
@@ -36,12 +36,12 @@ class Irka(Reductor):
         H(-l_i) b_i = H_q(-l_i) b_i     c_i'H(-l_i) = c_i'H_q(-l_i)
         c_i'H'(-l_i) b_i = c_i'H_q'(-l_i) b_i
 
-    Each order has a separate basis, so a reduction to a tolerance takes longer than with nested
-    bases. The H2 norm includes all frequencies.
+    Each order has a separate basis, so a reduction to a tolerance takes longer than a reduction
+    with nested bases. The H2 norm includes all frequencies.
 
     Examples
     --------
-    A model with one state interpolates the response of three relaxations at the mirror image of its
+    A model with one state has the same response as three relaxations at the mirror image of the
     pole.
 
     >>> import numpy as np
@@ -61,14 +61,14 @@ class Irka(Reductor):
     no_basis = NOT_STABLE_TEXT
 
     def obstacle(self, task: ReductionTask) -> str:
-        """Return the reason why the model has no Gramians.
+        """Return the reason why the method does not apply to a model, "" if it applies.
 
         The iteration starts from balanced truncation, which needs Gramians.
         """
         return explain_no_gramians(task)
 
     def basis(self, task: ReductionTask) -> ReducedBasis | None:
-        """Return the models of all orders; each model is computed when it is first used.
+        """Return the models of all orders; a model is computed at its first use.
 
         Return None if the full model is not strictly stable.
         """
@@ -83,19 +83,19 @@ class OptimalModels(ReducedBasis):
     """Models that are locally optimal in the H2 norm.
 
     ``pencil`` is the balanced model. The iteration for an order starts from the balanced model that
-    is truncated to this order.
+    is truncated to the order.
     """
 
     def get_response_of_order(self, order: int) -> Response:
-        """Return the response of the optimal model of this order."""
+        """Return the response of the optimal model of a given order."""
         if order not in self.responses:
             self.responses[order] = Response(self._compute_optimal_model(order))
         return self.responses[order]
 
     def is_acceptable(self, order: int, tolerance: float) -> bool:
-        """Return whether the model of this order is stable and within the tolerance.
+        """Return whether the model of a given order is stable and within the tolerance.
 
-        If the error of the balanced model of this order is large, the iteration is skipped.
+        If the balanced model of the same order has a large error, the iteration is skipped.
         """
         limit = MAX_START_ERROR * tolerance
         if not self.balanced_models.estimate_model_error(order, limit) <= limit:
@@ -112,7 +112,7 @@ class OptimalModels(ReducedBasis):
         return None
 
     def _compute_optimal_model(self, order: int) -> Pencil:
-        """Return the optimal model of this order; the iteration starts from the balanced model."""
+        """Return the optimal model of a given order, computed from the balanced model."""
         count = order - self.pencil.free
         if count <= 0:
             return self.pencil.truncate_to_order(order)
@@ -139,7 +139,7 @@ class OptimalModels(ReducedBasis):
 
 
 def compute_residues(pencil: Pencil) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the poles (q,) of a model, and the factors of their residues ``c_i b_i'``.
+    """Return the poles (q,) of a model, and factors of the residues ``c_i b_i'``.
 
     The factors c have the shape (q, outputs), and the factors b have the shape (q, inputs).
     """
@@ -148,14 +148,14 @@ def compute_residues(pencil: Pencil) -> tuple[np.ndarray, np.ndarray, np.ndarray
 
 
 def mirror_poles(poles: np.ndarray) -> np.ndarray:
-    """Return the mirror image ``-l`` of each stable pole l; unstable poles are not mirrored."""
+    """Return the mirror images ``-l`` of stable poles l, and all unstable poles."""
     return np.asarray(np.abs(poles.real) - 1j * poles.imag)
 
 
 def interpolate_response(
     full: Response, shifts: np.ndarray, left: np.ndarray, right: np.ndarray
 ) -> Pencil:
-    """Return the model that interpolates ``full`` at shifts along left and right directions."""
+    """Return the tangential interpolation of ``full`` at ``shifts``."""
     V = _compute_real_basis(shifts, full.states(shifts) @ right[:, :, None])
     W = _compute_real_basis(shifts, full.dual_response.states(shifts) @ left[:, :, None])
     pencil, inner = full.pencil, W.T @ V
@@ -164,7 +164,7 @@ def interpolate_response(
 
 
 def _compute_real_basis(shifts: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """Return a real orthonormal basis (n, q) of complex vectors (q, n, 1) at conjugate shifts."""
+    """Return a real orthonormal basis (n, q) of complex conjugate vectors (q, n, 1)."""
     real, pairs = shifts.imag == 0, shifts.imag > 0
     columns = [vectors[real, :, 0].real, vectors[pairs, :, 0].real, vectors[pairs, :, 0].imag]
     return np.asarray(np.linalg.qr(np.concatenate(columns).T)[0])

@@ -1,4 +1,4 @@
-"""Rational Krylov subspaces: solutions of a model, and their derivatives, at several points."""
+"""Rational Krylov subspaces: solutions of a model at several expansion points."""
 
 from __future__ import annotations
 
@@ -21,28 +21,30 @@ from kc2spice.rom.rounding import add_rounding_floor, estimate_removed_stiffness
 # limits of the computing time, found by trials; the method fails beyond these limits
 MAX_VECTORS = 600  # largest number of vectors of a basis
 MAX_POINTS = 180  # largest number of factorisations
-# number of successive points whose errors must meet the target; one point may do so by chance
+# number of successive points whose errors must meet the target; a single error may be small by
+# chance
 CONFIRMATIONS = 2
 MANY_POINTS = 20  # number of factorisations of a large model that causes a warning
 LARGE_UNKNOWNS = 10_000  # smallest number of unknowns of a large model, found by trials
-USUAL_POINTS = 10  # number of factorisations that the first estimate of the remaining time assumes
-# error at which the basis is complete, as a share of the tolerance; found by trials
+USUAL_POINTS = 10  # number of factorisations assumed for the first estimate of the remaining time
+# error at which the basis is complete, relative to the tolerance; found by trials
 BASIS_SHARE = 0.01
 
 
 class RationalKrylov(Reductor):
     """Reduction by rational Krylov vectors at greedily chosen expansion points.
 
-    The basis contains the solutions ``P(s)^-1 B`` and their derivatives at points ``s = j w``. The
-    projection interpolates the response and its slope at each point. For an unsymmetric model,
-    solutions of the dual model are added. The vectors have the sequence of their points: first zero
-    frequency, then the end of the band, then points with the largest residual.
+    The basis contains the solutions ``P(s)^-1 B``, and the derivatives of these solutions, at
+    points ``s = j w``. The projection interpolates the response and its slope at each point. For an
+    unsymmetric model, solutions of the dual model are added. The vectors are in the order in which
+    expansion points are added: first zero frequency, then the end of the band, then greedily chosen
+    points.
 
     Parameters
     ----------
     points : sequence of floats, optional
-        Expansion points in Hz that replace the greedily chosen points. The vectors have the
-        sequence of these points.
+        Expansion points in Hz that replace the greedily chosen points. The basis vectors have the
+        order of the given points.
 
     Raises
     ------
@@ -50,7 +52,7 @@ class RationalKrylov(Reductor):
 
     Examples
     --------
-    The response at the end of the band is exact, because it is an expansion point.
+    The response at the end of the band is exact, because this frequency is an expansion point.
 
     >>> import numpy as np
     >>> import kc2spice as kc
@@ -71,7 +73,7 @@ class RationalKrylov(Reductor):
         self.points = None if points is None else _require_frequencies(points)
 
     def basis(self, task: ReductionTask) -> ReducedBasis:
-        """Return the projection on the Krylov vectors, in the sequence of their points."""
+        """Return the projection on Krylov vectors, in the order of expansion points."""
         if self.points is not None:
             search = GreedyBasis(task.pencil_without_rigid_modes, task.band, static=False)
             for s in 2j * np.pi * self.points:
@@ -89,7 +91,7 @@ class RationalKrylov(Reductor):
         ):
             try:
                 error, grown = search.add_checked_point(search.choose_next_point())
-            except SimulationError:  # no candidate is left
+            except SimulationError:  # no candidate frequency is left
                 break
             confirmations = (
                 confirmations + 1 if max(error, search.change) <= target or not grown else 0
@@ -118,9 +120,9 @@ def reduce_by_rational_krylov(
 ) -> IntermediateModel:
     """Return a reduced model with an error within ``target`` over ``band`` [Hz].
 
-    If rounding errors prevent this accuracy, the error is within ``limit``. The error is computed
-    at the last points, before their solutions are added to the basis. ``most`` is the largest
-    number of factorisations.
+    If rounding errors prevent an error of ``target``, the error is within ``limit``. At each of the
+    last expansion points, the error is computed before the solution is added to the basis. ``most``
+    is the largest number of factorisations.
 
     Raises
     ------
@@ -144,8 +146,8 @@ def reduce_by_rational_krylov(
                 f"{target:.0e}; {advice}",
                 stacklevel=2,
             )
-        # If the basis was extended, only the last error still applies.
-        # A point next to an earlier point neither extends the basis nor tests other frequencies.
+        # Errors before an extension of the basis no longer apply. A point close to an earlier point
+        # does not extend the basis, and its error is only one sample.
         recent = [*recent[-1:], error] if grown or idle else [error]
         idle = 0 if grown else idle + 1
         if CONFIRMATIONS in (confirmations, idle):

@@ -37,10 +37,10 @@ _reductors: dict[str, Reductor] = {reductor.name: reductor for reductor in _BUIL
 
 
 def register_reductor(reductor: Reductor) -> Reductor:
-    """Register a reduction method for the argument ``method`` of :func:`kc2spice.reduce`.
+    """Register a reduction method for the argument ``method`` of ``kc2spice.reduce``.
 
-    The method replaces an earlier method of the same name. If :func:`kc2spice.reduce` is called
-    without ``method``, it tries only built-in methods: response POD and the variants of balanced
+    The new method replaces an earlier method of the same name. Without the argument ``method``,
+    :func:`kc2spice.reduce` tries only built-in methods: response POD and the variants of balanced
     truncation.
 
     Parameters
@@ -78,7 +78,7 @@ def register_reductor(reductor: Reductor) -> Reductor:
 
 
 def _require_reductor(value: object, where: str) -> Reductor:
-    """Return the value if it is a reductor with a name, or otherwise raise UsageError."""
+    """Return the value if it is a reductor with a name; otherwise, raise UsageError."""
     if isinstance(value, Reductor) and isinstance(value.name, str) and value.name:
         return value
     expected, got = "an instance of a subclass of kc.Reductor with a name", repr(value)
@@ -97,7 +97,7 @@ def _require_reductor(value: object, where: str) -> Reductor:
 
 @cache
 def _load_installed_reductors() -> None:
-    """Register the reduction methods of installed packages, unless their names are in use."""
+    """Register the reduction methods of installed packages with unused names."""
     for name in list_entry_points(ENTRY_POINT_GROUP):
         where = f"entry point {name} of {ENTRY_POINT_GROUP}"
         reductor = _require_reductor(load_plugin(ENTRY_POINT_GROUP, name), where)
@@ -105,13 +105,13 @@ def _load_installed_reductors() -> None:
 
 
 def list_reductor_names() -> list[str]:
-    """Return the names of all registered and installed reduction methods, built-in ones first."""
+    """Return the names of all reduction methods, built-in methods first."""
     _load_installed_reductors()
     return list(_reductors)
 
 
 def require_method_name(name: str, where: str, advice: str) -> None:
-    """Raise UsageError if no reduction method has this name.
+    """Raise UsageError if no reduction method has the given name.
 
     ``where`` is the argument or option that contains the name. ``advice`` is the hint for the user
     if no registered name is similar.
@@ -122,11 +122,12 @@ def require_method_name(name: str, where: str, advice: str) -> None:
 
 
 def find_reductor(method: str | Reductor) -> Reductor:
-    """Return the reduction method with a name, or ``method`` itself if it is a reductor.
+    """Return the reductor that ``method`` names, or ``method`` if it is a reductor.
 
     Raises
     ------
-    UsageError : no reduction method has this name, or the value is neither a name nor a reductor.
+    UsageError : no reduction method has the given name, or ``method`` is neither a name nor a
+        reductor.
     """
     if not isinstance(method, str):
         return _require_reductor(method, "method")
@@ -139,8 +140,8 @@ def find_reductor(method: str | Reductor) -> Reductor:
 def list_suited_reductors(task: ReductionTask) -> list[Reductor]:
     """Return the default methods for a task: response POD and balanced truncation.
 
-    Congruences come first. Balancing over the band also represents notches, which are important
-    only in the norm *pointwise*.
+    Congruences come first. In the norm *pointwise*, balancing over the band comes next, because it
+    represents notches accurately.
     """
     congruences: list[Reductor] = [POD, CONGRUENT if task.is_collocated else TWO_SIDED_POD]
     if task.norm == "pointwise":

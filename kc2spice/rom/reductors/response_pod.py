@@ -13,19 +13,21 @@ from kc2spice.rom.reductors.base import Reductor
 from kc2spice.rom.reductors.snapshots import choose_snapshots, choose_tail_weight, weight_states
 from kc2spice.rom.response import Response
 
-# condition number of the stiffness above which the smallest energy of a mode is a rounding error
+# condition number of the stiffness matrix above which the smallest elastic energy of a mode is a
+# rounding error
 MAX_STIFFNESS_CONDITION = 1e12
 # largest relative singular value of snapshots that counts as a rounding error
 SINGULAR_VALUE_LIMIT = 1e-13
 # limits and factors of the fit of snapshot weights, found by trials
 MAX_SHORTENED_ORDER = 150  # largest order for which weights are fitted
 MAX_TRIALS = 12  # largest number of updates of the weights
-# smallest number of additional vectors from which a better basis is computed
+# smallest number of vectors beyond the order, from which a better basis is computed
 MIN_EXTRA_VECTORS = 20
 EXTRA_ERROR_SHARE = 0.5  # largest error with the additional vectors, relative to the tolerance
 # squared factor by which an update multiplies a weight at frequencies without error
 MIN_WEIGHT = 0.05
-# factor of the weights above the band in each trial; the certificate does not cover this range
+# factor by which each trial reduces the weights above the band, where the certificate does not
+# apply
 TAIL_FADING = 0.5
 
 
@@ -34,8 +36,9 @@ class ResponsePod(Reductor):
 
     The first basis vectors are the static responses to the ports, so static gains are exact. The
     other vectors are left singular vectors of snapshots of the response. The snapshots are weighted
-    for a relative error, in coordinates in which the elastic energy is a sum of squares. If
-    ``two_sided`` is true, snapshots of the dual model are added, as unsymmetric models require.
+    so that relative errors are small. In their coordinates, the elastic energy is a sum of squares.
+    If ``two_sided`` is true, snapshots of the dual model are added, which unsymmetric models
+    require.
 
     Examples
     --------
@@ -58,7 +61,7 @@ class ResponsePod(Reductor):
         self.name = "response POD" + (" of both sides" if two_sided else "")
 
     def basis(self, task: ReductionTask) -> ReducedBasis:
-        """Return the basis of static responses and of principal directions of all snapshots."""
+        """Return the basis of static responses and principal directions of snapshots."""
         core, free = task.pencil_without_rigid_modes, task.pencil_without_rigid_modes.free
         energy = _compute_energy_basis(
             core.without_rigid_body_modes, 2 * np.pi * task.band[1], task.intermediate.static
@@ -83,11 +86,10 @@ class ResponsePod(Reductor):
     def shorten_basis(
         self, basis: ReducedBasis, order: int, tolerance: float
     ) -> tuple[ReducedBasis, int]:
-        """Return a basis that meets the tolerance with fewer vectors, and its order.
+        """Return a basis that meets the tolerance with fewer vectors, and the order.
 
-        The weights of snapshots are increased at frequencies at which the model with one state
-        fewer has the largest error (Lawson's minimax fit). The weights above the band are decreased
-        in each trial.
+        Each trial increases the weights of snapshots where the model of the next lower order has
+        the largest errors (Lawson's minimax fit). Each trial decreases the weights above the band.
         """
         size, least = (
             min(basis.size, max(3 * order, order + MIN_EXTRA_VECTORS)),
@@ -138,9 +140,9 @@ class ResponsePod(Reductor):
 
 
 def _has_loaded_port(task: ReductionTask) -> bool:
-    """Return whether the model has a port whose input is a load, such as a force or heat flow.
+    """Return whether the input of any port is a load, such as a force or heat flow.
 
-    The static response of such a port remains exact.
+    The static responses to loads remain exact.
     """
     return any(port.is_flow_driven for port in task.fom.ports)
 
@@ -149,7 +151,7 @@ def _compute_static_responses(task: ReductionTask, response: Response) -> np.nda
     """Compute orthonormal vectors (n, k) that span the static responses of a model.
 
     The unknowns of rigid-body modes are omitted. If damping couples rigid-body modes to other
-    motions, the damping forces of these modes are also loads. If all ports are signals, static
+    motions, the damping forces of rigid-body modes count as loads. If all ports are signals, static
     responses are needed only for a band that begins at zero.
     """
     pencil, free = response.pencil, task.pencil_without_rigid_modes.free
@@ -166,7 +168,7 @@ def _compute_static_responses(task: ReductionTask, response: Response) -> np.nda
 def _compute_weighted_states(
     task: ReductionTask, response: Response, s: np.ndarray, weight: np.ndarray, two_sided: bool
 ) -> list[np.ndarray]:
-    """Return the weighted states of the model and, if ``two_sided`` is true, of its dual."""
+    """Return the weighted states of the model, and of its dual if ``two_sided``."""
     H = task.response.transfer(s)
     result = [weight_states(response, s, weight, H, task.norm)]
     if two_sided:
@@ -176,7 +178,7 @@ def _compute_weighted_states(
 
 
 def _scale_states(states: np.ndarray, factors: np.ndarray) -> np.ndarray:
-    """Multiply the states at each frequency by the factor of this frequency.
+    """Multiply the states at each frequency by a factor for the frequency.
 
     ``states`` and the result have the shape (n, 2 frequencies inputs), with the real parts before
     the imaginary parts.
@@ -188,10 +190,10 @@ def _scale_states(states: np.ndarray, factors: np.ndarray) -> np.ndarray:
 def _compute_energy_basis(pencil: Pencil, omega: float, static: bool) -> np.ndarray:
     """Compute coordinates in which the elastic energy is a sum of squares.
 
-    If the stiffness matrix is not definite, the dynamic stiffness at ``omega`` [rad/s] is used
-    instead. If the dynamic stiffness is not definite either, the result is the unit matrix. If
-    ``static`` is false, the stiffness matrix counts as singular, even if rounding errors permit a
-    Cholesky factor.
+    If the stiffness matrix is not definite, the sum of stiffness and inertia at ``omega`` [rad/s]
+    is used. If this sum is also not definite, the result is the unit matrix. If ``static`` is
+    false, the stiffness matrix counts as singular, even if a Cholesky factor exists due to rounding
+    errors.
     """
     rest, inertia = pencil.coefficients[0], pencil.coefficients[-1]
     dynamic = rest + omega**pencil.degree * inertia
@@ -209,8 +211,8 @@ def _compute_energy_basis(pencil: Pencil, omega: float, static: bool) -> np.ndar
 
 
 def _orthonormalise(columns: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """Return orthonormal vectors: first ``first``, then principal directions of ``columns``."""
-    for _ in range(2):  # a single projection would leave rounding errors
+    """Extend orthonormal vectors ``first`` by principal directions of ``columns``."""
+    for _ in range(2):  # the second projection removes rounding errors of the first
         columns = columns - first @ (first.T @ columns)
     return np.asarray(
         np.linalg.qr(np.hstack([first, _compute_principal_directions(columns)[0]]))[0]
@@ -227,7 +229,7 @@ def _select_significant_directions(columns: np.ndarray) -> np.ndarray:
 
 def _compute_principal_directions(columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Compute the left singular vectors and the singular values of ``columns``."""
-    # the triangular factor has the same singular values and fewer rows
+    # the transposed triangular factor has the same singular values and fewer columns
     if columns.shape[1] > 2 * columns.shape[0]:
         columns = np.asarray(np.linalg.qr(columns.T, mode="r")).T
     U, size, _ = np.linalg.svd(columns, full_matrices=False)

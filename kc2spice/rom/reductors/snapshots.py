@@ -1,8 +1,8 @@
 """Snapshots of a frequency response for reductions: frequencies and weights.
 
-A contact also excites a body above the band. A basis that is fitted only to the band has large
-errors above the band. Therefore, a model with mechanical ports has additional snapshots at higher
-frequencies, with small weights (the *tail*).
+A contact also excites a body above the band, where a basis that is fitted only to the band has
+large errors. Therefore, a model with mechanical ports has additional snapshots with small weights
+above the band (the *tail*).
 """
 
 from __future__ import annotations
@@ -16,21 +16,22 @@ from kc2spice.rom.linear_model import LinearModel, Norm
 from kc2spice.rom.response import Response, make_frequency_grid, sample_resonances
 
 # Number of points in the linear grid and in the logarithmic grid over the band.
-# The grids represent the response between resonances; every resonance has additional snapshots.
+# The grids sample the response between resonances. Each resonance has additional snapshots.
 GRID_POINTS = 101
 # settings of the snapshots above the band, found by trials
 TAIL_REACH = 8.0  # highest frequency of the snapshots, relative to the end of the band
 TAIL_POINTS = 150
-# Exponent with which the weights decrease above the band.
-# The spectrum of contact forces also decreases, because contact forces are smooth in time.
+# Weights above the band decrease with this power of the frequency, like the spectrum of contact
+# forces. Contact forces are smooth functions of time.
 TAIL_DECAY = 4
 # Smallest and largest weight of the tail at the end of the band.
-# With these weights, launches of the paper's chip with 20 to 31 states had errors of at most 3e-4.
-# With weights of at most 1e-2, the errors of the launches were larger.
+# With these weights, simulated launches of a chip with 20 to 31 states had errors of at most 3e-4.
+# With a largest weight of 1e-2, the errors of the launches were larger.
 TAIL_WEIGHTS = 4e-3, 5e-2
-# weight of the tail, relative to the square root of the tolerance (squared errors are minimised)
+# ratio of the tail's weight to the square root of the tolerance; squared errors are minimised
 TAIL_PER_ROOT = 120.0
-# smallest divisor of the error of an entry, relative to the entry's peak, keyed by norm
+# smallest divisor of the error of a response entry, relative to the peak of the entry, keyed by
+# norm
 MIN_REFERENCE_SHARE = {"pointwise": 1e-6, "peak": 1.0}
 
 
@@ -52,8 +53,8 @@ class SnapshotFrequencies(NamedTuple):
     def weights(self, inside: np.ndarray | float = 1.0, above: float = 1.0) -> np.ndarray:
         """Return the weights of all snapshots.
 
-        ``inside`` contains the weights in the band. The weights above the band are multiplied by
-        ``above``.
+        ``inside`` contains the weights of the snapshots in the band. The weights above the band are
+        multiplied by ``above``.
         """
         weight = np.broadcast_to(inside, self.inside.shape)
         return np.asarray(np.r_[weight, above * self.above_weight])
@@ -73,7 +74,7 @@ def choose_tail_weight(model: LinearModel, tolerance: float | None) -> float | N
 def choose_snapshots(
     estimator: ErrorEstimator, response: Response, tail: float | None = None
 ) -> SnapshotFrequencies:
-    """Choose snapshots over the band, at its resonances, and above the band.
+    """Choose snapshots over the band, at resonances in the band, and above the band.
 
     ``tail`` is the weight of the snapshots just above the end of the band. If ``tail`` is None,
     there are no snapshots above the band.
@@ -92,12 +93,12 @@ def choose_snapshots(
 def weight_states(
     response: Response, s: np.ndarray, weight: np.ndarray, complete: np.ndarray, norm: Norm
 ) -> np.ndarray:
-    """Return the states of a response at ``s``, weighted for a relative error.
+    """Return the states of a response at ``s``, weighted for small relative errors.
 
-    If the model is symmetric and collocated, the square of a state is an energy. The state vector
-    for the input at a port is then divided by the square root of the response of this port.
-    Otherwise, each state vector is divided by its length. In the norm *peak*, each divisor is
-    replaced by its largest value in the band. ``complete`` is the response of the model including
+    If the model is symmetric and collocated, the square of a state is an energy. In such a model,
+    the state vector for the input at a port is divided by the square root of the port's response.
+    In all other models, each state vector is divided by its norm. In the norm *peak*, the largest
+    divisor in the band replaces all divisors. ``complete`` is the response of the model with
     rigid-body modes. The result has the shape (n, 2 frequencies inputs), with the real parts before
     the imaginary parts.
     """
@@ -119,8 +120,9 @@ def _compute_state_norms(
 ) -> np.ndarray:
     """Return the norms (frequencies, inputs) by which the state vectors x are divided.
 
-    H is the response without rigid-body modes, and ``complete`` the response with them. Where
-    rigid-body modes increase the response, the lengths are increased in proportion.
+    H is the response without rigid-body modes, and ``complete`` is the response with rigid-body
+    modes. The norms are increased in proportion to the increase of the response by rigid-body
+    modes.
     """
     size = np.linalg.norm(x, axis=1)
     if norm == "peak":

@@ -1,1 +1,1 @@
-"""Sweeps: runs of one scene with different key values, which share models and workers."""
+"""Sweeps: runs of one scene with different key values and shared models."""

@@ -1,8 +1,8 @@
 """Execution of a sweep: checks, shared models, points, results and table.
 
 Points run in processes of this machine or on the workers of a Dask scheduler. Any other
-:class:`concurrent.futures.Executor` is also accepted. The rows of the points are
-stored in a database as the points end, and then written as one sorted table.
+:class:`concurrent.futures.Executor` is also accepted. The row of each point is stored in a database
+when the point ends. All rows are finally written as one sorted table.
 """
 
 from __future__ import annotations
@@ -78,7 +78,8 @@ class Sweep:
     """Checked sweep: points, settings for the workers, and columns of the table.
 
     ``scene`` is the scene of the first point, and ``units`` are the units of the swept keys.
-    ``metrics`` are the requested metrics. If no metric is requested, the table contains all.
+    ``metrics`` are the requested metrics. If no metric is requested, the table contains all
+    metrics.
     """
 
     scene: Scene
@@ -112,7 +113,7 @@ class Sweep:
         return {"netlists": self.plan.count_distinct(keys), "ngspice": self.plan.size}
 
     def describe(self) -> str:
-        """Return the numbers of decks and runs as text of one line."""
+        """Return the numbers of points, decks and runs as a one-line text."""
         netlists, runs = self.run_counts.values()
         return f"{self.plan.size} points: {netlists} netlists, {runs} ngspice runs"
 
@@ -155,7 +156,7 @@ def make_sweep(
             constants.append((parameter[1], parse_value(value, "", f"--set {text!r}")))
         else:
             fixed.append(text)
-    # A swept key can create a part that the scene does not contain without this key.
+    # A swept key can create a part that the unchanged scene does not contain.
     keys = list_scene_keys(scene.load((*fixed, *firsts)))
     plan = make_plan(
         {name: parse_range(name, value, keys) for name, value in ranges.items()},
@@ -182,7 +183,7 @@ def make_sweep_of_plan(
 
 
 class _SweepFile(BaseModel):
-    """Sweep in a file: a scene, ranges of its keys, and options of :func:`make_sweep`."""
+    """Sweep in a file: a scene, ranges of its keys, and options of the sweep."""
 
     model_config = ConfigDict(extra="forbid", strict=True)
 
@@ -196,7 +197,7 @@ class _SweepFile(BaseModel):
 
 
 def list_studies() -> dict[str, Traversable]:
-    """Return the built-in studies by name."""
+    """Return the files of the built-in studies, keyed by name."""
     folder = resources.files("kc2spice") / "studies"
     result = {item.name: item for item in folder.iterdir() if item.name.endswith(".toml")}
     return {name.removesuffix(".toml"): result[name] for name in sorted(result)}
@@ -231,7 +232,7 @@ def load_named_sweep(name: str, sets: Sequence[str] = (), **asked: Any) -> Sweep
 def _find_study(name: str) -> _SweepFile | None:
     """Return the study ``name``: a built-in study, or a file with a key ``scene``.
 
-    The result is None for a scene.
+    The result is None if ``name`` is a scene.
     """
     builtin = list_studies().get(name)
     try:
@@ -260,15 +261,15 @@ def run_points(
     """Run ``points``, and yield each point with its outcome as soon as the point ends.
 
     The first worker that needs a model builds the model and stores it in the cache; all other
-    workers wait for this entry. A point that was interrupted, by a lost worker or another fault of
-    the machine, runs once more after all other points. If its worker is lost again, the point
-    fails.
+    workers wait for the model. A point that was interrupted, by a lost worker or another fault of
+    the machine, runs once more after all other points. If the worker of a repeated point is lost
+    again, the point fails.
 
     Raises
     ------
-    UsageError : the deck lacks a subcircuit parameter, or its range excludes a swept value; or the
-        first successful point has no value for a column.
-    MissingToolError : there are no workers, or they have no ngspice.
+    UsageError : the deck lacks a swept subcircuit parameter, the range of the parameter excludes a
+        swept value, or the first successful point has no value for a column.
+    MissingToolError : there are no workers, or the workers have no ngspice.
     """
     ends = chain.from_iterable(map(list_subcircuit_parameters, definition.plan.list_end_points()))
     if changed := [*definition.job.parameters, *ends]:
@@ -331,7 +332,7 @@ def _submit_point(
 
 
 def _collect_result(future: Future[PointResult]) -> PointResult:
-    """Return the outcome of a point; ``LOST_POINT`` if the worker of the point was lost."""
+    """Return the outcome of a point; ``LOST_POINT`` if the point's worker was lost."""
     try:
         return future.result()
     except Exception as error:
@@ -349,11 +350,11 @@ def run_sweep(
     table_format: str = "csv",
     retry_failed: bool = False,
 ) -> dict[str, Any]:
-    """Run all points of a sweep that are not finished, and write its table.
+    """Run all unfinished points of a sweep, and write the table of the sweep.
 
     Each finished row is written to ``out/rows.sqlite``. The table, its figures and ``sweep.html``
-    appear after the last row. The same call continues an interrupted sweep, and repeats points that
-    failed because of the machine.
+    are written after the last row. A repeated call continues an interrupted sweep, and repeats
+    points that failed because of the machine.
 
     Parameters
     ----------
@@ -363,8 +364,9 @@ def run_sweep(
         Directory for the files of the sweep.
     workers : callable
         Function without arguments that returns a context manager. The context manager yields an
-        executor and the number of points to run at a time. See :func:`make_local_worker_pool` and
-        :func:`make_dask_connector`.
+        executor and the number of points to run at a time. See
+        :func:`kc2spice.workflow.sweep.workers.make_local_worker_pool` and
+        :func:`kc2spice.workflow.sweep.workers.make_dask_connector`.
     progress : callable, optional
         Called as ``progress(stage, done, text)`` after each point.
     table_format : "csv" or "parquet", default "csv"
@@ -379,9 +381,9 @@ def run_sweep(
 
     Raises
     ------
-    UsageError : ``out`` contains another sweep, another process writes to it, or it cannot be
+    UsageError : ``out`` contains another sweep, another process writes to it, or ``out`` cannot be
         written.
-    MissingToolError : there are no workers, they have no ngspice, or pyarrow is missing for
+    MissingToolError : there are no workers, the workers have no ngspice, or pyarrow is missing for
         Parquet.
 
     Examples
@@ -428,7 +430,7 @@ def get_table_file_name(table_format: str) -> str:
     Raises
     ------
     UsageError : the format does not exist.
-    MissingToolError : pyarrow is missing, which Parquet tables need.
+    MissingToolError : pyarrow, which Parquet tables require, is missing.
     """
     if table_format not in WRITERS:
         raise unknown("this table format does not exist", table_format, WRITERS, "--format")
@@ -461,7 +463,7 @@ def _open_row_store(definition: Sweep, out: Path, table_format: str) -> RowStore
 def _write_tables(
     definition: Sweep, rows: RowStore, out: Path, table_format: str
 ) -> dict[str, Any]:
-    """Write table, figures and page, and return their names for the summary."""
+    """Write table, figures and page of a sweep, and return the summary of the sweep."""
     from kc2spice.report.sweep_page import compute_yields, write_sweep
 
     table = columns(rows.outcomes, definition.plan, definition.metrics)

@@ -1,6 +1,6 @@
-"""Points of a sweep: all combinations of ranges, ranges that vary together, or random samples.
+"""Points of a sweep: combinations of ranges, joint ranges, or random samples.
 
-A range is ``a:b:n`` (equally spaced, both ends), ``log:a:b:n``, ``x, y, z``,
+A range is ``a:b:n`` (n equally spaced values from a to b), ``log:a:b:n``, ``x, y, z``,
 ``normal(mu, sigma, n)`` or ``uniform(a, b, n)``. Numbers are in SI units or have a unit. Any other
 string is a single value.
 """
@@ -71,7 +71,7 @@ def split_range(text: str) -> tuple[str, list[str]]:
     """Return the kind of a range, and its fields as strings.
 
     The kinds are ``value``, ``list``, ``linear``, ``log``, ``normal`` and ``uniform``. The first
-    field is a possible value of the key.
+    field is a value that the key can have.
 
     Raises
     ------
@@ -206,7 +206,7 @@ def parse_range(name: str, text: str, keys: Mapping[str, KeyDescription]) -> Val
 
 
 def _parse_word(where: str, key: KeyDescription, text: str) -> Any:
-    """Return the value of a string for a key: a number in SI units, a choice, or a TOML value."""
+    """Return the value of a string: a number in SI units, a choice, or a TOML value."""
     if key.choices and text not in key.choices:
         choices = f"one of {list_candidates(text, key.choices)}"
         hint = did_you_mean(text, key.choices) or f"for example {key.choices[0]}"
@@ -232,7 +232,7 @@ def _parse_word(where: str, key: KeyDescription, text: str) -> Any:
 
 
 def parse_value(text: str, unit: str, where: str) -> float:
-    """Return the value of ``text`` in the SI ``unit``, which is also the unit of plain numbers."""
+    """Return the value of ``text`` in the SI ``unit``; plain numbers have this unit."""
     try:
         return convert_quantity(float(text), unit, where=where)
     except ValueError:
@@ -273,10 +273,10 @@ class SweepPoints:
         return result
 
     def list_end_points(self) -> list[dict[str, Any]]:
-        """Return the first point, and points that differ from it in one block.
+        """Return the first point, and end points that differ from it in one block.
 
-        In each of these points, one number of a block has its smallest or largest value, or one
-        string of a block occurs for the first time.
+        At an end point, a number has its smallest or largest value, or a string of a block occurs
+        for the first time.
         """
         indices = [0]
         for k, block in enumerate(self.blocks):
@@ -304,7 +304,7 @@ def make_plan(
     latin: bool = False,
     seed: int = 0,
 ) -> SweepPoints:
-    """Return the points of a sweep over ``ranges``: by default, all combinations of their values.
+    """Return the points of a sweep: by default, all combinations of the ``ranges``.
 
     With ``zipped``, all keys vary together. A random sample contains a value of every random key,
     so that these keys form one block. With ``latin``, each of n equally likely intervals of a key
@@ -359,7 +359,7 @@ def make_plan(
 
 
 def _require_common_length(lengths: Mapping[str, int], where: str) -> int:
-    """Return the number of values that all keys have.
+    """Return the common number of values of all keys.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Run of one point of a sweep, in any process: scene, models, deck, simulation, metrics."""
+"""Run of one point of a sweep: scene, models, deck, simulation and metrics."""
 
 from __future__ import annotations
 
@@ -62,7 +62,10 @@ class SceneInput:
     files: tuple[tuple[str, bytes], ...] = ()
 
     def load(self, overrides: Sequence[str]) -> Scene:
-        """Return the scene with ``overrides``; raises the errors of :func:`load_scene`."""
+        """Return the scene with ``overrides`` of its keys.
+
+        Raises the errors of :func:`kc2spice.scene.load.load_scene`.
+        """
         if self.text is None:
             return load_scene(self.name, overrides)
         home = Path(_unpack_files(self).name)
@@ -100,11 +103,11 @@ def read_scene_text(name_or_path: str) -> SceneInput:
 
 
 def read_scene_files(scene: Scene) -> dict[str, bytes]:
-    """Return the files that the scene reads, by name; includes in netlists are expanded.
+    """Return the files that the scene reads, by name, with expanded netlist includes.
 
     Raises
     ------
-    UsageError : a file is missing, not allowed or too long.
+    UsageError : a file is missing, not allowed or too large.
     """
     parts = [(part.is_user_netlist, part.type.files(part, scene)) for part in scene.parts.values()]
     netlists = {*scene.include, *chain.from_iterable(files for local, files in parts if local)}
@@ -145,9 +148,9 @@ class SweepSettings:
     workspace: Workspace = field(default_factory=Workspace, compare=False)
 
     def load(self, values: Mapping[str, Any]) -> Scene:
-        """Return the scene with these values of swept keys.
+        """Return the scene with ``values`` of the swept keys.
 
-        Raises the errors of :func:`load_scene`.
+        Raises the errors of :func:`kc2spice.scene.load.load_scene`.
         """
         overrides = (*self.fixed, *_format_overrides(values))
         if isinstance(self.scene, SceneInput):
@@ -162,8 +165,8 @@ class PointResult:
     """Results of one run of a sweep, or a one-line reason for its failure.
 
     ``metrics`` are keyed by name. ``facts`` are all other numbers of ``result.json``, keyed by
-    dotted path. ``units`` are the SI units of both. If ``interrupted``, the machine caused the
-    failure, and another attempt can succeed.
+    dotted path. ``units`` are the SI units of metrics and facts. If ``interrupted``, the machine
+    caused the failure, and another attempt can succeed.
     """
 
     metrics: Mapping[str, Number] = field(default_factory=dict)
@@ -174,7 +177,7 @@ class PointResult:
 
 
 def _format_overrides(values: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the overrides ``key=value`` of scene keys, without parameters of subcircuits."""
+    """Return overrides ``key=value`` of scene keys, without subcircuit parameters."""
     return tuple(
         f"{k}={format_toml(v)}" for k, v in values.items() if not PARAMETER_KEY.fullmatch(k)
     )
@@ -187,7 +190,7 @@ def list_subcircuit_parameters(values: Mapping[str, Any]) -> Parameters:
 
 
 def run_point(job: SweepSettings, values: Mapping[str, Any]) -> PointResult:
-    """Run one point; a failure is returned as the outcome of the point and does not end the sweep.
+    """Run one point; a failure is returned as its outcome, and does not end the sweep.
 
     Raises
     ------
@@ -221,7 +224,7 @@ def run_point(job: SweepSettings, values: Mapping[str, Any]) -> PointResult:
 def with_changed_parameters(
     build: BuiltScene, deck: Deck, values: Iterable[tuple[str, float]]
 ) -> BuiltScene:
-    """Return ``build`` for metrics and checks of a ``deck`` with other parameter values.
+    """Return ``build`` for metrics and checks with other parameter values.
 
     If a key of a part has the name and the value of the parameter, the key receives the new value.
     Otherwise, the keys of the part no longer describe the deck, and the part has neither checks nor
@@ -271,7 +274,7 @@ def build_sweep_point(job: SweepSettings, values: Mapping[str, Any]) -> tuple[Bu
 
 @lru_cache(maxsize=_CACHED_DECKS)
 def _build_testbench(job: SweepSettings) -> tuple[BuiltScene, Deck]:
-    """Return the models and the deck of a job whose overrides contain the values of a point."""
+    """Return the models and the deck for the overrides of a job."""
     return prepare_deck(job.load({}), StageTimer())
 
 
@@ -288,7 +291,7 @@ def _make_point_result(run: Run) -> PointResult:
 
 
 def _flatten_numbers(value: Mapping[str, Any]) -> dict[str, Number]:
-    """Return the numbers, booleans and missing values in nested tables, keyed by dotted name."""
+    """Return numbers, booleans and missing values of nested tables, by dotted name."""
     result: dict[str, Number] = {}
     for name, item in flatten_mapping(value):
         item = item.item() if isinstance(item, np.generic) else item

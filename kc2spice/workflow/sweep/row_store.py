@@ -38,9 +38,10 @@ _OUTCOME_ADAPTER = TypeAdapter(PointResult)
 
 
 class RowStore:
-    """Store of the results of sweep points in an SQLite file; each row is complete or missing.
+    """Store of the results of sweep points in an SQLite file.
 
-    ``digest`` is the hash of all inputs of the sweep. ``failed`` are the points whose run failed.
+    Each row is complete or missing. ``digest`` is the hash of all inputs of the sweep. ``failed``
+    are the points whose run failed.
 
     Raises
     ------
@@ -116,7 +117,7 @@ class RowStore:
 
     @contextmanager
     def remove_empty_file_on_error(self) -> Iterator[None]:
-        """After an error, remove a file without rows, and a folder that contains only this file."""
+        """After an error, remove a file without rows, and a new folder that contains it."""
         try:
             yield
         except BaseException:
@@ -150,7 +151,7 @@ def require_columns(outcome: PointResult, names: Sequence[str], scene: str) -> N
 def columns(
     outcomes: Mapping[int, PointResult], plan: SweepPoints, metrics: Sequence[str] = ()
 ) -> dict[str, list[Any]]:
-    """Return the columns of the table of a sweep: swept keys, ``metrics`` and ``status``.
+    """Return the columns of a sweep table: swept keys, ``metrics`` and ``status``.
 
     By default, the table contains all metrics of the runs. A missing number is None.
     """
@@ -168,9 +169,10 @@ def columns(
 
 
 def write_csv(table: Mapping[str, Sequence[Any]], path: Path) -> None:
-    """Write a table as CSV: floats with all digits, ``true`` and ``false``, and nothing for None.
+    """Write a table as CSV, with all digits of floats.
 
-    An apostrophe is added before text that a spreadsheet would evaluate as a formula.
+    Booleans become ``true`` and ``false``, and None becomes an empty cell. An apostrophe is added
+    before text that a spreadsheet would evaluate as a formula.
     """
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")

@@ -1,4 +1,4 @@
-"""Processes of this machine or of a Dask scheduler that run the points of a sweep."""
+"""Worker processes for the points of a sweep, local or of a Dask scheduler."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def count_available_cores() -> int:
     """Return the number of processors that this process may use."""
     try:
         return len(os.sched_getaffinity(0))
-    except AttributeError:  # only Linux has this function
+    except AttributeError:  # only Linux has sched_getaffinity
         return os.cpu_count() or 1
 
 
@@ -73,14 +73,20 @@ def make_local_worker_pool(count: int) -> Workers:
 
 
 def _end_orphaned_simulators(scratch: Path) -> None:
-    """Kill ngspice processes whose workers were killed, because they still write to ``scratch``."""
+    """Kill orphaned ngspice processes, whose workers were killed.
+
+    Orphaned ngspice processes would still write to ``scratch``.
+    """
     for mark in scratch.glob("*" + _GROUP_SUFFIX):
         with suppress(ProcessLookupError, PermissionError):  # the process group has already ended
             os.killpg(int(mark.stem), signal.SIGKILL)
 
 
 def _initialise_worker(scratch: str) -> None:
-    """Initialise a worker: ignore Ctrl-C, and end with ngspice if the parent process is killed."""
+    """Initialise a worker: ignore Ctrl-C, and end if the parent process is killed.
+
+    The worker's ngspice process ends together with the worker.
+    """
     from multiprocessing import connection, parent_process
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -1,1 +1,1 @@
-"""Comparison of three solutions: full models, equations with reduced models, and ngspice."""
+"""Comparison of full models, equations with reduced models, and ngspice."""

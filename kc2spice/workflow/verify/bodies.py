@@ -1,4 +1,7 @@
-"""Verification of bodies: reduced model against full model, subcircuit against reduced model."""
+"""Verification of bodies: full model, reduced model and subcircuit.
+
+The reduced model is compared with the full model, and the subcircuit with the reduced model.
+"""
 
 from __future__ import annotations
 
@@ -62,11 +65,11 @@ def verify_body(
     thorough: bool,
     findings: VerificationResult,
 ) -> None:
-    """Add the comparisons of a body's full model, reduced model and netlist to ``findings``.
+    """Add comparisons of a body's full and reduced models and netlist to ``findings``.
 
     ``libraries`` are the tested subcircuits, from an exported deck or from this run. The largest
-    accepted error of the reduced model is the error estimate in its certificate. This error
-    estimate is within the tolerance of the reduction.
+    accepted error of the reduced model is the error estimate in its certificate, which is within
+    the tolerance of the reduction.
     """
     rom = build.model(part, LinearModel)
     band = choose_verified_band(rom, build)
@@ -90,7 +93,7 @@ def verify_body(
     findings.checks += list_rom_checks(part.name, rom, band)
     frequency, answer = simulate_netlist_response(part, build, libraries, clock, work, band)
     gate = build.scene.gates.harmonic_ngspice
-    # For distant ports, whose temperatures are small, the header of the library states the error.
+    # With prescribed temperatures, the limit is at least the circuit error in the library's header.
     if given:
         stated = [item.reduction.circuit_error for item in libraries if item.reduction]
         gate = max([gate, *stated])
@@ -112,10 +115,10 @@ def _check_against_full_model(
     given: Sequence[int],
     findings: VerificationResult,
 ) -> float:
-    """Check the error of a reduced model at the frequencies ``at`` [Hz], and return the error.
+    """Check the error of a reduced model at frequencies ``at`` [Hz], and return it.
 
-    ``exact`` is the response of the full model. Frequencies at which the rounding errors of this
-    response exceed the limit are omitted with a note, unless all frequencies would be omitted.
+    ``exact`` is the response of the full model. Frequencies at which the rounding errors of
+    ``exact`` exceed the limit are omitted with a note, unless no frequency would remain.
     """
     estimate = rom.certificate.error_estimate if rom.certificate else 0.0
     limit = max(estimate, SOLVER_ROUNDING)
@@ -146,13 +149,13 @@ def list_netlist_checks(
     gate: float,
     given: Sequence[int] = (),
 ) -> list[Check]:
-    """Return checks of the response ``emitted`` of the netlist of a body.
+    """Return checks of the response ``emitted`` of a body's netlist.
 
-    ``emitted`` is an array of shape (frequencies, outputs, inputs). The response is compared with
-    the response of the reduced model for all ports together. The capacitance, and the charge of
-    each electrical port for each load, are compared separately, relative to their own sizes.
-    ``gate`` is the largest accepted error. Other checks are passivity and reciprocity. ``given``
-    are the indices of the ports with prescribed temperatures.
+    ``emitted`` is an array of shape (frequencies, outputs, inputs). ``emitted`` is compared with
+    the response of the reduced model, for all ports together. For each electrical port, the
+    capacitance, and the charge due to loads on other ports, are compared separately, each relative
+    to its own size. ``gate`` is the largest accepted error. Other checks are passivity and
+    reciprocity. ``given`` are the indices of the ports with prescribed temperatures.
     """
     exact = solve_reduced(rom, frequency)
     electrical = [port.name for port in rom.ports if port.is_paired]
@@ -199,9 +202,9 @@ def compare_responses(
     given: Sequence[int] = (),
     stored: np.ndarray | float = 0.0,
 ) -> float:
-    """Return the largest relative error of a response, compared with the exact response.
+    """Return the largest error of a response, relative to the exact response.
 
-    Both responses are arrays of shape (frequencies, outputs, inputs).
+    ``response`` and ``exact`` are arrays of shape (frequencies, outputs, inputs).
 
     The responses H from heat flows q to temperatures T decay exponentially between distant ports.
     If the temperatures of ports c are ``given``, the temperatures of the other ports s are compared
@@ -209,7 +212,7 @@ def compare_responses(
     relative to its entries, and the error of the second term is relative to T_c. The error of the
     heat flow of prescribed temperatures, ``H_cc^-1``, is relative to its entries plus ``stored``
     [W/K]. At each frequency, ``stored`` is the heat flow that changes the temperature of the whole
-    body. The certificate states the error of the inner temperatures relative to ``stored``.
+    body by 1 K. The certificate states the error of the inner temperatures relative to ``stored``.
     """
     if not given:
         return compute_relative_error(response, exact)
@@ -221,9 +224,9 @@ def compare_responses(
 
 
 def _compute_storage_flow(rom: LinearModel, frequency: np.ndarray) -> np.ndarray:
-    """Return the heat flow [W/K] that changes the temperature of a whole body.
+    """Return the heat flow [W/K] that changes the temperature of a whole body by 1 K.
 
-    For the angular frequency w and the heat capacity C of the body, this is ``w C``.
+    For the angular frequency w and the heat capacity C of the body, the result is ``w C``.
     """
     return 2 * np.pi * frequency * rom.facts.get(HEAT_CAPACITY_NAME, 0.0)
 
@@ -244,7 +247,7 @@ def _convert_to_hybrid_parameters(
 
 
 def compute_leakage_share(frequency: np.ndarray) -> float:
-    """Return the share of the current of an electrical port that flows through its leak.
+    """Return the share of an electrical port's current that flows through its leak.
 
     The share is ``G / (w C)`` at the lowest frequency, with ``G = LEAK_RATE C``.
     """
@@ -255,7 +258,7 @@ def list_rom_checks(name: str, rom: LinearModel, band: tuple[float, float]) -> l
     """Return checks of the stability, passivity and reciprocity of the reduced model.
 
     For a general model, the growth rate ``Re p`` of a pole ``p`` is relative to ``max(|p|, w)``,
-    where ``w`` is the end of the band.
+    where ``w`` is the upper end of the band.
     """
     modal = compute_resonators(rom)
     if modal is not None:
@@ -280,15 +283,15 @@ def list_rom_checks(name: str, rom: LinearModel, band: tuple[float, float]) -> l
 def list_structure_checks(
     name: str, frequency: np.ndarray, H: np.ndarray, limit: float, *, rates: bool = True
 ) -> list[Check]:
-    """Return checks that ``Re (s H)`` is positive semi-definite and ``H`` is symmetric.
+    """Return checks that ``Re (s H)`` is positive semi-definite and H is symmetric.
 
     For heat models (without ``rates``), ``Re H`` is checked instead. ``s H`` maps forces and
     voltages to velocities and currents, and H of heat models maps heat flows to temperatures. A
-    network is passive if the Hermitian part of ``s H``, or of H for heat models, has no negative
+    network is passive if the Hermitian part of ``s H`` (of H for heat models) has no negative
     eigenvalue at any frequency. Eigenvalues are relative to the largest entry of the balanced
-    response. Reciprocity is checked for each pair of ports, relative to the response between these
-    ports. In heat models, deviations from reciprocity are relative to the balanced response,
-    because responses between distant ports decay exponentially.
+    response, in which all ports have the same scale. Reciprocity is checked for each pair of ports,
+    relative to the response between these ports. In heat models, deviations from reciprocity are
+    relative to the balanced response, because responses between distant ports decay exponentially.
     """
     balance = np.sqrt(np.abs(np.diagonal(H, axis1=1, axis2=2)).max(axis=0))
     H = H / np.outer(balance, balance)
@@ -322,7 +325,7 @@ def simulate_netlist_response(
 
     Raises
     ------
-    UsageError : the libraries do not contain this subcircuit.
+    UsageError : the libraries do not contain the subcircuit of the body.
     """
     deck = _make_response_deck(part, build, libraries, band)
     with clock.time_stage("simulate", f"frequency response of {part.name}"):
@@ -400,11 +403,11 @@ def _solve_full_response(
 def _find_accurate_solutions(
     full: LinearModel, at: np.ndarray, exact: np.ndarray, limit: float
 ) -> np.ndarray:
-    """Return a mask of the frequencies at which rounding errors of ``exact`` are below ``limit``.
+    """Return a mask of the frequencies at which ``exact`` is accurate to ``limit``.
 
-    In other units of the unknowns, the response of the full model is the same, but its rounding
-    errors differ. At low frequencies, the inertia of an unsupported body is a small difference
-    of large elastic forces, so its response has the largest rounding errors there.
+    Rounding errors are estimated from solutions in other units of the unknowns, which change only
+    the rounding errors of the response. At low frequencies, the inertia of an unsupported body is a
+    small difference of large elastic forces, which causes the largest rounding errors.
     """
     rng, s = np.random.default_rng(0), 2j * np.pi * at
     units = rng.uniform(1.0, 2.0, (ROUNDING_TRIALS, full.order))
@@ -446,7 +449,7 @@ def _select_frequencies(rom: LinearModel, at: np.ndarray, count: int) -> np.ndar
 
 
 def _label_waves(frequency: np.ndarray, H: np.ndarray, rom: LinearModel) -> Waveforms:
-    """Return the responses ``H`` as waves, whose names contain the loaded and the output port."""
+    """Return the responses ``H`` as waves that are named after input and output port."""
     data = {"frequency": frequency}
     for o, output in enumerate(rom.outputs):
         for i, source in enumerate(rom.inputs):

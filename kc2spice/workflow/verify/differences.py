@@ -1,4 +1,4 @@
-"""Differences of waves and metrics between two solutions of a scene, and checks of its gates."""
+"""Differences between two solutions of a scene, and checks of the gates."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def complete_solution(waves: Waveforms, build: BuiltScene) -> Solution:
 def list_gate_checks(
     gates: Iterable[tuple[str, Gate]], pair: str, ours: Solution, exact: Solution
 ) -> tuple[list[Check], float | None]:
-    """Return a check for each gate of a pair of solutions, and the largest main difference.
+    """Return a check of each gate for two solutions, and the largest main difference.
 
     A gate is a pass limit. In the record of a verification, the error of a pair of solutions is the
     largest difference of a main gate.
@@ -135,7 +135,7 @@ def _compute_wave_difference(
 
 
 def _find_largest_relative_change(a: np.ndarray, b: np.ndarray) -> float:
-    """Return the largest difference of values, each relative to the magnitude in ``b``."""
+    """Return the largest difference of values, relative to the magnitudes in ``b``."""
     size = np.abs(b)
     loaded = size > MIN_REFERENCE_SHARE * size.max()
     return float((np.abs(a - b)[loaded] / size[loaded]).max(initial=0.0))
@@ -144,7 +144,7 @@ def _find_largest_relative_change(a: np.ndarray, b: np.ndarray) -> float:
 def align_wave(
     waves: Waveforms, exact: Waveforms, name: str
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return common points of two solutions, and a wave of both solutions at these points.
+    """Return common points of two solutions, and a wave of both at these points.
 
     The points are the points of the coarser solution, within the times that both solutions contain.
     """
@@ -206,7 +206,10 @@ def _integrate_square(values: np.ndarray, points: np.ndarray) -> float:
 
 
 def _estimate_rounding_speed(name: str, waves: Waveforms) -> float:
-    """Return the speed [m/s] that rounding errors cause in a body at rest; 0 for other waves."""
+    """Return the speed [m/s] that rounding errors cause in a body at rest.
+
+    The result is 0 for waves that are not velocities.
+    """
     stem, _, last = name.rpartition(".")
     position = next(filter(waves.data.__contains__, (f"{stem}.y", f"{stem}.x")), None)
     if last != "v" or position is None or "time" not in waves:
@@ -243,10 +246,10 @@ def list_metric_errors(
 
 
 def _find_largest_with_unit(unit: str, waves: Waveforms, units: Mapping[str, str]) -> float:
-    """Return the largest value of all waves with a ``unit``; for seconds, the simulated time.
+    """Return the largest value of all waves with a ``unit``.
 
-    Without a unit, the result is 0, because no wave is comparable with a number such as a coupling
-    factor.
+    For seconds, the result is the simulated time. Without a unit, the result is 0, because no wave
+    is comparable with a number such as a coupling factor.
     """
     if not unit:
         return 0.0

@@ -33,10 +33,10 @@ MAX_DIRECT_UNKNOWNS = 3000  # number of unknowns up to which every frequency is 
 
 
 def with_full_models(build: BuiltScene, clock: StageTimer) -> BuiltScene | None:
-    """Return ``build`` with full instead of reduced models; None if no part has a full model.
+    """Return ``build`` with full instead of reduced models, or None.
 
-    In a transient, only bodies have full models. The integrator solves the equations of such a
-    model at its ports.
+    The result is None if no part has a full model. In a transient, only bodies have full models.
+    The integrator solves the equations of a full model at its ports.
     """
     timed = build.scene.analysis.type == "transient"
     result = {}
@@ -53,9 +53,10 @@ def with_full_models(build: BuiltScene, clock: StageTimer) -> BuiltScene | None:
 def with_finer_models(
     build: BuiltScene, parts: Iterable[str], clock: StageTimer
 ) -> BuiltScene | None:
-    """Return ``build`` with a finer discretisation of ``parts``; None if there is none.
+    """Return ``build`` with a finer discretisation of ``parts``, or None.
 
-    Examples are a squeezed gas film with more branches and a conductor with more current loops.
+    The result is None if no part has a finer discretisation. Examples are a squeezed gas film with
+    more branches and a conductor with more current loops.
     """
     scene, result = build.scene, {}
     for name in parts:
@@ -71,7 +72,10 @@ def _with_models(build: BuiltScene, models: Mapping[str, Any]) -> BuiltScene:
 
 
 def _make_sparse_full_model(model: LinearModel) -> LinearModel:
-    """Return a full model with sparse matrices, so that its law has equations only at its ports."""
+    """Return a full model with sparse matrices.
+
+    The law of a sparse model has equations only at the ports of the model.
+    """
     if not model.pencil.is_dense:
         return model
     from scipy import sparse
@@ -108,7 +112,7 @@ def solve_full_models(
             networks = networks if thorough else _with_surrogates(networks, stop, clock)
             points = ours.scale.size
             for body in chain.from_iterable(map(list_port_bodies, networks)):
-                # this body kept its full model, because no surrogate is accurate enough
+                # the body kept its full model, because no surrogate is accurate enough
                 if body.model.order > MAX_DIRECT_UNKNOWNS:
                     words = f"{body.model.order} unknowns at {points} frequencies, solved at each"
         with clock.time_stage("full model", words):

@@ -1,10 +1,10 @@
-"""Transient analysis with full models, as a correction of the solution with reduced models.
+"""Transient with full models, as a correction of the reduced models' solution.
 
 An integrator with equal steps (:mod:`kc2spice.reference.fixed_step`) solves the scene with full and
-with reduced models. The difference of both solutions is added to the exact solution with the
-reduced models. The time steps cause nearly the same error in both solutions, so that most of this
-error cancels in the difference. A second difference, with steps twice as long, shows the remaining
-error.
+with reduced models. The difference between the two solutions is added to the exact solution with
+the reduced models. The time steps cause nearly the same error in both solutions, so that most of
+this error cancels in the difference. A second difference, with steps twice as long, shows the
+remaining error.
 """
 
 from __future__ import annotations
@@ -39,16 +39,16 @@ FULL_STEP_FACTOR = 100.0  # factor by which --full multiplies the largest number
 # The second value of REST_MOTIONS applies if a small motion precedes the load.
 # An example of a small motion is the ripple of a pulse-width modulated force.
 # The solutions of the full and of the reduced model both neglect the small motion.
-# The error of the difference of both solutions is then the product of two small quantities.
+# The error of the difference of both solutions is therefore the product of two small quantities.
 REST_MOTIONS = (1e-9, 1e-3)
 
 
 @dataclass(frozen=True)
 class FullSolution:
-    """Waves of the full models over ``[0, end]``, at the times of the reduced models' waves.
+    """Waves of the full models at the times of the reduced models' waves.
 
-    ``coarse`` are the waves with steps twice as long. ``end`` is the end of the compared time range
-    [s]; None without a transient.
+    The waves cover the time range ``[0, end]``. ``coarse`` are the waves with steps twice as long.
+    ``end`` is the end of the compared time range [s]; None without a transient.
     """
 
     waves: Waveforms
@@ -80,9 +80,9 @@ def add_differences(
 class FullModelDifference:
     """Results of a network with full models minus the results with reduced models.
 
-    Both results have equal time steps. ``apart`` contains a mask of times. At these times, a device
-    is in different modes in the two solutions. ``events`` [s] are the times of the events in the
-    solution with the reduced models.
+    Full and reduced models are solved with equal time steps. ``apart`` is a mask of the times at
+    which a device is in different modes in the two solutions. ``events`` [s] are the times of the
+    events in the solution with the reduced models.
     """
 
     time: np.ndarray
@@ -91,10 +91,11 @@ class FullModelDifference:
     events: tuple[float, ...]
 
     def mask_equal_modes(self, time: np.ndarray) -> np.ndarray:
-        """Return a mask that is true at each ``time`` at which both solutions are in the same mode.
+        """Return a mask that is true where both solutions are in the same mode.
 
-        The mask is false within the step that contains an event. The mask is also false next to a
-        step at whose end only one model has changed its mode.
+        The mask has one entry for each ``time``. The mask is false within the step that contains an
+        event. The mask is also false next to a step at whose end only one model has changed its
+        mode.
         """
         grid, result = self.time, np.ones(time.size, dtype=bool)
         last = grid.size - 1
@@ -110,7 +111,7 @@ class FullModelDifference:
 
 
 def list_port_bodies(network: Network) -> list[PortBody]:
-    """Return those bodies of a network that have equations only at their ports."""
+    """Return the bodies of a network that have equations only at their ports."""
     return [law for law in network.laws if isinstance(law, PortBody)]
 
 
@@ -179,19 +180,20 @@ def solve_full_differences(
 def find_last_rest(
     bodies: list[PortBody], run: Trajectory, span: float
 ) -> tuple[float, Callable[[System, np.ndarray], np.ndarray] | None]:
-    """Return the last time [s] before the load of a body changes, and the state at this time.
+    """Return the last time [s] before a load changes, and a function for the state.
 
-    Before this time, the full and the reduced models agree. The time is 0 and the state None if a
-    load changes at once, or if no load changes. If possible, the time is so late that a load
-    reaches half of its range within ``span`` [s].
+    Until the returned time, the full and the reduced models agree. The time is 0 and the function
+    None if a load changes at once, or if no load changes. If possible, the time is so late that a
+    load reaches half of its range within ``span`` [s].
     """
     waves, time = run.waves, run.time
     names = list(chain.from_iterable(map(_list_port_wave_names, bodies)))
 
     def find_first_load_change(share: float) -> int:
-        """Return the index of the first time at which a load has changed by a share of its range.
+        """Return the index of the first time at which a load has changed by a ``share``.
 
-        The index is the number of times if no load changes.
+        The share is relative to the range of the load. The index is the number of times if no load
+        changes.
         """
         first = time.size
         for name in names:

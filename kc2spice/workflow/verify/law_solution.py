@@ -1,7 +1,7 @@
-"""Solution of a scene from its equations (:mod:`kc2spice.equations`), without a netlist.
+"""Solution of a scene from its equations, without a netlist.
 
-Statics and frequency responses are solved directly, transients by the independent integrator
-(:mod:`kc2spice.reference`).
+Statics and frequency responses are solved directly from :mod:`kc2spice.equations`. The independent
+integrator (:mod:`kc2spice.reference`) solves transients.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ INTEGRATOR_RTOL = 1.5e-9
 class LawSolution:
     """Solution of the equations of a scene with reduced models.
 
-    ``results`` are the waves of those ngspice results that the equations also determine.
-    ``imbalance`` is the error of the energy balance of a transient, relative to the exchanged
-    energy; None for other analyses. ``runs`` are the integrated networks with their trajectories.
+    ``results`` are the waves that both ngspice and the equations determine. ``imbalance`` is the
+    error of the energy balance of a transient, relative to the exchanged energy; None for other
+    analyses. ``runs`` are the integrated networks with their trajectories.
     """
 
     results: Waveforms
@@ -81,7 +81,7 @@ def solve_laws(
 def solve_without_transient(
     networks: Iterable[Network], build: BuiltScene, waves: Waveforms
 ) -> Waveforms:
-    """Solve networks for an analysis other than a transient, at the points of ``waves``."""
+    """Solve networks for all analyses except transients, at the points of ``waves``."""
     scale, points = next(iter(waves.data.items()))
     points = points.real
     data = {scale: points}
@@ -96,7 +96,7 @@ def solve_without_transient(
 
 
 def _solve_noise(network: Network, build: BuiltScene, points: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the noise density of the output; empty if the output is not in this network."""
+    """Return the noise density of the output; empty if the network lacks the output."""
     name = str(build.scene.analysis.output)
     law_pins = {f"{link.part}.{link.pin}": link.law_pin for link in get_scene_laws(build).pin_links}
     output = network.results.get(name)
@@ -110,7 +110,7 @@ def _solve_noise(network: Network, build: BuiltScene, points: np.ndarray) -> dic
 def _solve_steady_waves(
     network: Network, build: BuiltScene, points: np.ndarray
 ) -> Mapping[str, np.ndarray]:
-    """Return the waves of a network in an ac analysis or dc sweep, or at the operating point."""
+    """Return the waves of a network in an ac, dc or operating point analysis."""
     system, kind = assemble_system(network.laws, network.joins), build.scene.analysis.type
     if kind == "ac":
         return solve_ac(system, points)

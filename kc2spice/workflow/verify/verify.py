@@ -55,7 +55,7 @@ from kc2spice.workflow.verify.full_models import (
 from kc2spice.workflow.verify.law_solution import solve_laws
 
 # Largest permitted number of unknowns of a mesh with half the element size.
-# The model of a mesh with this number of unknowns needs seconds and little memory.
+# The model of a mesh with MAX_FINER_UNKNOWNS unknowns needs seconds and little memory.
 MAX_FINER_UNKNOWNS = 30_000
 # time limit for a finer discretisation, relative to the time that the solution of the laws took
 TIME_FACTOR = 5.0
@@ -73,8 +73,8 @@ STEADY_WAVE_LIMIT = 3e-8
 # default error limit of noise, because Boltzmann's constant has seven digits in ngspice
 NOISE_LIMIT = 1e-6
 # A source that repeats recorded samples of ngspice has a derivative with an error of about 1e-3.
-# The current of such a source into a capacitance has the same error.
-# At the edges of a half-bridge, the error of this current is up to 2.5e-3.
+# The current of a source with recorded samples into a capacitance has the same error.
+# At the edges of a half-bridge, the error of a capacitive current is up to 2.5e-3.
 # The work of a source that repeats recorded samples has an error of 5e-6.
 REPLAY_LIMIT_FACTOR = 5.0
 REPLAY_BALANCE_LIMIT = 1e-5
@@ -97,8 +97,8 @@ def verify_scenes(
     deck : an exported deck of the single scene, which is verified instead of a new deck.
     trust : permit the deck and included netlists to run programs and to open files.
 
-    Returns a mapping with ``passed``, and with ``scenes``, the record of each scene by its name. A
-    missed gate is reported in these records, and raises no exception.
+    Returns a mapping: ``passed``, and ``scenes`` with the record of each scene by name. A missed
+    gate is reported in the record of the scene, and raises no exception.
 
     Raises
     ------
@@ -151,7 +151,7 @@ def _list_included_subcircuits(flat: FlatCircuit) -> tuple[Subcircuit, ...]:
 
 
 def _with_exported_ports(scene: Scene, libraries: Sequence[Subcircuit]) -> Scene:
-    """Return ``scene`` with those ports of its bodies that the ``libraries`` contain.
+    """Return ``scene`` with the ports of its bodies that the ``libraries`` contain.
 
     The library of an export has all declared ports of a body, including unconnected ports.
     """
@@ -235,7 +235,7 @@ class _Verification:
         return result
 
     def _explain_missing_law(self, name: str) -> str:
-        """Return the name of a part without equations, with the reason if the part states one."""
+        """Return the name of a part without equations, with the reason if there is one."""
         reason = get_scene_laws(self.build).reasons_without_law[name]
         return f"{name} ({reason})" if reason else name
 
@@ -247,7 +247,7 @@ class _Verification:
         return waves
 
     def _compare_solutions(self, deck: Deck) -> None:
-        """Compare the solutions of ngspice, of the laws, and of the full models with each other.
+        """Compare the solutions of ngspice, of the laws, and of the full models.
 
         The solution with full models may end before the end of the run.
         """
@@ -331,14 +331,14 @@ class _Verification:
         # Two solutions of laws are compared here.
         # Solutions of ngspice and of the laws are instead compared by the rms of each wave.
         # A voltage of ngspice may jump one time step earlier or later than a voltage of the laws.
-        # The time difference of such a jump would dominate the largest difference.
+        # The time difference of a jump would dominate the largest difference.
         finer_gates = [item for item in gates if item[0] in self.finer]
         self.outcome.checks += list_gate_checks(finer_gates, "rom_vs_fom", solutions["rom"], exact)[
             0
         ]
 
     def _list_model_gates(self) -> list[tuple[str, Gate]]:
-        """Return the error limits that apply to comparisons of ngspice, laws and full models.
+        """Return the error limits for comparisons of ngspice, laws and full models.
 
         In a transient, error limits of discretisations are left out, because they apply only to the
         comparison with a finer discretisation.
@@ -347,7 +347,7 @@ class _Verification:
         return [item for item in gates if not (self.has_transient and item[1].discretisation)]
 
     def _compare_pairs(self, name: str, solutions: Mapping[str, Solution]) -> list[OutputDeviation]:
-        """Compare each solution with the last solution, and return the errors of all waves.
+        """Compare each solution with the last one, and return the errors of all waves.
 
         The checks of gates, the errors and the figures are added to the findings.
         """
@@ -408,7 +408,7 @@ class _Verification:
     def _may_ring_at_large_steps(self, output: OutputDeviation) -> bool:
         """Return whether large time steps may distort a wave after a launch.
 
-        ``solver.ringing = "coarse"`` permits this for the waves of a body and of its drive.
+        ``solver.ringing = "coarse"`` permits distorted waves of a body and of its drive.
         """
         scene, owner = self.build.scene, output.output.partition(".")[0]
         if scene.solver.ringing != "coarse":
@@ -462,7 +462,7 @@ class _Verification:
             )
 
     def _summarise_errors(self) -> None:
-        """Add the error of the reduction to the metrics; for a single body, also its model size."""
+        """Add the reduction error, and the model size of a single body, to the metrics."""
         result, bodies = self.outcome, self.build.scene.bodies
         if "rom_vs_fom" in result.errors:
             result.metrics["rom_error"] = result.errors["rom_vs_fom"]
@@ -474,9 +474,9 @@ class _Verification:
 
 
 def _compute_max_mesh_unknowns() -> float:
-    """Return the largest number of unknowns of a three-dimensional mesh.
+    """Return the largest permitted number of unknowns of a three-dimensional mesh.
 
-    Free memory and :data:`MAX_MESH_UNKNOWNS` limit the number.
+    Free memory and :data:`kc2spice.workflow.refine.MAX_MESH_UNKNOWNS` limit the number.
     """
     share = MEMORY_SHARE * find_available_bytes() / estimate_factor_bytes(1.0, 3)
     # memory is proportional to (number of unknowns)^(4/3)

@@ -1,1 +1,1 @@
-"""Dialects of simulators other than ngspice: each module registers one dialect."""
+"""Modules that each register the dialect of one simulator other than ngspice."""

@@ -1,4 +1,4 @@
-"""Dialect of Analog Devices' LTspice: netlists and symbols (``.asy``, file version 4)."""
+"""Dialect of LTspice: netlists and symbols (``.asy``, file version 4)."""
 
 from __future__ import annotations
 
@@ -12,13 +12,16 @@ from kc2spice.netlist.printers.dialect_registry import register_dialect
 from kc2spice.netlist.printers.symbol_layout import arrange_pins
 from kc2spice.netlist.spelling import format_number
 
-GRID = 32  # LTspice units of one grid unit; positions of pins must be multiples of 16
+GRID = 32  # LTspice units per grid unit; pin positions must be multiples of 16
 _SIDE_NAMES = {"left": "LEFT", "right": "RIGHT", "bottom": "BOTTOM", "top": "TOP"}
 
 
 @register_dialect
 class LTspice(Dialect):
-    """Dialect of LTspice, which inserts parameters into behavioural sources as text."""
+    """Dialect of the simulator LTspice.
+
+    LTspice inserts the values of parameters into behavioural sources as text.
+    """
 
     dialect = "ltspice"
     title = "LTspice"
@@ -28,10 +31,10 @@ class LTspice(Dialect):
     known_options = frozenset(
         {"reltol", "abstol", "vntol", "chgtol", "trtol", "method", "gmin", "itl1", "itl2", "itl4"}
     )
-    omits_braces = True  # whether parameters are written without braces
+    omits_braces = True  # whether names of parameters are written without braces
 
     def format_name(self, text: str) -> str:
-        """Return a name; braces separate the sign of a parameter's value from an operator."""
+        """Return a name; a parameter is enclosed, so that its value may have a sign."""
         word = super().format_name(text)
         plain = self.omits_braces or word != text or text.lower() in ("time", "pi", "temp")
         return word if plain else f"({{{word}}})"
@@ -44,14 +47,14 @@ class LTspice(Dialect):
         return f"{quantity}={text}" if part.kind == "b" else f"value={{{text}}}"
 
     def switch(self, name: str, values: Mapping[str, str]) -> str:
-        """Return the switch model with all parameters, because LTspice has other defaults."""
+        """Return the switch model with all parameters; LTspice has other default values."""
         parameters = {"vt": "0", "vh": "0", "ron": "1", "roff": "1e12"} | dict(values)
         return f".model {name} SW({' '.join(f'{k.upper()}={v}' for k, v in parameters.items())})"
 
     def format_element(self, part: Element) -> str:
         """Return the card of an element, with ``Rser=0`` for an inductor.
 
-        Without this setting, LTspice adds a series resistance to each inductor.
+        Without ``Rser``, LTspice adds a series resistance to each inductor.
         """
         return super().format_element(part) + (" Rser=0" if part.kind == "l" else "")
 
@@ -68,11 +71,11 @@ class LTspice(Dialect):
         return f"re({vector})"
 
     def format_node(self, path: list[str]) -> str:
-        """Return the name of a node, in which instances are named without the letter X."""
+        """Return the name of a node; the names of instances have no letter X."""
         return ":".join([*_strip_instance_letters(path[:-1]), path[-1]])
 
     def format_device(self, trace: Trace) -> str:
-        """Return a device name with the element letter first, such as ``b:contact:ring0``."""
+        """Return a device name with its element letter first, such as ``b:contact:ring0``."""
         (name,) = trace.names
         inner = (name[0], *_strip_instance_letters(trace.path), name[1:])
         return ":".join(inner) if trace.path else name
@@ -89,7 +92,7 @@ def _strip_instance_letters(path: Iterable[str]) -> list[str]:
 
 
 def _draw_symbol(part: Subcircuit, library: str) -> str:
-    """Return the symbol of one part; a schematic with the symbol includes ``library``."""
+    """Return the symbol of a part; a schematic with the symbol includes ``library``."""
     box = arrange_pins(part)
     x, y = GRID * box.width, GRID * box.height
     lines = [
@@ -106,7 +109,8 @@ def _draw_symbol(part: Subcircuit, library: str) -> str:
     if part.params:
         parameters = " ".join(f"{p.name}={format_number(p.default)}" for p in part.params)
         lines.append(f"SYMATTR SpiceLine {parameters}")
-    for pin in box.places:  # pins are on the outline of the symbol; in LTspice, y points downwards
+    # pins are on the outline of the symbol; the y axis of LTspice points downwards
+    for pin in box.places:
         x = max(-box.width, min(box.width, pin.x)) * GRID
         y = -max(-box.height, min(box.height, pin.y)) * GRID
         lines += [f"PIN {x} {y} {_SIDE_NAMES[pin.side]} 8", f"PINATTR PinName {pin.name}"]

@@ -15,22 +15,25 @@ from kc2spice.netlist.printers.dialect_registry import register_dialect
 from kc2spice.netlist.scope import GROUND_NAMES
 from kc2spice.netlist.spelling import format_number, format_rounded
 
-LOOP_TIME_STEP = 1e-6  # s, largest time step if a controller may close a feedback loop
-# Largest ``reltol`` for Xyce. For a relative error of contacts below 1e-5, Xyce needs a tenth of
-# the ``reltol`` of ngspice, and at most this value.
+LOOP_TIME_STEP = 1e-6  # largest time step [s] if a controller may close a feedback loop
+# Largest ``reltol`` for Xyce. Xyce needs a tenth of the ``reltol`` of ngspice, and at most this
+# value, for relative errors of contacts below 1e-5.
 MAX_RELTOL = 1e-5
-# V, half of the width of a switch's transition around its threshold. Xyce requires a transition.
+# Half the width [V] of a switch's transition around its threshold. In Xyce, a switch needs a
+# transition.
 SWITCH_BAND = 1e-3
 
 
-_SCALE_NAMES = {"tran": "TIME", "ac": "FREQ"}  # name of the scale on measurement cards
+# name of the independent variable on measurement cards
+_SCALE_NAMES = {"tran": "TIME", "ac": "FREQ"}
 
 
 @register_dialect
 class Xyce(Dialect):
-    """Dialect of Xyce, which differentiates ``uramp`` without the chain rule (release 7.5).
+    """Dialect of the simulator Xyce.
 
-    If a deck has two cards ``.options timeint``, Xyce uses only the second card.
+    Xyce 7.5 differentiates ``uramp`` without the chain rule, so ``uramp`` is replaced by another
+    expression. Of several cards ``.options timeint``, Xyce uses only the last card.
     """
 
     dialect = "xyce"
@@ -39,7 +42,7 @@ class Xyce(Dialect):
     keyword = "PARAMS:"
     option_prefix = ".options timeint"
     known_options = frozenset({"reltol", "abstol", "method"})
-    joined = frozenset({".save", ".options"})  # Xyce uses only the last such card
+    joined = frozenset({".save", ".options"})  # Xyce uses only the last ``.options timeint`` card
     functions = COMMON - {"uramp"}
     rewritten = Dialect.rewritten | {"uramp"}
     temperature = "TEMP"
@@ -52,9 +55,9 @@ class Xyce(Dialect):
         return super().write_call(function, arguments)
 
     def format_element(self, part: Element) -> str:
-        """Return the card of an element, without ``IC=`` if the analysis has no ``uic``.
+        """Return the card of an element, with ``IC=`` only in an analysis with ``uic``.
 
-        In an analysis without ``uic``, ngspice ignores ``IC=``, but Xyce applies it.
+        Without ``uic``, ngspice ignores ``IC=``, but Xyce does not.
         """
         if not _starts_from_initial_states(self.analysis) and part.kind in "cl":
             parameters = {k: v for k, v in part.parameters.items() if k.lower() != "ic"}
@@ -62,11 +65,11 @@ class Xyce(Dialect):
         return super().format_element(part)
 
     def directive(self, card: Directive) -> str:
-        """Return the card of an analysis for which Xyce has the same results as ngspice.
+        """Return an analysis card with which Xyce has the same results as ngspice.
 
-        A logarithmic frequency range is extended to the first point at or beyond its end, because
-        Xyce would stop at the last point before the end. If a controller may close a loop, the time
-        steps are limited: with error control alone, the error of a launch velocity is 5e-4.
+        A logarithmic frequency range ends at the first frequency point at or above its end, because
+        Xyce would stop one point earlier. If a controller may close a loop, the card limits the
+        time steps; without this limit, the error of a launch velocity is 5e-4.
         """
         if card.keyword == ".tran":
             nodes = (
@@ -93,7 +96,7 @@ class Xyce(Dialect):
         return super().format_options([*map(_tighten_reltol, words)] if timed else words)
 
     def _limit_steps(self, card: Directive) -> str:
-        """Return the card of a transient; its steps are limited if a controller closes a loop."""
+        """Return a transient card, with limited steps if a controller closes a loop."""
         if self.deck and not self.deck.may_have_loop:
             return card.text
         words = [w for w in card.words if w.lower() == "uic"]
@@ -113,7 +116,7 @@ class Xyce(Dialect):
         return f"{quantity}={{{self.write_tree(part.law)}}}"
 
     def format_derived_measure(self, kind: str, name: str, expression: str) -> str:
-        """Return a measurement card whose value is an expression."""
+        """Return the card of a measurement that is an expression of other measurements."""
         return f"{self.measure_keyword} {kind.upper()} {name} EQN {{{expression}}}"
 
     def format_magnitude(self, vector: str) -> str:
@@ -125,9 +128,9 @@ class Xyce(Dialect):
         return f"{vector[0]}R{vector[1:]}"
 
     def locate_extreme(self, extreme: str, vector: str, kind: str) -> tuple[str, ...]:
-        """Return the words of the card that measures the position of an extremum.
+        """Return the words that measure the position of an extremum.
 
-        There are no words for a dc sweep, in which Xyce would print a scaled position.
+        For a dc sweep, the result is empty, because Xyce would print a scaled position.
         """
         return (extreme, vector, f"OUTPUT={_SCALE_NAMES[kind]}") if kind in _SCALE_NAMES else ()
 
@@ -137,7 +140,7 @@ class Xyce(Dialect):
         return "\n+ ".join([f".print {kind} format=raw", *vectors])
 
     def switch(self, name: str, values: Mapping[str, str]) -> str:
-        """Return the card of a switch model, whose ``VON`` and ``VOFF`` must differ.
+        """Return the card of a switch model, in which ``VON`` and ``VOFF`` must differ.
 
         Xyce has no hysteresis.
         """
@@ -158,12 +161,12 @@ class Xyce(Dialect):
 
 
 def _starts_from_initial_states(card: Directive) -> bool:
-    """Return whether an analysis begins at initial states, without an operating point."""
+    """Return whether an analysis starts from initial states (``uic``)."""
     return card.keyword == ".tran" and "uic" in map(str.lower, card.words)
 
 
 def _list_nodes_with_initial_state(deck: Deck) -> Iterator[str]:
-    """Yield the deck nodes at which an element inside an instance has an initial state."""
+    """Yield the nodes of elements with an initial state inside an instance."""
     for instance in deck.scope.select_elements("x").values():
         called = deck.scope.find_subcircuit(instance.model)
         if called is None:
@@ -175,7 +178,7 @@ def _list_nodes_with_initial_state(deck: Deck) -> Iterator[str]:
 
 
 def _tighten_reltol(word: str) -> str:
-    """Return an ngspice option with the ``reltol`` that Xyce needs."""
+    """Return an option of ngspice; ``reltol`` is reduced to the value for Xyce."""
     name, _, value = word.partition("=")
     if name.lower() != "reltol":
         return word
