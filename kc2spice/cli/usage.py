@@ -38,7 +38,7 @@ class CheckedCommand(TyperCommand):
             except _ParserError as error:
                 raise _make_parser_error(self, error, typed) from None
             if context.args and not context.resilient_parsing:
-                raise _make_extra_word_error(self, context.args[0], typed)
+                raise _make_extra_word_error(self, context.args, typed)
         return context
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
@@ -120,8 +120,8 @@ def _make_parser_error(command: Any, error: Any, typed: list[str]) -> UsageError
 
 
 def _convert_to_hertz(words: Sequence[str]) -> list[str]:
-    """Return frequencies such as ``20k`` as numbers in Hz; empty if a word is no frequency."""
-    from kc2spice.core.quantities import convert_quantity  # imported here: slow to load
+    """Return words such as ``20k`` in Hz; empty if a word is not a frequency."""
+    from kc2spice.core.quantities import convert_quantity  # slow import
 
     with contextlib.suppress(UsageError):
         ends = [
@@ -169,7 +169,9 @@ def _make_unknown_option_error(command: Any, name: str, line: str) -> UsageError
     words = chain.from_iterable(item.opts for item in command.params)
     options = [word for word in words if word.startswith("--")]
     expected = f"one of {list_candidates(name, options, f'{line} --help')}"
-    hint = did_you_mean(name, options) or f"leave out {name}; {line} --help describes all options"
+    similar = did_you_mean(name.strip("-"), [word.strip("-") for word in options])
+    suggestion = similar and similar.replace("'", "'--", 1)
+    hint = suggestion or f"leave out {name}; {line} --help describes all options"
     synonym = next(filter(options.__contains__, _OPTION_SYNONYMS.get(name, ())), None)
     hint = f"write {synonym} in place of {name}" if synonym else hint
     where = line.removeprefix(PROGRAM).strip() or None
@@ -213,10 +215,11 @@ def _make_missing_argument_error(command: Any, param: Any, typed: list[str]) -> 
     )
 
 
-def _make_extra_word_error(command: Any, word: str, typed: list[str]) -> UsageError:
-    """Make the error for a word that is neither an option nor an argument of the command."""
+def _make_extra_word_error(command: Any, words: list[str], typed: list[str]) -> UsageError:
+    """Make the error for words that are neither options nor arguments."""
+    word, count = words[0], len(words)
     position = typed.index(word) if word in typed else 0
-    hint = f"delete {shlex.quote(word)}"
+    hint = f"delete {shlex.join(words)}"
     if typed[max(0, position - 2) : position - 1] == ["--set"]:
         value = [typed[position - 1]]
         for item in typed[position - 1 + 1 :]:
@@ -227,13 +230,13 @@ def _make_extra_word_error(command: Any, word: str, typed: list[str]) -> UsageEr
     elif "=" in word:
         hint = f"write --set {shlex.quote(word)}"
     elif any(item.metavar == _SEARCH_ARGUMENT for item in command.params):
-        words = itertools.takewhile(lambda item: not item.startswith("-"), typed)
-        hint = f"write {PROGRAM} {command.name} {shlex.quote(' '.join(words))}"
+        searched = itertools.takewhile(lambda item: not item.startswith("-"), typed)
+        hint = f"write {PROGRAM} {command.name} {shlex.quote(' '.join(searched))}"
     arguments = [item.metavar for item in command.params if item.param_type_name == "argument"]
     return UsageError(
-        "the command line has one argument too many",
+        f"the command line has {'one argument' if count == 1 else f'{count} arguments'} too many",
         where=command.name,
-        got=word,
+        got=shlex.join(words),
         expected=" ".join([PROGRAM, command.name, *arguments, "[OPTIONS]"]),
         hint=hint,
     )
@@ -246,7 +249,7 @@ def _find_example(command: Any) -> str:
 
 
 def _find_option_words(param: Any, typed: list[str]) -> list[str]:
-    """Return the words of the value of an option as typed; the last value if it is repeated."""
+    """Return the value of an option as typed; the last value of a repeated option."""
     words: list[str] = []
     for k, word in enumerate(typed):
         if word in param.opts:
@@ -294,7 +297,10 @@ def _make_invalid_number_error(param: Any, typed: list[str], is_integer: bool) -
 
 
 def _find_option_limits(param: Any) -> tuple[float | None, float | None]:
-    """Return the smallest and the largest accepted value of an option; None without a limit."""
+    """Return the smallest and largest accepted values of an option.
+
+    A value is None if there is no limit.
+    """
     owner = param if hasattr(param, "min") else getattr(param, "type", None)
     return getattr(owner, "min", None), getattr(owner, "max", None)
 

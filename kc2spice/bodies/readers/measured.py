@@ -2,8 +2,8 @@
 
 The columns of a table have titles, in any sequence (:mod:`kc2spice.bodies.readers.column_kinds`). A
 table must contain a frequency column and two columns that determine an impedance, such as |Z| and
-phase. Semicolons, tabs, commas or blanks separate fields. A comma that does not separate columns is
-a decimal comma.
+phase. Semicolons, tabs, commas or blanks separate the columns of a table. A comma that does not
+separate columns is a decimal comma.
 
 The names of variables in a MATLAB file are the same as the titles of columns. A complex variable
 has the name ``z``, ``y`` or ``s``, and the shape (n,) or (ports, ports, n) for n frequencies. The
@@ -54,12 +54,12 @@ from kc2spice.core.quantities import convert_quantity as parse_quantity
 from kc2spice.core.untrusted_files import read_bounded
 from kc2spice.rom.linear_model import Norm
 
-MAX_BYTES = 20_000_000  # largest size of a text file
+MAX_BYTES = 20_000_000  # bytes, largest size of a text file
 # Largest number of frequencies.
-# No analyser measures more frequencies, and a fit to more frequencies would take hours.
+# No analyser measures more than 20 000 frequencies, and a fit to more would take hours.
 MAX_FREQUENCIES = 20_000
 # Largest magnitude of a negative conductance that counts as noise, relative to |Y|.
-# If the relative magnitude is larger at a tenth of the points, the part is active.
+# A part is active if at least a tenth of the points exceed this limit.
 ACTIVE_RATIO = 0.05
 _TOUCHSTONE_SUFFIX = re.compile(r"\.(s(\d+)p|ts)", re.IGNORECASE)
 TABLE_SUFFIXES = (".csv", ".txt", ".tsv", ".zma", ".frd", ".z", ".dta", ".mpt")
@@ -74,9 +74,9 @@ class MeasuredAdmittance(EqualByContent):
 
     ``Y`` is the admittance [S] at the frequencies ``f`` (n,) [Hz], an array of shape (n, ports,
     ports). ``samples`` are the values of the measured ``quantity`` ``"S"``, ``"Z"`` or ``"Y"``, an
-    array of the same shape; None means that the samples are ``Y``. ``reference`` (ports,) [Ohm]
-    contains the reference resistances of S parameters. ``notes`` are assumptions of the reader, and
-    ``columns`` describes the columns that it used.
+    array of the same shape as ``Y``; None means that the samples are ``Y``. ``reference`` (ports,)
+    [Ohm] contains the reference resistances of S parameters. ``notes`` are assumptions of the
+    reader, and ``columns`` describes the columns that the reader used.
     """
 
     name: str
@@ -91,16 +91,15 @@ class MeasuredAdmittance(EqualByContent):
 
     @property
     def description(self) -> str:
-        """Columns, number of points and frequency range of the file, as a string for messages."""
+        """Columns, number of points and frequency range of the file, for messages."""
         span = f"{len(self.f)} points from {self.f[0]:.6g} to {self.f[-1]:.6g} Hz"
         return f"{self.columns}; {span}" if self.columns else span
 
     @property
     def measured_noise(self) -> float:
-        """Standard deviation of the noise in the measured quantity's real or imaginary part.
-        For Z and Y, the standard deviation is relative to the magnitude of each matrix entry. The
-        noise is estimated from the median magnitude of third differences between samples. Without
-        noise, the third differences are almost zero. Entries that are zero have no noise.
+        """Standard deviation of the noise in the measured quantity.
+
+        The noise is the noise in the real or imaginary part.
         """
         x = self.Y if self.samples is None else self.samples
         x = x.reshape(len(self.f), -1)
@@ -110,10 +109,10 @@ class MeasuredAdmittance(EqualByContent):
 
     @cached_property
     def admittance_noise(self) -> np.ndarray:
-        """Standard deviation of the noise in the real or imaginary part of each entry of Y.
+        """Standard deviation of the noise in each real or imaginary part of Y.
 
-        The returned array [S] has the shape (n, ports, ports). The noise of Y is the first-order
-        effect of independent noise in the measured entries::
+        The returned array of standard deviations [S] has the shape (n, ports, ports). The noise of
+        Y is the first-order effect of independent noise in the measured entries::
 
             dY = -Y dZ Y        R^(1/2) dY R^(1/2) = -2 (1 + S)^-1 dS (1 + S)^-1
 
@@ -141,7 +140,7 @@ class MeasuredAdmittance(EqualByContent):
         return float(np.median(self.admittance_noise[size > 0] / size[size > 0]))
 
     def compute_relative_noise(self, norm: Norm) -> float:
-        """Return the relative rms noise of the complex Y in the norm of an error estimate.
+        """Return the relative rms noise of Y in the ``norm`` of error estimates.
 
         In the norm *pointwise*, the noise is relative to the magnitude of an entry of Y at each
         frequency. In the norm *peak*, the noise is relative to the largest magnitude of the entry
@@ -163,7 +162,7 @@ def is_measured(path: Path) -> bool:
     if path.suffix.lower() == ".mat" and is_file(path):
         try:
             return any(map(is_frequency, _load_variables(path, path.stat().st_mtime)))
-        except (ValueError, NotImplementedError):  # the reader of matrices reports this error
+        except (ValueError, NotImplementedError):  # the reader of matrix files reports this error
             return False
     return bool(by_suffix) and is_file(path)
 
@@ -176,7 +175,8 @@ def is_table(path: Path) -> bool:
 def read_measured(path: Path, shunt: float | None = None) -> MeasuredAdmittance:
     """Read the measured response in a Touchstone file, a table or a MATLAB file.
 
-    ``shunt`` is the resistance [Ohm] in series with the part through which a gain was measured.
+    ``shunt`` [Ohm] is the series resistance whose voltage was measured, if the file contains a
+    gain.
 
     Raises
     ------
@@ -208,16 +208,22 @@ def read_measured(path: Path, shunt: float | None = None) -> MeasuredAdmittance:
     f, Y = response.f, response.Y
     if not (np.isfinite(f).all() and np.isfinite(Y).all() and f.min(initial=1.0) >= 0):
         got = "NaN, infinity, an impedance of zero or a frequency below zero"
-        raise make_unusable_error(path, got, "finite numbers", NAME_COLUMNS_HINT)
+        problem = "the file contains numbers that are not valid"
+        raise make_unusable_error(path, got, "finite numbers", NAME_COLUMNS_HINT, problem)
     f, order = np.unique(f, return_index=True)  # increasing frequencies without repetitions
     order = order[f > 0]
     if not len(order):
         hint = "export the file again, with the lines of numbers"
-        raise make_unusable_error(path, "no numbers", f"at least {MIN_FREQUENCIES} lines", hint)
-    if len(order) < MIN_FREQUENCIES:
-        raise make_unusable_error(
-            path, f"{len(order)} frequencies", f"at least {MIN_FREQUENCIES}", "measure more points"
+        problem, expected = (
+            "the file contains no measured values",
+            f"at least {MIN_FREQUENCIES} lines",
         )
+        raise make_unusable_error(path, "no numbers", expected, hint, problem)
+    if len(order) < MIN_FREQUENCIES:
+        got, expected = f"{len(order)} frequencies", f"at least {MIN_FREQUENCIES} frequencies"
+        hint = "export a measurement with more points"
+        problem = "the file contains too few frequencies"
+        raise make_unusable_error(path, got, expected, hint, problem)
     result = MeasuredAdmittance(
         name=path.stem,
         where=str(path),
@@ -231,9 +237,9 @@ def read_measured(path: Path, shunt: float | None = None) -> MeasuredAdmittance:
     )
     if len(order) > MAX_FREQUENCIES:
         hint = "leave out points between resonances"
-        raise make_unusable_error(
-            path, f"{len(order)} frequencies", f"at most {MAX_FREQUENCIES}", hint
-        )
+        got, expected = f"{len(order)} frequencies", f"at most {MAX_FREQUENCIES} frequencies"
+        problem = "the file contains too many frequencies"
+        raise make_unusable_error(path, got, expected, hint, problem)
     _reject_open_circuits(result)
     _reject_active_parts(result)
     return result
@@ -311,10 +317,11 @@ def _reject_shunt(shunt: float | None, content: str) -> None:
 
 
 def _reject_open_circuits(data: MeasuredAdmittance) -> None:
-    """Reject a response whose admittance is zero, because a fit divides errors by the admittance.
+    """Reject a response whose admittance is zero.
 
-    For a part with one port, errors are divided by the admittance at each frequency. For a part
-    with several ports, they are divided by the largest admittance of each port.
+    A fit divides errors by the admittance. For a part with one port, errors are divided by the
+    admittance at each frequency. For a part with several ports, errors are divided by the largest
+    admittance of each port.
     """
     still = np.einsum("fii->fi", data.Y) == 0
     one = still.shape[1] == 1
@@ -335,10 +342,11 @@ def _reject_open_circuits(data: MeasuredAdmittance) -> None:
 
 
 def _reject_active_parts(data: MeasuredAdmittance) -> None:
-    """Reject a response whose conductance matrix has negative eigenvalues that exceed the noise.
+    """Reject a response of a part that delivers power.
 
-    The conductance matrix is the Hermitian part of Y. Negative eigenvalues that exceed the noise
-    are accepted if they occur at less than a tenth of the frequencies.
+    The conductance matrix of such a response has negative eigenvalues that exceed the noise. The
+    conductance matrix is the Hermitian part of Y. Negative eigenvalues that exceed the noise are
+    accepted if they occur at less than a tenth of the frequencies.
     """
     size = np.linalg.norm(data.Y, 2, axis=(1, 2))
     least = np.linalg.eigvalsh(0.5 * (data.Y + data.Y.conj().swapaxes(1, 2)))[:, 0]
@@ -367,7 +375,10 @@ def _load_variables(path: Path, changed: float) -> dict[str, np.ndarray]:
 
 
 def _read_matlab(variables: dict[str, np.ndarray], shunt: float | None) -> MeasuredResponse:
-    """Convert the real vectors or the complex array in a MATLAB file to a frequency response."""
+    """Convert the arrays in a MATLAB file to a frequency response.
+
+    The file contains real vectors or one complex array.
+    """
     first = next(filter(is_frequency, variables), None)
     if first is None:
         raise ValueError(f"no variable is the frequency; the variables are {', '.join(variables)}")
@@ -415,6 +426,6 @@ def _has_quantity(name: str, quantity: Quantity) -> bool:
 
 
 def _find_unit_factor(name: str) -> float:
-    """Return the value in SI units of the unit in an array name, or 1 if it contains no unit."""
+    """Return the SI value of the unit in an array name; 1 if the name has no unit."""
     kind = find_complex_quantity(name)
     return kind[1] if kind else 1.0

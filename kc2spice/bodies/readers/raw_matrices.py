@@ -8,8 +8,8 @@ the parts of sparse matrices. The name of a part is the letter, a dot, and the n
 ``scipy.sparse.save_npz`` (``K.format``, ``K.shape``, ``K.data``, ``K.indices``, ``K.indptr``; in
 the format coo, ``K.row`` and ``K.col``). The integer arrays ``nodes`` (n,) and ``dofs`` (n,) may
 contain the node and the degree of freedom of each row. Readers that run in a separate process
-return the same arrays. MATLAB files are read in a separate process, because scipy's reader may
-crash on a corrupt file.
+return arrays with the same names as in an archive. MATLAB files are read in a separate process,
+because scipy's reader may crash on a corrupt file.
 
 A MATLAB file contains variables with the names of an archive's arrays, or one struct that COMSOL's
 ``mphmatrix`` or ``mphstate`` returned. The equation of ``mphmatrix`` is ``E u'' + D u' + K u = L``:
@@ -45,8 +45,9 @@ MAX_ROWS = 5_000_000  # largest number of rows or columns of a matrix
 MAX_ENTRIES = 200_000_000  # largest number of stored entries of one matrix
 MAX_DENSE = 50_000_000  # largest number of entries of a dense matrix
 MAX_NARROW_ENTRIES = 25_000_000  # largest number of entries of B, C or D as a dense matrix
-MAX_BYTES = 4_000_000_000  # largest size of a packed or unpacked file
-# Largest size of an unpacked file [bytes], or multiple of the packed size if that is larger.
+MAX_BYTES = 4_000_000_000  # bytes, largest size of a packed or unpacked file
+# Largest size of an unpacked file: a size [bytes] or a multiple of the packed size, whichever is
+# larger.
 UNPACKED_LIMITS = 100_000_000, 100
 REDO_HINT = "export the file again; kc2spice reduce --help lists the formats"
 # Messages of Python, numpy and zipfile as regular expressions, and what is wrong with the file.
@@ -68,7 +69,8 @@ DOF_NUMBERS = {name: code for code, name in DOFS.items()}
 TRANSLATIONS = (1, 2, 3)
 ROTATIONS = (4, 5, 6)
 VOLT = DOF_NUMBERS["volt"]
-# The key of a matrix row is (node number) times this number plus (degree-of-freedom number).
+# The key of a matrix row is _KIND_COUNT times the node number, plus the number of the degree of
+# freedom.
 _KIND_COUNT = 64
 _LARGEST_NODE = 2**40
 
@@ -80,15 +82,17 @@ T = TypeVar("T")
 
 
 def make_unusable_error(
-    path: Path, got: object, expected: str, hint: str = REDO_HINT
+    path: Path,
+    got: object,
+    expected: str,
+    hint: str = REDO_HINT,
+    problem: str = "the content of this file is not suitable",
 ) -> UsageError:
     """Make the error for a file with unsuitable content.
 
     ``got`` describes the content of the file, and ``expected`` the content that is accepted.
     """
-    return UsageError(
-        "this file cannot be used", where=str(path), got=got, expected=expected, hint=hint
-    )
+    return UsageError(problem, where=str(path), got=got, expected=expected, hint=hint)
 
 
 def is_file(path: Path) -> bool:
@@ -103,7 +107,7 @@ def is_file(path: Path) -> bool:
 
 
 def make_missing_error(path: Path, file_kind: str) -> UsageError:
-    """Make the error for a file that does not exist; ``file_kind`` is the kind of file."""
+    """Make the error for a missing file; ``file_kind`` is the kind of file."""
     where = str(path).replace("\0", "\\0")
     folder = "this folder" if path.parent == Path() else f"the folder {path.parent}"
     hint = suggest_file(path) or f"copy {path.name} into {folder}"
@@ -145,7 +149,7 @@ def parse_file(path: Path, expected: str, parse: Callable[[bytes], T]) -> T:
 
 
 def call_reader(path: Path, expected: str, read: Callable[[], T], advice: str = REDO_HINT) -> T:
-    """Return the result of ``read()``, and convert its exceptions to errors about the file.
+    """Return the result of ``read()``; convert exceptions to errors about the file.
 
     ``expected`` describes the accepted content of the file, and ``advice`` is the hint for a
     damaged file. If an error contains no location, the path of the file is added.
@@ -175,11 +179,12 @@ def _explain_parser_message(reason: str) -> str:
 def require_size(path: Path, letter: str, shape: tuple[int, ...], entries: int | None) -> None:
     """Reject a matrix whose declared size is too large, before memory is allocated.
 
-    ``entries`` is the number of stored entries, or None if it is unknown.
+    ``entries`` is the number of stored entries, or None if the number is unknown.
 
     Raises
     ------
-    UsageError : the matrix is not two-dimensional, or exceeds the limits of this module.
+    UsageError : the matrix is not two-dimensional, or has more rows or entries than the limits of
+        this module permit.
     """
     shape = tuple(map(int, shape))
     what = f"matrix {letter} of {' x '.join(map(str, shape))}"
@@ -273,7 +278,7 @@ class Dofs:
         return len(self.node)
 
     def encode_rows(self) -> np.ndarray:
-        """Return an integer for each matrix row that identifies its node and degree of freedom."""
+        """Return one integer per matrix row for its node and degree of freedom."""
         return np.asarray(self.node * _KIND_COUNT + self.kind)
 
 
@@ -298,8 +303,8 @@ class RawMatrices:
 def compute_row_keys(table: np.ndarray) -> Triple:
     """Compute the keys of the row and of the column of each matrix entry.
 
-    ``table`` contains a line (node, dof, node, dof, value) for each entry. A dof is the number of a
-    degree of freedom. Return the row keys, the column keys and the values.
+    ``table`` contains a line (node, dof, node, dof, value) for each entry. A ``dof`` is the number
+    of a degree of freedom. Return the row keys, the column keys and the values.
     """
     place = table[:, :4].real
     row, column = Dofs(*place[:, :2].T), Dofs(*place[:, 2:].T)
@@ -328,8 +333,8 @@ def make_matrices_by_letter(
 def complete_triangles(matrix: sparse.csc_array) -> sparse.csc_array:
     """Complete a symmetric matrix that contains only one entry of each symmetric pair.
 
-    The entry of a pair may be above or below the diagonal. If the matrix contains both entries of
-    any pair, it is returned unchanged.
+    The entry of a pair may be above or below the diagonal. A matrix that contains both entries of
+    any pair is returned unchanged.
     """
     below = abs(sparse.tril(matrix, -1, format="csc")) > 0
     above = abs(sparse.triu(matrix, 1, format="csc")) > 0
@@ -339,11 +344,11 @@ def complete_triangles(matrix: sparse.csc_array) -> sparse.csc_array:
 _ROW_LABELS = ("nodes", "dofs")  # names of the arrays that identify the rows
 # Permitted CPU time of a separate process: a fixed time [s], plus file size / data rate [bytes/s].
 _CPU_LIMITS = 8, 1_000_000
-# permitted memory of a separate process, in addition to the content of the file
+# permitted memory [bytes] of a separate process, in addition to the content of the file
 _MEMORY_BYTES = 1_300_000_000
 _NON_NUMERIC_CLASSES = ("cell", "object", "char", "function", "opaque")
 # Fields of the structs of `mphstate` and of `mphmatrix`, keyed by letter.
-# The first of the fields that exists is used.
+# For each letter, the first existing field is used.
 _STATE_FIELDS = {"E": ("Mc",), "A": ("MA", "A"), "B": ("MB", "B"), "C": ("C",), "D": ("D",)}
 _SECOND_ORDER_FIELDS = {"M": ("Ec", "E"), "E": ("Dc", "D"), "K": ("Kc", "K"), "B": ("Lc", "L")}
 
@@ -418,9 +423,10 @@ def _list_member_names(path: Path) -> list[str]:
 def call_in_process(
     function: Callable[..., object], path: Path, **options: object
 ) -> dict[str, np.ndarray]:
-    """Return the arrays that ``function(path, **options)`` returns in a separate process.
+    """Return the arrays that ``function`` returns in a separate process.
 
-    The permitted memory and CPU time of this process depend on the size of the file.
+    The call is ``function(path, **options)``. The permitted memory and CPU time of the separate
+    process depend on the size of the file.
 
     Raises
     ------
@@ -529,8 +535,8 @@ def unpack_matlab(path: str, requested: dict[str, str]) -> dict[str, np.ndarray]
 def read_vectors(path: str) -> dict[str, np.ndarray]:
     """Read the dense numeric arrays in a MATLAB file with a measured response.
 
-    Return the arrays, keyed by name. No arrays are returned if the file contains the matrices of a
-    model.
+    Return the arrays, keyed by name. The returned mapping is empty if the file contains the
+    matrices of a model.
 
     Raises
     ------
@@ -581,13 +587,13 @@ def _convert_to_plain_array(name: str, matrix: Any) -> Any:
 
 
 def drop_zero_imaginary(matrix: Any) -> Any:
-    """Return the real part of a matrix if its imaginary part is zero, otherwise the matrix."""
+    """Return the real part of a matrix without imaginary part; keep other matrices."""
     data = matrix.data if sparse.issparse(matrix) else matrix
     return matrix.real if np.iscomplexobj(data) and not data.imag.any() else matrix
 
 
 def _select_fields(value: Any, name: str) -> dict[str, Any]:
-    """Return the matrices in a struct of COMSOL, keyed by the matrix letters of this package."""
+    """Return the matrices in a struct of COMSOL, keyed by matrix letter."""
     if value.shape != (1, 1) or value.dtype.names is None:
         raise ValueError(f"struct {name} is an array of structs, not one struct")
     fields = {key: value[0, 0][key] for key in value.dtype.names}

@@ -1,4 +1,4 @@
-"""Reader of tables with thermal transients: temperature or thermal impedance versus time.
+"""Reader of thermal transients: temperature or thermal impedance versus time.
 
 A table has a column of times and a column of one of the :data:`TRANSIENT_QUANTITIES` in
 :mod:`kc2spice.bodies.readers.column_kinds`. The heating power is switched on or off at the time
@@ -28,7 +28,7 @@ from kc2spice.core.equality import EqualByContent
 from kc2spice.core.errors import UsageError
 
 # Smallest number of times after the power step.
-# This number suffices for two time constants, two resistances and an estimate of the noise.
+# Eight times suffice for two time constants, two resistances and an estimate of the noise.
 MIN_TIMES = 8
 NAME_TIME_HINT = "name the columns in the first line, such as  time_s,temperature_k"
 EXPECTED_TABLE = "a table with a time and a temperature or a thermal impedance Zth"
@@ -40,7 +40,8 @@ class ThermalTransient(EqualByContent):
 
     ``quantity`` is ``"temperature"`` or ``"zth"``. ``value`` contains the temperatures [K] or the
     thermal impedances [K/W] at the increasing times ``time`` [s]; both arrays have the shape (n,).
-    ``notes`` are assumptions of the reader, and ``columns`` describes the columns that it used.
+    ``notes`` are assumptions of the reader, and ``columns`` describes the columns that the reader
+    used.
     """
 
     name: str
@@ -59,14 +60,14 @@ class ThermalTransient(EqualByContent):
 
 
 def is_transient(path: Path) -> bool:
-    """Return whether a file is a table with a time column and without a frequency column."""
+    """Return whether a file is a table with times and without frequencies."""
     if not is_table(path) or not is_file(path):
         return False
     try:
         return call_reader(
             path, EXPECTED_TABLE, lambda: any(map(_has_time_column, load_tables(path)))
         )
-    except UsageError:  # the reader of responses reports this error
+    except UsageError:  # the reader of frequency responses reports this error of the table
         return False
 
 
@@ -86,13 +87,16 @@ def read_transient(path: Path) -> ThermalTransient:
 
     result = call_reader(path, EXPECTED_TABLE, read_response, NAME_TIME_HINT)
     if not (np.isfinite(result.time).all() and np.isfinite(result.value).all()):
-        raise make_unusable_error(path, "NaN or infinity", "finite numbers", NAME_TIME_HINT)
+        problem = "the file contains numbers that are not valid"
+        raise make_unusable_error(
+            path, "NaN or infinity", "finite numbers", NAME_TIME_HINT, problem
+        )
     count = len(np.unique(result.time[result.time > 0]))
     if count < MIN_TIMES:
         hint = "measure more points after the power step, which must be at the time zero"
-        raise make_unusable_error(
-            path, f"{count} times after zero", f"at least {MIN_TIMES} times after zero", hint
-        )
+        got, expected = f"{count} times after zero", f"at least {MIN_TIMES} times after zero"
+        problem = "the file contains too few times"
+        raise make_unusable_error(path, got, expected, hint, problem)
     return result
 
 
