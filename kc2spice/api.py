@@ -55,7 +55,7 @@ Function = Callable[[float, Mapping[str, float]], float]
 
 
 def build(scene: AnyScene) -> dict[str, LinearModel]:
-    """Build the full model of every body of a scene.
+    """Build the unreduced finite-element model of every body of a scene.
 
     Each full model has all ports of a body and all unknowns of the body's mesh. No model is
     reduced. Parts that are not bodies, such as drivers and contacts, have no entry in the returned
@@ -383,7 +383,7 @@ def verify(
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Result:
-    """Result of a simulation.
+    """Waves, metrics and checks of a simulation, with the deck and the figures.
 
     Attributes
     ----------
@@ -436,7 +436,7 @@ class Result:
         return self._require_scale("frequency")
 
     def _require_scale(self, scale: str) -> np.ndarray:
-        """Return the independent variable if its name is ``scale``; reject other names."""
+        """Return the values of the independent variable ``scale``; reject other variables."""
         if self.scale != scale:
             raise UsageError(
                 f"this result is not a function of {scale}",
@@ -448,7 +448,7 @@ class Result:
         return self.waves[scale]
 
     def plot(self, *names: str) -> Any:
-        """Plot waves by their names, or one of ``figures``.
+        """Plot the waves with the given names, or the figure with the given name.
 
         Without names, the first of ``figures`` is drawn. Waves of one unit share a pair of axes.
         Complex waves are drawn by magnitude. The method returns a matplotlib figure, which
@@ -565,7 +565,7 @@ def _format_html_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> st
 
 
 def _summarize(value: Any) -> str:
-    """Return a one-line text of a metric; for an array, only its number of values."""
+    """Return a metric as text on one line; for an array, only its number of values."""
     if isinstance(value, bool) or value is None or isinstance(value, str):
         return str(value)
     if isinstance(value, (int, float)):
@@ -657,7 +657,9 @@ def _require_path(out: object) -> Path:
     if isinstance(out, (str, Path)):
         return Path(out)
     raise UsageError(
-        "out is not the path of a directory",
+        "out is a table of keys, not the path of a directory"
+        if isinstance(out, Mapping)
+        else "out is not the path of a directory",
         where="out",
         got=repr(out)[:120],
         expected="a path",

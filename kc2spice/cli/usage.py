@@ -25,10 +25,10 @@ _ParserError: Any = typer.BadParameter.__base__
 
 
 class CheckedCommand(TyperCommand):
-    """Command that reports mistakes in four lines, and whose usage line has no braces."""
+    """Command whose errors have four lines, and whose usage line has no braces."""
 
     def make_context(self, info_name: Any, args: Any, parent: Any = None, **extra: Any) -> Any:
-        """Parse the arguments; report each mistake in an error of four lines."""
+        """Parse the arguments of a command; report each mistake in an error of four lines."""
         typed = list(args)
         # Extra arguments are rejected below, in an error that contains the typed text.
         extra.setdefault("allow_extra_args", True)
@@ -42,7 +42,7 @@ class CheckedCommand(TyperCommand):
         return context
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
-        """Return the words of the usage line, without braces."""
+        """Return the words of the command's usage line, without braces."""
         return [piece.strip("{}") for piece in super().collect_usage_pieces(ctx)]
 
 
@@ -50,7 +50,7 @@ class CheckedCommands(TyperGroup):
     """Group of all commands, which reports mistakes in four lines."""
 
     def make_context(self, info_name: Any, args: Any, parent: Any = None, **extra: Any) -> Any:
-        """Parse the options before the command."""
+        """Parse the options that stand before the name of the command."""
         try:
             return super().make_context(info_name, args, parent, **extra)
         except _ParserError as error:
@@ -60,7 +60,7 @@ class CheckedCommands(TyperGroup):
                 raise _make_unknown_option_error(self, error.option_name, PROGRAM) from None
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Return the command; report an unknown name as an error of four lines."""
+        """Return the command with the typed name; report an unknown name in four lines."""
         name = str(args[0])
         if self.get_command(ctx, name) is None and not ctx.resilient_parsing:
             with report_errors():
@@ -95,7 +95,7 @@ def _make_unknown_command_error(name: str, commands: list[str]) -> UsageError:
 
 
 def _make_parser_error(command: Any, error: Any, typed: list[str]) -> UsageError:
-    """Convert the parser's ``error`` about ``typed`` words to an error of four lines."""
+    """Convert an error of the command-line parser to an error of four lines."""
     param = getattr(error, "param", None)
     name = getattr(error, "option_name", None)
     if name is not None:
@@ -120,7 +120,7 @@ def _make_parser_error(command: Any, error: Any, typed: list[str]) -> UsageError
 
 
 def _convert_to_hertz(words: Sequence[str]) -> list[str]:
-    """Return words such as ``20k`` in Hz; empty if a word is not a frequency."""
+    """Convert words such as ``20k`` to Hz; return no words if one is not a frequency."""
     from kc2spice.core.quantities import convert_quantity  # slow import
 
     with contextlib.suppress(UsageError):
@@ -132,7 +132,7 @@ def _convert_to_hertz(words: Sequence[str]) -> list[str]:
 
 
 def _join_typed_line(command: Any, typed: list[str]) -> str:
-    """Return the command line as typed."""
+    """Return the complete command line as typed, including the program and command."""
     return " ".join([PROGRAM, command.name, shlex.join(typed)]).strip()
 
 
@@ -210,8 +210,8 @@ def _make_missing_argument_error(command: Any, param: Any, typed: list[str]) -> 
         f"the argument {param.metavar} is missing",
         where=command.name,
         got=_join_typed_line(command, typed),
-        expected=" ".join([PROGRAM, command.name, *arguments]),
-        hint=f"for example  {_find_example(command)}",
+        expected=" ".join([PROGRAM, command.name, *arguments, "[OPTIONS]"]),
+        hint=f"for example  {_complete_example(command, typed)}",
     )
 
 
@@ -242,6 +242,15 @@ def _make_extra_word_error(command: Any, words: list[str], typed: list[str]) -> 
     )
 
 
+def _complete_example(command: Any, typed: list[str]) -> str:
+    """Return an example of a command with the options that the user typed."""
+    example = _find_example(command)
+    if typed and typed[0].startswith("-"):
+        program, name, argument, *_ = example.split()
+        return shlex.join([program, name, argument, *typed])
+    return example
+
+
 def _find_example(command: Any) -> str:
     """Return the first example in the help text of a command."""
     lines = [line.strip() for line in (command.epilog or "").splitlines()]
@@ -249,7 +258,7 @@ def _find_example(command: Any) -> str:
 
 
 def _find_option_words(param: Any, typed: list[str]) -> list[str]:
-    """Return the value of an option as typed; the last value of a repeated option."""
+    """Return the value of an option as typed; for a repeated option, the last value."""
     words: list[str] = []
     for k, word in enumerate(typed):
         if word in param.opts:
@@ -273,6 +282,8 @@ def _make_invalid_number_error(param: Any, typed: list[str], is_integer: bool) -
         unlimited = low is None and high is None
         expected = "a whole number" + ("" if unlimited else f", {limits}") if is_integer else limits
         hint = f"for example {name} {max(low or 1, 1):g}"
+        if high == 1 and len(words) == 1 and 1 < float(words[0]) <= 100:
+            hint = f"for {words[0]} %, write {name} {float(words[0]) / 100:g}"
         return UsageError(problem, where=name, got=" ".join(words), expected=expected, hint=hint)
     if param.name != "band":
         problem, kind = "this value is not a number", "a whole number" if is_integer else "a number"

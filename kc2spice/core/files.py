@@ -11,11 +11,11 @@ import re
 import shutil
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from kc2spice.core.errors import UsageError, did_you_mean
+from kc2spice.core.errors import UsageError
 
 # Suffixes of the main output files, which are deleted first and written last.
 # Readers thus find no incomplete set of files, even if a run is killed between two renames.
@@ -41,12 +41,21 @@ def suggest_file(path: Path) -> str | None:
     suffix = path.suffix.lower()
     same_suffix = [name for name in names if name.lower().endswith(suffix)]
     other_formats = [name for name in names if not name.endswith(".toml")]
-    return did_you_mean(path.name, same_suffix) or did_you_mean(path.name, other_formats)
+    return _suggest_stem(path, same_suffix) or _suggest_stem(path, other_formats)
+
+
+def _suggest_stem(path: Path, names: Sequence[str]) -> str | None:
+    """Suggest the file whose name without suffix is most similar to that of ``path``."""
+    import difflib  # difflib is imported here, because most runs do not need it
+
+    stems = {Path(name).stem.lower(): name for name in reversed(names)}
+    similar = difflib.get_close_matches(path.stem.lower(), stems, n=1, cutoff=0.7)
+    return f"did you mean {stems[similar[0]]!r}?" if similar else None
 
 
 @contextmanager
 def stage_directory(out: Path | str) -> Iterator[Path]:
-    """Yield a work directory whose files move to ``out`` if the block succeeds.
+    """Yield a work directory whose files move to ``out`` if no error is raised.
 
     If the block raises an error, nothing is written, and earlier results in ``out`` stay
     unchanged. The files are renamed while ``out`` is locked. Two runs with the same output
@@ -131,7 +140,7 @@ def _publish_files(work: Path, out: Path) -> None:
 
 
 def _record_hashes(work: Path, files: list[Path]) -> None:
-    """Add to ``result.json`` the SHA-256 hash of every other file of the run.
+    """Add the SHA-256 hashes of all other files of the run to ``result.json``.
 
     A later run with the same directory deletes a file only if its hash is unchanged.
     """
@@ -155,7 +164,7 @@ def _hash_file(path: Path) -> str:
 
 
 def list_earlier_files(out: Path) -> set[str]:
-    """List the files in ``out`` that are unchanged since an earlier run.
+    """List the files of an earlier run in ``out`` that are still unchanged.
 
     The file ``result.json`` of the earlier run contains the hashes of its files. The returned list
     does not contain
@@ -182,7 +191,7 @@ def list_earlier_files(out: Path) -> set[str]:
 
 
 def _rank_main_file(path: Path) -> int:
-    """Return the position of a file's suffix in :data:`MAIN_SUFFIXES`.
+    """Return the rank of a main result file by its suffix; -1 for other files.
 
     The position of other suffixes is -1.
     """

@@ -21,7 +21,7 @@ from pydantic_core import PydanticCustomError
 
 from kc2spice.core.domains import QUANTITIES
 from kc2spice.core.errors import UsageError, did_you_mean
-from kc2spice.core.unit_spelling import suggest_spelling
+from kc2spice.core.unit_spelling import give_example, suggest_spelling
 from kc2spice.core.units import MAX_QUANTITY_LENGTH, parse_quantity, parse_unit
 
 AIR_DENSITY = 1.204  # kg/m3 at 20 °C and 1013 hPa
@@ -35,7 +35,7 @@ ELEMENTARY_CHARGE = 1.602176634e-19  # C, exact (SI, 2019)
 
 
 def convert_quantity(value: object, si: str, *, where: str | None = None) -> float:
-    """Convert ``value`` to a number in the SI unit ``si``.
+    """Convert a number, or a string with a unit, to a number in the SI unit ``si``.
 
     A number is returned unchanged. A string must contain a number with a unit, such as ``"100 V"``.
     For plain numbers, ``si`` is ``""``, and the only permitted unit in a string is ``%``.
@@ -44,7 +44,7 @@ def convert_quantity(value: object, si: str, *, where: str | None = None) -> flo
     ------
     UsageError : the value is not a finite number, or its unit has a wrong physical dimension.
     """
-    expected = f'a number in {si}, or a string with a unit such as "1 {si}"'
+    expected = f'a number in {si}, or a string with a unit such as "{give_example(si)}"'
     try:
         if isinstance(value, str):
             result = parse_quantity(value, si)
@@ -70,7 +70,7 @@ def convert_quantity(value: object, si: str, *, where: str | None = None) -> flo
 def make_invalid_value_error(
     reason: str, expected: str | None, key: str | None = None, hint: str | None = None
 ) -> PydanticCustomError:
-    """Make the error that a validator raises for an invalid value or ``key``."""
+    """Make the error that a validator raises for an invalid value of a key."""
     context = {"reason": reason, "expected": expected, "key": key, "hint": hint}
     return PydanticCustomError("quantity", "{reason}", context)
 
@@ -93,7 +93,7 @@ def _parse_number_with_unit(si: str, value: object) -> float:
 
 
 def _require_ring_radii(value: object) -> object:
-    """Return ``value`` if this value is a valid choice of contact rings.
+    """Validate the choice of contact rings: ``needed``, ``all`` or a positive number.
 
     Any other value raises an error.
     """
@@ -107,7 +107,7 @@ def _require_ring_radii(value: object) -> object:
 
 
 class ScalePosition(float):
-    """Position on the scale of an analysis, in the SI unit ``unit``.
+    """Position on the scale of an analysis (a time or a frequency), with its unit.
 
     ``unit`` is empty for a number without a unit.
     """
@@ -145,7 +145,7 @@ def _parse_scale_position(value: object) -> ScalePosition:
 
 
 def _parse_mounting(value: object) -> object:
-    """Parse the mounting of a body, which is a name or a stiffness per area."""
+    """Parse the mounting of a body, which is a name or a stiffness per area [N/m^3]."""
     known = ("roller", "glued", "free")
     try:
         if value in known or 0 < convert_quantity(value, "N/m3") < float("inf"):
@@ -159,7 +159,9 @@ def _parse_mounting(value: object) -> object:
 
 
 def si(unit: str) -> BeforeValidator:
-    """Return the validator of a scene key whose value is a number in ``unit``.
+    """Return the pydantic validator of a scene key whose values have an SI unit.
+
+    A valid value is a number in ``unit``, or a string with a unit.
 
     Raises
     ------
@@ -177,7 +179,7 @@ def si(unit: str) -> BeforeValidator:
 
 @dataclass(frozen=True)
 class PlausibleRange:
-    """Range of plausible values of a scene key, as metadata of the key's type.
+    """Range of plausible values of a scene key, which is metadata of the key's type.
 
     Plausible values are between ``low`` and ``high`` in ``unit``. ``why`` is the reason for these
     limits. Zero is also accepted, for example for a tip without mass.
@@ -255,7 +257,7 @@ class RefinementRule:
     when: tuple[tuple[str, object], ...] = ()
 
     def refine(self, value: float, steps: float) -> float:
-        """Return ``value`` after a number of refinement ``steps``.
+        """Return the value of a setting after a number of refinement steps.
 
         A real number is rounded to six digits, and a number of points or parts to an integer.
         """
@@ -266,7 +268,7 @@ class RefinementRule:
 
 
 class Section(BaseModel):
-    """Base class of tables in a scene file, which reject unknown keys and changes."""
+    """Base class of scene tables, which are immutable and reject unknown keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True, defer_build=True)
     help_command: ClassVar[str] = "kc2spice scenes --keys"  # command that prints all keys

@@ -47,9 +47,24 @@ _FOREIGN_UNITS = {
 _SEVERAL_VALUES = re.compile(r"\s*([-+]?[\d.]+\s*[A-Za-z%/]*)\s*:\s*[-+]?\d|"
                              r"\s*([-+]?[\d.]+\s*[A-Za-z%/]+)\s*,\s*[-+]?\d")  # fmt: skip
 
+# Values of usual size, keyed by SI unit. For other units, the example is 1.
+_EXAMPLES = {
+    "m": "1 mm", "kg": "1 g", "s": "1 ms", "Hz": "1 kHz", "F": "1 nF", "H": "1 mH", "m3": "1 cm3",
+    "m2": "1 mm2", "A": "1 mA",
+}  # fmt: skip
+
+
+def give_example(si: str) -> str:
+    """Return a quantity of usual size in a unit that belongs to the SI unit ``si``.
+
+    >>> give_example("m"), give_example("V")
+    ('1 mm', '1 V')
+    """
+    return _EXAMPLES.get(si, f"1 {si}")
+
 
 class _TypedQuantity(NamedTuple):
-    """Quantity as typed: its complete text, its number, and the unit after the number."""
+    """Quantity as the user typed it: complete text, number and unit."""
 
     text: str
     number: str
@@ -57,7 +72,7 @@ class _TypedQuantity(NamedTuple):
 
 
 def suggest_spelling(value: object, si: str) -> str | None:
-    """Suggest a correction of a decimal comma, or of a missing or wrong unit.
+    """Suggest a correction of a quantity with a decimal comma or a faulty unit.
 
     >>> suggest_spelling("1,5 mm", "m")
     'write  "1.5 mm"'
@@ -84,12 +99,12 @@ def suggest_spelling(value: object, si: str) -> str | None:
 
 
 def _make_form_hint(si: str) -> str:
-    """Return a hint with an example of a quantity in the unit ``si``."""
-    return f'write a number with its unit, such as "1 {si}"' if si else "write a number"
+    """Return a hint that shows an example of a quantity in the required unit."""
+    return f'write a number with its unit, such as "{give_example(si)}"' if si else "write a number"
 
 
 def _suggest_if_valid(text: str, si: str) -> str | None:
-    """Suggest ``text`` if this text is a valid quantity in the unit ``si``."""
+    """Return the hint to write ``text`` if it is a valid quantity, otherwise None."""
     with contextlib.suppress(ValueError):
         parse_quantity(text, si)
         return f'write  "{text}"'
@@ -104,7 +119,7 @@ def _replace_name(typed: _TypedQuantity, si: str) -> str | None:
 
 
 def _replace_celsius(typed: _TypedQuantity, si: str) -> str | None:
-    """Suggest kelvin for a temperature difference in degrees Celsius."""
+    """Suggest kelvin in place of degrees Celsius for a temperature difference."""
     celsius = re.search("°C|℃|degC", typed.unit)
     if celsius is None:
         return None
@@ -116,7 +131,7 @@ def _replace_celsius(typed: _TypedQuantity, si: str) -> str | None:
 
 
 def _replace_prefix_in_number(typed: _TypedQuantity, si: str) -> str | None:
-    """Suggest a decimal point in place of the prefix of a quantity such as ``4k7``."""
+    """Suggest a decimal point in place of the prefix in a number such as ``4k7``."""
     split = re.fullmatch(r"(\d+)([pnumkMGRΩ])(\d+)", typed.text)
     if split is None:
         return None
@@ -125,7 +140,7 @@ def _replace_prefix_in_number(typed: _TypedQuantity, si: str) -> str | None:
 
 
 def _correct_letter_case(typed: _TypedQuantity, si: str) -> str | None:
-    """Suggest the unit ``si`` with the typed prefix if only the letter case is wrong."""
+    """Suggest the unit with the correct letter case, such as ``MHz`` for ``mhz``."""
     if not si or not typed.unit.lower().endswith(si.lower()):
         return None
     prefix = typed.unit[: -len(si)]
@@ -134,7 +149,7 @@ def _correct_letter_case(typed: _TypedQuantity, si: str) -> str | None:
 
 
 def _add_exponent(typed: _TypedQuantity, si: str) -> str | None:
-    """Suggest the missing exponent in a unit of area or volume: ``mm2`` for ``mm``."""
+    """Suggest the missing exponent in a unit of area or volume, such as ``mm2``."""
     power, length = re.fullmatch(r"(m)([23])", si), parse_unit(typed.unit)
     if power and length and length == parse_unit(f"{typed.unit[:-1]}m"):
         return f'write  "{typed.number} {typed.unit}{power[2]}"'
@@ -151,7 +166,7 @@ def _convert_foreign_unit(typed: _TypedQuantity, si: str) -> str | None:
 
 
 def _complete_unit(typed: _TypedQuantity, si: str) -> str | None:
-    """Suggest a compound unit if only its first unit was typed: ``3 N`` for N/m."""
+    """Suggest a compound unit of which only the first unit was typed: N/m for ``3 N``."""
     if typed.unit and si.startswith((f"{typed.unit}/", f"{typed.unit} ")):
         return f'write  "{typed.number} {si}"'
     return None
@@ -170,7 +185,7 @@ _CORRECTIONS = (
 
 
 def _complete_text(value: str, typed: _TypedQuantity | None, si: str) -> str | None:
-    """Suggest a decimal point instead of a comma, or append the unit ``si``."""
+    """Suggest a decimal point in place of a comma, or add a missing unit."""
     for text in (value.replace(",", ".", 1), f"{value.rstrip()}{si}", f"{value.rstrip()} {si}"):
         with contextlib.suppress(ValueError):
             if not math.isfinite(parse_quantity(text, si)):
@@ -184,7 +199,7 @@ def _complete_text(value: str, typed: _TypedQuantity | None, si: str) -> str | N
 
 
 def _suggest_unit(typed: _TypedQuantity | None, si: str) -> str:
-    """Suggest the unit ``si`` with the prefix that matches the typed unit best."""
+    """Suggest the SI unit with the prefix that is most similar to the typed unit."""
     from difflib import get_close_matches  # imported here, because few values need a correction
 
     if typed is None:

@@ -87,7 +87,7 @@ class DeckEdits:
 
 
 def read_edited_deck(original: Deck, path: Path) -> DeckEdits:
-    """Read a netlist that was edited after the export of its ``original`` deck.
+    """Read a netlist that was edited after kc2spice exported the original deck.
 
     The content of included files replaces the include lines. Unless the original deck is trusted, a
     netlist that could execute programs or write files is rejected.
@@ -139,7 +139,7 @@ def read_edited_deck(original: Deck, path: Path) -> DeckEdits:
 
 
 def _require_analysis(original: Deck, cards: Iterable[Statement], path: Path) -> Statement:
-    """Return the card of the analysis in an edited deck.
+    """Return the only analysis card of an edited deck; reject a changed analysis.
 
     Raises
     ------
@@ -230,6 +230,15 @@ def _require_results(before: Scope, edited: Deck, path: Path, scene_name: str) -
     missing = [v for v in edited.saved_vectors if not has_vector(now, v) and has_vector(before, v)]
     if not missing:
         return
+    if 2 * len(missing) > sum(has_vector(before, v) for v in edited.saved_vectors):
+        raise UsageError(
+            "this deck is not a deck of this scene",
+            where=str(path),
+            got=f"a deck without {len(missing)} of the results of {scene_name}, such as "
+            f"{missing[0]}",
+            expected=f"the deck that  kc2spice export {scene_name}  writes, with changes",
+            hint=f"edit a copy of the deck that  kc2spice export {scene_name}  writes",
+        )
     sources = {f"i({e.key})": e for e in before.elements if e.kind == "v"}
     hint = f"edit a copy of the deck that  kc2spice export {scene_name}  writes"
     missing_sources = list(filter(None, map(sources.get, map(str.lower, missing))))
@@ -368,7 +377,7 @@ def _compare_parameters(
 
 
 def _list_cards(scope: Scope, above: frozenset[str] = frozenset()) -> Any:
-    """Return the content of all cards of a subcircuit and its inner subcircuits."""
+    """Return the texts of all cards of a subcircuit and of its inner subcircuits."""
     inside = []
     for item in scope.elements:
         called = scope.find_subcircuit(item.model) if item.kind == "x" else None

@@ -42,15 +42,17 @@ _ALTERNATIVE_UNITS = {"m": {"mm": 1e-3, "um": 1e-6}, "kg": {"g": 1e-3, "mg": 1e-
 def check_range(
     where: str, value: float, unit: str, low: float, high: float, why: str
 ) -> Iterator[UsageError]:
-    """Yield an error if a value is not between ``low`` and ``high``.
+    """Yield an error if a value is outside of its plausible range.
 
-    ``why`` states why a value outside of the limits is not plausible.
+    The limits of the range are ``low`` and ``high``. ``why`` states why a value outside of the
+    limits is not plausible.
     """
     if not low <= value <= high:
         units = _ALTERNATIVE_UNITS.get(unit, {}).items()
         fitting = next((name for name, size in units if low < value * size <= high), None)
         if high < value < MISTAKEN_UNIT_RATIO * high:
             fitting = None  # a value that is only slightly too large has the right unit
+        meant = format_quantity(value * dict(units).get(fitting or "", 1.0), unit).replace("µ", "u")
         limit = high if value > high else low
         micro = format_quantity(1e-12 * value, unit).replace("µ", "u")
         # the user probably typed M (mega) instead of u (micro)
@@ -61,11 +63,11 @@ def check_range(
             verb = "lower" if value > high else "raise"
             advice = f"{verb} the value to {format_quantity(limit, unit)}"
         yield ImplausibleError(
-            f"this value is not plausible: {why}",
+            f"this value is {'larger' if value > high else 'smaller'} than plausible: {why}",
             where=where,
             got=format_quantity(value, unit),
             expected=f"{format_quantity(low, unit)} to {format_quantity(high, unit)}",
-            hint=f'did you mean "{value:g} {fitting}"?' if fitting else advice,
+            hint=f'did you mean "{meant}"?' if fitting else advice,
         )
 
 
@@ -177,7 +179,7 @@ def check_model_masses(build: BuiltScene) -> Iterator[UsageError]:
 
 
 def apply_check_action(errors: Iterable[UsageError], action: str) -> Iterator[UsageError]:
-    """Yield errors, print the errors as warnings, or ignore the errors.
+    """Yield errors, print errors as warnings, or ignore errors, as the action states.
 
     The ``action`` ``"fail"`` yields the errors, ``"warn"`` prints the errors, and ``"off"`` ignores
     the errors.
@@ -188,5 +190,6 @@ def apply_check_action(errors: Iterable[UsageError], action: str) -> Iterator[Us
         if action == "warn":
             warnings.warn(f"{item.where}: {item.got}: {item.message}", stacklevel=2)
             continue
-        item.hint = f"{item.hint or 'is the unit right?'} (checks.plausible = 'warn' runs it)"
+        hint = item.hint or "is the unit right?"
+        item.hint = f"{hint} (to run the scene with this value, set checks.plausible = 'warn')"
         yield item

@@ -151,8 +151,8 @@ def subcircuit(
     if not isinstance(rom, LinearModel):
         raise UsageError(
             "this object is not a linear model",
-            where=name,
-            got=type(rom).__name__,
+            where="rom",
+            got=f"{type(rom).__name__} {rom!r}"[:120],
             expected="a kc.LinearModel, such as kc.reduce returns",
             hint="read a model from a file by kc.read_model(PATH)",
         )
@@ -225,7 +225,10 @@ def _make_unknown_losses_error(name: str, got: str) -> UsageError:
 def _make_network_subcircuit(
     network: ParallelBranches, rom: LinearModel, name: str, header: Header, rating: str
 ) -> Subcircuit:
-    """Return the subcircuit of a network of R, L and C; ``rom`` contains its matrices."""
+    """Return the subcircuit of a network of resistors, inductors and capacitors.
+
+    ``rom`` contains the matrices of the network.
+    """
     pins, cards = (
         list_netlist_pins(rom.ports[0]),
         (NETWORK_COMMENT, write_branch_cards(network, rom)),
@@ -236,7 +239,7 @@ def _make_network_subcircuit(
 
 
 def _make_heat_subcircuit(rom: LinearModel, name: str, header: Header, rating: str) -> Subcircuit:
-    """Return the subcircuit of the heat model ``rom``."""
+    """Return the subcircuit of a heat model."""
     pins, common = list_heat_pins(rom, name)
     cards = write_heat_model(rom, common)
     base = common if len(pins) > 2 else ""  # RC circuits need no pivot cards
@@ -246,7 +249,7 @@ def _make_heat_subcircuit(rom: LinearModel, name: str, header: Header, rating: s
 
 
 def list_heat_pins(rom: LinearModel, name: str) -> tuple[tuple[Pin, ...], str]:
-    """Return the pins of a heat model, and the name of the last, the reference pin.
+    """Return the pins of a heat model, and the name of its reference pin (the last).
 
     Raises
     ------
@@ -342,7 +345,7 @@ def _summarise_reduction(
     certificate: Certificate,
     compared: Iterable[tuple[LinearModel, Mapping[str, float]]],
 ) -> ReductionSummary:
-    """Return order, band and error estimate of a reduced model with its circuit.
+    """Return the order, band and error estimate of a reduced model with its circuit.
 
     The circuit is compared with each model in ``compared`` at the parameter values of that model.
     """
@@ -397,7 +400,7 @@ def is_conservative(rom: LinearModel) -> bool:
 
 
 def _add_noise_forces(rom: LinearModel) -> LinearModel:
-    """Return ``rom`` with additional inputs for the noise forces of its losses.
+    """Return a model with additional inputs for the noise forces of its losses.
 
     The columns b of the input matrix for the noise forces satisfy ``E = sum b b'``, where E is the
     damping matrix. Each noise force therefore has the spectral density of the noise of a unit
@@ -429,7 +432,7 @@ def _add_noise_forces(rom: LinearModel) -> LinearModel:
 def make_unit_load_cards(
     model: LinearModel, library: Subcircuit, load: Port, tag: str = ""
 ) -> tuple[list[Element], dict[str, tuple[str, float]]]:
-    """Return the cards of a subcircuit with a unit load, and its response vectors.
+    """Return cards of a subcircuit with a unit load at a port, and response vectors.
 
     The response vectors are keyed by port. Each response vector consists of the name of an ngspice
     vector and of the factor that converts the vector to SI units. As in

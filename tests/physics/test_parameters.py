@@ -257,7 +257,7 @@ def test_matrices_have_no_parameters_and_a_box_no_matrices():
     ("parameters", "word"),
     [
         ({"layers[1].thicknes": [1e-4, 2e-4]}, r"did you mean 'layers\[1\].thickness'\?"),
-        ({"layers[1].material.density": [7e3, 8e3]}, "given by its name has no keys"),
+        ({"layers[1].material.density": [7e3, 8e3]}, "stated by name cannot be varied"),
         ({KEY: [1.3e-4, 1.4e-4]}, "not a valid range"),
         ({KEY: [-1e-4, 2e-4]}, "cannot have"),
         ({LOSS: [50, 50]}, "not a valid range"),

@@ -34,7 +34,7 @@ def slips(brass="20 mm", ceramic="14 mm", thickness="0.22 mm", drive="10 V", **d
 
 
 BODIES = [
-    (slips(thickness=0.22), "disc.layers[1].thickness", "220 mm", 'mean "0.22 mm"'),
+    (slips(thickness=0.22), "disc.layers[1].thickness", "220 mm", 'mean "220 um"'),
     (slips(brass=20.0, ceramic=14.0), "disc.layers[0].diameter", "20 m", 'mean "20 mm"'),
     (slips(ceramic="22 mm"), "disc.layers[1].diameter", "22 mm", "wider than its plate"),
     (slips(ceramic="20 um"), "disc.layers[1].thickness", "220 µm", "10 times as thick"),

@@ -60,7 +60,10 @@ MAX_PHASE_DEGREES = 180.0  # largest magnitude of a phase [degrees]
 
 
 class ShortTableError(ValueError):
-    """Error for text without a table; ``advice`` is the hint of the error message."""
+    """Error for a text that has too few rows of numbers to form a table.
+
+    ``advice`` is the hint of the error message.
+    """
 
     advice = (
         "export one line of numbers for each point, below titles such as  "
@@ -121,8 +124,8 @@ def read_tables(text: str) -> list[TextTable]:
         first = next(filter(None, map(str.strip, lines)), "")
         if not first:
             raise ValueError("the file is empty")
-        place = f", below the first line {first[:40]!r}"
-        problem = f"fewer than {MIN_ROWS} rows of {MIN_COLUMNS} numbers or more"
+        place = f" below the first line {first[:40]!r}"
+        problem = "there are too few rows of numbers"
         raise ShortTableError(f"{problem}{place}{_describe_non_number(lines)}")
     tables, end = list[TextTable](), 0
     for run in runs:
@@ -141,7 +144,7 @@ def read_tables(text: str) -> list[TextTable]:
 
 @dataclass(frozen=True)
 class _Run:
-    """Range of lines that have the same number of fields and form a table.
+    """Range of lines that have equal numbers of fields and form a table.
 
     ``first`` is the index of the first line, and ``last`` the index after the last line. ``rows``
     is the number of lines that contain only numbers, and ``width`` is the number of fields.
@@ -180,7 +183,7 @@ def _is_number(word: str) -> bool:
 
 
 def _count_fields(line: str, separator: str | None) -> tuple[int, bool]:
-    """Count the fields of a line, and check whether all fields are numbers.
+    """Return the number of fields in a line, and whether all fields are numbers.
 
     Return the number of fields, and whether all fields are numbers. The returned number of fields
     is 0 if the line is not a row of a table, and -1 if the line is blank.
@@ -199,7 +202,7 @@ def _count_fields(line: str, separator: str | None) -> tuple[int, bool]:
 
 
 def _find_numeric_line_ranges(lines: list[str], separator: str | None) -> Iterator[_Run]:
-    """Yield ranges of lines that begin with a number and have equal numbers of fields.
+    """Yield each range of numeric lines that have equal numbers of fields.
 
     A few rows in a range may contain words.
     """
@@ -214,7 +217,7 @@ def _find_numeric_line_ranges(lines: list[str], separator: str | None) -> Iterat
 
 
 def _describe_non_number(lines: list[str]) -> str:
-    """Describe the first line that begins with a number and contains a word.
+    """Describe the first row that contains a word instead of a number, for messages.
 
     Return an empty string if no line contains both. The description is a part of an error message.
     """
@@ -228,7 +231,7 @@ def _describe_non_number(lines: list[str]) -> str:
 
 
 def _build_table(lines: list[str], run: _Run, end: int, separator: str | None) -> TextTable:
-    """Make the table of a range of rows.
+    """Make a table from a range of lines, with titles from the lines above it.
 
     The titles of the table are searched in the lines after the index ``end``, where the previous
     table ends.
@@ -261,7 +264,7 @@ def _build_table(lines: list[str], run: _Run, end: int, separator: str | None) -
 def _describe_omitted_rows(
     rows: list[list[str]], complete: list[bool], names: Sequence[str], lines: list[int]
 ) -> list[str]:
-    """Describe the rows that are omitted because they contain a word.
+    """Return notes about the rows that are omitted because they contain words.
 
     ``lines`` are the line numbers of the rows, counted from 0.
 
@@ -338,7 +341,7 @@ def _split_titles(line: str, separator: str | None, columns: int, index: bool) -
 
 
 def _find_format(above: list[str]) -> str:
-    """Find the quantity of a trace in the last ``FORMAT`` line above a table.
+    """Find the quantity in the last ``FORMAT`` line above a table, such as ``|Z|``.
 
     An example of a ``FORMAT`` line is ``FORMAT: |Z|``. Return an empty string if there is no
     ``FORMAT`` line.
@@ -347,7 +350,7 @@ def _find_format(above: list[str]) -> str:
 
 
 def _find_trace_quantity(above: list[str]) -> str:
-    """Find the quantity of the last trace in the line ``MEASURE PARAMETER``.
+    """Find the quantity of the last trace in a ``MEASURE PARAMETER`` line.
 
     Return an empty string if there is no line ``MEASURE PARAMETER``.
     """
@@ -360,7 +363,7 @@ def _find_trace_quantity(above: list[str]) -> str:
 
 
 def _find_last_match(pattern: re.Pattern[str], lines: list[str]) -> str:
-    """Return the first group of a pattern in the last line that matches the pattern.
+    """Return the text that a pattern captures in the last matching line.
 
     Return an empty string if no line matches the pattern.
     """
@@ -373,7 +376,7 @@ def _find_last_match(pattern: re.Pattern[str], lines: list[str]) -> str:
 def _apply_format(
     titles: tuple[str, ...], numbers: list[np.ndarray], stated: str
 ) -> tuple[tuple[str, ...], list[np.ndarray], list[str]]:
-    """Replace the titles of trace columns according to the ``FORMAT`` line.
+    """Rename the trace columns of a table according to its ``FORMAT`` line.
 
     ``stated`` is the quantity in the ``FORMAT`` line. If the quantity is real, the second column of
     the trace must be zero. If the quantity is |Z| or |Y|, the second column may be the phase.
@@ -414,7 +417,7 @@ def _apply_format(
 
 
 def _append_block(before: TextTable, table: TextTable) -> TextTable:
-    """Append the rows of a table without titles to the table ``before`` it."""
+    """Append the rows of a table without titles to the table that precedes it."""
     pairs = zip(before.numbers, table.numbers, strict=True)
     numbers = tuple(map(np.concatenate, pairs))
     note = f"{table.line_range} have no titles: taken as further rows of the table above"
@@ -424,7 +427,7 @@ def _append_block(before: TextTable, table: TextTable) -> TextTable:
 
 
 def _merge_tables(tables: list[TextTable]) -> list[TextTable]:
-    """Merge tables with the same frequencies and different titles."""
+    """Merge tables that have the same frequencies into one table with all columns."""
     result = list[TextTable]()
     for table in tables:
         place = next(
