@@ -53,7 +53,7 @@ def pyspice_subcircuit(part: Subcircuit, package: Package = "PySpice") -> Any:
     parent = import_optional(f"{package}.Spice.Netlist", "pyspice_subcircuit").SubCircuit
 
     class Part(parent):  # type: ignore[misc,valid-type]
-        """Part of kc2spice with the text of its library file."""
+        """Subcircuit of PySpice whose text is the library file of a part."""
 
         def __str__(self) -> str:
             return part.text.rstrip("\n") + "\n"

@@ -85,7 +85,7 @@ def make_pressure_load(port: Port, solid: Solid, facets: np.ndarray) -> PortLoad
 
 
 def get_area_name(port: str) -> str:
-    """Return the key of an acoustic port's area [m^2] in the ``facts`` of a model."""
+    """Return the name of an acoustic port's area [m^2] in the ``facts`` of a model."""
     return f"area_{port}_m2"
 
 
@@ -146,7 +146,7 @@ class BoundaryConditions:
 
 
 def make_device(solid: Solid, setup: BoundaryConditions) -> FiniteElementModel:
-    """Make the damped model of a solid, and compute characteristic values.
+    """Make the damped model of a solid, and compute its modes and static responses.
 
     The model has the supports and ports of the boundary conditions.
 
@@ -305,7 +305,7 @@ def _add_damping(
 
 
 def spread_force(shares: np.ndarray, axis: np.ndarray, solid: Solid) -> np.ndarray:
-    """Return the nodal forces of a unit force along ``axis``.
+    """Distribute a unit force along ``axis`` over the nodes, by their shares.
 
     The returned array has the shape (d nodes,). ``shares`` is the share of the force at each node,
     an array of shape (nodes,).
@@ -314,7 +314,7 @@ def spread_force(shares: np.ndarray, axis: np.ndarray, solid: Solid) -> np.ndarr
 
 
 def compute_rigid_translation(solid: Solid, axis: np.ndarray) -> np.ndarray:
-    """Return the nodal displacements of a rigid translation by ``axis`` (3,).
+    """Return the nodal displacements of a rigid translation by the vector ``axis``.
 
     The returned array has the shape (d nodes,).
     """
@@ -338,10 +338,10 @@ def compute_rigid_body_modes(solid: Solid, centre: np.ndarray) -> np.ndarray:
 def _constrain_displacements(
     solid: Solid, setup: BoundaryConditions
 ) -> tuple[sparse.csc_array, list[tuple[Port, np.ndarray]]]:
-    """Compute the matrix ``P`` of ``u = P z``, and the loads of rigid faces.
+    """Compute the map from free unknowns to displacements, and loads of rigid faces.
 
-    Each load is a pair: a port of a rigid face, and the load vector of this port. A load vector has
-    the shape (unknowns,).
+    The map is the matrix ``P`` of ``u = P z``. Each load is a pair: a port of a rigid face, and the
+    load vector of this port. A load vector has the shape (unknowns,).
     """
     d, free = solid.component_count, ~setup.fixed
     where = solid.node_positions.T
@@ -370,7 +370,10 @@ def _constrain_displacements(
 def _constrain_potentials(
     K_pp: sparse.csc_array, setup: BoundaryConditions
 ) -> tuple[sparse.csc_array, sparse.csc_array, list[Port]]:
-    """Compute ``Q`` and ``R`` of ``phi = Q p + R V``, and the electrical ports."""
+    """Compute the maps from unknowns and voltages to potentials, and electrical ports.
+
+    The maps are the matrices ``Q`` and ``R`` of ``phi = Q p + R V``.
+    """
     live = K_pp.diagonal() > 0
     times_driven = np.zeros(len(live), int)
     for nodes in (*setup.electrodes.values(), *setup.floating):
@@ -476,7 +479,7 @@ Box: TypeAlias = tuple[tuple[float, float], ...]
 
 @dataclass(frozen=True)
 class RadiatingFace:
-    """Part of the surface that radiates sound.
+    """Face of a body that radiates sound, either upwards or downwards.
 
     The radiating face consists of the elements' outer faces in ``box``. The outward normals of
     these outer faces point up if ``upward`` is true, otherwise down.
@@ -578,7 +581,7 @@ class BondedBlocks:
         return float(fields.min() * thick.sum() if self.floating else (fields * thick).min())
 
     def build_fe_model(self) -> FiniteElementModel:
-        """Make the mesh and the full model of the device.
+        """Make the mesh and the finite-element model of the bonded blocks.
 
         Raises
         ------
@@ -617,7 +620,7 @@ class BondedBlocks:
         return result
 
     def _list_edges(self) -> np.ndarray:
-        """Return the ends [m] of all blocks, electrodes, supports and ports per axis.
+        """Return the edges [m] of all blocks, electrodes, supports and ports per axis.
 
         The returned array has the shape (axes, edges).
         """
@@ -628,6 +631,7 @@ class BondedBlocks:
         return spans.reshape(len(spans), -1)
 
     def _mesh_blocks(self, grid: Sequence[np.ndarray], near: float) -> Solid:
+        """Mesh the blocks with grid cells; each cell has the material of its block."""
         mesh = (MeshQuad if len(grid) == 2 else MeshHex).init_tensor(*grid)
         middle = mesh.p[:, mesh.t].mean(axis=1)
         materials = {block.material.name: block.material for block in self.blocks}
@@ -660,7 +664,7 @@ class BondedBlocks:
             return np.flatnonzero(np.any([*map(mask_inside, faces)], axis=0))
 
         def compute_load_shares(box: Box) -> np.ndarray:
-            """Return the share of each node in a uniform load on ``box``."""
+            """Return the share of each node in a force that is uniform over ``box``."""
             if np.equal(*np.transpose(box)).all():  # the box is a single point
                 result = mask_inside(box)
                 return np.asarray(result / result.sum())
@@ -720,7 +724,7 @@ def _merge_edges(edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _mask_inside_box(box: Box, places: np.ndarray, near: float) -> np.ndarray:
-    """Return a mask of the ``places`` that are inside a box or on its boundary.
+    """Return a mask of the points that are inside a box or on its boundary.
 
     ``places`` are points of shape (d, …). Points at a distance of less than ``near`` [m] from the
     boundary count as points on the boundary.

@@ -49,7 +49,7 @@ Pair = tuple[np.ndarray, np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class Corrections:
-    """Corrections of modes and static responses by additional shape functions.
+    """Corrections of modes and static responses due to additional shape functions.
 
     ``frequencies`` contains the relative frequency change of each mode, an array of shape (k,).
     ``products`` contains the energy product ``e_i' S e_j`` of the corrections of each pair of
@@ -74,7 +74,7 @@ def correct_responses(
     sectors: int = 1,
     rounds: int = MAX_ROUNDS,
 ) -> Corrections:
-    """Compute the corrections of the modes and of the static responses.
+    """Correct modes and static responses of a mesh by additional shape functions.
 
     The static responses are responses to voltages and to a force. In ``products`` of the returned
     object, the responses to voltages precede the response to a force. The body consists of
@@ -105,7 +105,7 @@ def correct_responses(
 
 
 class BlockMatrix(NamedTuple):
-    """Matrix of four sparse blocks.
+    """Matrix of 2 x 2 sparse blocks: mesh unknowns and additional functions.
 
     The first rows and columns of the matrix are for the unknowns of the mesh. The last rows and
     columns of the matrix are for the unknowns of the additional functions.
@@ -148,7 +148,7 @@ class EnrichedModel:
     solve_shifted: Callable[[np.ndarray], np.ndarray]
 
     def extend_responses(self, z: np.ndarray, voltages: np.ndarray) -> tuple[Pair, Pair]:
-        """Extend responses of the mesh by zeros, and compute the residuals.
+        """Extend mesh responses by zeros for the additional functions; compute residuals.
 
         The additional functions have the value zero in the extended responses. ``z`` of shape (n,
         k) contains the responses of the mesh under the ``voltages`` of shape (e, k). Return two
@@ -169,7 +169,7 @@ class EnrichedModel:
         return shapes, (np.vstack([0.0 * z, r_u]), np.vstack([0.0 * p, r_p]))
 
     def solve_functions(self, residual: Pair) -> Pair:
-        """Solve for the unknowns of the additional functions.
+        """Solve for the coefficients of the additional functions; mesh unknowns are zero.
 
         All unknowns of the mesh are zero.
         """
@@ -182,7 +182,7 @@ class EnrichedModel:
         return np.vstack([0.0 * z, u]), np.vstack([0.0 * q, p])
 
     def solve_mesh(self, residual: Pair) -> Pair:
-        """Solve for the unknowns of the mesh.
+        """Solve for the unknowns of the mesh; the additional functions are zero.
 
         All unknowns of the additional functions are zero.
         """
@@ -196,7 +196,7 @@ class EnrichedModel:
         return np.vstack([z, 0.0 * more_u]), np.vstack([q, 0.0 * more_p])
 
     def _split_blocks(self, pair: Pair) -> list[list[np.ndarray]]:
-        """Split displacements and potentials into rows of the mesh and of the functions."""
+        """Split displacements and potentials into mesh rows and rows of added functions."""
         counts = self.K.mesh.shape[0], self.P.mesh.shape[0]
         return [np.vsplit(part, [count]) for part, count in zip(pair, counts, strict=True)]
 
@@ -206,7 +206,7 @@ def enrich_model(
     solve_shifted: Callable[[np.ndarray], np.ndarray],
     sectors: int = 1,
 ) -> EnrichedModel:
-    """Add cubic shape functions to the model of a device.
+    """Add cubic shape functions to the finite-element model of a solid.
 
     The function ``solve_shifted`` multiplies by ``(K + shift M)^-1`` of the mesh. The device
     consists of ``sectors`` equal solids, of which one is meshed.
@@ -231,7 +231,10 @@ def enrich_model(
 
 
 def _get_mesh_blocks(K: SchurComplement | sparse.csc_array) -> tuple[sparse.csc_array, ...]:
-    """Return the blocks K, C and P of the stiffness matrix of a mesh."""
+    """Return the elastic, coupling and dielectric blocks of a stiffness matrix.
+
+    The docstring of the module defines these blocks as K, C and P.
+    """
     if isinstance(K, SchurComplement):
         return K.uu, K.up, -K.pp
     return K, sparse.csc_array((K.shape[0], 0)), sparse.csc_array((0, 0))
@@ -245,7 +248,7 @@ def _factorise(matrix: sparse.csr_array) -> Factor | None:
 def _find_free_functions(
     device: FiniteElementModel, enrichment: Enrichment
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return masks of the additional functions that are free unknowns.
+    """Return masks of the additional shape functions that are free unknowns.
 
     The first returned mask is for displacements and has the shape (functions, d). The second
     returned mask is for potentials and has the shape (functions,).
@@ -295,7 +298,7 @@ def _number_electrodes(device: FiniteElementModel) -> np.ndarray:
 
 
 class _CorrectionSpace:
-    """Spaces of displacements and of potentials in which the corrections are computed.
+    """Subspaces of displacements and potentials in which mesh errors are corrected.
 
     The basis vectors of both spaces are orthonormal. The first basis vectors span the ``rigid``
     modes and the ``shapes`` of the other modes. The products of the basis vectors with K, M, C and
@@ -312,7 +315,7 @@ class _CorrectionSpace:
         self.extend(shapes)
 
     def extend(self, parts: Pair) -> None:
-        """Add the columns of displacements and of potentials in ``parts`` to the spaces."""
+        """Add displacement and potential vectors to the bases of the two subspaces."""
         model = self.model
         u, p = _orthonormalise(self.u, parts[0]), _orthonormalise(self.p, parts[1])
         self.u, self.p = np.hstack([self.u, u]), np.hstack([self.p, p])
@@ -322,7 +325,7 @@ class _CorrectionSpace:
         self.Cp, self.Pp = np.hstack([self.Cp, model.C @ p]), np.hstack([self.Pp, model.P @ p])
 
     def solve_ritz(self) -> tuple[np.ndarray, Pair]:
-        """Compute the eigenvalues of the k modes in the space.
+        """Compute the corrected eigenvalues of the modes by the Rayleigh-Ritz method.
 
         Return the eigenvalues of shape (k,), and the weights of the basis vectors in the
         eigenvectors. The weights are two arrays with k columns each, for displacements and for
@@ -339,7 +342,7 @@ class _CorrectionSpace:
         return values[nearest], (vectors[:, nearest], X @ vectors[:, nearest])
 
     def solve_galerkin(self, loads: Pair) -> Pair:
-        """Compute the corrections of static responses in the space.
+        """Compute the corrections of static responses by the Galerkin method.
 
         Return the weights of the basis vectors of displacements and of potentials, with one column
         for each load. The ``loads`` are residuals. The loads must not accelerate the body as a
@@ -354,7 +357,7 @@ class _CorrectionSpace:
         return np.vstack([np.zeros((self.rigid, u.shape[1])), u]), X @ u - y
 
     def compute_corrections(self, eigenvalues: np.ndarray, loads: Pair) -> Corrections:
-        """Return the corrections of the modes and of the static responses.
+        """Compute the corrections of the modes and of the static responses.
 
         ``eigenvalues`` are the eigenvalues of the modes before the correction. ``loads`` are the
         residuals of the static responses.

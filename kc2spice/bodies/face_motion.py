@@ -76,7 +76,7 @@ class FaceMotion:
 
     @cached_property
     def displaced_volumes(self) -> np.ndarray:
-        """Volume that the face displaces in each motion, an array of shape (motions,)."""
+        """Volume [m^3] that the face displaces in each motion, of shape (motions,)."""
         return np.asarray(self.areas @ self.normal)
 
     @property
@@ -90,7 +90,7 @@ class FaceMotion:
 
     @property
     def peak_ratios(self) -> np.ndarray:
-        """Largest normal displacement of the face for each motion, relative to the mean.
+        """Largest normal displacement of the face relative to the mean, for each motion.
 
         The returned array has the shape (motions,). For a piston, the ratio is 1.
         """
@@ -108,11 +108,11 @@ class FaceMotion:
         return np.asarray(first @ (self.places - centre[:, None]))
 
     def compute_far_field(self, wave_number: float, sines: np.ndarray) -> np.ndarray:
-        """Return the far-field integral ``F`` of the normal displacement.
+        """Return the far-field integral of the face's normal displacement over the face.
 
-        The docstring of this module defines ``F``. The returned array has the shape (angles,
-        azimuths, motions). ``sines`` are the sines of the angles between the directions and the
-        face's axis.
+        The docstring of this module defines the integral as ``F``. The returned array has the shape
+        (angles, azimuths, motions). ``sines`` are the sines of the angles between the directions
+        and the face's axis.
         """
         if self.axisymmetric:
             kernel = j0(wave_number * np.outer(sines, self.places[0]))[:, None]
@@ -153,7 +153,7 @@ class FaceMotion:
         return np.asarray(self.areas @ np.abs(uneven) ** 2 / (decay * np.tanh(decay * depth)))
 
     def compute_unbaffled_ratios(self, wave_number: float) -> np.ndarray:
-        """Return the far field without a baffle, relative to the far field with a baffle.
+        """Return the ratio of the far fields without and with a baffle, for each motion.
 
         The returned ratio is for the sound pressure on the axis of a thin body of revolution, for
         small k a. The docstring of this module contains the formula. The returned array has the
@@ -166,7 +166,7 @@ class FaceMotion:
 
 
 def sample_face_motion(device: FiniteElementModel, facets: np.ndarray, z: np.ndarray) -> FaceMotion:
-    """Return the normal displacement of a face in several motions of a full model.
+    """Return the normal displacement of a face in several motions of a body.
 
     ``facets`` are the numbers of the face's facets. ``z`` of shape (n, motions) contains the
     unknowns of the model for each motion.

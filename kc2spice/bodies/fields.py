@@ -53,7 +53,7 @@ _VTK_CELLS = {
 
 @dataclass(frozen=True, eq=False)
 class NodalMotion:
-    """Motion of a body under the ``inputs`` at its ports.
+    """Motion of all nodes of a body, computed from the waveforms at its ports.
 
     The unknowns of the full model are ``basis @ states[k]`` at the sample ``time[k]``.
     """
@@ -125,7 +125,7 @@ def compute_lowest_modes(
 def _compute_modes(
     device: FiniteElementModel, span: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Compute the modes of the projected model, their frequencies and damping.
+    """Compute modes, frequencies and damping of the model in a Krylov basis.
 
     Return the mass-normalised modes of shape (n, q), their frequencies [rad/s] of shape (q,), and
     their damping [1/s] of shape (q,). The damping is the diagonal of the modal damping matrix.
@@ -156,7 +156,7 @@ def _make_krylov_basis(device: FiniteElementModel) -> np.ndarray:
 
 
 def project_lowest_modes(device: FiniteElementModel) -> LinearModel:
-    """Project the model on a Krylov basis with the lowest modes.
+    """Project a model on a Krylov basis that contains its lowest modes.
 
     The basis contains the lowest modes that the ports excite. The projected model has all ports and
     all losses of the full model.
@@ -179,7 +179,7 @@ def project_lowest_modes(device: FiniteElementModel) -> LinearModel:
 
 
 class FieldProbe:
-    """Evaluation of stress and electric field at local points of every element.
+    """Evaluator of stress and electric field at equal local points of all elements.
 
     The local points are the same in every element. The local points are the nodes of the element,
     or the Gauss points if ``gauss`` is true.
@@ -287,7 +287,7 @@ FIELD_QUANTITIES = {
 
 @dataclass(frozen=True, eq=False)
 class Extreme(EqualByContent):
-    """Largest value during a run of one of :data:`FIELD_QUANTITIES` in one material.
+    """Largest value of a stress or electric field in one material during a run.
 
     The largest ``value`` occurs at the ``instant`` [s] at the point ``place`` [m]. ``curve``
     contains the largest value in the material at each instant of ``time``. ``limit`` is the
@@ -356,7 +356,7 @@ def find_extremes(motion: NodalMotion) -> list[Extreme]:
 def _evaluate_quantity(
     quantity: str, T: np.ndarray, E: np.ndarray, poling: np.ndarray, states: np.ndarray
 ) -> np.ndarray:
-    """Compute one of :data:`FIELD_QUANTITIES` from stress and electric field.
+    """Compute a stress or field whose extremes are searched, from stress and field.
 
     ``T`` and ``E`` contain the stress and the electric field at each point for a unit value of each
     state. Return an array of shape (states, points).
@@ -370,7 +370,7 @@ def _evaluate_quantity(
 
 
 def _choose_instants(motion: NodalMotion, count: int) -> np.ndarray:
-    """Choose the samples at which extremes are searched.
+    """Choose the samples at which the largest stresses and fields are searched.
 
     Half of the ``count`` samples are equally spaced in time. The other half are the samples with
     the highest elastic and electric energy.

@@ -121,11 +121,11 @@ def recover_temperatures(
 def _integrate_modes(
     rates: np.ndarray, moving: np.ndarray, times: np.ndarray, t: np.ndarray, loads: np.ndarray
 ) -> np.ndarray:
-    """Integrate ``times (x' + rates x) = loads`` for each mode.
+    """Integrate the first-order differential equation of each thermal mode over time.
 
-    Return the states x, an array with one row for each sample and one column for each mode. The
-    loads are linear between samples. In a mode without heat capacity, the state is equal to the
-    load.
+    The equation of a mode is ``times (x' + rates x) = loads``. Return the states x, an array with
+    one row for each sample and one column for each mode. The loads are linear between samples. In a
+    mode without heat capacity, the state is equal to the load.
     """
     result = np.where(moving, 0.0, loads)
     settles = moving & (rates > 0)
@@ -148,7 +148,7 @@ def _integrate_modes(
 
 
 def write_temperatures(path: Path, heat: HeatModel, rises: np.ndarray) -> None:
-    """Write the nodal temperature rises of a body to a VTU file.
+    """Write the nodal temperature rises of a body at one instant to a VTU file.
 
     ``rises`` [K] has the shape (nodes,).
     """

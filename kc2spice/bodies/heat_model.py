@@ -47,7 +47,7 @@ MIN_STATED_ERROR = 1e-6  # smallest relative mesh error that a model states
 
 @dataclass(frozen=True, eq=False)
 class HeatFilm:
-    """Faces with heat transfer to a fluid.
+    """Heat film: faces of a solid that transfer heat to a fluid.
 
     The heat flow per area is the ``coefficient`` [W/(m^2 K)] times the temperature difference
     between face and fluid. The fluid has the temperature of the ``port``, or the ambient
@@ -84,7 +84,7 @@ class HeatBoundaryConditions:
 
 @dataclass(frozen=True, eq=False)
 class HeatModel:
-    """Linear thermal model of a solid.
+    """Linear finite-element model of heat conduction in a solid.
 
     The temperature rises at the nodes are ``temperature @ z`` for the unknowns z of the model.
     """
@@ -95,7 +95,7 @@ class HeatModel:
 
 
 def make_heat_model(solid: HeatSolid, setup: HeatBoundaryConditions) -> HeatModel:
-    """Make the thermal model of a solid, and compute its characteristic values.
+    """Make the thermal model of a solid, and compute its thermal resistances.
 
     The characteristic value ``thermal_resistance_PORT_k_per_w`` is the temperature rise of a port
     while 1 W flows into this port and no heat flows into other ports.
@@ -144,12 +144,12 @@ def make_heat_model(solid: HeatSolid, setup: HeatBoundaryConditions) -> HeatMode
 
 
 def _get_resistance_name(port: Port) -> str:
-    """Return the key of a port's thermal resistance in the ``facts`` of a model."""
+    """Return the name of a port's thermal resistance in the ``facts`` of a model."""
     return f"{RESISTANCE_PREFIX}{port.name}_k_per_w"
 
 
 def compute_static_resistances(model: LinearModel) -> dict[str, float]:
-    """Return the thermal resistance [K/W] of each port.
+    """Return the static thermal resistance [K/W] of each heat port.
 
     The thermal resistance is the temperature rise of the port for a heat flow of 1 W into this
     port. The returned mapping is keyed by the names ``thermal_resistance_PORT_k_per_w``.
@@ -160,7 +160,7 @@ def compute_static_resistances(model: LinearModel) -> dict[str, float]:
 
 
 def _find_highest_frequency(solid: HeatSolid) -> float:
-    """Return the highest frequency [Hz] that the mesh resolves.
+    """Return the highest frequency [Hz] of heat flows that the mesh resolves.
 
     A temperature that varies like ``sin(pi x / h)`` in an element of the size h decays at the rate
     ``k pi^2 / (rho c h^2)``. The highest resolved frequency is the decay rate in the smallest
@@ -178,7 +178,7 @@ def _find_highest_frequency(solid: HeatSolid) -> float:
 
 
 def _constrain_temperatures(solid: HeatSolid, setup: HeatBoundaryConditions) -> sparse.csc_array:
-    """Return the matrix ``P`` of the nodal temperatures ``T = P z``.
+    """Return the matrix ``P`` that maps free unknowns z to temperatures ``T = P z``.
 
     The unknowns of the model are z. The matrix ``P`` has one row for each node. The first columns
     of ``P`` are for the free nodes, and the last columns for the isothermal faces.
@@ -209,10 +209,10 @@ def _add_film_pin(
     solid: HeatSolid,
     film: HeatFilm,
 ) -> tuple[sparse.csc_array, sparse.csc_array, np.ndarray]:
-    """Add the fluid temperature ``a`` outside a film as an unknown with a pin.
+    """Add the fluid temperature outside a heat film as an unknown with a pin.
 
-    The heat flow through the film is ``h int (T - a) dA``. Return the matrices E, K and B with the
-    new unknown.
+    The heat flow through the film is ``h int (T - a) dA`` with the fluid temperature a. Return the
+    matrices E, K and B with the new unknown.
     """
     H = film.coefficient * assemble_faces(solid, film.facets)
     load = np.zeros(len(B))
@@ -231,7 +231,7 @@ def _has_thermal_path(setup: HeatBoundaryConditions) -> bool:
 
 
 def estimate_energy_errors(solid: HeatSolid, temperatures: np.ndarray) -> np.ndarray:
-    """Estimate the error of ``T'K T`` for each column of the nodal temperatures T.
+    """Estimate the mesh error of ``T'K T`` for each column of nodal temperatures T.
 
     ``temperatures`` have the shape (nodes, columns); the estimates have the shape (columns,). The
     heat flow density ``q = -k grad T`` jumps between elements. ``q*`` is the projection of q on

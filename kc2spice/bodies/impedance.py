@@ -32,7 +32,7 @@ MIN_PROMINENCE = 3.0
 
 @dataclass(frozen=True)
 class BVD:
-    """Butterworth-Van Dyke elements of one resonance (SI)."""
+    """Elements of the Butterworth-Van Dyke circuit of one resonance, in SI units."""
 
     c0_f: float
     rm_ohm: float
@@ -40,7 +40,7 @@ class BVD:
     cm_f: float
 
     def admittance(self, frequency: np.ndarray) -> np.ndarray:
-        """Compute the complex admittance at an array of frequencies [Hz]."""
+        """Compute the complex admittance [S] at an array of frequencies [Hz]."""
         s = 2j * np.pi * np.asarray(frequency)
         branch = self.rm_ohm + s * self.lm_h + 1 / (s * self.cm_f)
         return s * self.c0_f + 1 / branch
@@ -48,7 +48,7 @@ class BVD:
 
 @dataclass(frozen=True)
 class AnalyserValues:
-    """Characteristic values that an impedance analyser displays for a resonance.
+    """Values that an impedance analyser displays for a resonance, such as Q factor.
 
     Each field has the name of the metric that an ``ac`` scene prints for this value.
     """
@@ -69,7 +69,7 @@ METRIC_UNITS = {
 
 
 def analyse_impedance(frequency: np.ndarray, impedance_ohm: np.ndarray) -> AnalyserValues:
-    """Return the characteristic values of the first resonance of an impedance.
+    """Return frequencies, Q factor, coupling and BVD circuit of the first resonance.
 
     The samples are at increasing frequencies [Hz]. The field ``capacitance_f`` is Im(Y)/w at 1 kHz
     or at a tenth of the resonance frequency, whichever is lower. If the frequency for

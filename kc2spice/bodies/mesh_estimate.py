@@ -53,7 +53,7 @@ MIN_STATED_ERROR = 1e-4
 def estimate_mesh_errors(
     device: FiniteElementModel, answers: UndampedResponses, sectors: int = 1
 ) -> dict[str, float]:
-    """Estimate the relative mesh errors of characteristic values of a body.
+    """Estimate relative mesh errors of frequencies and static responses of a body.
 
     Return a mapping of names to relative errors. Each name is :data:`MESH_ERROR_PREFIX` followed by
     ``resonance``, ``modes``, ``capacitance``, ``stroke`` or ``compliance``. The error of ``modes``
@@ -119,7 +119,7 @@ def _estimate_by_recovery(
 
 
 def _add_in_quadrature(values: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Return ``sqrt(values^2 + others^2)`` with the signs of ``values``."""
+    """Return the root of the sum of two squares, with the signs of ``values``."""
     return np.copysign(np.hypot(values, others), values)
 
 

@@ -91,7 +91,7 @@ PIT_ANGLE = 1 / 60  # rad, angle around the upper pole that the mesh omits
 
 @dataclass(frozen=True, eq=False)
 class PressureBasis(EqualByContent):
-    """Basis functions of contact pressures: piecewise linear in the radius (P1).
+    """Basis functions of contact pressures, which are piecewise linear in the radius.
 
     ``nodes`` [m] contains the radii of the nodes. Function j is 1 at node j and 0 at all other
     nodes. The last node is the edge of the patch and has no function, because the pressure at the
@@ -102,12 +102,12 @@ class PressureBasis(EqualByContent):
 
     @property
     def areas(self) -> np.ndarray:
-        """Integrals of the basis functions over the plane [m^2]."""
+        """Integral [m^2] of each basis function over the plane of contact."""
         return self._integrate_powers(0)
 
     @property
     def mean_gap_radii(self) -> np.ndarray:
-        """Radius [m] at which a paraboloid's gap equals its mean over each function.
+        """Radii [m] at which a paraboloid has the mean gap of each basis function.
 
         The mean gap is weighted with the basis function. The square of the returned radius is the
         weighted mean of ``r^2``.
@@ -115,15 +115,15 @@ class PressureBasis(EqualByContent):
         return np.asarray(np.sqrt(self._integrate_powers(2) / self._integrate_powers(0)))
 
     def compute_pressure(self, shares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Compute the pressure of a unit force, divided among the functions by ``shares``.
+        """Return the pressures of a unit force that the basis functions share.
 
-        The first array contains the radii [m] of the nodes, and the second array the pressures
-        [1/m^2] at these nodes.
+        ``shares`` contains the share of the force of each function. The first array contains the
+        radii [m] of the nodes, and the second array the pressures [1/m^2] at these nodes.
         """
         return self.nodes, np.append(shares / self.areas, 0.0)
 
     def _integrate_powers(self, power: int) -> np.ndarray:
-        """Return the integral of each function times a power of the radius over the plane."""
+        """Integrate each basis function times a power of the radius over the plane."""
         x, w = np.polynomial.legendre.leggauss(4)
         a, b = self.nodes[:-1], self.nodes[1:]
         r = (a + b)[:, None] / 2 + (b - a)[:, None] / 2 * x
@@ -134,7 +134,7 @@ class PressureBasis(EqualByContent):
 
 
 def choose_pressure_basis(spacing: float, patch: float) -> PressureBasis:
-    """Choose the nodes of a basis on a patch with the radius ``patch`` [m].
+    """Choose the radii of the nodes of a pressure basis on a circular patch.
 
     Near the axis, the distance between two nodes is ``spacing`` [m]. Beyond a fifth of the patch
     radius, the distance between two nodes is proportional to the radius. With these distances, each
@@ -151,7 +151,7 @@ def choose_pressure_basis(spacing: float, patch: float) -> PressureBasis:
 
 @dataclass(frozen=True, eq=False)
 class LocalCompliance(EqualByContent):
-    """Compliance of the basis functions in addition to that of the whole patch.
+    """Compliance of pressure basis functions beyond the compliance of the whole patch.
 
     ``compliance`` (n, n) [m/N] is the additional compliance matrix of the basis functions.
     ``patch`` [m/N] is the compliance of the patch.
@@ -162,7 +162,7 @@ class LocalCompliance(EqualByContent):
 
     @property
     def rigid_force_shares(self) -> np.ndarray:
-        """Shares of a force that give all basis functions the same displacement.
+        """Shares of a force for which all basis functions have the same displacement.
 
         The returned array of n shares has the shape (n,).
         """
@@ -171,7 +171,7 @@ class LocalCompliance(EqualByContent):
 
 
 def compute_local_compliance(chip: StackKeys, shape: PressureBasis) -> LocalCompliance:
-    """Compute the additional compliance of the basis functions on the top of a stack.
+    """Compute the local compliance of the basis functions on the top of a stack.
 
     The compliance of the whole patch is computed on the coarse mesh.
 
@@ -207,7 +207,7 @@ def compute_local_compliance(chip: StackKeys, shape: PressureBasis) -> LocalComp
 def compute_surface_compliance(
     chip: StackKeys, shape: PressureBasis, cells: int = CELLS_PER_NODE
 ) -> np.ndarray:
-    """Compute the compliance between all basis functions on the top of a round stack.
+    """Compute the compliance matrix of the basis functions on the top of a stack.
 
     The diameter of the round stack is the smaller side of the chip. The round stack stands on a
     frictionless support, and the voltages of its electrodes are constant. Return a matrix of shape
@@ -217,7 +217,7 @@ def compute_surface_compliance(
 
 
 def _compute_port_compliance(model: LinearModel) -> np.ndarray:
-    """Compute the static compliance between the n mechanical ports of a model.
+    """Compute the static compliance matrix of the mechanical ports of a model.
 
     Return a symmetric matrix of shape (n, n) [m/N].
     """
@@ -256,7 +256,7 @@ def compute_stresses_under_force(
 
 
 def _model_stack(chip: StackKeys, shape: PressureBasis, cells: int) -> FiniteElementModel:
-    """Model the round stack on a frictionless support.
+    """Model the layers as a round stack on a frictionless support, with basis ports.
 
     Every basis function has a port. The quadrilaterals of the mesh grow with the distance from the
     basis functions. Every face of a layer is a line of the mesh.
@@ -280,7 +280,7 @@ def _model_stack(chip: StackKeys, shape: PressureBasis, cells: int) -> FiniteEle
     r, z = solid.node_positions
 
     def find_nodes_at_heights(at: np.ndarray) -> np.ndarray:
-        """Return the nodes at any of the heights ``at`` [m]."""
+        """Return the numbers of the nodes at any of the given heights [m]."""
         return np.flatnonzero((np.abs(z[:, None] - at) < near).any(axis=1))
 
     top = mesh.facets_satisfying(lambda x: np.abs(x[1] - heights[-1]) < near)
@@ -298,7 +298,7 @@ def _model_stack(chip: StackKeys, shape: PressureBasis, cells: int) -> FiniteEle
 
 
 def _make_basis_ports(shape: PressureBasis) -> list[Port]:
-    """Return a force port for each basis function of the pressure."""
+    """Return a force port for each pressure basis function."""
     return [Port(f"basis{k}", TRANSLATION.port) for k in range(len(shape.nodes) - 1)]
 
 
@@ -311,7 +311,7 @@ def _compute_basis_loads(solid: Solid, shape: PressureBasis, facets: np.ndarray)
     basis = solid.make_facet_basis(facets, 5)
 
     def compute_facet_load(heights: np.ndarray) -> np.ndarray:
-        """Return the nodal loads of a pressure on the facets with the values ``heights``.
+        """Return the nodal loads of a pressure profile on the facets.
 
         ``heights`` are the values at the nodes of the basis functions.
         """
@@ -387,7 +387,7 @@ def fit_indentation_law(
 
 
 def solve_contact_forces(compliance: np.ndarray, gap: np.ndarray, depth: np.ndarray) -> np.ndarray:
-    """Compute the forces of a sphere on the basis functions at several indentations.
+    """Compute the forces of a sphere on all basis functions at several indentations.
 
     ``depth`` [m] contains the indentations x. Return the forces f [N], an array of shape (depths,
     n). The compliance matrix is S, and ``g = x - gap`` is the overlap of sphere and surface. The
@@ -404,7 +404,7 @@ def solve_contact_forces(compliance: np.ndarray, gap: np.ndarray, depth: np.ndar
 
 @dataclass(frozen=True)
 class TransverselyIsotropicSphere:
-    """Elastic sphere of a ``radius`` [m] of transversely isotropic material."""
+    """Elastic sphere of a transversely isotropic material, with radius and damping."""
 
     radius: float
     material: Material
@@ -412,7 +412,7 @@ class TransverselyIsotropicSphere:
 
     @property
     def oblate_frequency(self) -> float:
-        """Frequency [Hz] of the lowest mode (alternately an oblate and a prolate shape).
+        """Frequency [Hz] of the lowest mode, which is alternately oblate and prolate.
 
         Poisson's ratio changes the frequency by at most 1 %.
         """
@@ -431,7 +431,7 @@ class TransverselyIsotropicSphere:
 def make_sphere_model(
     body: TransverselyIsotropicSphere, shares: np.ndarray, shape: PressureBasis, refine: int = 1
 ) -> LinearModel:
-    """Make the model of a free sphere with the port ``patch``.
+    """Make the model of a free sphere with one port at the contact patch.
 
     The port ``patch`` is directed upwards. ``shares`` (n,) are the shares of the port's force on
     the basis functions. ``refine`` is the number of parts into which every cell is divided along
@@ -452,7 +452,7 @@ def make_sphere_model(
 def compute_sphere_compliance(
     body: TransverselyIsotropicSphere, shape: PressureBasis, refine: int = 1
 ) -> LocalCompliance:
-    """Compute the compliance of a sphere at the basis functions and at the patch."""
+    """Compute the compliance of a sphere for each basis function and for the patch."""
     S = _compute_port_compliance(_make_free_sphere_model(body, shape, refine).model)
     patch = float(1 / np.linalg.solve(S, np.ones(len(S))).sum())
     return LocalCompliance(S - patch, patch)

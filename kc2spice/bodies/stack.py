@@ -47,7 +47,7 @@ Profile = tuple[np.ndarray, np.ndarray]
 def make_stack(
     kick: StackKeys, breakdown: float | None = None, pressure: Profile | None = None
 ) -> FiniteElementModel:
-    """Make the model of the stack with ports ``ring0``, ``ring1``, … and ``anode``.
+    """Make the damped model of a stack with ports for all contact rings and the anode.
 
     The symmetry conditions are u_x = 0 on x = 0 and u_y = 0 on y = 0. A stack poled along x moves
     antisymmetrically in x, so that u_y = u_z = 0 on x = 0. The support of the bottom face z = 0
@@ -84,7 +84,7 @@ def make_stack(
 def make_stack_setup(
     kick: StackKeys, breakdown: float | None = None, pressure: Profile | None = None
 ) -> tuple[Solid, BoundaryConditions]:
-    """Make mesh, materials and boundary conditions of one quarter of the stack.
+    """Make mesh, materials and boundary conditions of one quarter of a stack.
 
     The quarter has ``x >= 0`` and ``y >= 0``. The bottom face of the quarter, including the bottom
     cap, is at ``z = 0`` (Fig. 3b of Schütz et al. 2021). Nodes are numbered plane by plane. In each
@@ -123,7 +123,7 @@ def make_stack_setup(
 
 
 def _divide_height(kick: StackKeys, steps: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the number of active layers in each level, and the node heights.
+    """Return the number of active layers in each element level, and all node heights.
 
     The node heights are the heights [m] of all node planes.
     """
@@ -142,7 +142,7 @@ def _divide_height(kick: StackKeys, steps: int) -> tuple[np.ndarray, np.ndarray]
 def _make_hexahedra(
     lattice: np.ndarray, heights: np.ndarray, order: int
 ) -> tuple[MeshHex1, np.ndarray]:
-    """Make the mesh of hexahedra, and the node numbers of each hexahedron.
+    """Make the hexahedral mesh of a stack, and the node numbers of each hexahedron.
 
     A box with the coordinates (ring, spoke, plane) is divided into regular hexahedra. The nodes of
     the box are then moved to their positions in the stack. In each plane, all nodes with ``ring =
@@ -160,7 +160,7 @@ def _make_hexahedra(
 
 
 def choose_level_spans(kick: StackKeys) -> np.ndarray:
-    """Choose the number of ceramic layers in each level of elements.
+    """Choose the number of ceramic layers in each element level of a stack.
 
     The levels are in the order from the bottom to the top. The number of ceramic layers in a level
     is at most ``layers_per_element``. Levels of several layers are not thicker than
@@ -174,7 +174,7 @@ def choose_level_spans(kick: StackKeys) -> np.ndarray:
 
 
 def choose_cap_layers(kick: StackKeys, cap: Cap | None) -> int:
-    """Choose the number of element levels in a cap.
+    """Choose the number of element levels in a cap at the end of a stack.
 
     A level in the cap is about as thick as an active layer. A cap has two to sixteen levels. The
     returned number of levels is 0 if there is no cap.
@@ -185,7 +185,7 @@ def choose_cap_layers(kick: StackKeys, cap: Cap | None) -> int:
 
 
 def _place_nodes(kick: StackKeys, steps: int) -> np.ndarray:
-    """Return the x and y positions of the nodes of one plane.
+    """Compute the x and y positions of the nodes in one horizontal plane of a stack.
 
     The returned array has the shape (rings + 1, spokes + 1, 2). All nodes in row 0 of the array are
     at the centre. Nodes divide arcs and straight edges into equal parts. Beyond the last contact
@@ -217,7 +217,7 @@ def _place_nodes(kick: StackKeys, steps: int) -> np.ndarray:
 def make_layer_materials(
     kick: StackKeys, spans: np.ndarray, breakdown: float | None = None
 ) -> tuple[tuple[Material, ...], np.ndarray]:
-    """Return the materials of the stack, and the material index of each level.
+    """Make the materials of a stack, and the material index of each element level.
 
     ``spans`` contains the number of ceramic layers in each level from the bottom to the top; the
     number is 0 in a cap.
@@ -271,7 +271,7 @@ def _mask_fixed_displacements(kick: StackKeys, solid: Solid) -> np.ndarray:
 def _find_electrodes(
     spans: np.ndarray, faces: np.ndarray, solid: Solid
 ) -> tuple[dict[str, np.ndarray], Profile | None]:
-    """Find the nodes on electrodes, and the potentials of nodes between electrodes.
+    """Find electrode nodes, and potentials of the nodes between electrodes in a level.
 
     ``spans`` contains the number of ceramic layers in each level; the number is 0 in a cap.
     ``faces`` [m] contains the heights of the lower and upper faces of the levels. A level of
@@ -293,7 +293,7 @@ def _find_electrodes(
 
 
 def _make_ring_forces(kick: StackKeys, solid: Solid) -> list[PortLoad]:
-    """Make a unit force on each ring along z, or along x for a stack poled along x.
+    """Make a force port on each contact ring, with the nodal forces of a unit force.
 
     At nodes on a symmetry plane, half of the force acts on the mirror image of the quarter. The
     weights of the nodes of a ring add up to one. Therefore, the output of a ring's port is the mean
@@ -311,13 +311,13 @@ def _make_ring_forces(kick: StackKeys, solid: Solid) -> list[PortLoad]:
 
 
 def _make_patch_force(solid: Solid, pressure: Profile) -> PortLoad:
-    """Return the nodal forces of a unit axial force with a ``pressure`` profile.
+    """Make a force port whose unit force has a pressure profile on the top of a stack.
 
     The force acts on the top of the stack.
     """
 
     def pressure_load(v, w):  # type: ignore[no-untyped-def]
-        """Return the integrand ``p v`` of the work of the pressure p."""
+        """Return the integrand of the work that the pressure does on a test function."""
         return np.interp(np.hypot(w.x[0], w.x[1]), *pressure, right=0.0) * v
 
     share = LinearForm(pressure_load).assemble(
@@ -331,14 +331,14 @@ def _make_patch_force(solid: Solid, pressure: Profile) -> PortLoad:
 
 
 def make_springs(solid: Solid, kick: StackKeys) -> sparse.csc_array | None:
-    """Make the stiffness matrix of the springs on the bottom and top faces.
+    """Assemble the stiffness matrix of the springs on the bottom and top faces.
 
     The stiffness matrix [N/m] is for one quarter of the stack. Return None if the stack has no
     springs.
     """
 
     def integrate_face_products(height: float) -> sparse.csc_array:
-        """Return the matrix ``int N_i N_j dA`` of the face at the ``height`` [m]."""
+        """Assemble the integrals of products of shape functions over a horizontal face."""
         basis = solid.make_facet_basis(_find_facets(solid, height), solid.quadrature_degree + 1)
         local = sparse.csc_array(BilinearForm(lambda u, v, _: u * v).assemble(basis))
         return (local + local.T) / 2
@@ -354,6 +354,6 @@ def make_springs(solid: Solid, kick: StackKeys) -> sparse.csc_array | None:
 
 
 def _find_facets(solid: Solid, height: float) -> np.ndarray:
-    """Return the facets of the horizontal face at the ``height`` [m]."""
+    """Return the facets of the horizontal face at the given height [m]."""
     near = _POSITION_TOLERANCE * solid.node_positions.max()
     return np.asarray(solid.mesh.facets_satisfying(lambda x: np.abs(x[2] - height) < near))

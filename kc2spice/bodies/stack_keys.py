@@ -31,7 +31,7 @@ PAPER_CERAMIC = "THP51"  # ceramic of the chip in Schütz et al. (2021)
 
 
 class ChipMesh(Section):
-    """Mesh of a stack that is polar in the plane of the layers.
+    """Keys of a stack's mesh, which has rings and sectors in the plane of the layers.
 
     The key ``refine`` is the number of equal parts into which each edge of a cell is divided, also
     along the height.
@@ -87,7 +87,7 @@ class ChipMesh(Section):
 
     @model_validator(mode="after")
     def _require_even_sectors(self) -> ChipMesh:
-        """Reject an odd number of sectors."""
+        """Reject an odd number of mesh sectors."""
         if self.sectors % 2:
             raise make_invalid_value_error(
                 "sectors must be an even number, so that a mesh line meets the corner of the chip",
@@ -98,7 +98,7 @@ class ChipMesh(Section):
 
 
 class ChipDamping(DampingKeys):
-    """Keys of the losses of a chip.
+    """Keys of the damping of a piezoelectric chip.
 
     The damping ratio applies at the frequency ``at``. The default of ``at`` is the frequency for
     the chip of Schütz et al. (2021).
@@ -114,7 +114,7 @@ class ChipDamping(DampingKeys):
 
     @property
     def beta(self) -> float:
-        """Stiffness coefficient ``beta`` [s] of Rayleigh damping.
+        """Stiffness coefficient ``beta`` [s] of the chip's Rayleigh damping.
 
         The damping ratio is ``zeta = beta omega / 2`` at ``omega = 2 pi at``.
         """
@@ -122,7 +122,7 @@ class ChipDamping(DampingKeys):
 
 
 class Cap(Section):
-    """Inactive layer (without electric field) at one end of a stack.
+    """Inactive layer (without electric field) at the bottom or the top of a stack.
 
     By default, the layer consists of the unpoled ceramic of the stack.
     """
@@ -147,7 +147,7 @@ DEFAULT_HEIGHT = 2e-3  # m, height of the stack in Schütz et al. (2021)
 
 
 def _compute_default_height(keys: dict[str, Any]) -> float:
-    """Return the total height [m] of the active layers.
+    """Compute the default of the total height [m] of a stack's active layers.
 
     If ``layers`` and ``layer_thickness`` are given, the height is the product of both.
     """
@@ -156,7 +156,7 @@ def _compute_default_height(keys: dict[str, Any]) -> float:
 
 
 class StackKeys(Section):
-    """Keys of the layered piezoelectric stack, of which one quarter is modelled.
+    """Keys of a layered piezoelectric stack, of which one quarter is modelled.
 
     The cross-section of the stack is a square with the side ``side``, a rectangle ``side`` (x)
     times ``depth`` (y), or a circle with the ``diameter``. ``height`` is the height of the active
@@ -272,7 +272,7 @@ class StackKeys(Section):
 
     @cached_property
     def ceramic(self) -> Material:
-        """Ceramic of the layers, poled along z.
+        """Ceramic material of the layers, poled along z.
 
         Raises
         ------
@@ -292,7 +292,7 @@ class StackKeys(Section):
 
     @property
     def half_widths(self) -> tuple[float, float]:
-        """Half of the stack's width along x and half of its width along y [m]."""
+        """Half of the stack's widths along x and y [m]."""
         if self.diameter is not None:
             return self.diameter / 2, self.diameter / 2
         return self.side / 2, (self.side if self.depth is None else self.depth) / 2

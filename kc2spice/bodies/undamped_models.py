@@ -29,7 +29,7 @@ Operator = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class FiniteElementModel:
-    """Linear model of a solid, and the map from unknowns to nodal values.
+    """Linear model of a solid, and the matrices that map its unknowns to nodal values.
 
     The unknowns z and the voltages V determine the values at the nodes. The displacements are ``u =
     displacement @ z``, an array of shape (d nodes,). The potentials are ``phi = potential @ p +
@@ -52,7 +52,7 @@ class FiniteElementModel:
     def compute_nodal_values(
         self, z: np.ndarray, voltages: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Compute the displacements and the potentials at the nodes.
+        """Compute the displacements and the potentials at the nodes from the unknowns.
 
         The unknowns ``z`` have the shape (n, k), and the ``voltages`` the shape (e, k). Return
         displacements of shape (d nodes, k) and potentials of shape (nodes, k). Column j of both
@@ -121,10 +121,11 @@ def compute_undamped_responses(model: LinearModel, shift: float = 0.0) -> Undamp
     weight = np.linalg.inv(model.D[np.ix_(e, e)] + load.T @ shifted)
 
     def solve_with_open_electrodes(f: np.ndarray) -> np.ndarray:
-        """Multiply the forces ``f`` by ``(K + b C0^-1 b')^-1``.
+        """Compute the displacements under given forces while all electrodes are open.
 
-        The voltages of open electrodes are ``-C0^-1 b' u`` for the displacement u, the load b of 1
-        V and the clamped capacitance C0.
+        The forces ``f`` are multiplied by ``(K + b C0^-1 b')^-1``. The voltages of open electrodes
+        are ``-C0^-1 b' u`` for the displacement u, the load b of 1 V and the clamped capacitance
+        C0.
         """
         u = solve(f)
         return np.asarray(u - shifted @ (weight @ (load.T @ u)))
@@ -146,7 +147,7 @@ def compute_undamped_responses(model: LinearModel, shift: float = 0.0) -> Undamp
 def _solve_static(
     model: LinearModel, solve: Operator, ports: list[int], shift: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the static displacements under a unit load at each port.
+    """Compute the static displacements under a unit load at each of the given ports.
 
     Return two arrays of shape (n, ports): the displacements for the shifted stiffness ``K + shift
     M``, and the displacements for the stiffness K.
@@ -162,7 +163,7 @@ def _solve_static(
 def _find_resonance(
     model: LinearModel, solve: Operator, ports: list[int], shift: float
 ) -> tuple[float | None, np.ndarray, np.ndarray]:
-    """Find the lowest resonance that the ports excite, and the lowest modes.
+    """Find the lowest resonance that the ports excite, its modes and rigid-body modes.
 
     Return the frequency [Hz] of the resonance, the modes that the ports excite, and the rigid-body
     modes. The modes are the columns of arrays with n rows. If the ports excite none of the lowest

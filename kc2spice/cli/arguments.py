@@ -23,7 +23,7 @@ def _complete_scene_names(incomplete: str) -> list[str]:
 
 
 def _list_dialects() -> str:
-    """Return the names of the built-in dialects, separated by commas.
+    """List the built-in netlist dialects in one string, separated by commas.
 
     The names of the dialects are read from file names, because importing the printers takes 0.2 s.
     """
@@ -47,7 +47,7 @@ def _check_directory(text: str) -> Path:
 
 
 def _make_out_option(default: str) -> Any:
-    """Return the option ``--out`` with the default directory ``default``."""
+    """Make the option ``--out`` with a default directory."""
     text = f"Directory into which output files are written. Default: {default}."
     return typer.Option("--out", "-o", metavar="DIR", parser=_check_directory, help=text)
 

@@ -65,7 +65,7 @@ _FEATURE_TESTS = (
 
 @dataclass(frozen=True)
 class InstallationFinding:
-    """Result of one check of the installation.
+    """Result of one check of the installation, with the command that fixes a problem.
 
     ``fix`` is the command that corrects the problem, empty if the check passes. kc2spice cannot run
     if a ``needed`` check fails.

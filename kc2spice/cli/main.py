@@ -130,7 +130,7 @@ def _common_options(
 
 
 def _register_command(function: Callable[..., None]) -> Callable[..., None]:
-    """Register the function ``_name(caller, …)`` as the command ``name``.
+    """Register a function such as ``_run(caller, …)`` as the command ``run``.
 
     ``PARAMETERS`` describes the options of the command. Every command also has the options
     ``--json`` and ``--quiet``. If the command raises an exception, the program prints one message
@@ -161,7 +161,7 @@ def _register_command(function: Callable[..., None]) -> Callable[..., None]:
 
 
 def _load_scene(scene: str, set_: list[str] | None) -> Any:
-    """Load a scene and override its keys with the values of ``--set``."""
+    """Load a scene, and override its keys with the values of the option ``--set``."""
     from kc2spice.scene.load import load_scene
 
     return load_scene(scene, set_ or [])
@@ -497,7 +497,7 @@ METHOD_COLUMNS = "method", "states", "error estimate", "of the peak", "CPU time"
 def _compare_methods(
     caller: OutputRecipient, model: str, options: dict[str, Any], no_effect: Mapping[str, object]
 ) -> None:
-    """Print number of states, error estimate and CPU time of every reduction method."""
+    """Compare all reduction methods by state count, error estimate and CPU time."""
     from kc2spice.workflow.method_comparison import compare_methods
     from kc2spice.workflow.reduce_files import require_stable
 

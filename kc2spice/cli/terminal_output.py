@@ -34,7 +34,7 @@ INTERRUPTED_EXIT_CODE = 130  # exit code of shells after Ctrl-C
 
 @dataclass(frozen=True)
 class OutputRecipient:
-    """Recipient of a command's output: with ``as_json`` a program, otherwise a person.
+    """Recipient of a command's output: a program (with ``as_json``) or a person.
 
     With ``quiet``, the command prints neither progress nor tables.
     """
@@ -57,7 +57,7 @@ class OutputRecipient:
 
 
 def _print_limits(stage: str, done: float | None, text: str) -> None:
-    """Print the limits of an error budget, but no progress of other stages."""
+    """Print the limits of the error budget, but no progress of other stages."""
     if stage == ERROR_BUDGET:
         print(f"{stage}: {text}", file=sys.stderr)
 
@@ -70,9 +70,10 @@ def _show_progress_bars() -> Iterator[Progress]:
     from rich.text import Text
 
     class RemainingColumn(rich.ProgressColumn):
-        """Column of a progress bar with the remaining time, if the time is known."""
+        """Progress-bar column that shows the remaining time if this time is known."""
 
         def render(self, task: rich.Task) -> Text:
+            """Return the remaining time of a task as text, empty if the time is unknown."""
             return Text(_describe_remaining_time(task.fields["end"] - time.monotonic()))
 
     stage, text = "{task.fields[stage]:<10}", rich.TextColumn("{task.fields[text]}", markup=False)
@@ -82,12 +83,12 @@ def _show_progress_bars() -> Iterator[Progress]:
     with rich.Progress(*left, *right, console=Console(stderr=True)) as bars:
 
         def fill_bar() -> None:
-            """Fill the progress bar of the current stage."""
+            """Fill the progress bars of all stages that have begun."""
             for task in bars.tasks:
                 bars.update(task.id, total=1, completed=1, end=math.inf)
 
         def update_bar(stage: str, done: float | None, text: str) -> None:
-            """Set the completed fraction and the text of the progress bar of a stage."""
+            """Update the completed fraction and the text of a stage's progress bar."""
             tasks = {task.fields["stage"]: task.id for task in bars.tasks}
             if stage not in tasks:
                 fill_bar()
@@ -117,7 +118,7 @@ def _describe_remaining_time(seconds: float) -> str:
 
 @contextmanager
 def report_errors() -> Iterator[None]:
-    """Print one message for an exception, and exit with the documented code."""
+    """Print one message for an exception in the ``with`` block, then exit by its code."""
     warnings.showwarning = lambda message, *_, **__: print(
         f"kc2spice: warning: {message}", file=sys.stderr, flush=True
     )
@@ -196,7 +197,7 @@ def print_keys(title: str, keys: Iterable[KeyDescription]) -> None:
 
 
 def print_tables(sections: Iterable[PageSection]) -> None:
-    """Print the tables of the sections of a report page."""
+    """Print the sections of a report page as tables."""
     for section in sections:
         if section.rows:
             rows = [[cell.replace("\u2212", "-") for cell in row] for row in section.rows]

@@ -25,7 +25,7 @@ _ARGUMENT_VALUE = r"(?P<value>\((?P<pair>[^)]*)\)|\['(?P<item>[^']*)'\]|'[^']*'|
 
 
 def name_options(error: UsageError, names: Iterable[str]) -> None:
-    """Replace the arguments ``names`` in an error by options of the command line.
+    """Replace the names of Python arguments in an error by command-line options.
 
     >>> error = UsageError("no band", where="band", hint="add band=(0, 20e3), or leave out order")
     >>> name_options(error, ["band", "order"])
@@ -38,14 +38,14 @@ def name_options(error: UsageError, names: Iterable[str]) -> None:
     alone = re.compile(rf"\b(leave out|delete|add|raise|lower|arguments?) ({pattern})\b(?!=)")
 
     def write_option(found: re.Match[str]) -> str:
-        """Return the option that corresponds to an argument with its value."""
+        """Return a command-line option with its value, in place of a Python argument."""
         value = found["item"] or found["value"]
         if found["pair"] is not None:
             value = found["pair"].replace(",", "")
         return f"--{found['name']} {value}"
 
     def translate(text: str) -> str:
-        """Replace all arguments in a text by options."""
+        """Replace all Python arguments in a text by command-line options."""
         options = alone.sub(r"\1 --\2", assigned.sub(write_option, text))
         return re.sub(r"\bargument(s?) --", r"option\1 --", options)
 
@@ -67,7 +67,7 @@ def name_arguments(error: UsageError, overrides: str = "overrides") -> None:
     """
 
     def write_argument(found: re.Match[str]) -> str:
-        """Return the argument that corresponds to an option with its value."""
+        """Return a Python argument with its value, in place of a command-line option."""
         name, value = found["name"], found["value"]
         noun = (found["noun"] or "").replace("option", "argument")
         if value is None:
@@ -85,7 +85,7 @@ def name_arguments(error: UsageError, overrides: str = "overrides") -> None:
 
 
 def _translate_error(error: UsageError, translate: Callable[[str], str]) -> None:
-    """Apply ``translate`` to the message, expected values and hint of an error."""
+    """Apply a translation function to the message, expected values and hint."""
     error.message = translate(error.message)
     error.expected = error.expected and translate(error.expected)
     error.hint = error.hint and translate(error.hint)
@@ -93,7 +93,7 @@ def _translate_error(error: UsageError, translate: Callable[[str], str]) -> None
 
 @contextmanager
 def naming_arguments(overrides: str = "overrides") -> Iterator[None]:
-    """Replace options by Python arguments in the errors of the ``with`` block."""
+    """Replace command options by Python arguments in errors from the ``with`` block."""
     try:
         yield
     except UsageError as error:
@@ -103,7 +103,7 @@ def naming_arguments(overrides: str = "overrides") -> Iterator[None]:
 
 @contextmanager
 def naming_options(names: Iterable[str]) -> Iterator[None]:
-    """Replace Python arguments by options in the errors of the ``with`` block."""
+    """Replace Python arguments by command options in errors from the ``with`` block."""
     try:
         yield
     except UsageError as error:

@@ -51,7 +51,7 @@ def find_cache_dir() -> Path:
 
 @cache
 def _home_directory() -> Path:
-    """Return the user's home directory, or a private directory if there is none.
+    """Return the user's home directory, or a private temporary directory without one.
 
     A user without an account, as in some containers, has no home directory. The private directory
     has a random name, because a fixed name in the shared temporary directory could belong to
@@ -73,7 +73,7 @@ def load_or_build(
     classes: Iterable[type] = (),
     sources: Iterable[str] = (),
 ) -> T:
-    """Return the stored result of an earlier call of ``build()``, or call ``build()``.
+    """Load the result of ``build()`` from the cache, or call ``build()`` and store it.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def load_or_build(
 
 @contextmanager
 def _lock_entry(path: Path) -> Iterator[None]:
-    """Prevent other processes from building the same entry at the same time.
+    """Lock a cache entry, so that no other process builds the same entry meanwhile.
 
     Without file locks, other processes are not prevented.
     """
@@ -137,7 +137,7 @@ def _find_installed_version(library: str) -> str:
 
 
 def _convert_to_json(value: Any) -> Any:
-    """Convert scene sections and numpy scalars to JSON values."""
+    """Convert a scene section or a numpy scalar to a JSON value."""
     return value.model_dump(mode="json") if hasattr(value, "model_dump") else value.item()
 
 
@@ -159,7 +159,7 @@ def _compute_source_digest(module: str) -> str:
 
 
 def _store_result(path: Path, result: Any, known: Mapping[str, type]) -> None:
-    """Write a result as a cache entry."""
+    """Write a result into the cache file at ``path``."""
     arrays: dict[str, np.ndarray] = {}
     structure = json.dumps(_encode_value(result, arrays, known)).encode()
     arrays["structure"] = np.frombuffer(structure, dtype=np.uint8)
@@ -218,7 +218,7 @@ def _load_entry(path: Path, known: Mapping[str, type]) -> tuple[Any] | None:
 
 
 def _encode_value(value: Any, arrays: dict[str, np.ndarray], known: Mapping[str, type]) -> Any:
-    """Convert a value to a JSON structure; append its arrays to ``arrays``.
+    """Convert a value to a JSON structure, and collect its arrays in a mapping.
 
     A value that JSON cannot represent becomes ``{tag: …}`` with the name of its type as tag.
     """

@@ -33,7 +33,7 @@ SPICE_UNITS = "V", "A"  # units of across and through quantities in simulators
 
 @dataclass(frozen=True)
 class Quantity:
-    """Physical quantity on a pin.
+    """Physical quantity on a pin: name, SI unit, and the value that 1 V or 1 A means.
 
     ``name`` is the name of the quantity in sources and branches, ``symbol`` its short name in
     results, and ``unit`` its SI unit. One volt or one ampere on a pin represents one ``pin_unit``,
@@ -54,13 +54,13 @@ class Quantity:
 
     @property
     def pin_value_per_si_unit(self) -> float:
-        """Number of volts or amperes on a pin that represent one SI unit."""
+        """Number of volts (or amperes) on a pin that represent one SI unit."""
         return float(f"{1 / self.factor:.15g}")
 
 
 @dataclass(frozen=True, repr=False)
 class Domain:
-    """Physical domain: quantities on pins, their power, and the state of rest.
+    """Physical domain: quantities on its pins, their power, and the state at rest.
 
     On all pins of a net, the values of ``across`` are equal, and the values of ``through`` sum to
     zero. ``power`` is the formula of the power that enters a part through a pin. ``rest`` describes
@@ -122,18 +122,18 @@ class Domain:
 
     @property
     def admittance(self) -> float:
-        """Circuit admittance [A/V] that represents an admittance of 1 in SI units."""
+        """Circuit admittance [A/V] that represents an SI admittance of 1 in this domain."""
         return (
             1.0 if self.through is None else self.across.factor * self.through.pin_value_per_si_unit
         )
 
     @property
     def units(self) -> tuple[str, str]:
-        """Units that 1 V and 1 A on a pin represent."""
+        """Units that 1 V and 1 A on a pin of this domain represent."""
         return self.across.pin_unit, self.flow_unit
 
     def value_unit(self, letter: str) -> str:
-        """Return the unit of a V, I, R, C or L value; empty for SPICE's own units.
+        """Return the unit of a V, I, R, C or L value; empty for the electrical domain.
 
         Examples
         --------
@@ -164,7 +164,7 @@ class Domain:
 
     @property
     def is_relaxing(self) -> bool:
-        """Whether responses decay without oscillation, because there is no inertia.
+        """Whether the domain has no inertia, so that responses decay without oscillation.
 
         The thermal domain has no inertia.
         """
@@ -177,7 +177,7 @@ class Domain:
 
     @property
     def law_pin_kind(self) -> str:
-        """Kind of the pins in the reference solver; ``signal`` for accelerations."""
+        """Kind of the domain's pins in the reference solver; ``signal`` for accelerations."""
         return "signal" if self.power == "velocity of the frame * through" else self.name
 
     @property
@@ -189,12 +189,12 @@ class Domain:
 
     @property
     def through_variable(self) -> Quantity:
-        """Quantity through a pin; the domain must be conservative."""
+        """Through quantity of a conservative domain, such as current or force."""
         assert self.through is not None, f"{self.name} has nothing through its pins"
         return self.through
 
     def get_quantity(self, side: Side) -> Quantity:
-        """Return the quantity across or through a pin."""
+        """Return the across quantity or the through quantity of the domain."""
         return self.across if side == "across" else self.through_variable
 
 
@@ -311,7 +311,7 @@ REFERENCES = frozenset({"ref", *(domain.reference for domain in TABLE if domain.
 
 
 def _list_quantities() -> dict[str, tuple[Domain, Side]]:
-    """Return the domain and the side of each quantity, keyed by quantity name.
+    """Return the domain and the side (across or through) of each named quantity.
 
     The force is a quantity of two domains; the returned mapping contains only the domain
     translation.
@@ -344,7 +344,7 @@ PIN_UNITS = tuple(_list_pin_units())
 
 
 def find_domain(unit: str, flow: str) -> Domain | None:
-    """Return the domain of a pin from the units that 1 V and 1 A represent.
+    """Find the domain of a pin by the units that 1 V and 1 A represent.
 
     The returned domain is None for signals and unknown units.
 
@@ -363,7 +363,7 @@ def find_domain(unit: str, flow: str) -> Domain | None:
 
 
 def find_across_quantity(unit: str) -> Quantity | None:
-    """Return the quantity across pins with this unit; None if no domain has this unit.
+    """Return the across quantity whose pin unit is ``unit``; None if there is none.
 
     Examples
     --------
@@ -378,7 +378,7 @@ def find_across_quantity(unit: str) -> Quantity | None:
 
 
 def describe_units(units: Collection[str]) -> str:
-    """Describe what 1 V and 1 A mean in the domains that have one of the ``units``.
+    """Describe what 1 V and 1 A mean in each domain to which the given units belong.
 
     Examples
     --------

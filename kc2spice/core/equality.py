@@ -31,7 +31,7 @@ class EqualByContent:
 
 
 def have_same_content(a: Any, b: Any) -> bool:
-    """Return whether two values are equal, including arrays and containers of arrays.
+    """Return whether two values are equal, including the elements of arrays.
 
     Parameters
     ----------

@@ -47,17 +47,17 @@ class Kc2spiceError(Exception):
 
 
 class UsageError(Kc2spiceError):
-    """Bad command line, scene, model or included file: exit code 2."""
+    """Error for a bad command line, scene, model or included file: exit code 2."""
 
     exit_code = 2
 
 
 class UnknownNameError(UsageError, KeyError):
-    """Error for a name that a mapping of results lacks; also a ``KeyError``."""
+    """Error for a name that is not in a mapping of results; also a ``KeyError``."""
 
 
 class NamedValues(dict[str, Any]):
-    """Mapping of names to results; the error for an unknown name lists similar names.
+    """Mapping of names to results; an unknown name raises an error with similar names.
 
     Examples
     --------
@@ -79,19 +79,19 @@ class NamedValues(dict[str, Any]):
 
 
 class MissingToolError(Kc2spiceError):
-    """A simulator or library is not installed on this machine: exit code 3."""
+    """Error for a simulator or library that is not installed: exit code 3."""
 
     exit_code = 3
 
 
 class GateMissedError(Kc2spiceError):
-    """A result exceeds its error limit: exit code 4."""
+    """Error for a result that exceeds its error limit: exit code 4."""
 
     exit_code = 4
 
 
 class SimulationError(Kc2spiceError):
-    """A solver or simulator failed, or a run violated a physics check: exit code 5."""
+    """Error for a failed solver or simulator, or a failed physics check: exit code 5."""
 
     exit_code = 5
 
@@ -113,7 +113,7 @@ def wrong(
     expected: str | None = None,
     hint: str | None = None,
 ) -> UsageError:
-    """Make a :class:`UsageError` about a file or key.
+    """Make a :class:`UsageError` about a wrong file, key or value.
 
     If ``hint`` is missing and ``expected`` states a limit, the hint is to satisfy this limit.
     """
@@ -134,7 +134,7 @@ _LIMIT_ACTIONS = {
 
 
 def advise_limit(where: str | None, expected: str | None) -> str | None:
-    """Advise how to change the key ``where`` to satisfy the limit in ``expected``.
+    """Advise how to change a key, so that its value satisfies the stated limit.
 
     >>> advise_limit("gap.travel", "less than the gap, 1e-06 m")
     'lower travel below 1e-06 m'
@@ -163,7 +163,7 @@ def unknown(
     command: str | None = None,
     advice: str | None = None,
 ) -> UsageError:
-    """Make the error for a ``name`` that is not among the ``known`` names.
+    """Make the error for a name that does not exist, with a list of similar names.
 
     The error lists similar names. ``command`` is the command line or page that lists all known
     names. ``advice`` is the next action if no known name is similar.
@@ -184,7 +184,7 @@ def unknown(
 
 
 def list_candidates(word: object, choices: Iterable[str], command: str | None = None) -> str:
-    """List at most five choices, the most similar to ``word`` first.
+    """List at most five of the accepted names, with the most similar name first.
 
     ``command`` is the command line that lists all choices.
 
@@ -199,7 +199,7 @@ def list_candidates(word: object, choices: Iterable[str], command: str | None = 
     import difflib  # difflib is imported here, because most errors do not need it
 
     def compute_dissimilarity(name: str) -> float:
-        """Return a measure of the difference between a name and the word."""
+        """Return a measure of the difference between a choice and the typed word."""
         return -difflib.SequenceMatcher(None, str(word)[:MAX_COMPARED_LENGTH], name).ratio()
 
     nearest = sorted(names, key=compute_dissimilarity)[:MAX_CANDIDATES]
@@ -208,7 +208,7 @@ def list_candidates(word: object, choices: Iterable[str], command: str | None = 
 
 
 def did_you_mean(word: str, choices: Iterable[str]) -> str | None:
-    """Return ``did you mean 'x'?`` for a name similar to ``word``.
+    """Return the hint ``did you mean 'x'?`` if a choice is similar to ``word``.
 
     Only the last parts of dotted keys are compared. Letter case is ignored.
     """

@@ -13,7 +13,7 @@ from kc2spice.core.errors import MissingToolError
 
 
 class OptionalLibrary(NamedTuple):
-    """Optional library: its name in the Python Package Index and its kc2spice extra.
+    """Optional library: its name on PyPI, and the kc2spice extra that installs it.
 
     ``extra`` is None for a library that no extra installs.
     """
@@ -51,7 +51,7 @@ OPTIONAL_LIBRARIES = {
 
 
 def import_optional(module: str, where: str) -> Any:
-    """Import a module of one of the :data:`OPTIONAL_LIBRARIES`.
+    """Import a module of an optional library; raise an error if it is not installed.
 
     The function restores the print options of numpy, which the library pyyeti changes.
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Curve(EqualByContent):
-    """Curve through points with coordinates ``x`` and ``y``.
+    """Curve of a figure: points with coordinates ``x`` and ``y``.
 
     The coordinates are arrays of shape (n,) in the units of the panel's axes. A value that is not
     finite causes a gap in the curve.
@@ -35,7 +35,7 @@ class Curve(EqualByContent):
 
 @dataclass(frozen=True, eq=False)
 class ColourMap(EqualByContent):
-    """Colour map of values ``z`` (rows, columns) over a grid of cells.
+    """Colour map of a figure: values ``z`` (rows, columns) over a grid of cells.
 
     The ascending coordinates ``x`` (columns,) and ``y`` (rows,) are the centres of the cells. A
     cell whose value is not finite is grey. ``label`` is the label of the colour bar.
@@ -49,7 +49,7 @@ class ColourMap(EqualByContent):
 
 @dataclass(frozen=True)
 class Panel:
-    """One pair of axes with curves, lines, shaded ranges and a colour map.
+    """Pair of axes of a figure, with curves, lines, shaded ranges and a colour map.
 
     The colour map is behind the curves. ``levels`` are horizontal lines ``(value, label)``,
     ``bands`` shaded ranges ``(low, high, label)``, and ``marks`` vertical lines ``(value, label)``.
@@ -73,7 +73,7 @@ class Panel:
 
 @dataclass(frozen=True)
 class Figure:
-    """Figure of stacked panels with a common x axis, or of panels in a grid.
+    """Figure as data: stacked panels with a common x axis, or panels in a grid.
 
     ``columns`` is the number of columns of the grid, in which each panel has a separate x axis.
     ``name`` is the name of the figure's file without suffix. ``main`` marks the most important
@@ -90,10 +90,10 @@ class Figure:
 
 @dataclass(frozen=True)
 class Shape:
-    """Shape in a side view: an upright rectangle, or a circle if ``round``.
+    """Shape in a side view of a scene: an upright rectangle or a circle.
 
-    All lengths are in metres. The rectangle is drawn as ``layers`` equal slices. The text ``label``
-    is drawn beside the shape.
+    The shape is a circle if ``round`` is true. All lengths are in metres. The rectangle is drawn as
+    ``layers`` equal slices. The text ``label`` is drawn beside the shape.
     """
 
     x: float
@@ -107,7 +107,7 @@ class Shape:
 
 
 def select_window(t: np.ndarray, first: float, last: float) -> np.ndarray:
-    """Return a mask of the times from ``first`` to ``last``.
+    """Return a mask of the times from ``first`` to ``last``, plus one time per side.
 
     The mask also contains one more time on each side. The boolean mask has the same shape (n,) as
     the times ``t``.
@@ -134,7 +134,7 @@ def format_axis_label(name: str, unit: str) -> str:
 
 
 def get_axis_label_and_factor(name: str, x: np.ndarray) -> tuple[str, float]:
-    """Return the label of the x axis, and the factor from SI units to its unit.
+    """Return the label of an x axis, and the factor from SI units to its unit.
 
     ``name`` is ``time``, ``frequency`` or a swept key, and ``x`` are its values in SI units.
     """
@@ -147,7 +147,10 @@ def get_axis_label_and_factor(name: str, x: np.ndarray) -> tuple[str, float]:
 
 @dataclass(frozen=True)
 class FileWriter:
-    """Writer of an additional output file of a run; ``write(path)`` writes the file."""
+    """Writer of one additional output file of a run: file name and write function.
+
+    ``write(path)`` writes the file.
+    """
 
     name: str
     write: Callable[[Path], None]

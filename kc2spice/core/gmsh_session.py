@@ -17,7 +17,7 @@ REPLACED_SIGNALS = ("SIGTERM", "SIGHUP", "SIGPIPE")
 
 @contextmanager
 def gmsh_session() -> Iterator[ModuleType]:
-    """Initialise gmsh with one empty model, yield the module, and finalise gmsh.
+    """Open a gmsh session with one empty model, and close it after the ``with`` block.
 
     gmsh has global variables, so sessions cannot be nested. The session prints nothing, runs in one
     thread, and does not read option files of the user: the same input always gives the same mesh.

@@ -22,7 +22,7 @@ INTERRUPT_MESSAGE = b"kc2spice: interrupted; nothing was written\n"
 
 @contextlib.contextmanager
 def end_on_signals(grace: float = GRACE_PERIOD) -> Iterator[None]:
-    """Convert signals to exceptions that stop simulators and remove files.
+    """Convert signals such as Ctrl-C to exceptions, so that the program cleans up.
 
     Ctrl-C raises KeyboardInterrupt; SIGTERM and SIGHUP raise SystemExit. If the main thread does
     not begin to handle a signal within ``grace`` [s], the process ends. The exit code is 128 +
@@ -46,7 +46,7 @@ def end_on_signals(grace: float = GRACE_PERIOD) -> Iterator[None]:
 
 
 def _handle_signals(grace: float) -> set[int]:
-    """Set the signal handlers, start the watching thread, and return the signals."""
+    """Set signal handlers, start the watching thread, and return the handled signals."""
     handled = threading.Semaphore(0)
 
     def raise_interrupt(number: int, frame: FrameType | None) -> None:

@@ -42,7 +42,7 @@ _SINGLE_LINE_KEYS = ("title", "include")
 
 @dataclass(frozen=True)
 class _InvalidValue:
-    """Validation error of pydantic about one value, with its schema and key.
+    """One invalid value in a table: the pydantic error, the schema and the key.
 
     ``path`` is the key in the scene. ``also`` are accepted keys in addition to the keys of
     ``schema``. ``missing`` are the required keys that the table of an unknown key lacks.
@@ -56,21 +56,21 @@ class _InvalidValue:
 
     @property
     def schema_path(self) -> KeyPath:
-        """Path of the value within the schema, including the names of union members."""
+        """Path of the invalid value in the schema, including the names of union members."""
         return self.details["loc"]
 
     @property
     def value(self) -> Any:
-        """Value as pydantic received it."""
+        """Invalid value, as pydantic received it."""
         return self.details["input"]
 
     @property
     def context(self) -> Mapping[str, Any]:
-        """Additional data of the error, such as the limits of a number."""
+        """Additional data of the validation error, such as the limits of a number."""
         return self.details.get("ctx", {})
 
     def write_assignment(self, value: str) -> str:
-        """Return the text ``KEY = VALUE`` that sets the key to ``value``, for a hint."""
+        """Return the text ``KEY = VALUE`` for a hint, with the invalid key."""
         return _write_assignment(self.path, value)
 
 
@@ -81,7 +81,7 @@ def describe_invalid_key(
     also: Sequence[str] = (),
     table: object = None,
 ) -> tuple[KeyPath, dict[str, Any]]:
-    """Return the path of the first invalid key, and the texts of its error by name.
+    """Return the path of the first invalid key, and the texts that explain its error.
 
     An unknown key is reported before a missing key, because the unknown key may be a misspelling of
     the missing key. ``at`` is the path of the table, ``also`` are accepted keys in addition to the
@@ -119,10 +119,10 @@ def validate_table(
     where: str,
     context: Mapping[str, Any] | None = None,
 ) -> Schema:
-    """Convert a table to an instance of ``schema``; return an instance unchanged.
+    """Validate a TOML table by its schema, and return an instance of the schema.
 
-    ``where`` names the table in errors: a key, or a file name with a final colon. The validators of
-    the schema receive ``context``.
+    An instance of the schema is returned unchanged. ``where`` names the table in errors: a key, or
+    a file name with a final colon. The validators of the schema receive ``context``.
 
     Raises
     ------
@@ -143,7 +143,7 @@ def validate_table(
 def _select_union_member(
     all_errors: Sequence[ErrorDetails], first: ErrorDetails, table: object
 ) -> ErrorDetails:
-    """Select the error of the union member that is most similar to the typed value.
+    """Select the pydantic error of the union member that is most similar to the value.
 
     A string is compared with choices, a list with lists and a table with tables.
     """
@@ -165,12 +165,12 @@ def _select_union_member(
 
 
 def _is_union_member(step: str | int) -> bool:
-    """Return whether a step of a pydantic path names a type instead of a key."""
+    """Return whether a step of a pydantic error path names a union member, not a key."""
     return bool(_UNION_MEMBER.search(str(step)))
 
 
 def _find_typed_value(table: object, path: KeyPath, converted: Any) -> Any:
-    """Return the value that was typed at ``path``.
+    """Return the value at a path as the user typed it.
 
     If ``table`` lacks this path, ``converted`` is returned.
     """
@@ -187,7 +187,7 @@ def _find_typed_value(table: object, path: KeyPath, converted: Any) -> Any:
 
 
 def _explain(invalid: _InvalidValue) -> Explanation:
-    """Return the texts ``message``, ``expected`` and ``hint`` for a validation error."""
+    """Explain a validation error by a message, the accepted values and a hint."""
     explain = _EXPLANATIONS.get(invalid.details["type"])
     if explain is None:
         return invalid.details["msg"], invalid.context.get("expected"), None
@@ -223,20 +223,20 @@ def _explain_missing_key(invalid: _InvalidValue) -> Explanation:
 
 
 def _replace_unknown_key(word: str, missing: Sequence[str]) -> str:
-    """Suggest the only missing key of a table in place of an unknown key."""
+    """Suggest to replace an unknown key by the only missing key, or to delete it."""
     if len(missing) == 1:
         return f"write {missing[0]} in place of {word}, because the key {missing[0]} is missing"
     return f"delete {word}"
 
 
 def _suggest_key(word: str, fields: Sequence[str]) -> str | None:
-    """Suggest the key that scenes use in place of the common name ``word``."""
+    """Return the hint to use the scene key that replaces a common name."""
     key, hint = REPLACED_KEYS.get(word.lower(), ("", ""))
     return hint if key in fields else None
 
 
 def _suggest_described_key(word: str, table: type[BaseModel]) -> str | None:
-    """Suggest the key whose description states ``word`` as the name in SPICE."""
+    """Suggest the key whose description contains a parameter name of the SPICE model."""
     described = re.compile(rf"\b{re.escape(word)} of the SPICE model", re.IGNORECASE)
     for name, field in table.model_fields.items():
         if described.search(field.description or ""):
@@ -245,21 +245,21 @@ def _suggest_described_key(word: str, table: type[BaseModel]) -> str | None:
 
 
 def _suggest_synonym(word: str, fields: Sequence[str]) -> str | None:
-    """Suggest the key that corresponds to ``word``, a name of another program."""
+    """Suggest the key that corresponds to a name in another program."""
     keys = KEY_SYNONYMS.get(normalise_word(word), ())
     fitting = next((key for key in keys if key in fields), None)
     return fitting and f"write {fitting} in place of {word}"
 
 
 def _list_replacement_hints(table: type[BaseModel]) -> Mapping[str, str]:
-    """Return a hint for each unsupported key of a table: the key to use in its place."""
+    """Return hints for the unsupported keys of a table, which name the keys to use."""
     return getattr(table, "unsupported_key_hints", {})
 
 
 def _explain_missing(
     schema: type[BaseModel], path: KeyPath, full_path: KeyPath
 ) -> tuple[str | None, str | None]:
-    """Return the accepted values of a missing key, and the line to add to the file."""
+    """Return the accepted values of a missing key, and the hint to add the key."""
     unit = _find_unit(schema, path)
     table = join_path(full_path[:-1])
     value = f'"{_suggest_quantity(schema, path, unit)}"' if unit else "VALUE"
@@ -275,7 +275,7 @@ def _explain_missing(
 
 
 def _suggest_quantity(schema: type[BaseModel], path: KeyPath, unit: str) -> str:
-    """Return a plausible value of the key at ``path``, a power of ten in its range."""
+    """Return a plausible value of a key as text, such as ``1 mm``."""
     field = _find_field(schema, path)
     plausible = None if field is None else get_plausible_range(field)
     if plausible is None:
@@ -303,7 +303,7 @@ def _explain_pattern(invalid: _InvalidValue) -> Explanation:
 
 
 def _explain_quantity(invalid: _InvalidValue) -> Explanation:
-    """Return the explanation that a validator of kc2spice put into the error."""
+    """Explain an error that a validator of kc2spice raised with its own texts."""
     return invalid.context["reason"], invalid.context["expected"], invalid.context.get("hint")
 
 
@@ -353,12 +353,12 @@ def _explain_limit(invalid: _InvalidValue) -> Explanation:
 
 
 def _explain_reason(invalid: _InvalidValue) -> Explanation:
-    """Return the message of a ``ValueError`` that a validator raised."""
+    """Explain an error by the message of the ``ValueError`` that a validator raised."""
     return str(invalid.context["error"]), None, None
 
 
 def _suggest_value(key: str, value: object, limits: Mapping[str, float], unit: str) -> str:
-    """Suggest a value of ``key`` within the limits of its schema."""
+    """Advise how to change the value of a key, so that it satisfies the key's limits."""
     (kind, bound), *_ = limits.items()
     lower = kind in ("gt", "ge")
     if lower and isinstance(value, (int, float)) and value < 0 and -value > bound:
@@ -371,7 +371,7 @@ def _suggest_value(key: str, value: object, limits: Mapping[str, float], unit: s
 
 
 def _explain_table(invalid: _InvalidValue) -> Explanation:
-    """Explain the error that a value is not a table, or not a set of named tables."""
+    """Explain the error that a value is not a table, or not a mapping of named tables."""
     path, value = invalid.path, invalid.value
     if invalid.details["type"] == "dict_type" and isinstance(value, (list, tuple)):
         hint = f"write  {path[-1]} = {{ NAME = … }}  with a name for each entry"
@@ -382,7 +382,7 @@ def _explain_table(invalid: _InvalidValue) -> Explanation:
 
 
 def _suggest_table(invalid: _InvalidValue, form: str) -> str:
-    """Suggest a table that assigns the typed value to the most likely key."""
+    """Suggest a table in which the typed value becomes the value of a likely key."""
     schema, place, path, value = invalid.schema, invalid.schema_path, invalid.path, invalid.value
     if isinstance(value, (Mapping, list)) or len(path) <= 1:
         key = _find_choice_key(schema, place, value)
@@ -421,6 +421,7 @@ def _explain_list(invalid: _InvalidValue) -> Explanation:
 
 
 def _explain_list_length(invalid: _InvalidValue) -> Explanation:
+    """Explain the error that a list has too few or too many entries."""
     too_short = invalid.details["type"] == "too_short"
     count = invalid.context["min_length" if too_short else "max_length"]
     bound = f"{'least' if too_short else 'most'} {count} entr{'y' if count == 1 else 'ies'}"
@@ -429,7 +430,7 @@ def _explain_list_length(invalid: _InvalidValue) -> Explanation:
 
 
 def _explain_short_list(path: KeyPath, typed: object, lacking: int) -> tuple[str, str, str]:
-    """Return message, expected text and hint for a list that lacks its last entries."""
+    """Explain the error that a list lacks some of its entries."""
     entries = list(typed) if isinstance(typed, (list, tuple)) else []
     numeric = all(isinstance(item, (int, float)) for item in entries)
     count, pad = len(entries) + lacking, 0 if numeric else "VALUE"
@@ -445,7 +446,7 @@ def _explain_short_list(path: KeyPath, typed: object, lacking: int) -> tuple[str
 
 
 def _advise_length(path: KeyPath, entries: object, count: int, too_short: bool) -> str:
-    """Advise how to change the number of entries of a list to an accepted number."""
+    """Advise how to bring the number of entries of a list to an accepted number."""
     if too_short or not isinstance(entries, (list, tuple)):
         word = "entry" if count == 1 else "entries"
         return f"add entries, so that the list has at least {count} {word}"
@@ -456,7 +457,7 @@ def _advise_length(path: KeyPath, entries: object, count: int, too_short: bool) 
 
 
 def _write_assignment(path: KeyPath, value: str) -> str:
-    """Return text for a hint that sets the key at ``path`` to ``value``.
+    """Return the text that sets a key or a list entry to a value, for a hint.
 
     >>> _write_assignment(("u", "axis"), "[0, 0, 1]")
     'axis = [0, 0, 1]'
@@ -471,7 +472,7 @@ def _write_assignment(path: KeyPath, value: str) -> str:
 
 
 def _write_entry(schema: type[BaseModel], typed: object) -> str:
-    """Write an example table with the required keys of ``schema``.
+    """Write an example of an inline table with all required keys of its schema.
 
     A typed string becomes the value of the first key without a unit.
     """
@@ -488,7 +489,7 @@ def _write_entry(schema: type[BaseModel], typed: object) -> str:
 
 
 def _find_text_key(schema: type[BaseModel], path: KeyPath) -> str | None:
-    """Return the only required key of the table at ``path`` if its value is a string."""
+    """Return the only required key of a table, if the value of this key is a string."""
     fields = _find_schema(schema, (*path, "")).model_fields
     required = [name for name, field in fields.items() if field.is_required()]
     if len(required) == 1 and fields[required[0]].annotation is str:
@@ -497,7 +498,7 @@ def _find_text_key(schema: type[BaseModel], path: KeyPath) -> str | None:
 
 
 def _find_choice_key(schema: type[BaseModel], path: KeyPath, value: object) -> str | None:
-    """Return the key in the table at ``path`` that accepts ``value`` as a choice."""
+    """Return the key of a table that accepts the typed value as one of its choices."""
     for name, field in _find_schema(schema, (*path, "")).model_fields.items():
         if get_origin(field.annotation) is Literal and value in get_args(field.annotation):
             return name
@@ -505,7 +506,7 @@ def _find_choice_key(schema: type[BaseModel], path: KeyPath, value: object) -> s
 
 
 def _find_value_key(schema: type[BaseModel], path: KeyPath, value: object) -> str | None:
-    """Return the key in the table at ``path`` to which ``value`` most likely belongs."""
+    """Return the key of a table to which the typed value most likely belongs."""
     table = _find_schema(schema, (*path, ""))
     if isinstance(value, (int, float)) and {"quality", "ratio"} <= set(table.model_fields):
         return "quality" if value > 1 else "ratio"
@@ -522,13 +523,13 @@ def _find_value_key(schema: type[BaseModel], path: KeyPath, value: object) -> st
 
 
 def _find_field(schema: type[BaseModel], path: KeyPath) -> FieldInfo | None:
-    """Return the field of the key at ``path``; ignore the indices of list entries."""
+    """Find the schema field of a key; ignore list indices in the path of the key."""
     names = tuple(step for step in path if isinstance(step, str))
     return dict(list_keys(schema)).get(names)
 
 
 def _format_example(field: FieldInfo) -> str:
-    """Return an example value of a key as TOML text."""
+    """Return the example value of a key as TOML text, or ``VALUE``."""
     return str(field.examples[0]) if field.examples else "VALUE"
 
 
@@ -539,7 +540,7 @@ def _find_unit(schema: type[BaseModel], path: KeyPath) -> str | None:
 
 
 def _help_command(schema: type[BaseModel]) -> str | None:
-    """Return the command or page that lists all keys of a table."""
+    """Return the command or the document that lists all keys of a table."""
     return getattr(schema, "help_command", None)
 
 
@@ -551,7 +552,7 @@ def _find_inner_section(annotation: Any) -> type[BaseModel] | None:
 
 
 def _find_schema(schema: type[BaseModel], path: KeyPath) -> type[BaseModel]:
-    """Return the innermost schema that contains ``path``."""
+    """Find the schema of the innermost table that contains a key path."""
     for step in path[:-1]:
         if step in schema.model_fields:
             schema = _find_inner_section(schema.model_fields[str(step)].annotation) or schema

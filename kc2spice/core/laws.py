@@ -30,7 +30,7 @@ from kc2spice.core.waveforms import Function
 
 
 def _collect_names(domains: Iterable[Domain]) -> tuple[str, ...]:
-    """Return the names of the given ``domains``."""
+    """Return the names of the given domains."""
     return tuple(map(attrgetter("name"), domains))
 
 
@@ -49,7 +49,7 @@ GROUND = "gnd"
 
 @dataclass(frozen=True)
 class LawPin:
-    """Pin of a law.
+    """Pin of a law, with the name of its physical domain.
 
     The ``kind`` of a pin is the name of a domain, or ``signal``. A ``grounded`` pin is connected to
     ground if the pin is not joined to another pin.
@@ -62,12 +62,13 @@ class LawPin:
 
 @dataclass(frozen=True)
 class WaveCombination:
-    """Result that is a linear combination of waves: ``sum factor wave + constant``.
+    """Result of a part that is a linear combination of waves plus a constant.
 
-    ``terms`` are pairs ``(factor, wave)``. If ``charge`` is true, an ac result is divided by ``j
-    omega``, which converts a current to a charge. If ``rate`` is true, an ac result is multiplied
-    by ``j omega`` and by the response of :func:`compute_low_pass_response` with the corner
-    frequency ``corner`` [rad/s]. A result with a true ``rate`` exists only in ac analyses.
+    The result is ``sum factor wave + constant``. ``terms`` are pairs ``(factor, wave)``. If
+    ``charge`` is true, an ac result is divided by ``j omega``, which converts a current to a
+    charge. If ``rate`` is true, an ac result is multiplied by ``j omega`` and by the response of
+    :func:`compute_low_pass_response` with the corner frequency ``corner`` [rad/s]. A result with a
+    true ``rate`` exists only in ac analyses.
     """
 
     terms: tuple[tuple[float, str], ...]
@@ -78,7 +79,7 @@ class WaveCombination:
 
     @property
     def waves(self) -> tuple[str, ...]:
-        """Names of the waves in ``terms``."""
+        """Names of the waves that the combination contains."""
         return tuple(map(itemgetter(1), self.terms))
 
     def combine(self, waves: Mapping[str, np.ndarray]) -> np.ndarray:
@@ -86,7 +87,7 @@ class WaveCombination:
         return np.asarray(sum(factor * waves[wave] for factor, wave in self.terms))
 
     def evaluate(self, waves: Mapping[str, np.ndarray], scale: np.ndarray) -> np.ndarray | None:
-        """Evaluate the combination, without the constant if the waves are small signals.
+        """Evaluate the wave combination; the constant is omitted for small signals.
 
         ``scale`` contains the times [s] or frequencies [Hz] of the waves. The function returns None
         if ``rate`` is true and the waves are not small signals.
@@ -103,7 +104,7 @@ class WaveCombination:
 def evaluate_combinations(
     combinations: Mapping[str, WaveCombination], waves: Mapping[str, np.ndarray], scale: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """Evaluate the combinations whose waves are all in ``waves``.
+    """Evaluate the wave combinations for which all required waves are available.
 
     The result is keyed by the name of the combination. ``scale`` contains the times [s] or
     frequencies [Hz] of the waves.
@@ -118,7 +119,7 @@ def evaluate_combinations(
 
 
 def compute_low_pass_response(s: np.ndarray, corner: float) -> np.ndarray:
-    """Return the response of a second-order low-pass filter at frequencies ``s``.
+    """Return the frequency response of a second-order low-pass filter.
 
     For complex frequencies ``s`` [rad/s], the response is ``1 / (1 + sqrt(2) s / w + (s / w)^2)``.
     The corner frequency w [rad/s] may be infinite.
@@ -128,18 +129,18 @@ def compute_low_pass_response(s: np.ndarray, corner: float) -> np.ndarray:
 
 
 def scale_wave(wave: str, factor: float = 1.0, constant: float = 0.0) -> WaveCombination:
-    """Make the combination ``factor wave + constant``."""
+    """Make the wave combination ``factor wave + constant``."""
     return WaveCombination(((factor, wave),), constant)
 
 
 def subtract_waves(plus: str, minus: str) -> WaveCombination:
-    """Make the difference between the wave ``plus`` and the wave ``minus``."""
+    """Make the difference of two waves, ``plus - minus``."""
     return WaveCombination(((1.0, plus), (-1.0, minus)))
 
 
 @dataclass(frozen=True)
 class Equations:
-    """Laws of a part, with the relation of its pins and results to the laws.
+    """Equations of a part: its laws, and how its pins and results relate to the laws.
 
     ``pins`` maps pins of the part to pins of the laws (``NAME.pin``). A pin of the part is not in
     ``pins`` if another pin represents the pin, or if nothing acts on the pin. Two pins of the part
@@ -201,12 +202,12 @@ class SecondOrderBody:
 
     @property
     def pins(self) -> tuple[LawPin, ...]:
-        """Pins of the ports, with their return pins."""
+        """Pins of all ports, including return pins."""
         return make_port_pins(self.ports)
 
     @property
     def states(self) -> tuple[str, ...]:
-        """Names of ports whose flow is a state.
+        """Names of the ports whose flow is a state, which is an unknown of the equations.
 
         The flow is a state at heat ports, and at mechanical ports with a nonzero row of D.
         """
@@ -219,12 +220,12 @@ class SecondOrderBody:
 
     @property
     def state_scales(self) -> tuple[float, ...]:
-        """Reference magnitude of each state, by which its error is divided."""
+        """Typical magnitude of each state, by which the error of the state is divided."""
         return (1e-3,) * len(self.states)
 
 
 def make_port_pins(ports: tuple[LawPort, ...]) -> tuple[LawPin, ...]:
-    """Make a pin for each port and for each return pin of a port.
+    """Return a pin for each port and for each return pin of the ports.
 
     The pins of ``acceleration``, ``input`` and ``output`` ports are signal pins.
     """
@@ -278,7 +279,7 @@ class IdealSource:
 
 @dataclass(frozen=True)
 class AcrossInput:
-    """Input of a device: an across quantity, or the rate of an across quantity.
+    """Input of a device: an across quantity at its pins, or the rate of this quantity.
 
     The across quantities of the pins ``minus`` and ``less`` are subtracted from the across quantity
     of ``pin``.
@@ -292,7 +293,7 @@ class AcrossInput:
 
 @dataclass(frozen=True)
 class Flow:
-    """Output of a device: a through quantity (flow) that enters at ``pin``.
+    """Output of a device: a through quantity (flow) that enters at one of its pins.
 
     The flow leaves the device at the pin ``minus``. If ``less`` is given, an equal flow also leaves
     the device at the pin ``less``.
@@ -304,10 +305,11 @@ class Flow:
 
 
 class Device(ABC):
-    """Law as a function of inputs and states; subclasses are frozen dataclasses.
+    """Base class of laws whose outputs are functions of inputs, states and a mode.
 
-    Each device has a ``name``. The array ``e`` of shape (m,) contains the across inputs, followed
-    by the states. A value of any type identifies a mode. Within a mode, the law has the form::
+    Subclasses are frozen dataclasses. Each device has a ``name``. The array ``e`` of shape (m,)
+    contains the across inputs, followed by the states. A value of any type identifies a mode.
+    Within a mode, the law has the form::
 
         out = [through of each flow, rate of each state's store, value of each prescribed signal]
         d/dt store(e) = rate,   store(e) = the states themselves by default
@@ -348,22 +350,22 @@ class Device(ABC):
 
     @property
     def prescribed_signals(self) -> tuple[str, ...]:
-        """Signal pins that the device sets."""
+        """Names of the signal pins that the device sets."""
         return ()
 
     @property
     def state_scales(self) -> tuple[float, ...]:
-        """Reference magnitude [A or N] of each state, by which its error is divided."""
+        """Typical magnitude [A or N] of each state, by which its error is divided."""
         return (1e-3,) * len(self.states)
 
     @property
     def is_affine(self) -> bool:
-        """Whether the outputs are affine functions of the inputs ``e`` within a mode."""
+        """Whether the outputs are affine functions of the inputs within each mode."""
         return False
 
     @property
     def linear(self) -> bool:
-        """Whether the device has one mode with affine outputs and stored quantities.
+        """Whether the device is linear: one mode, with affine outputs and affine storage.
 
         The energy and the loss of a linear device are quadratic functions of its inputs.
         """
@@ -371,17 +373,17 @@ class Device(ABC):
 
     @property
     def has_stored_quantities(self) -> bool:
-        """Whether the device stores quantities that differ from its states."""
+        """Whether the device stores quantities other than its states, such as charges."""
         return type(self).evaluate_storage is not Device.evaluate_storage and bool(
             self.states or self.storing_flow_indices
         )
 
     @abstractmethod
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the outputs (k,) and their derivatives (k, m) with respect to ``e``."""
+        """Return the outputs (k,) and their derivatives (k, m) with respect to the inputs."""
 
     def evaluate_storage(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the stored quantities, and their derivatives with respect to ``e``.
+        """Return the stored quantities and their derivatives with respect to the inputs.
 
         The number of stored quantities is ``len(states) + len(storing_flow_indices)``.
         """
@@ -389,17 +391,17 @@ class Device(ABC):
         return e[m - k :], np.eye(k, m, m - k)
 
     def evaluate_outputs(self, e: np.ndarray, mode: Any) -> np.ndarray:
-        """Return the outputs (k,) without derivatives."""
+        """Return the outputs (k,) of the device without their derivatives."""
         return self.evaluate(e, mode)[0]
 
     def evaluate_stored_quantities(self, e: np.ndarray, mode: Any) -> np.ndarray:
-        """Return the stored quantities without derivatives."""
+        """Return the stored quantities of the device without their derivatives."""
         return self.evaluate_storage(e, mode)[0]
 
     def small_signal_derivatives(
         self, s: complex, e: np.ndarray, mode: Any
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Compute derivatives for small signals ``exp(s t)`` at the operating point.
+        """Compute the derivatives for small signals ``exp(s t)`` at the operating point.
 
         The first returned array (k, m) contains the derivatives of the k outputs with respect to
         the m inputs. The second array contains the derivatives of the stored quantities, with one
@@ -409,7 +411,7 @@ class Device(ABC):
         return self.evaluate(e, mode)[1], self.evaluate_storage(e, mode)[1]
 
     def noise(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray] | None:
-        """Compute the weights of noise sources in the outputs and stored quantities.
+        """Compute how strongly each noise source acts on outputs and stored quantities.
 
         The first returned array has one row for each output, and the second array one row for each
         stored quantity. The columns correspond to the noise sources. The noise density is ``4 k T``
@@ -419,22 +421,22 @@ class Device(ABC):
         return None
 
     def find_initial_mode(self, e: np.ndarray) -> Any:
-        """Return the initial mode of the device for the inputs ``e``."""
+        """Return the mode in which the device begins at the given inputs."""
         return None
 
     def evaluate_guards(self, e: np.ndarray, mode: Any) -> np.ndarray:
-        """Return the values of the guard functions, which are positive within ``mode``."""
+        """Evaluate the guard functions, which are positive within the present mode."""
         return np.empty(0)
 
     def find_next_mode(self, mode: Any, guard: int) -> Any:
-        """Return the mode that follows when a guard function reaches zero.
+        """Return the mode that follows when a guard function of the present mode is zero.
 
         ``mode`` is the present mode, and ``guard`` the index of the guard function.
         """
         return mode
 
     def limit_change(self, e: np.ndarray, last: np.ndarray) -> np.ndarray:
-        """Return the new inputs after limiting the change of inputs in a Newton step.
+        """Limit the change of the inputs in a Newton step, and return the new inputs.
 
         ``e`` contains the inputs of the new iterate, and ``last`` the inputs of the last
         linearisation. Laws with exponential functions limit the change from ``last`` to ``e``, so
@@ -443,22 +445,22 @@ class Device(ABC):
         return e
 
     def require_in_range(self, t: float, e: np.ndarray) -> None:  # noqa: B027 (most laws have no limits)
-        """Raise SimulationError if inputs are outside of the law's range.
+        """Raise SimulationError if an input is outside of the range of the law.
 
         ``t`` [s] is the time of the inputs ``e``.
         """
 
     def energy(self, e: np.ndarray, mode: Any) -> float:
-        """Compute the stored energy [J]."""
+        """Compute the energy [J] that the device stores."""
         return 0.0
 
     def loss(self, e: np.ndarray, mode: Any) -> float:
-        """Compute the dissipated power [W]; power that the device supplies is negative."""
+        """Compute the power [W] that the device dissipates; supplied power is negative."""
         return 0.0
 
     @property
     def energy_forms(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """Matrices (m, m) of the quadratic forms for energy and loss of a linear device.
+        """Matrices of the quadratic forms for energy and loss of a linear device.
 
         Large devices define these matrices instead of the methods ``energy`` and ``loss``.
         """
@@ -473,7 +475,7 @@ GROWTH_RATE = 1e3  # 1/s, growth rate of the loads on an unsupported body
 
 @dataclass(frozen=True, eq=False)
 class Relation:
-    """Relation ``y = H a + free`` between the loads a and the outputs y of a body.
+    """Affine relation ``y = H a + free`` between the loads and the outputs of a body.
 
     The array a has the shape (inputs,), and the array y the shape (outputs,). A relation describes
     a linear body in static equilibrium, at one frequency, or within one stage of an implicit time
@@ -486,7 +488,7 @@ class Relation:
 
 @dataclass(frozen=True, eq=False)
 class PortBody(Device):
-    """Linear body with a model of any size, represented by a relation between ports.
+    """Linear body of any size, represented by a relation between its port quantities.
 
     The mode of the body is a :class:`Relation`. The loads a are forces [N], voltages [V],
     accelerations [m/s^2] and signals, in the order of the ports with a column of B. The outputs y
@@ -507,17 +509,17 @@ class PortBody(Device):
 
     @cached_property
     def _load_ports(self) -> tuple[LawPort, ...]:
-        """Ports whose input is a load of the model."""
+        """Ports whose input is one of the loads of the model."""
         return tuple(port for port in self.ports if port.kind != "output")
 
     @cached_property
     def _flow_ports(self) -> tuple[LawPort, ...]:
-        """Ports whose through quantity is an unknown."""
+        """Ports whose through quantity is an unknown of the device."""
         return tuple(p for p in self.ports if p.kind in (*POTENTIALS, *MECHANICAL))
 
     @property
     def pins(self) -> tuple[LawPin, ...]:
-        """Pins of the ports."""
+        """Pins of all ports, including return pins."""
         return make_port_pins(self.ports)
 
     @property
@@ -537,15 +539,16 @@ class PortBody(Device):
 
     @property
     def prescribed_signals(self) -> tuple[str, ...]:
-        """Signal pins that the body sets."""
+        """Names of the signal pins that the body sets."""
         return tuple(port.name for port in self.ports if port.kind == "output")
 
     @cached_property
     def _port_matrices(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Matrices ``load``, ``stored``, ``direct`` and ``output``, in this order.
+        """Matrices that map device inputs to loads, and body outputs to device outputs.
 
-        For the inputs e of the device and the outputs y of the body, the loads are ``load @ e`` and
-        the charges ``stored @ y``. The outputs of the device are ``direct @ e + output @ y``.
+        The matrices are ``load``, ``stored``, ``direct`` and ``output``, in this order. For the
+        inputs e of the device and the outputs y of the body, the loads are ``load @ e`` and the
+        charges ``stored @ y``. The outputs of the device are ``direct @ e + output @ y``.
         """
         n, k, drives = len(self._load_ports), len(self._flow_ports), len(self.prescribed_signals)
         rows = [port for port in self.ports if port.kind != "input"]
@@ -566,12 +569,12 @@ class PortBody(Device):
         return load, stored, direct, output
 
     def compute_loads(self, e: np.ndarray) -> np.ndarray:
-        """Compute the loads ``a`` (inputs,) from the inputs ``e`` of the device."""
+        """Compute the loads on the body's model from the inputs of the device."""
         return self._port_matrices[0] @ e
 
     @cached_property
     def static_relation(self) -> Relation:
-        """Relation between loads and outputs in static equilibrium.
+        """Relation between the loads and the outputs of the body in static equilibrium.
 
         Scenes with a constant load on an unsupported body are rejected. Without constant loads, any
         finite relation is valid for an unsupported body. The relation is then the response to loads
@@ -584,7 +587,7 @@ class PortBody(Device):
         return Relation(H.real, np.zeros(len(H)))
 
     def transfer(self, s: complex) -> np.ndarray:
-        """Return the transfer matrix ``H(s)`` of shape (outputs, inputs).
+        """Return the transfer matrix ``H(s)`` of the body, of shape (outputs, inputs).
 
         The matrix is computed only once for all copies of a body.
         """
@@ -593,21 +596,21 @@ class PortBody(Device):
         return self.responses[s]
 
     def find_initial_mode(self, e: np.ndarray) -> Relation:
-        """Return the static relation, which is the initial mode of the body."""
+        """Return the body's static relation, which is its initial mode."""
         return self.static_relation
 
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the outputs and their derivatives for the relation ``mode``."""
+        """Return the outputs of the device and their derivatives for the present relation."""
         slope = self._compute_slope(mode.H)
         return slope @ e + self._port_matrices[3] @ mode.free, slope
 
     def _compute_slope(self, H: np.ndarray) -> np.ndarray:
-        """Return the derivatives of the outputs with respect to the inputs."""
+        """Compute the derivatives of the device outputs with respect to its inputs."""
         load, _, direct, output = self._port_matrices
         return direct + output @ H @ load
 
     def evaluate_storage(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the stored charges and their derivatives with respect to ``e``."""
+        """Return the stored charges of the body, and their derivatives by the inputs."""
         load, stored, _, _ = self._port_matrices
         slope = stored @ mode.H @ load
         return slope @ e + stored @ mode.free, slope
@@ -615,13 +618,13 @@ class PortBody(Device):
     def small_signal_derivatives(
         self, s: complex, e: np.ndarray, mode: Any
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the derivatives of outputs and charges at the complex frequency ``s``."""
+        """Return derivatives of outputs and charges at the complex frequency ``s``."""
         load, stored, _, _ = self._port_matrices
         H = self.transfer(s) if s else self.static_relation.H
         return self._compute_slope(H), stored @ H @ load
 
     def noise(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray] | None:
-        """Compute the weights of the thermal noise in the outputs of the body.
+        """Compute how strongly each thermal noise source acts on the outputs of the body.
 
         The noise density of the outputs is ``4 k T (Y + Y^H) / (2 |s|^2)`` with ``Y = s H(s)``. The
         admittance Y relates the rates of the outputs to the loads. The product of a load and the
@@ -639,7 +642,7 @@ class PortBody(Device):
 
 @dataclass(frozen=True, eq=False)
 class SignalBlock(Device):
-    """Linear system ``E x' = A x + B u``, ``y = C x + D u`` with signals as outputs.
+    """Linear system ``E x' = A x + B u``, ``y = C x + D u`` whose outputs are signals.
 
     The inputs u are across quantities, and the outputs y are signals.
     """
@@ -658,7 +661,7 @@ class SignalBlock(Device):
 
     @property
     def pins(self) -> tuple[LawPin, ...]:
-        """Pins of the inputs and outputs."""
+        """Pins of the inputs and outputs of the block."""
         kinds = dict.fromkeys(self.inputs, self.kind) | dict.fromkeys(self.outputs, "signal")
         return tuple(LawPin(*pin) for pin in kinds.items())
 
@@ -669,32 +672,32 @@ class SignalBlock(Device):
 
     @property
     def states(self) -> tuple[str, ...]:
-        """Names of the states."""
+        """Names of the block's states."""
         return tuple(map("x{}".format, range(len(self.A))))
 
     @property
     def state_scales(self) -> tuple[float, ...]:
-        """Reference magnitude of each state, by which its error is divided."""
+        """Typical magnitude of each state, by which the error of the state is divided."""
         return (1.0,) * len(self.A)
 
     @property
     def prescribed_signals(self) -> tuple[str, ...]:
-        """Signal pins that the block sets."""
+        """Names of the signal pins that the block sets."""
         return self.outputs
 
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the rates ``A x + B u`` and the outputs ``y``, both with derivatives."""
+        """Return the rates ``A x + B u`` and the outputs of the block, with derivatives."""
         slope = np.block([[self.B, self.A], [self.D, self.C]])
         return slope @ e, slope
 
     def evaluate_storage(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return ``E x`` and its derivative with respect to ``e``."""
+        """Return the stored quantities ``E x`` of the block, and their derivatives."""
         slope = np.hstack([0.0 * self.B, self.E])
         return slope @ e, slope
 
 
 def make_sensor_block(name: str, gain: float, kind: str) -> SignalBlock:
-    """Make a block whose output signal is ``gain`` times an across quantity.
+    """Make a sensor block, whose output signal is ``gain`` times an across quantity.
 
     The pin ``a`` has the across quantity, and the pin ``out`` the signal.
     """

@@ -21,11 +21,12 @@ from kc2spice.core.mesh_error import MESH_ERROR_PREFIX
 
 @dataclass(frozen=True, eq=False)
 class PiecewisePolynomial(EqualByContent):
-    """Piecewise polynomials ``p(x) = sum_k c[k, j] (x - knots[j])^k`` in cells j.
+    """Piecewise polynomials of one variable, with common knots for several functions.
 
-    The n ``knots`` are in ascending order. The array ``c`` has the shape (degree + 1, n - 1, m) and
-    contains the coefficients of m functions. Outside of the knots, the polynomial of the first or
-    last cell is valid.
+    In cell j, the polynomials are ``p(x) = sum_k c[k, j] (x - knots[j])^k``. The n ``knots`` are in
+    ascending order. The array ``c`` has the shape (degree + 1, n - 1, m) and contains the
+    coefficients of m functions. Outside of the knots, the polynomial of the first or last cell is
+    valid.
     """
 
     knots: np.ndarray
@@ -42,7 +43,7 @@ class PiecewisePolynomial(EqualByContent):
         return value
 
     def integral(self) -> PiecewisePolynomial:
-        """Return the continuous antiderivative that is 0 at the first knot."""
+        """Return the continuous antiderivative, which is 0 at the first knot."""
         power = np.arange(1, self.c.shape[0] + 1)[:, None, None]
         rising = self.c / power
         cells = np.sum(rising * np.diff(self.knots)[:, None] ** power, axis=0)
@@ -50,7 +51,7 @@ class PiecewisePolynomial(EqualByContent):
         return PiecewisePolynomial(self.knots, np.concatenate([start[None], rising]))
 
     def derivative(self) -> PiecewisePolynomial:
-        """Return the derivative.
+        """Return the derivative of the piecewise polynomials.
 
         If the derivative jumps at a knot, the cell above the knot determines the value.
         """
@@ -59,7 +60,10 @@ class PiecewisePolynomial(EqualByContent):
         )
 
     def add_constant(self, by: np.ndarray) -> PiecewisePolynomial:
-        """Return the polynomials after adding the constant ``by[k]`` to function k."""
+        """Return the polynomials plus one constant for each function.
+
+        The constant of function k is ``by[k]``.
+        """
         return PiecewisePolynomial(self.knots, np.concatenate([self.c[:1] + by, self.c[1:]]))
 
 
@@ -122,30 +126,31 @@ FORCE_COEFFICIENTS = tuple(CURRENT_EXPONENTS)
 
 
 def compute_current_products(i1: Any, i2: Any) -> np.ndarray:
-    """Return the six products of powers of both currents, along a new last axis."""
+    """Return the six products ``i1^a i2^b`` of the coil currents, along a new axis."""
     i1, i2 = np.broadcast_arrays(np.asarray(i1, dtype=float), i2)
     return np.stack([i1**a * i2**b for a, b in CURRENT_EXPONENTS.values()], axis=-1)
 
 
 @dataclass(frozen=True)
 class Coenergy:
-    """Coenergy ``W(y, i) = p(y) . products(i)`` [J] at the height y for currents i.
+    """Magnetic coenergy [J] as a function of sphere height and coil currents.
 
-    The products are the powers of the currents in :data:`CURRENT_EXPONENTS`. The derivative of W
-    with respect to the height y [m] is the force [N]. The derivatives of W with respect to the
-    currents i [A] are the flux linkages [Wb].
+    The coenergy is ``W(y, i) = p(y) . products(i)`` at the height y for the currents i. The
+    products are the powers of the currents in :data:`CURRENT_EXPONENTS`. The derivative of W with
+    respect to the height y [m] is the force [N]. The derivatives of W with respect to the currents
+    i [A] are the flux linkages [Wb].
     """
 
     terms: PiecewisePolynomial  # coefficients p, shape (..., 6)
 
     @cached_property
     def slopes(self) -> tuple[PiecewisePolynomial, PiecewisePolynomial, PiecewisePolynomial]:
-        """Coefficients ``p`` with their first and second derivatives by the height."""
+        """Coefficients of the coenergy, and their first and second derivatives by height."""
         first = self.terms.derivative()
         return self.terms, first, first.derivative()
 
     def require_height(self, y: Any, where: str) -> np.ndarray:
-        """Return the height ``y``, or raise an error outside of the table's range.
+        """Return the height of the sphere; raise an error if it is outside of the table.
 
         Raises
         ------
@@ -164,17 +169,17 @@ class Coenergy:
         return y
 
     def force(self, y: Any, i1: Any, i2: Any) -> np.ndarray:
-        """Return the force [N] on the sphere for numbers or arrays as arguments."""
+        """Compute the magnetic force [N] on the sphere from its height and both currents."""
         slopes = self.slopes[1](self.require_height(y, "catch"))
         return np.asarray((slopes * compute_current_products(i1, i2)).sum(axis=-1))
 
     def compute_inductances(self, y: Any) -> np.ndarray:
-        """Return the symmetric inductance matrix (..., 2, 2) [H] at the height ``y``."""
+        """Return the symmetric inductance matrix (..., 2, 2) [H] at the height ``y`` [m]."""
         return _compute_current_hessian(self.terms(self.require_height(y, "catch")))
 
 
 def _compute_current_hessian(p: np.ndarray) -> np.ndarray:
-    """Return the second derivatives of ``p . products`` by the currents.
+    """Compute the second derivatives of the coenergy with respect to the currents.
 
     The returned array has the shape (..., 2, 2).
     """
@@ -202,7 +207,7 @@ class MagnetostaticTable(EqualByContent):
     """
 
     def scale_magnets(self, remanence: float, shift: float) -> MagnetostaticTable:
-        """Return the table for magnets with another remanence and height.
+        """Return the table for magnets with another remanence and another height.
 
         The remanence is multiplied by the factor ``remanence``, and the magnets are ``shift`` [m]
         higher. In linear materials, the force between the magnets is proportional to the square of
@@ -239,7 +244,7 @@ class MagnetostaticTable(EqualByContent):
 
     @cached_property
     def coenergy(self) -> Coenergy:
-        """Coenergy, computed as the integral of the force splines over the height.
+        """Coenergy of the actuator, computed as the integral of the force over the height.
 
         As a result, the force is exactly the derivative of the coenergy. The derivative of a flux
         spline would have a lower order of accuracy. The integration constants make the mean flux
@@ -255,7 +260,7 @@ class MagnetostaticTable(EqualByContent):
 
     @cached_property
     def facts(self) -> dict[str, float]:
-        """Characteristic values of the actuator: force, resistance and inductance.
+        """Values for reports, such as largest force and coil inductance, keyed by name.
 
         The force is the largest force for nine pairs of coil currents, each -0.1, 0 or 0.1 A.
         """
@@ -270,11 +275,11 @@ class MagnetostaticTable(EqualByContent):
 
     @cached_property
     def mesh_errors(self) -> dict[str, float]:
-        """Estimated mesh errors ``|f(2 h) - f(h)| / (2^p - 1)`` of force and inductance.
+        """Estimated relative mesh errors of force and inductance, keyed by name.
 
-        h is the element size, and p = 3 is the order of convergence. Errors of forces are relative
-        to the largest force for :data:`TEST_CURRENTS`. Errors of inductances are relative to the
-        largest inductance.
+        The error of f is ``|f(2 h) - f(h)| / (2^p - 1)``; h is the element size, and p = 3 is the
+        order of convergence. Errors of forces are relative to the largest force for
+        :data:`TEST_CURRENTS`. Errors of inductances are relative to the largest inductance.
         """
         if self.coarser is None:
             return {}
@@ -294,7 +299,7 @@ class MagnetostaticTable(EqualByContent):
 
 
 def compute_test_forces(table: MagnetostaticTable, currents: np.ndarray) -> np.ndarray:
-    """Compute the forces [N] at all n heights for m pairs of coil currents.
+    """Compute the forces [N] at all heights of the table for pairs of coil currents.
 
     The argument ``currents`` has the shape (m, 2), and the result has the shape (m, n). The curves
     are comparable with Fig. 6 of Schütz et al. (2021).

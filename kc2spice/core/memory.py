@@ -18,7 +18,7 @@ UNLIMITED_BYTES = 2**62  # B; control groups of version 1 report almost 2^63 B i
 
 
 def find_available_bytes(root: Path = Path("/")) -> float:
-    """Determine the memory [B] that this process can use without swapping.
+    """Determine the memory [bytes] that this process can use without swapping.
 
     The result is the smallest of several limits; without other limits, the free memory of the
     machine. The limits are read from files in ``root``, which is the root directory of the file
@@ -33,19 +33,19 @@ def find_available_bytes(root: Path = Path("/")) -> float:
 
 
 def _read_physical_memory() -> float:
-    """Return the physical memory of the machine [B]."""
+    """Return the physical memory of the machine [bytes]."""
     return float(os.sysconf(PAGE_SIZE_NAME)) * os.sysconf("SC_PHYS_PAGES")
 
 
 def _free_memory_of_machine(root: Path) -> Iterator[float]:
-    """Yield the available memory of the machine [B], if known."""
+    """Yield the available memory of the machine [bytes], if the system reports it."""
     free = _read_field(root / "proc/meminfo", "MemAvailable:")
     if free is not None:
         yield 1024.0 * free
 
 
 def _free_memory_of_control_groups(root: Path) -> Iterator[float]:
-    """Yield the free memory of each control group of this process [B].
+    """Yield the free memory [bytes] of each control group of this process.
 
     Reclaimable pages of the file cache count as free memory.
     """
@@ -75,7 +75,7 @@ def _free_memory_of_control_groups(root: Path) -> Iterator[float]:
 
 
 def _free_memory_below_limits(root: Path) -> Iterator[float]:
-    """Yield the memory [B] that the limits of ``ulimit`` leave.
+    """Yield the memory [bytes] that the limits of ``ulimit`` still permit.
 
     The limits apply to the address space and to the data segment.
     """
@@ -92,7 +92,7 @@ def _free_memory_below_limits(root: Path) -> Iterator[float]:
 
 
 def _read_field(path: Path, name: str) -> float | None:
-    """Return the number on the line ``NAME NUMBER`` of a file for the given ``name``."""
+    """Return the number that follows the given name on a line of a file."""
     for line in _read_text(path).splitlines():
         words = line.split()
         if len(words) > 1 and words[0] == name:
@@ -101,13 +101,13 @@ def _read_field(path: Path, name: str) -> float | None:
 
 
 def _read_number(path: Path) -> float | None:
-    """Return the number in a file, or None if the file contains no number."""
+    """Return the whole number in a file; None if the file contains anything else."""
     text = _read_text(path).strip()
     return float(text) if text.isdigit() else None
 
 
 def _read_text(path: Path) -> str:
-    """Return the text of a file; empty if the file is unreadable."""
+    """Return the text of a file; return an empty text if the file is unreadable."""
     try:
         return path.read_text(encoding="ascii")
     except (OSError, UnicodeDecodeError):

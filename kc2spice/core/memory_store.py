@@ -13,7 +13,7 @@ T = TypeVar("T")
 
 
 class Workspace:
-    """Store of the latest result of each kind.
+    """Store in memory that keeps only the latest result of each kind.
 
     A key identifies the inputs of each result. Several threads may share a workspace. A thread
     never receives a result for another key.
@@ -33,7 +33,7 @@ class Workspace:
         self._entries: dict[str, tuple[Any, Any]] = {}
 
     def get_or_compute(self, kind: str, key: Any, compute: Callable[[], T]) -> T:
-        """Return the stored result for ``key``, or compute a new result.
+        """Return the stored result if its key is unchanged; otherwise compute a new one.
 
         A new result is computed if the key has changed. The previous result is deleted before the
         computation, because two results would need twice the memory.

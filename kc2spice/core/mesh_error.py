@@ -17,7 +17,7 @@ NOT_ESTIMATED = "error not estimated, because the matrices state no mesh"
 
 
 class MeshQuantity(NamedTuple):
-    """Quantity of a model whose value depends on the mesh.
+    """Quantity of a model that depends on the mesh, with a limit of its mesh error.
 
     ``value_names`` is a pattern, such as ``free_stroke_*``, for the names of values of this
     quantity. If the relative mesh error exceeds ``warning_limit``, a run prints a warning and
@@ -43,32 +43,32 @@ MESH_QUANTITIES = {  # keyed by the name of the mesh error without ``mesh_error_
 
 
 def list_mesh_errors(facts: Mapping[str, float]) -> dict[str, float]:
-    """Return the estimated relative mesh errors, keyed by the quantity's description."""
+    """Return the estimated relative mesh errors, keyed by a description of the result."""
     return {item.description: error for item, error in _list_estimated_errors(facts)}
 
 
 def list_limited_errors(facts: Mapping[str, float]) -> Iterator[tuple[str, float, float]]:
-    """Yield description, mesh error and limit of each quantity with a warning limit."""
+    """Yield description, mesh error and limit of each result that has a warning limit."""
     for item, error in _list_estimated_errors(facts):
         if item.warning_limit is not None:
             yield item.description, error, item.warning_limit
 
 
 def select_mesh_values(facts: Mapping[str, float]) -> dict[str, float]:
-    """Select the estimated mesh errors among the values of a model."""
+    """Select the estimated mesh errors from the ``facts`` of a model."""
     names = filter(facts.__contains__, map(MESH_ERROR_PREFIX.__add__, MESH_QUANTITIES))
     return {name: float(facts[name]) for name in names}
 
 
 def _list_estimated_errors(facts: Mapping[str, float]) -> Iterator[tuple[MeshQuantity, float]]:
-    """Yield each mesh-dependent quantity with its estimated error."""
+    """Yield each mesh-dependent result of a model with its estimated mesh error."""
     for name, item in MESH_QUANTITIES.items():
         if f"{MESH_ERROR_PREFIX}{name}" in facts:
             yield item, facts[f"{MESH_ERROR_PREFIX}{name}"]
 
 
 def describe_mesh_errors(facts: Mapping[str, float]) -> str:
-    """Describe the estimated mesh errors; return an empty text if there are none.
+    """Describe the estimated mesh errors in percent; the text is empty without errors.
 
     Parameters
     ----------

@@ -7,7 +7,7 @@ from typing import Protocol
 
 
 class NamedObject(Protocol):
-    """Protocol of an object with a name."""
+    """Protocol of all objects that have a name."""
 
     @property
     def name(self) -> str:
@@ -15,5 +15,5 @@ class NamedObject(Protocol):
 
 
 def list_names(items: Iterable[NamedObject]) -> list[str]:
-    """Return the names of all ``items`` in the same order."""
+    """Return the names of the given objects in the same order."""
     return [item.name for item in items]

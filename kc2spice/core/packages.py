@@ -46,7 +46,7 @@ _PACKAGE_NAMES = {
 
 
 def make_install_command(*packages: str) -> str:
-    """Return the command that installs the given ``packages`` on this system.
+    """Return the shell command that installs the given packages on this system.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def make_install_command(*packages: str) -> str:
 
 
 def _find_command(platform: str, release: str) -> str:
-    """Return the first words of the install command; empty on an unknown system."""
+    """Find the install command of the operating system; empty for an unknown system."""
     systems = [platform]
     if platform == "linux":
         fields = dict(line.split("=", 1) for line in release.splitlines() if "=" in line)

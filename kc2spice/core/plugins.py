@@ -16,12 +16,12 @@ from kc2spice.core.errors import UsageError
 
 @cache
 def _list_entry_points(group: str) -> tuple[EntryPoint, ...]:
-    """Return the entry points that all installed packages declare in a group."""
+    """Return the entry points of a group, which installed packages declare."""
     return tuple(entry_points(group=group))
 
 
 def list_entry_points(group: str) -> tuple[str, ...]:
-    """Return the names of the entry points of a group, without importing any module.
+    """Return the names of a group's entry points, without importing any module.
 
     Examples
     --------
@@ -32,7 +32,7 @@ def list_entry_points(group: str) -> tuple[str, ...]:
 
 
 def load_plugin(group: str, name: str) -> object:
-    """Import the object of the entry point ``name``; return None if there is none.
+    """Import the plugin that an entry point names; return None if it does not exist.
 
     Raises
     ------

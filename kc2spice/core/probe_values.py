@@ -33,7 +33,7 @@ def compute_probe_value(
     window: tuple[float, float] | None = None,
     reference: float = GAS_REFERENCE,
 ) -> float | None:
-    """Compute the value of a probe from a wave.
+    """Compute the value of a probe, such as a maximum or rms value, from a wave.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def _compute_rms(
     at: float | None,
     window: tuple[float, float] | None,
 ) -> float:
-    """Return the rms value of a wave or of a frequency response.
+    """Compute the rms value of a waveform, or of the oscillation in a response.
 
     The result for a response is the rms value of the oscillation at one frequency, by default at
     the frequency of the largest magnitude.
@@ -102,7 +102,7 @@ def _compute_rms(
 def _clip_to_window(
     scale: np.ndarray, values: np.ndarray, window: tuple[float, float], where: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the points within a window, with interpolated points at its two ends.
+    """Return the points of a wave in a window, with interpolated points at both ends.
 
     Raises
     ------
@@ -122,7 +122,7 @@ def _clip_to_window(
 
 
 def _evaluate_range(take: str, scale: np.ndarray, values: np.ndarray, level: float) -> float | None:
-    """Compute the probed value, such as ``max``, from all points of a wave."""
+    """Compute the probe value, such as ``max``, from all given points of a wave."""
     if np.iscomplexobj(values) and take in ("max", "argmax"):
         place, largest = find_response_maximum(scale.real, np.abs(values))
         return largest if take == "max" else place
@@ -134,7 +134,7 @@ def _evaluate_range(take: str, scale: np.ndarray, values: np.ndarray, level: flo
 
 
 def find_response_maximum(frequency: np.ndarray, size: np.ndarray) -> tuple[float, float]:
-    """Return frequency and value of the largest magnitude of a frequency response.
+    """Return frequency and magnitude of the maximum of a frequency response.
 
     The maximum may lie between two points. Near a pole ``a + j w0``, the response is approximately
     ``y = R / (j w - a - j w0)``. Then ``1 / |y|^2`` is a parabola in ``w``, which three points
@@ -167,7 +167,7 @@ def find_response_maximum(frequency: np.ndarray, size: np.ndarray) -> tuple[floa
 
 
 def find_response_minimum(frequency: np.ndarray, size: np.ndarray) -> float:
-    """Return the smallest magnitude of a frequency response.
+    """Return the magnitude of the minimum of a frequency response.
 
     The minimum may lie between two points. The function computes the maximum of the reciprocal
     response.
@@ -176,7 +176,7 @@ def find_response_minimum(frequency: np.ndarray, size: np.ndarray) -> float:
 
 
 def compute_mean_frequency(scale: np.ndarray, values: np.ndarray) -> float | None:
-    """Return the mean frequency of a wave in the second half of its scale.
+    """Return the mean frequency of an oscillation in the second half of the scale.
 
     A cycle is the interval between two points at which the wave rises through its mean. The result
     is None if the wave has no complete cycle.
@@ -192,7 +192,7 @@ def compute_mean_frequency(scale: np.ndarray, values: np.ndarray) -> float | Non
 
 
 def find_first_crossing(scale: np.ndarray, values: np.ndarray, level: float) -> float | None:
-    """Return the first position on the scale at which the wave crosses ``level``."""
+    """Return the first position on the scale at which a wave crosses ``level``."""
     above = values >= level
     changes = np.flatnonzero(above[1:] != above[:-1])
     if changes.size == 0:
@@ -203,7 +203,7 @@ def find_first_crossing(scale: np.ndarray, values: np.ndarray, level: float) -> 
 
 
 def _compute_time_average(scale: np.ndarray, values: np.ndarray) -> float:
-    """Return the mean of the values over the scale by the trapezoidal rule."""
+    """Compute the mean of a wave over its scale by the trapezoidal rule."""
     span = scale[-1] - scale[0]  # if the scale descends, span and integral are both negative
     return float(
         np.trapezoid(values, scale) / span if span else values[0]
@@ -243,7 +243,7 @@ def _make_outside_error(where: str, place: float, scale: np.ndarray) -> UsageErr
 
 
 def _interpolate_value(scale: np.ndarray, values: np.ndarray, place: float, where: str) -> float:
-    """Return the interpolated value, or its magnitude if complex, at ``place``."""
+    """Interpolate a wave at a position; return the magnitude if the wave is complex."""
     if not _is_on_scale(scale, place):
         raise _make_outside_error(f"{where}.at", place, scale)
     result = interpolate(place, scale, values)

@@ -32,7 +32,7 @@ def ignore_progress(stage: str, done: float | None, text: str) -> None:
 
 @contextmanager
 def follow_stage(progress: Progress, name: str, text: str) -> Iterator[Callable[[float], None]]:
-    """Report the start of a stage; yield a function that reports progress.
+    """Report the start of a stage; yield a function that reports the stage's progress.
 
     Within the ``with`` block, :func:`report_remaining_time` also reports the completed fraction,
     which is the elapsed time divided by the estimated total time.
@@ -49,7 +49,7 @@ def follow_stage(progress: Progress, name: str, text: str) -> Iterator[Callable[
     start = time.perf_counter()
 
     def report(remaining: float, step: str) -> None:
-        """Report the completed fraction of the stage, given the remaining time [s]."""
+        """Report the completed fraction of the stage from the remaining time [s]."""
         elapsed = time.perf_counter() - start
         LOGGER.debug("%s: %s, about %.3g s remain", name, step, remaining)
         progress(name, elapsed / (elapsed + remaining), f"{text}, {step}")
@@ -62,20 +62,20 @@ def follow_stage(progress: Progress, name: str, text: str) -> Iterator[Callable[
 
 
 def report_remaining_time(seconds: float, step: str) -> None:
-    """Report the remaining time [s] and the current step of the current stage."""
+    """Report the remaining time [s] and the name of the step to the current stage."""
     report = _report.get()
     if report is not None:
         report(seconds, step)
 
 
 class StepTimer:
-    """Estimator of the remaining time of steps with known relative durations."""
+    """Reporter of the remaining time of steps with known relative durations."""
 
     def __init__(self) -> None:
         self._start = time.perf_counter()
 
     def begin_step(self, number: int, steps: Sequence[tuple[str, float]]) -> None:
-        """Report the remaining time at the start of the step with the index ``number``.
+        """Report the remaining time at the start of a step.
 
         ``steps`` contains the name and the relative duration of each step.
         """
@@ -87,7 +87,7 @@ class StepTimer:
 
 
 class ConvergenceTimer:
-    """Estimator of the remaining time of an iteration that converges geometrically.
+    """Reporter of the remaining time of an iteration that converges geometrically.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ class ConvergenceTimer:
         self._start = time.perf_counter()
 
     def end_step(self, error: float) -> None:
-        """Report the remaining time after a step that ended with the error ``error``."""
+        """Report the remaining time after a step that ended with the given error."""
         self._errors.append(error)
         count, remaining = len(self._errors), self.remaining_steps()
         per_step = (time.perf_counter() - self._start) / count
@@ -116,7 +116,7 @@ class ConvergenceTimer:
         )
 
     def remaining_steps(self) -> int:
-        """Return the number of remaining steps, extrapolated from the latest errors.
+        """Extrapolate the number of remaining steps from the latest errors.
 
         Only the later half of the errors is used, because many iterations converge faster towards
         the end.

@@ -15,7 +15,7 @@ KeyPath = tuple[str | int, ...]
 
 
 def list_keys(schema: type[BaseModel]) -> Iterator[tuple[tuple[str, ...], FieldInfo]]:
-    """Yield the path and the field of each key of a schema and of its subtables."""
+    """Yield the path and the field of each key in a schema, including subtables."""
     for name, field in schema.model_fields.items():
         section, path = find_section(field.annotation), (field.alias or name,)
         if section is None:
@@ -26,7 +26,7 @@ def list_keys(schema: type[BaseModel]) -> Iterator[tuple[tuple[str, ...], FieldI
 
 
 def find_section(annotation: Any) -> type[BaseModel] | None:
-    """Return the section class in a type annotation: ``Kick`` for ``Kick | None``.
+    """Return the section class in a type annotation such as ``Kick | None``.
 
     The result is None if the type annotation contains no section class.
     """
@@ -37,7 +37,7 @@ def find_section(annotation: Any) -> type[BaseModel] | None:
 
 
 def _list_field_metadata(field: FieldInfo) -> Iterator[Any]:
-    """Yield the metadata of a field, and for a list the metadata of its element type."""
+    """Yield the metadata of a schema field, and of its element type for a list."""
     yield from field.metadata
     for argument in get_args(field.annotation):
         yield from get_args(argument)[1:]
@@ -55,13 +55,13 @@ def find_unit(field: FieldInfo) -> str | None:
 
 
 def get_plausible_range(field: FieldInfo) -> PlausibleRange | None:
-    """Return the range of plausible values of a key, or None."""
+    """Return the range of plausible values of a schema field; None if it has no range."""
     return next(
         (meta for meta in _list_field_metadata(field) if isinstance(meta, PlausibleRange)), None
     )
 
 
 def join_path(path: KeyPath) -> str:
-    """Join a path of keys and list indices to a text such as ``layers[0].thickness``."""
+    """Join keys and list indices to a text such as ``layers[0].thickness``."""
     text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in path)
     return text.removeprefix(".")

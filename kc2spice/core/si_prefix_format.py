@@ -24,7 +24,7 @@ ROUNDING_NOISE = 1e-12  # numbers below this fraction of their scale are roundin
 
 
 def get_prefix_exponent(value: float) -> int:
-    """Return the power of ten of the SI prefix for a number; 0 for no prefix.
+    """Return the exponent of ten of a number's SI prefix; 0 for no prefix.
 
     Examples
     --------
@@ -60,12 +60,12 @@ def format_quantity(value: float | None, unit: str, digits: int = 4) -> str:
 
 
 def _is_power_of_length(unit: str) -> bool:
-    """Return whether a unit is m2 or m3, or a quotient such as m3/s."""
+    """Return whether a unit begins with m2 or m3, as in m3/s."""
     return unit.partition("/")[0] in _POWERS_OF_LENGTH
 
 
 def _format_power_of_length(value: float, unit: str, digits: int) -> str:
-    """Format an area or a volume in the largest unit that gives at least 0.1."""
+    """Format an area or a volume in the largest unit in which it is at least 0.1."""
     base, slash, divisor = unit.partition("/")
     units = _POWERS_OF_LENGTH[base]
     large = [name for name, size in units.items() if abs(value) >= MIN_SHARE_OF_UNIT * size]
@@ -75,19 +75,19 @@ def _format_power_of_length(value: float, unit: str, digits: int) -> str:
 
 
 def _accepts_prefix(unit: str) -> bool:
-    """Return whether a unit may have a prefix; not a phrase such as ``of the peak``."""
+    """Return whether a unit accepts SI prefixes; the unit ``of the peak`` does not."""
     return bool(unit) and (" " not in unit or " per " in unit)
 
 
 def _format_with_prefix(value: float, unit: str, digits: int, power: int) -> str:
-    """Return the text of a number with the SI prefix for 10^``power``."""
+    """Format a number with the SI prefix for 10^``power``."""
     sign = "−" if value < 0.0 else ""
     digits_text = f"{abs(value) / 10.0**power:.{digits}g}"
     return f"{sign}{digits_text} {PREFIXES[power]}{_SHOWN_UNITS.get(unit, unit)}"
 
 
 def format_ratio(value: float | None) -> str:
-    """Format a ratio with two digits; a rounding error gives ``0``.
+    """Format a ratio with two digits; print a rounding error as ``0``.
 
     Examples
     --------
@@ -99,7 +99,7 @@ def format_ratio(value: float | None) -> str:
 
 
 def format_value_and_limit(value: float, limit: float, unit: str) -> tuple[str, str]:
-    """Format a value and its limit with one prefix, such as 406 kHz and 500 kHz.
+    """Format a value and its limit with the same prefix, such as 406 kHz and 500 kHz.
 
     If value and limit differ by several orders of magnitude, their prefixes may differ. A value
     that is a rounding error relative to the limit, or to 1 for ratios, is printed as 0. Ratios,

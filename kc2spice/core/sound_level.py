@@ -15,7 +15,7 @@ LEVEL_UNIT = "dB"
 
 
 class SoundLevel(NamedTuple):
-    """Sound pressure level with its reference pressure.
+    """Sound pressure level [dB] with its reference pressure [Pa].
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class SoundLevel(NamedTuple):
 
     @property
     def unit(self) -> str:
-        """Unit of the level, with the reference pressure."""
+        """Unit of the level with its reference pressure, such as ``dB re 20 µPa``."""
         return f"{LEVEL_UNIT} {self.reference_text}"
 
 

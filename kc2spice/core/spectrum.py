@@ -21,7 +21,7 @@ MIN_SIGNAL_SAMPLES = 20  # smallest number of samples between the start and the 
 def find_energy_frequency(
     time: np.ndarray, values: np.ndarray, constant: float = 0.0, share: float = ENERGY_SHARE
 ) -> float:
-    """Return the frequency [Hz] below which a signal has a ``share`` of its energy.
+    """Find the frequency [Hz] below which a given fraction of a signal's energy is.
 
     The energy is the integral of the squared difference ``x(t) - x(0)``, so a constant signal has
     no energy. Between the points, the signal x is linear. If the last value of a signal differs

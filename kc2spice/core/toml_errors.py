@@ -40,7 +40,10 @@ _HEADER = re.compile(r"\s*(\[+)([\w.\-\"' ]+)\]*\s*(?:#.*)?")
 
 @dataclass(frozen=True)
 class _Repair:
-    """Repair of a line: the problem, and the new text of the line ``number``."""
+    """Repair of one line of a TOML file: the problem, the new line and the advice.
+
+    ``line`` is the new text of the line with the ``number``, counted from 1.
+    """
 
     problem: str
     number: int
@@ -49,7 +52,7 @@ class _Repair:
 
 
 def parse_toml_file(text: str, label: str) -> dict[str, Any]:
-    """Parse ``text`` as TOML.
+    """Parse the text of a TOML file; raise an error that suggests a correction.
 
     Return the tables of the text. Error messages state ``label`` as the name of the file.
 
@@ -64,7 +67,7 @@ def parse_toml_file(text: str, label: str) -> dict[str, Any]:
 
 
 def make_toml_error(text: str, error: ValueError, label: str) -> UsageError:
-    """Make the error for a ``text`` that the parser rejected with an ``error``.
+    """Make the error for text that the TOML parser rejected, with a suggested repair.
 
     Parameters
     ----------
@@ -124,7 +127,7 @@ _OTHER_FORMATS = {
 
 
 def _make_other_format_error(text: str, label: str) -> UsageError | None:
-    """Return the error for a netlist or a file in another known format, or None."""
+    """Make the error for a netlist or other non-TOML file; None for other texts."""
     name, action = _OTHER_FORMATS.get(Path(label).suffix.lower(), ("", ""))
     if not name and not label.endswith(".toml") and _NETLIST_CARD.search(text):
         name = "a SPICE netlist"
@@ -143,7 +146,7 @@ def _make_other_format_error(text: str, label: str) -> UsageError | None:
 
 
 def _parse_header(line: str) -> tuple[str, str]:
-    """Return the opening brackets and the name of a table header.
+    """Return the opening brackets and the name in the header line of a TOML table.
 
     For a line that is no table header, both returned texts are empty.
     """
@@ -152,20 +155,20 @@ def _parse_header(line: str) -> tuple[str, str]:
 
 
 def _quote_line(lines: Sequence[str], number: int) -> str:
-    """Return line ``number`` for an error message, cut after 120 characters."""
+    """Return a line of a file for an error message, cut after 120 characters."""
     line = lines[number - 1].strip() if number <= len(lines) else ""
     return line if len(line) <= 120 else line[:120] + " …"
 
 
 def _find_error_position(text: str, message: str) -> tuple[float, float]:
-    """Return the line and column at which the parser stopped, from its message."""
+    """Find the line and column of a TOML error in the message of the parser."""
     if match := re.search(r"at line (\d+), column (\d+)\)", message):
         return float(match[1]), float(match[2])
     return math.inf, 0.0
 
 
 def _find_line_number(text: str, message: str) -> int | None:
-    """Return the line number in the parser's message, or None."""
+    """Find the line number of a TOML error in the parser's message; None if absent."""
     if match := re.search(r"at line (\d+), column", message):
         return int(match[1])
     if "end of document" in message:
@@ -174,7 +177,7 @@ def _find_line_number(text: str, message: str) -> int | None:
 
 
 def _measure_parser_position(lines: Sequence[str], repair: _Repair) -> tuple[float, float]:
-    """Return the position at which the parser stops after a ``repair``."""
+    """Return the line and column at which the parser stops after a repair of the text."""
     changed = [*lines[: repair.number - 1], repair.line, *lines[repair.number :]]
     text = "\n".join(changed) + "\n"
     try:
@@ -194,7 +197,7 @@ def _mask_strings(line: str) -> str:
 
 
 def _guess_value(value: str) -> str:
-    """Return the most likely TOML value of a text that is not valid TOML."""
+    """Guess the TOML value that the user meant by a text that is not valid TOML."""
     if value.lower() in ("true", "false"):
         return value.lower()
     try:
@@ -212,7 +215,7 @@ def _is_value(text: str) -> bool:
 
 
 def _suggest_line(line: str) -> str:
-    """Return a hint that suggests the corrected ``line``."""
+    """Return the hint to write the corrected line."""
     return f"write  {line.strip()}"
 
 
@@ -368,7 +371,7 @@ _ASSIGNMENT_START = re.compile(r"\s*([\w.-]+)\s*=\s*(\{?)\s*(#.*)?$")
 
 
 def _make_incomplete_error(lines: Sequence[str], number: int, label: str) -> UsageError | None:
-    """Return the error for a key without value, or a list of tables without brackets."""
+    """Make the error for a key without value, or for a list without square brackets."""
     for place in (number, number - 1):
         start = _ASSIGNMENT_START.match(lines[place - 1]) if 0 < place <= len(lines) else None
         if start is None:
@@ -411,7 +414,7 @@ def _make_inline_table_error(lines: Sequence[str], number: int, label: str) -> U
 def _make_duplicate_error(
     lines: Sequence[str], number: int, message: str, label: str
 ) -> UsageError | None:
-    """Make the error for a table or key that occurs twice in a file."""
+    """Make the error for a table or key that a TOML file contains twice."""
     is_duplicate = "Cannot declare" in message or "Cannot overwrite" in message
     if not is_duplicate:
         return None
@@ -433,7 +436,7 @@ def _make_duplicate_error(
 
 
 def _find_first_line(lines: Sequence[str], number: int, name: str) -> int | None:
-    """Find the line above line ``number`` on which ``name`` is already defined.
+    """Find the earlier line of a TOML file that already defines a table or key.
 
     ``name`` is a table header, or a key in the same table.
     """

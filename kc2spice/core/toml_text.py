@@ -8,7 +8,7 @@ from typing import Any
 
 
 def format_toml(value: Any) -> str:
-    """Format a value as TOML text with all digits, as in a scene file.
+    """Format a value as TOML with all digits, as in a scene file.
 
     >>> format_toml([[0, 0], ["1 ms", 5]])
     '[[0, 0], ["1 ms", 5]]'
@@ -24,7 +24,7 @@ def format_toml(value: Any) -> str:
 
 
 def display_text(value: Any) -> str:
-    """Format a value as short TOML text.
+    """Format a value for display, cut after 120 characters.
 
     A number with too many digits is described in words.
     """
@@ -35,7 +35,7 @@ def display_text(value: Any) -> str:
 
 
 def quote_value(value: Any) -> str:
-    """Format a value for an error message.
+    """Format a value for an error message: TOML tables and lists, otherwise ``repr``.
 
     Tables and lists are written as in a scene file, and all other values as by ``repr``.
     """
@@ -49,5 +49,5 @@ def quote_value(value: Any) -> str:
 
 
 def clip_text(text: str) -> str:
-    """Return a text, cut after 120 characters."""
+    """Cut a text after 120 characters."""
     return text if len(text) <= 120 else text[:120] + " …"

@@ -36,7 +36,7 @@ MAX_QUANTITY_LENGTH = 200
 
 
 def _look_up_unit(text: str) -> tuple[int, ...] | None:
-    """Look up a unit with or without prefix.
+    """Look up the dimension and scale of a unit with or without an SI prefix.
 
     Units take precedence over prefixes: ``m`` means metre, and ``T`` means tesla.
     """
@@ -47,7 +47,7 @@ def _look_up_unit(text: str) -> tuple[int, ...] | None:
 
 
 def parse_unit(text: str) -> tuple[int, ...] | None:
-    """Parse a unit such as ``"A/(m s)"``; return None if the text is not a unit.
+    """Parse a unit such as ``"A/(m s)"`` to its scale and dimensions; None if invalid.
 
     A unit is a product of factors, or a quotient of two products. Blanks separate the factors. Each
     factor may have a one-digit exponent.

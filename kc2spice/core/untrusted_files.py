@@ -58,9 +58,10 @@ _AFTER_KEY = re.compile(r"[ \t]{0,200}[.=\]]")
 
 
 def read_bounded(path: Path, limit: int) -> bytes:
-    """Read the regular file ``path`` if it has at most ``limit`` bytes.
+    """Read a regular file; reject pipes, devices and files above a size limit.
 
-    Pipes and devices are rejected, because a read from a pipe or device may never end.
+    ``limit`` is the largest permitted size in bytes. Pipes and devices are rejected, because a read
+    from a pipe or device may never end.
 
     Raises
     ------
@@ -137,7 +138,7 @@ def split_lines(text: str) -> list[str]:
 
 
 def explain_unsafe_name(name: str) -> str | None:
-    """Explain why ``name`` is unsafe as a file path; None for a safe path.
+    """Explain why a file name is unsafe as a path; return None for a safe name.
 
     A safe path consists of parts that are separated by slashes. Each part contains letters, digits,
     spaces and ``_ . + -``. A part begins with a letter, a digit or ``_``, and does not end with a
@@ -156,7 +157,7 @@ def explain_unsafe_name(name: str) -> str | None:
 
 
 def locate_file_in_folder(home: Path, name: str, where: str) -> Path:
-    """Return the path of the file ``name`` in the scene's folder or a subfolder.
+    """Return the path of a file in the scene's folder or in a subfolder.
 
     ``home`` is the folder of the scene. If the scene consists of tables from a Python program,
     ``home`` is ``Path()``, and any file is accepted.
@@ -186,7 +187,7 @@ def locate_file_in_folder(home: Path, name: str, where: str) -> Path:
 
 
 def make_identifier(name: str, otherwise: str) -> str:
-    """Replace all characters of ``name`` except letters and digits by ``_``.
+    """Replace all characters of a name except letters and digits by ``_``.
 
     If the first character is not a letter, the prefix ``otherwise`` and ``_`` are added.
     """
@@ -241,11 +242,12 @@ def _require_simple_syntax(text: str) -> None:
 def read_archive(
     path: Path, select: Callable[[str], bool], *, entries: Callable[[str], int], total: int
 ) -> dict[str, np.ndarray]:
-    """Read the arrays of an ``.npz`` file whose names are accepted by ``select``.
+    """Read selected arrays of an ``.npz`` file, with limits on their size.
 
-    No object is unpickled. Before any array is read, its declared size is checked. An array must
-    have at most ``entries(name)`` elements, and no more bytes than its unpacked file in the
-    archive. All arrays together must have at most ``total`` bytes.
+    The function ``select`` returns whether the array with a name is to be read. No object is
+    unpickled. Before any array is read, its declared size is checked. An array must have at most
+    ``entries(name)`` elements, and no more bytes than its unpacked file in the archive. All arrays
+    together must have at most ``total`` bytes.
 
     Raises
     ------
@@ -306,12 +308,12 @@ def call_in_child(
     memory: int = MAX_CHILD_BYTES,
     seconds: int = 0,
 ) -> dict[str, np.ndarray]:
-    """Call ``function`` (``"package.module:name"``) in a separate process.
+    """Call a function in a separate process, and return the arrays of the result.
 
-    ``request`` contains the keyword arguments of the function, which must be JSON values. The
-    function must return a mapping of names to arrays. The child process runs in a new folder.
-    Before the start, ``prepare`` may write files to this folder. The child process ends when the
-    calling process ends.
+    The text ``function`` has the form ``"package.module:name"``. ``request`` contains the keyword
+    arguments of the function, which must be JSON values. The function must return a mapping of
+    names to arrays. The child process runs in a new folder. Before the start, ``prepare`` may write
+    files to this folder. The child process ends when the calling process ends.
 
     Raises
     ------
@@ -370,7 +372,7 @@ def _explain_exit(path: Path, code: int, memory: int) -> Exception:
 
 
 def _run_in_child(function: str, memory: str, seconds: str) -> None:
-    """Call the function in the child process; write its arrays or error to a file."""
+    """Call a function in this child process; write its arrays or error to a file."""
     line = b""
     while not line.endswith(b"\n"):
         more = os.read(0, 1 << 16)

@@ -86,7 +86,7 @@ def write_waveforms(waves: Waveforms, units: Mapping[str, str], directory: Path)
 
 
 def save_arrays(waves: Waveforms, path: Path) -> None:
-    """Write all arrays of ``waves`` to one npz file."""
+    """Write all arrays of the waveforms to one npz file."""
     np.savez_compressed(path, **waves.data)  # type: ignore[arg-type]
 
 
@@ -103,7 +103,7 @@ def _split_columns(name: str, values: np.ndarray, unit: str) -> Iterator[tuple[s
 
 
 def integrate_cumulatively(values: np.ndarray, over: np.ndarray) -> np.ndarray:
-    """Compute the cumulative integral of ``values`` by the trapezoidal rule.
+    """Compute the cumulative integral of samples by the trapezoidal rule.
 
     ``values`` has the shape (..., n). The variable of integration is ``over`` with the shape (n,).
     The integral is zero at the first point.
@@ -114,11 +114,12 @@ def integrate_cumulatively(values: np.ndarray, over: np.ndarray) -> np.ndarray:
 
 
 def differentiate(values: np.ndarray, over: np.ndarray) -> np.ndarray:
-    """Compute the derivative of ``values`` with respect to ``over``.
+    """Compute the derivative of sampled values with respect to their abscissae.
 
-    Both arguments and the result are arrays of shape (n,). The result is the derivative of the
-    parabola through three neighbouring points. The error of the derivative is proportional to the
-    square of the distance between the points. Consecutive values of ``over`` may be equal.
+    ``over`` contains the abscissae. Both arguments and the result are arrays of shape (n,). The
+    result is the derivative of the parabola through three neighbouring points. The error of the
+    derivative is proportional to the square of the distance between the points. Consecutive values
+    of ``over`` may be equal.
     """
     first = np.r_[True, np.diff(over) > 0]
     if first.sum() < 3:
@@ -128,9 +129,10 @@ def differentiate(values: np.ndarray, over: np.ndarray) -> np.ndarray:
 
 
 def interpolate(at: Any, scale: np.ndarray, values: np.ndarray) -> Any:
-    """Interpolate ``values`` linearly at the points ``at`` of a monotonic ``scale``.
+    """Interpolate sampled values linearly between the points of a monotonic scale.
 
-    ``values`` and ``scale`` are arrays of shape (n,).
+    ``at`` contains the points of the scale for which values are computed. ``values`` and ``scale``
+    are arrays of shape (n,).
     """
     direction = -1 if scale[0] > scale[-1] else 1
     return np.interp(at, scale[::direction], values[::direction])
@@ -143,10 +145,10 @@ ENDLESS_PERIOD = 1e4
 
 
 class PulseKeys(Section):
-    """Scene keys of a pulse from ``low`` to ``high`` that begins at ``start``.
+    """Scene keys of trapezoidal pulses: two levels, edge time, width and period.
 
-    ``edge`` is both the rise time and the fall time. ``width`` is the width of the pulse at half
-    height.
+    The pulse rises from ``low`` to ``high`` and begins at ``start``. ``edge`` is both the rise time
+    and the fall time. ``width`` is the width of the pulse at half height.
     """
 
     high: float | str = Field(
@@ -218,23 +220,26 @@ class Waveform:
 
     @property
     def step_limit(self) -> float:
-        """Largest time step [s]; longer steps could miss two zeros of a guard function."""
+        """Largest time step [s] that an integrator may use for the waveform.
+
+        With longer steps, an integrator could miss two zeros of a function that detects an event.
+        """
         return np.inf if self.is_piecewise_linear else 0.05 / self.frequency
 
     @cached_property
     def _corner_points(self) -> tuple[np.ndarray, np.ndarray]:
-        """Two arrays: the times and the values of the corners."""
+        """Times and values of the corners, as two arrays."""
         times, values = np.array(self.points, dtype=float).T
         return times, values
 
     @cached_property
     def _slopes_between_corners(self) -> np.ndarray:
-        """Slopes before the first corner, between all corners, and after the last corner."""
+        """Slopes between neighbouring corners, with a zero slope before and after."""
         times, values = self._corner_points
         return np.concatenate(([0.0], np.diff(values) / np.diff(times), [0.0]))
 
     def _fold_time(self, t: Any) -> np.ndarray:
-        """Return the times within the first period that correspond to the times ``t``."""
+        """Return the times within the first period that correspond to other times."""
         t, first = np.asarray(t, dtype=float), self.points[0][0]
         if self.period is None:
             return t
@@ -247,16 +252,17 @@ class Waveform:
         return self._evaluate_sine(t, t, 0)
 
     def _evaluate_sine(self, t: Any, within: Any, order: int) -> Any:
-        """Return the time derivative of the given ``order`` of the sine."""
+        """Compute a time derivative of the sine; ``order`` 0 is the sine itself."""
         w = 2 * np.pi * self.frequency
         turned = np.sin(w * (np.asarray(t) - self.start) + 0.5 * np.pi * order)
         return (np.asarray(within) > self.start) * self.amplitude * w**order * turned
 
     def compute_derivative(self, t: Any, within: Any, order: int = 1) -> Any:
-        """Compute the time derivative of the given ``order`` at the times ``t``.
+        """Compute a time derivative of the waveform at several times.
 
-        The derivative jumps at each corner. The times ``within`` are on the side of the corner for
-        which the derivative is computed.
+        ``order`` is the order of the derivative, and ``t`` contains the times. The derivative jumps
+        at each corner. The times ``within`` are on the side of the corner for which the derivative
+        is computed.
         """
         if not self.is_piecewise_linear:
             return self._evaluate_sine(t, within, order)
@@ -264,7 +270,7 @@ class Waveform:
         return self._slopes_between_corners[piece] * (order == 1) + 0.0 * np.asarray(t)
 
     def list_points(self, stop: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return the times [s] and the values of all points in all periods.
+        """Return the times [s] and the values of the corners in all periods.
 
         The result contains all periods that begin before ``stop``.
         """
@@ -276,12 +282,15 @@ class Waveform:
         return times, values
 
     def find_corner_times(self, stop: float) -> np.ndarray:
-        """Return the times [s] before ``stop`` at which the time derivative jumps."""
+        """Return the times [s] at which the time derivative of the waveform jumps.
+
+        The times are before ``stop`` [s].
+        """
         result = self.list_points(stop)[0] if self.is_piecewise_linear else np.array([self.start])
         return result[(result > 0) & (result < stop)]
 
     def format_spice(self, scale: float = 1.0) -> str:
-        """Format the waveform, multiplied by ``scale``, as a source value in SPICE syntax.
+        """Format the waveform, with a scale factor, as a source value in SPICE syntax.
 
         A pulse without a flat top is written as ``PWL``, because ngspice never ends a ``PULSE`` of
         zero width.
@@ -326,7 +335,7 @@ def make_constant_waveform(value: float) -> Waveform:
 
 
 def make_sine_waveform(amplitude: float, frequency: float, start: float = 0.0) -> Waveform:
-    """Make a sine waveform that begins at ``start`` [s]."""
+    """Make a sine waveform that begins at a start time."""
     return Waveform(((start, 0.0),), None, amplitude, frequency, start)
 
 
@@ -344,7 +353,7 @@ def make_pulse_waveform(
     period: float | None = None,
     count: int | None = None,
 ) -> Waveform:
-    """Make one trapezoidal pulse, a train of ``count`` pulses, or an endless train.
+    """Make one trapezoidal pulse, a train of several pulses, or an endless train.
 
     ``width`` is the width of a pulse at half height.
 
@@ -376,11 +385,11 @@ def make_pulse_waveform(
 
 @dataclass(frozen=True, eq=False)
 class RecordedWave(EqualByContent):
-    """Smooth curve through recorded ``values`` at the ``times`` of samples.
+    """Smooth curve through the recorded samples of a quantity over time.
 
-    Both arrays have the shape (n,). The curve is constant before the first sample and after the
-    last sample. Between two samples, the curve is the cubic polynomial of Akima's method (J. ACM
-    17, 589, 1970).
+    The samples are the ``values`` at the ``times`` [s]. Both arrays have the shape (n,). The curve
+    is constant before the first sample and after the last sample. Between two samples, the curve is
+    the cubic polynomial of Akima's method (J. ACM 17, 589, 1970).
 
     Every 16th sample is a corner, at which an integrator must end a step. Without these corners, an
     integrator could miss an event after a long interval without changes.
@@ -393,7 +402,7 @@ class RecordedWave(EqualByContent):
 
     @cached_property
     def _spline(self) -> Any:
-        """Spline that interpolates the values."""
+        """Interpolating spline through the recorded samples."""
         # imported here, because importing scipy is slow
         from scipy.interpolate import Akima1DInterpolator
 
@@ -404,11 +413,17 @@ class RecordedWave(EqualByContent):
         return self.compute_derivative(t, t, 0)
 
     def compute_derivative(self, t: Any, within: Any, order: int = 1) -> Any:
-        """Return the time derivative of the given ``order`` at the times ``t``."""
+        """Return a time derivative of the curve at several times.
+
+        ``order`` is the order of the derivative, and ``t`` contains the times.
+        """
         return self._spline(np.clip(t, self.times[0], self.times[-1]), order)
 
     def find_corner_times(self, stop: float) -> np.ndarray:
-        """Return the times [s] of the corners before ``stop``."""
+        """Return the times [s] of the corners, at which an integrator must end a step.
+
+        The times are before ``stop`` [s].
+        """
         times = self.times[::16]
         return times[(times > 0.0) & (times < stop)]
 
@@ -417,7 +432,7 @@ Function = Waveform | RecordedWave
 
 
 def _format_difference(first: float, last: float) -> float:
-    """Compute ``last - first`` with as few digits as the rounding error permits."""
+    """Return ``last - first``, rounded to as few digits as its rounding error permits."""
     exact = last - first
     slack = 2 * np.spacing(max(abs(first), abs(last)))
     rounded = (float(f"{exact:.{digits}g}") for digits in range(1, 17))
@@ -433,7 +448,7 @@ def _format_number(value: float) -> str:
 def write_record(
     record: Mapping[str, Any], directory: Path, name: str = "result.json"
 ) -> dict[str, Any]:
-    """Write ``record`` to a JSON file, with null for non-finite numbers.
+    """Write a record to a JSON file, with null for non-finite numbers.
 
     Return the written content.
     """
@@ -443,7 +458,7 @@ def write_record(
 
 
 def _convert_to_json_types(value: Any) -> Any:
-    """Convert numpy numbers, tuples and non-finite numbers in ``value`` to JSON types."""
+    """Convert numpy numbers, tuples and non-finite numbers of a value to JSON types."""
     value = value.item() if isinstance(value, np.generic) else value
     if isinstance(value, float):
         return value if math.isfinite(value) else None

@@ -51,9 +51,10 @@ class Network:
         return frozenset(map(attrgetter("name"), self.laws))
 
     def is_fully_driven_by(self, driven: set[str]) -> bool:
-        """Return whether each net except ground has a pin in the set ``driven``.
+        """Return whether each net except ground has at least one driven pin.
 
-        The result is also false if the network contains a body, or if ``driven`` is empty.
+        ``driven`` contains the driven pins. The result is also false if the network contains a
+        body, or if ``driven`` is empty.
         """
         if not driven or any(isinstance(law, SecondOrderBody | PortBody) for law in self.laws):
             return False
@@ -62,7 +63,7 @@ class Network:
         return not any(map(driven.isdisjoint, ungrounded.values()))
 
     def select(self, names: set[str]) -> Network:
-        """Return the part of the network with only the laws ``names``."""
+        """Return the part of the network that contains only the laws with given names."""
         joins, results, sweeps = dict[str, tuple[str, ...]](), {}, {}
         for net, pins in self.joins.items():
             selected_pins = tuple(pin for pin in pins if get_law_name(pin) in names)
@@ -84,7 +85,7 @@ def split_networks(
     results: Mapping[str, WaveCombination],
     sweeps: Mapping[tuple[str, str], tuple[str, float]],
 ) -> tuple[Network, ...]:
-    """Split ``laws`` into networks that have no net in common apart from ground."""
+    """Split laws into networks that have no net in common apart from ground."""
     laws, joins = connect_sensors(laws, joins)
     groups = [{law.name} for law in laws]
     for net, pins in joins.items():

@@ -26,7 +26,7 @@ SHORTEST_INTERVAL = 1e-6
 
 
 def find_replayed_nets(laws: SceneLaws) -> dict[str, str] | None:
-    """Return the kind of each net that joins parts without a law to parts with laws.
+    """Find the nets that join parts without a law to parts with laws, and their kinds.
 
     Sources on these nets replace the parts without a law. Each source reproduces the voltage,
     displacement or signal of the net that ngspice computed. A net is not in the result if a law
@@ -57,7 +57,7 @@ def _joins_part_without_law(laws: SceneLaws, name: str, pin: str) -> bool:
 
 
 def _may_change_net(build: BuiltScene, name: str, pin: str) -> bool:
-    """Return whether the part ``name`` may change the value on the net of its pin.
+    """Return whether a part may change the value on the net of one of its pins.
 
     A signal input of a built-in part does not change the net, because the input draws no current.
     """

@@ -61,7 +61,7 @@ class SceneLaws:
 
     @cached_property
     def available_equations(self) -> Mapping[str, Equations]:
-        """Equations of parts with netlist statements whose type has equations."""
+        """Known equations of the parts that have netlist statements."""
         stated = self._equations_by_part.items()
         return {name: item for name, item in stated if isinstance(item, Equations)}
 
@@ -145,7 +145,10 @@ class SceneLaws:
         return self.build_networks({})
 
     def build_networks(self, sources: Mapping[str, IdealSource]) -> tuple[Network, ...]:
-        """Return the networks of the laws and of additional ``sources``, keyed by net."""
+        """Build the networks of the laws and of additional sources.
+
+        ``sources`` are keyed by net.
+        """
         results: dict[str, WaveCombination] = {}
         sweeps: dict[tuple[str, str], tuple[str, float]] = {}
         for name, item in self.equations.items():
@@ -158,7 +161,7 @@ class SceneLaws:
     def list_law_pins_by_net(
         self, sources: Mapping[str, IdealSource]
     ) -> dict[str, tuple[str, ...]]:
-        """Return the pins of the laws and of ``sources`` on each net, keyed by net.
+        """Return the pins of the laws and of additional sources, keyed by net.
 
         If several nets of the scene contain the same pin of a law, these nets become one net.
         """
@@ -180,7 +183,10 @@ class SceneLaws:
 
     @cached_property
     def _parts_with_loaded_signals(self) -> frozenset[str]:
-        """Names of the parts that set the signal of a net with a current or a force."""
+        """Names of the parts that prescribe a signal on a net with other kinds of pins.
+
+        The other pins load the net with a current or a force.
+        """
         laws = _index_laws(self.available_equations)
         kinds = list_pin_kinds(laws.values())
         loaded, drivers = set[str](), list[PinLink]()
@@ -195,7 +201,7 @@ class SceneLaws:
 def _add_quantity_names(
     part: str, results: Mapping[str, WaveCombination]
 ) -> dict[str, WaveCombination]:
-    """Return the results of a part, with a second name for each flow.
+    """Add a second name to the results of a part, such as ``r.current`` for ``r.i``.
 
     For example, the current ``r.i`` is also named ``r.current``.
     """

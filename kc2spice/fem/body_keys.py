@@ -20,7 +20,10 @@ from kc2spice.core.quantities import (
 
 
 class BodyMeshKeys(Section):
-    """Scene keys of a mesh; ``refine`` divides each cell edge into equal parts."""
+    """Scene keys of a body's mesh, such as the refinement factor.
+
+    ``refine`` is the number of equal parts into which each cell edge is divided.
+    """
 
     refine: Annotated[Count, RefinementRule(2.0, model=True, mesh=True)] = Field(
         1,
@@ -124,7 +127,7 @@ class DampingKeys(Section):
 
     @model_validator(mode="after")
     def _require_consistent_damping(self) -> DampingKeys:
-        """Require a valid value of at most one of the alternative damping keys."""
+        """Reject a body with invalid damping values, or with several alternative keys."""
         choices = [self.ratio, self.quality, self.loss_factor]
         if sum(item is not None for item in choices) + self.per_material > 1:
             names = "ratio", "quality", "loss_factor", "per_material"

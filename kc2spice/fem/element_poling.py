@@ -28,7 +28,7 @@ LISTED_ELEMENTS = 5  # largest number of elements that an error message lists
 
 @dataclass(frozen=True, eq=False)
 class PolingTable(EqualByContent):
-    """Content of a poling file.
+    """Poling vectors from a file, each with an element number or with coordinates.
 
     Attributes
     ----------
@@ -50,10 +50,11 @@ class PolingTable(EqualByContent):
     def select_rows(
         self, numbers: np.ndarray, middles: np.ndarray, members: np.ndarray
     ) -> np.ndarray:
-        """Return the row index in this table for each of the elements ``members``.
+        """Return the index of the table row that applies to each selected element.
 
-        ``numbers`` (elements,) contains the numbers of all elements in the mesh file. ``middles``
-        (elements, d) contains the centres of all elements, in the unit of the mesh.
+        ``members`` contains the indices of the selected elements. ``numbers`` (elements,) contains
+        the numbers of all elements in the mesh file. ``middles`` (elements, d) contains the centres
+        of all elements, in the unit of the mesh.
 
         Raises
         ------
@@ -90,7 +91,7 @@ class PolingTable(EqualByContent):
 
 
 def read_poling(path: Path, where: str, axisymmetric: bool) -> PolingTable:
-    """Read a poling file.
+    """Read the poling vectors of elements from a CSV file.
 
     Raises
     ------
@@ -151,7 +152,7 @@ def compute_centres(mesh: Mesh) -> np.ndarray:
 
 
 def find_coarse_elements(coarse: Mesh, fine: Mesh) -> np.ndarray:
-    """Find the ``coarse`` element that contains the centre of each ``fine`` element."""
+    """Find the element of a coarse mesh around the centre of each fine element."""
     kinds = ((MeshHex, MeshHex1), (MeshTet, MeshTet1), (MeshQuad, MeshQuad1))
     kind = next((first for base, first in kinds if isinstance(coarse, base)), MeshTri1)
     straight = kind(coarse.doflocs[:, : coarse.nvertices].copy(), coarse.t)
@@ -171,6 +172,7 @@ def _read_rows(text: str, where: str) -> Iterator[tuple[int, list[str]]]:
 
 
 def _parse_row(cells: list[str], columns: tuple[str, ...], row: int, where: str) -> list[float]:
+    """Convert one row of a poling file to finite numbers; reject an invalid row."""
     if len(cells) != len(columns):
         problem, got = f"row {row} has the wrong number of columns", f"{len(cells)} columns"
         raise wrong(
@@ -201,6 +203,7 @@ def _parse_row(cells: list[str], columns: tuple[str, ...], row: int, where: str)
 def _reject_invalid_directions(
     directions: np.ndarray, rows: list[int], where: str, axisymmetric: bool
 ) -> None:
+    """Reject poling vectors that are zero or outside of an axisymmetric mesh's plane."""
     zero = np.flatnonzero(~directions.any(axis=1))
     if zero.size:
         problem = f"row {rows[zero[0]]}: the poling is a zero vector"
@@ -219,6 +222,7 @@ def _reject_invalid_directions(
 
 
 def _convert_element_numbers(values: np.ndarray, rows: list[int], where: str) -> np.ndarray:
+    """Convert element numbers to integers; reject fractions and repeated numbers."""
     fractions = np.flatnonzero((values != np.rint(values)) | (np.abs(values) > 2**53))
     if fractions.size:
         row = rows[fractions[0]]

@@ -112,12 +112,12 @@ class EnrichedOperators:
     M_nodes: sparse.csr_array
 
     def scale(self, factor: float) -> EnrichedOperators:
-        """Return a copy with each matrix multiplied by ``factor``."""
+        """Return a copy in which each matrix is multiplied by a factor."""
         return EnrichedOperators(*(factor * getattr(self, field.name) for field in fields(self)))
 
 
 def make_enrichment(solid: Solid) -> Enrichment:
-    """Return the cubic functions on the mesh of a solid."""
+    """Make the enrichment of a solid: cubic shape functions on its mesh."""
     functions = evaluate_shape_functions(solid, _make_basis(solid, np.array([0])).X)
     numbers, signs = _number_functions(solid, functions)
     return Enrichment(solid, functions, _find_entity_nodes(solid, functions), numbers, signs)
@@ -126,7 +126,7 @@ def make_enrichment(solid: Solid) -> Enrichment:
 def assemble_enrichment(
     enrichment: Enrichment, free: np.ndarray, live: np.ndarray
 ) -> EnrichedOperators:
-    """Integrate the finite-element matrices for selected unknowns of cubic functions.
+    """Assemble the finite-element matrices of selected cubic shape functions.
 
     The masks ``free`` (count, d) and ``live`` (count,) select the displacements and the potentials
     of the cubic functions.
@@ -181,7 +181,7 @@ def assemble_enrichment(
 
 
 def _make_basis(solid: Solid, cells: np.ndarray) -> skfem.Basis:
-    """Return a finite-element basis on the elements ``cells`` that integrates exactly."""
+    """Make a finite-element basis whose quadrature is exact, for some elements."""
     if isinstance(solid.mesh, MeshTet):
         return solid.basis(quadrature=_make_tetrahedron_rule(INTEGRATION_ORDER), elements=cells)
     return solid.basis(INTEGRATION_ORDER, elements=cells)
@@ -204,9 +204,9 @@ def _make_tetrahedron_rule(order: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def evaluate_shape_functions(solid: Solid, X: np.ndarray) -> list[ShapeFunction]:
-    """Evaluate the cubic functions at points ``X`` on the reference element.
+    """Evaluate the cubic functions at points on the reference element.
 
-    ``X`` has the shape (d, points).
+    ``X`` (d, points) contains the points.
     """
     on_element = (
         _evaluate_quadrilateral_functions
@@ -217,7 +217,7 @@ def evaluate_shape_functions(solid: Solid, X: np.ndarray) -> list[ShapeFunction]
 
 
 def _evaluate_simplex_functions(corners: np.ndarray, X: np.ndarray) -> list[ShapeFunction]:
-    """Evaluate the cubic shape functions of a simplex at the points ``X``."""
+    """Evaluate the cubic shape functions of a triangle or tetrahedron."""
     inverse = np.linalg.inv(np.vstack([np.ones(corners.shape[1]), corners]))
     value, slope = inverse @ np.vstack([np.ones(X.shape[1]), X]), inverse[:, 1:, None]
     result = []
@@ -233,6 +233,7 @@ def _evaluate_simplex_functions(corners: np.ndarray, X: np.ndarray) -> list[Shap
 
 
 def _evaluate_quadrilateral_functions(corners: np.ndarray, X: np.ndarray) -> list[ShapeFunction]:
+    """Evaluate the cubic shape functions of a quadrilateral on the unit square."""
     ends = [1 - X, X], [-np.ones(X.shape), np.ones(X.shape)]
     square, square_slope = X * (1 - X), 1 - 2 * X
     cube, cube_slope = square * (2 * X - 1), -1 + 6 * X - 6 * X**2
@@ -274,7 +275,7 @@ def _number_functions(
 
 
 def _find_entity_nodes(solid: Solid, functions: Sequence[ShapeFunction]) -> list[np.ndarray]:
-    """Return the local numbers of the nodes on the edge or face of each function.
+    """Return the local node numbers on the edge or face of each shape function.
 
     For an interior function, all nodes of the element are returned.
     """
@@ -364,11 +365,11 @@ def _compute_reference_tensor(
     constants: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]],
     radius: np.ndarray,
 ) -> np.ndarray:
-    """Compute second derivatives of the energy by gradients on the reference element.
+    """Compute second derivatives of the energy with respect to field gradients.
 
-    The array has the shape (elements, points, fields, m, fields, m), where m is the number of
-    gradient components of each field. In axisymmetric solids, the value of the field counts as an
-    additional gradient component.
+    The gradients are derivatives on the reference element. The array has the shape (elements,
+    points, fields, m, fields, m), where m is the number of gradient components of each field. In
+    axisymmetric solids, the value of the field counts as an additional gradient component.
     """
     d = solid.component_count
     field = material.is_piezoelectric or material.dielectric
@@ -409,10 +410,11 @@ def _number_selected_entries(mask: np.ndarray) -> np.ndarray:
 
 
 def _look_up_unknowns(unknowns: np.ndarray, numbers: np.ndarray) -> np.ndarray:
-    """Look up the numbers of the unknowns of the functions ``numbers``.
+    """Look up the numbers of the unknowns that belong to each shape function.
 
-    ``numbers`` has the shape (elements, functions), and the returned array the shape (elements,
-    functions times components). An unknown that is not selected has the number -1.
+    ``numbers`` (elements, functions) contains the numbers of the shape functions. The returned
+    array has the shape (elements, functions times components). An unknown that is not selected has
+    the number -1.
     """
     return unknowns[numbers].reshape(len(numbers), -1).astype(np.int32)
 
@@ -424,9 +426,10 @@ class _SparseSum:
         self.matrix = sparse.csr_array(shape)
 
     def add(self, values: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> None:
-        """Add the element matrices ``values`` (elements, rows, columns).
+        """Add the matrices of several elements to the sum.
 
-        Entries with the row or column number -1 are omitted.
+        ``values`` contains the element matrices (elements, rows, columns). Entries with the row or
+        column number -1 are omitted.
         """
         i = np.broadcast_to(rows[:, :, None], values.shape)
         j = np.broadcast_to(columns[:, None, :], values.shape)

@@ -37,10 +37,10 @@ FACE_TOLERANCE = 1e-9  # largest value on a face of a shape function that is zer
 
 @dataclass(frozen=True, eq=False)
 class HeatSolid:
-    """Mesh whose element ``k`` has the material ``materials[geometry.owner[k]]``.
+    """Mesh of a heat-conducting body, with the thermal material of each element.
 
-    ``areas`` (elements,) [m^2] contains the cross-sectional areas of line elements. For other
-    elements, ``areas`` is None.
+    Element ``k`` has the material ``materials[geometry.owner[k]]``. ``areas`` (elements,) [m^2]
+    contains the cross-sectional areas of line elements. For other elements, ``areas`` is None.
     """
 
     geometry: Solid
@@ -63,7 +63,7 @@ class HeatSolid:
         return weights if self.areas is None else weights * self.areas[cells, None]
 
     def find_adjacent_cell_numbers(self, facets: np.ndarray) -> np.ndarray:
-        """Return, for each of the ``facets``, the number of one adjacent element."""
+        """Return the number of one adjacent element for each facet."""
         return np.asarray(self.geometry.mesh.f2t[0, facets])
 
 
@@ -110,9 +110,10 @@ def assemble_heat(solid: HeatSolid) -> tuple[sparse.csc_array, sparse.csc_array]
 
 
 def assemble_faces(solid: HeatSolid, facets: np.ndarray) -> sparse.csc_array:
-    """Return the matrix H [m^2] of ``int v T`` over faces.
+    """Assemble the matrix [m^2] of ``int v T dS`` (test function v, temperature T).
 
-    H has the shape (nodes, nodes). The sum of the entries of H is the area of the faces.
+    The integral covers the faces ``facets``, and the matrix is called H. H has the shape (nodes,
+    nodes). The sum of the entries of H is the area of the faces.
     """
     basis = solid.geometry.make_facet_basis(facets, solid.geometry.quadrature_degree)
     weights, nodes = (
@@ -167,7 +168,7 @@ def evaluate_functions_at_point(solid: HeatSolid, point: np.ndarray) -> np.ndarr
 
 
 def duplicate_face_nodes(geometry: Solid, facets: np.ndarray) -> Solid:
-    """Return the mesh with duplicated nodes on inner ``facets``, one for each side.
+    """Return the mesh with duplicated nodes on inner facets, one for each side.
 
     Two elements still share a node if faces outside of ``facets`` connect the elements, for example
     around the tip of a crack.
@@ -197,10 +198,11 @@ def duplicate_face_nodes(geometry: Solid, facets: np.ndarray) -> Solid:
 
 
 def assemble_interface(solid: HeatSolid, facets: np.ndarray) -> sparse.csc_array:
-    """Return the matrix [m^2] of ``int (v_a - v_b) (T_a - T_b)`` over ``facets``.
+    """Assemble the matrix [m^2] of temperature jumps across facets inside the mesh.
 
-    The facets are inside of the mesh. T_a and T_b are the temperatures on the two sides of the
-    facets, and v_a and v_b are the test functions on these sides.
+    The matrix represents the integral ``int (v_a - v_b) (T_a - T_b) dS`` over the facets. The
+    facets are inside of the mesh. T_a and T_b are the temperatures on the two sides of the facets,
+    and v_a and v_b are the test functions on these sides.
     """
     geometry = solid.geometry
     first, second = (
@@ -219,7 +221,7 @@ def assemble_interface(solid: HeatSolid, facets: np.ndarray) -> sparse.csc_array
 
 
 def find_common_faces(geometry: Solid, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return the numbers of the faces between the elements ``first`` and ``second``."""
+    """Return the numbers of the faces between two sets of elements."""
     sides = geometry.mesh.f2t
     inner = sides[1] >= 0
     a, b = np.isin(sides, first), np.isin(sides, second)

@@ -70,7 +70,7 @@ _LATTICE_SIZE, _SPHERE_SIZE, _PART_SIZE, _CORNER_SIZE, _SIZE_GROWTH = (
 def compute_catch_table(
     catch: CatchKeys, radius: float, progress: Callable[[float], None] = lambda share: None
 ) -> MagnetostaticTable:
-    """Compute force, flux and inductance at several heights of the sphere.
+    """Compute a table of force, flux and inductance over the height of the sphere.
 
     The table contains ``catch.positions`` heights from ``catch.y_min`` to ``catch.y_max``.
     ``progress`` is called with the completed fraction after each height. For some heights, the
@@ -89,7 +89,7 @@ def compute_catch_table(
 
 
 def choose_compared_count(count: int) -> int:
-    """Choose the number of heights at which a coarser mesh is also solved.
+    """Choose how many heights of the sphere are also solved with a coarser mesh.
 
     The number is at least five, or ``count`` if there are fewer heights. The chosen heights are
     equally spaced among all ``count`` heights.
@@ -136,7 +136,7 @@ def _sweep_heights(
 
 
 def list_sphere_heights(catch: CatchKeys) -> np.ndarray:
-    """Return the heights of the sphere's centre [m] for the table of forces."""
+    """Return the heights [m] of the sphere's centre in the magnetostatic table."""
     return np.linspace(catch.y_min, catch.y_max, catch.positions)
 
 
@@ -147,7 +147,7 @@ def get_ring_direction(catch: CatchKeys) -> float:
 
 @dataclass(frozen=True, eq=False)
 class FieldEquations:
-    """Field equations ``matrix a = loads`` at one height of the sphere.
+    """Magnetic field equations ``matrix a = loads`` for one height of the sphere.
 
     The equations determine the ``free`` unknowns. All other unknowns are zero.
     """
@@ -159,7 +159,7 @@ class FieldEquations:
     stretch: sparse.csr_array  # force = -1/2 a' stretch a with the unknowns a in the mover
 
     def solve(self, loads: np.ndarray) -> np.ndarray:
-        """Return the fields that the loads cause.
+        """Solve the field equations for several load vectors.
 
         The fields and the loads are arrays of shape (n, k).
 
@@ -174,10 +174,10 @@ class FieldEquations:
         return a
 
     def compute_force_matrix(self, a: np.ndarray) -> np.ndarray:
-        """Compute the force matrix ``Q`` [N] of the fields ``a``.
+        """Compute the matrix Q [N] of the force ``q' Q q`` for fields with amplitudes q.
 
-        Q has the shape (k, k), and ``a`` has the shape (n, k). If the k fields are superposed with
-        the amplitudes q (k,), the force is ``q' Q q``.
+        The columns of ``a`` are the fields. Q has the shape (k, k), and ``a`` has the shape (n, k).
+        If the k fields are superposed with the amplitudes q (k,), the force is ``q' Q q``.
         """
         near = a[self.mover]
         return -0.5 * near.T @ (self.stretch @ near)
@@ -257,7 +257,7 @@ def make_field_assembler(catch: CatchKeys, bore: BoreLattice) -> Callable[[float
     lookup, count, more = cKDTree(stator.points.T), stator.points.shape[1], moved.points.shape[1]
 
     def assemble_equations(height: float) -> FieldEquations:
-        """Return the field equations for the sphere's centre at ``height`` [m]."""
+        """Return the field equations for one height [m] of the sphere's centre."""
         mover = count + np.arange(more)
         distance, mover[rim] = lookup.query((moved.points[:, rim] + [[0], [height]]).T)
         if not np.max(distance) < 1e-6 * bore.pitch:
@@ -293,7 +293,7 @@ def _assemble_mesh(
     magnet: np.ndarray,
     sources: dict[int, tuple[LinearForm, float, np.ndarray]],
 ) -> ElementMatrices:
-    """Compute the element matrices of a mesh and the load vectors of ``sources``.
+    """Compute the element matrices of a mesh and the load vectors of its sources.
 
     The elements ``magnet`` have the permeability of the magnets. Each source consists of a linear
     form, a factor, and a mask of the elements that contain the source. The keys of ``sources`` are
@@ -320,6 +320,7 @@ def _make_basis(mesh: MeshTri2, elements: np.ndarray | None = None) -> Basis:
 
 @BilinearForm
 def _stiffness_form(u: Any, v: Any, w: Any) -> np.ndarray:
+    """Return the integrand of the stiffness matrix."""
     r = w.x[0]
     bu, bv = 2 * u + r * u.grad[0], 2 * v + r * v.grad[0]
     return 2 * pi * r * (bu * bv + r**2 * u.grad[1] * v.grad[1])
@@ -409,9 +410,10 @@ def get_air_section(catch: CatchKeys) -> tuple[float, float, float, float]:
 
 
 def choose_lattice_pitch(catch: CatchKeys, radius: float, spacing: float) -> float:
-    """Choose the height of lattice cells [m], a multiple or a fraction of ``spacing``.
+    """Choose the height [m] of lattice cells, a multiple or fraction of the spacing.
 
-    ``spacing`` [m] is the distance between consecutive heights of the sphere.
+    The spacing of the heights of the sphere is ``spacing`` [m]. ``spacing`` [m] is the distance
+    between consecutive heights of the sphere.
     """
     target = min(_LATTICE_SIZE * radius, _compute_narrowest_gap(catch, radius)) / catch.refine
     ratio = spacing / target
@@ -421,7 +423,9 @@ def choose_lattice_pitch(catch: CatchKeys, radius: float, spacing: float) -> flo
 def make_bore(
     catch: CatchKeys, radius: float, pitch: float, lowest: float, highest: float
 ) -> BoreLattice:
-    """Return the lattice for sphere centres from ``lowest`` to ``highest`` [m].
+    """Make the lattice in the bore for a range of heights of the sphere's centre.
+
+    The heights reach from ``lowest`` to ``highest`` [m].
 
     Raises
     ------
@@ -456,7 +460,7 @@ def mesh_stator(catch: CatchKeys, bore: BoreLattice) -> MeshTri2:
     corners = [*chain.from_iterable(product(box[::2], box[1::2]) for box in boxes)]
 
     def compute_element_size(r: float, y: float) -> float:
-        """Return the element size [m] at the point ``r``, ``y``."""
+        """Return the element size [m] at a point of the section."""
         to_corner = min(hypot(r - a, y - b) for a, b in corners)
         to_part = min(
             hypot(max(a - r, 0.0, r - c), max(b - y, 0.0, y - d)) for a, b, c, d in shapes[1:]

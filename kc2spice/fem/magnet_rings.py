@@ -68,11 +68,12 @@ def compute_mutual_inductance(
 
 @dataclass(frozen=True, eq=False)
 class RingCells:
-    """Rings with rectangular sections of width ``wide`` and height ``tall`` [m].
+    """Coaxial current-carrying rings with rectangular sections.
 
-    ``r``, ``z``, ``wide``, ``tall`` and ``filled`` are arrays of shape (n,). The centres of the
-    sections are at the radii ``r`` [m] and the heights ``z`` [m]. ``filled`` contains the fraction
-    of each section that carries current.
+    The sections have the width ``wide`` [m] and the height ``tall`` [m]. ``r``, ``z``, ``wide``,
+    ``tall`` and ``filled`` are arrays of shape (n,). The centres of the sections are at the radii
+    ``r`` [m] and the heights ``z`` [m]. ``filled`` contains the fraction of each section that
+    carries current.
     """
 
     r: np.ndarray
@@ -170,10 +171,11 @@ def divide_section(
     inside: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
     depth: float = np.inf,
 ) -> RingCells:
-    """Divide a rectangular section into about ``count`` nearly square cells.
+    """Divide a rectangular section into an approximate number of nearly square cells.
 
-    The cells below the surfaces are thinner if the other cells are not small compared with the skin
-    ``depth`` [m]. Current flows only where ``inside(r, z)`` is true.
+    The number of cells is about ``count``. The cells below the surfaces are thinner if the other
+    cells are not small compared with the skin ``depth`` [m]. Current flows only where ``inside(r,
+    z)`` is true.
     """
     wide, tall = outer - inner, high - low
     thinnest = depth / LAYERS_PER_DEPTH * np.sqrt(DEFAULT_RINGS / count)
@@ -201,11 +203,12 @@ def _make_grid_points(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def _compute_midpoints(edges: np.ndarray) -> np.ndarray:
+    """Return the midpoints between neighbouring edges of cells."""
     return np.asarray((edges[1:] + edges[:-1]) / 2)
 
 
 def _divide_length(length: float, side: float, thinnest: float, surfaces: int) -> np.ndarray:
-    """Divide a length into cells of about ``side``, with thin layers below surfaces.
+    """Divide a length into cells of similar size, with thin layers below surfaces.
 
     The positions of the edges of cells and layers are returned. Layers are added only if the cells
     are thicker than ``thinnest``, which is the thickness of the outermost layer. Each layer is
@@ -227,7 +230,7 @@ def _divide_length(length: float, side: float, thinnest: float, surfaces: int) -
 
 @dataclass(frozen=True)
 class Winding:
-    """Coaxial winding with uniformly distributed ``turns`` in a rectangular section.
+    """Coaxial winding with uniformly distributed turns in a rectangular section.
 
     The centre of the section is at ``radius`` [m] and the height ``y`` [m]. The section has the
     dimensions ``width`` and ``height`` [m].
@@ -253,7 +256,10 @@ class Winding:
         return RingCells(r, z, self.width / parts[0] * even, self.height / parts[1] * even, even)
 
     def couple_circles(self, r: np.ndarray, z: np.ndarray) -> np.ndarray:
-        """Compute mutual inductances [H] with circles of radius ``r`` at height ``z`` [m]."""
+        """Compute mutual inductances [H] between the winding and coaxial circles.
+
+        The circles have the radius ``r`` [m] and the height ``z`` [m].
+        """
         sides = np.array([self.width, self.height])
         counts = np.maximum(3, np.round(MUTUAL_DIVISIONS * sides / sides.max())).astype(int)
         (x, p), (y, q) = map(np.polynomial.legendre.leggauss, counts)
@@ -264,7 +270,7 @@ class Winding:
         return np.asarray(self.turns * np.einsum("...ij,i,j->...", result, p / 2, q / 2))
 
     def couple_sheet(self, sheet: Winding, heights: np.ndarray) -> np.ndarray:
-        """Compute the mutual inductances (n,) [H] with a current sheet at several heights.
+        """Compute mutual inductances [H] between the winding and a sheet at n heights.
 
         The current sheet is a winding of zero width. For each mutual inductance, the sheet is moved
         up by one of the ``heights`` (n,) [m]. The integral along the height of the sheet is
@@ -277,7 +283,7 @@ class Winding:
         )
 
     def compute_coupling_inductance(self, other: Winding) -> float:
-        """Compute the mutual inductance [H] with another winding.
+        """Compute the mutual inductance [H] between this winding and another winding.
 
         If ``other`` equals this winding, the result is the self-inductance. Source for the
         self-inductance of a winding of zero width: L. Lorenz, Ann. Phys. 7 (1879) 161.
@@ -360,7 +366,10 @@ class CurrentEffect(EqualByContent):
     slope: np.ndarray
 
     def find_largest_difference(self, exact: CurrentEffect) -> float:
-        """Return the largest relative difference of flux, slope and loss from ``exact``."""
+        """Return the largest relative error of flux, slope and loss against a reference.
+
+        ``exact`` is the reference.
+        """
         pairs = [(self.flux, exact.flux), (self.slope, exact.slope)]
         coils = np.arange(len(self.flux))
         pairs.append((self.flux[coils, coils].imag, exact.flux[coils, coils].imag))
@@ -374,7 +383,7 @@ def compare_rings(
     magnets: Sequence[Winding],
     conductivity: float,
 ) -> float:
-    """Return the largest relative difference between loops and rings of a ``body``.
+    """Return the largest relative error of a loop model against the rings of a body.
 
     The ring currents are computed without modes, at several heights and at frequencies up to the
     largest frequency of the loop model. :meth:`CurrentEffect.find_largest_difference` defines the
@@ -425,7 +434,7 @@ def reduce_to_loops(
     frequency: float,
     tolerance: float,
 ) -> LoopModel:
-    """Reduce the rings of a ``body`` to a few current loops.
+    """Reduce a body of many conducting rings to a few current loops.
 
     The loops are valid for heights of the body from ``low`` to ``high`` [m] and up to a
     ``frequency`` [Hz]. The number of loops is the smallest number that satisfies the ``tolerance``.
@@ -463,7 +472,7 @@ def make_current_loop(
     high: float,
     tolerance: float,
 ) -> LoopModel:
-    """Return the loop model of a body whose current distribution is constant.
+    """Make a loop model with a single loop, whose current distribution is constant.
 
     The current distribution consists of the current ``sheets`` and forms one loop.
     :func:`reduce_to_loops` describes the other arguments.
@@ -476,7 +485,7 @@ def make_current_loop(
     nodes, heights = _list_chebyshev_heights(low, high)
 
     def compute_flux_linkage(windings: Sequence[Winding]) -> np.ndarray:
-        """Return the flux linkage between all sheets and ``windings`` at each height."""
+        """Return the flux linkage between all sheets and some windings at each height."""
         return sum(
             starmap(Winding.couple_sheet, product(windings, sheets, (heights,))),
             np.zeros(HEIGHT_NODES),
@@ -503,7 +512,7 @@ def _compute_coil_inductance(coils: Sequence[Winding]) -> np.ndarray:
 def _compute_current_basis(
     rates: np.ndarray, mutual: np.ndarray, speeds: np.ndarray, nodes: np.ndarray, tolerance: float
 ) -> tuple[np.ndarray, float]:
-    """Compute an orthonormal basis of the body's currents, and its largest error.
+    """Compute an orthonormal basis of the body's currents and its approximation error.
 
     The returned error is the largest relative error of flux and force at all frequencies in
     ``speeds``. The basis approximates the currents that coils with the couplings ``mutual`` (c,
@@ -511,7 +520,7 @@ def _compute_current_basis(
     """
 
     def compute_currents(speeds: np.ndarray, couplings: np.ndarray) -> np.ndarray:
-        """Return the currents in the modes of the body at the frequencies ``speeds``."""
+        """Return the currents in the body's modes at several frequencies."""
         return couplings[:, :, None, :] * (1j * speeds / (rates[:, None] + 1j * speeds)).T
 
     sampled = compute_currents(speeds[::2], mutual[:, ::3]).reshape(-1, rates.size)
@@ -540,7 +549,7 @@ def _compute_current_basis(
 
 
 def _fit_chebyshev(nodes: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Compute Chebyshev coefficients of functions with given ``values`` at m points.
+    """Compute the Chebyshev coefficients of functions from their values at m points.
 
     The coefficients have the shape (m, c, k), and the values the shape (c, m, k).
     """
@@ -552,11 +561,11 @@ def _fit_chebyshev(nodes: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def _fit_power_series(nodes: np.ndarray, values: np.ndarray, tolerance: float) -> np.ndarray:
-    """Fit polynomials to ``values`` at m Chebyshev points; return power coefficients.
+    """Fit polynomials to values at Chebyshev points; return coefficients of powers.
 
-    The coefficients have the shape (c, k, degree + 1), and the values the shape (c, m, k). The
-    degree is the smallest degree for which the relative error of the slopes is below ``tolerance /
-    10`` for each coil.
+    The polynomials are fitted to ``values`` at m points. The coefficients have the shape (c, k,
+    degree + 1), and the values the shape (c, m, k). The degree is the smallest degree for which the
+    relative error of the slopes is below ``tolerance / 10`` for each coil.
     """
     c = _fit_chebyshev(nodes, values)
     order = np.arange(nodes.size)[:, None, None] ** 2  # largest slope of a Chebyshev polynomial

@@ -91,13 +91,16 @@ _ALTERNATIVE_KEYS = (
 
 @dataclass(frozen=True)
 class CylindricalAxes:
-    """Cylindrical coordinates about an ``axis`` through a ``point`` [m]."""
+    """Cylindrical coordinates about an axis through a point.
+
+    The coordinates of ``point`` are in metres.
+    """
 
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
     point: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def compute_rotations(self, places: np.ndarray, elements: np.ndarray) -> np.ndarray:
-        """Return the rotation matrices to the cylindrical axes at points ``places`` [m].
+        """Return the rotation matrices to the cylindrical axes at several points.
 
         The matrices have the shape (n, 3, 3), and ``places`` has the shape (n, 3). The columns of
         each matrix are the radial, hoop and axial unit vectors.
@@ -125,7 +128,7 @@ class ElementAxes(EqualByContent):
     rotations: np.ndarray
 
     def compute_rotations(self, places: np.ndarray, elements: np.ndarray) -> np.ndarray:
-        """Return the rotation matrices to the material axes of n ``elements``.
+        """Return the rotation matrices to the material axes of n elements.
 
         The returned array has the shape (n, 3, 3).
         """
@@ -272,7 +275,7 @@ class Material(EqualByContent):
         )
 
     def rotate_z_axis(self, direction: Sequence[float]) -> Material:
-        """Return the material with its z axis rotated to ``direction``.
+        """Return the material with its z axis rotated to another direction.
 
         In ceramics, z is the direction of poling. The material is rotated by the smallest possible
         angle. If the direction is -z, the material is rotated by 180 degrees about x.
@@ -281,7 +284,7 @@ class Material(EqualByContent):
 
 
 def compute_poling_rotation(direction: Sequence[float] | np.ndarray) -> np.ndarray:
-    """Compute the matrix that rotates z to ``direction`` by the smallest angle.
+    """Compute the rotation matrix from z to a direction by the smallest angle.
 
     The matrix has the shape (3, 3). If the direction is -z, the rotation is 180 degrees about x.
     """
@@ -321,7 +324,7 @@ def _make_component_validator(unit: str) -> BeforeValidator:
 
 
 def _convert_to_unit(unit: str, value: object) -> object:
-    """Convert all quantities in a nested mapping or list to numbers in ``unit``."""
+    """Convert all quantities in a nested mapping or list to numbers in one unit."""
     if isinstance(value, Mapping):
         return {str(key): _convert_to_unit(unit, item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
@@ -340,7 +343,7 @@ _ELASTIC_KEYS = ("youngs_modulus", "stiffness", "compliance")
 
 
 def make_unknown_base_error(name: str, known: Sequence[str]) -> PydanticCustomError:
-    """Make the error for a key ``like`` that states an unknown material ``name``."""
+    """Make the error for a key ``like`` that names an unknown material."""
     expected = f"one of {list_candidates(name, known, 'docs/reference/materials.md')}"
     hint = did_you_mean(name, known) or f'write for example  like = "{known[0]}"'
     return make_invalid_value_error("this material does not exist", expected, "like", hint)
@@ -540,7 +543,7 @@ class MaterialTable(Section):
         return self
 
     def build_material(self, name: str) -> Material:
-        """Build the material ``name`` with tensors in stress-charge form.
+        """Build the material from this table, with tensors in stress-charge form.
 
         Raises
         ------
@@ -564,6 +567,7 @@ class MaterialTable(Section):
         return Material(name=name, C=C, e=e, eps_S=eps, **stated)
 
     def _build_stiffness(self) -> np.ndarray:
+        """Build the stiffness matrix (6, 6) [Pa] from stiffness, compliance or moduli."""
         if self.stiffness is not None:
             C = self._build_tensor("stiffness", "c")
         else:
@@ -640,6 +644,7 @@ class MaterialTable(Section):
         return np.triu(s) + np.triu(s, 1).T
 
     def _build_permittivity(self) -> np.ndarray:
+        """Build the relative permittivity (3, 3) from a matrix or from components."""
         values, names = self.permittivity, ("eps11", "eps22", "eps33")
         if values is None:
             return np.eye(3)
@@ -654,7 +659,7 @@ class MaterialTable(Section):
         return np.diag([first, values.get("eps22", first), values.get("eps33", first)])
 
     def _build_tensor(self, key: str, letter: str) -> np.ndarray:
-        """Build the tensor of a ``key`` from lists or from named components.
+        """Build one tensor of the table from lists or from named components.
 
         The names of components begin with ``letter``: ``c`` for stiffness (6, 6), ``s`` for
         compliance (6, 6), and ``e`` or ``d`` for coupling (3, 6).
@@ -705,7 +710,7 @@ class MaterialTable(Section):
 
 
 def _convert_to_matrix(rows: list[list[float]], shape: tuple[int, int], key: str) -> np.ndarray:
-    """Convert the ``rows`` of a tensor to a matrix of the given ``shape``.
+    """Convert the rows of a tensor to a matrix, and check its shape.
 
     A matrix with another shape is rejected, and so is a square matrix that is not symmetric.
     """
@@ -786,7 +791,7 @@ def _list_library_names() -> dict[str, str]:
 
 @cache
 def _load_material(name: str) -> Material:
-    """Return the built-in material with this ``name``."""
+    """Return the built-in material with a given name."""
     return MaterialTable.model_validate(_load_tables()[name]).build_material(name)
 
 

@@ -93,7 +93,7 @@ def measure_bounding_box(file: str) -> dict[str, np.ndarray]:
 
 
 def _merge_file(gmsh: ModuleType, file: str, dimension: int) -> None:
-    """Add the content of a file to the current gmsh model."""
+    """Add the mesh or geometry of a file to the current gmsh model."""
     if Path(file).suffix in MESHIO_READERS:
         merge_file(gmsh, file, dimension)
     else:
@@ -107,7 +107,7 @@ def _collect_arrays(gmsh: ModuleType, dimension: int, where: str) -> dict[str, n
     ranked = tags[order]
 
     def list_blocks(d: int, entities: Iterable[int]) -> list[tuple[np.ndarray, CellBlock]]:
-        """Return element numbers and a block for each element type in ``entities``.
+        """Return the numbers and the block of the elements of each type in each entity.
 
         The entities have the dimension ``d``.
         """
@@ -158,7 +158,7 @@ def _collect_arrays(gmsh: ModuleType, dimension: int, where: str) -> dict[str, n
 
 
 def _collect_corner_nodes(blocks: Iterable[CellBlock], width: int) -> np.ndarray:
-    """Return the corner nodes of all elements in ``blocks``.
+    """Return the numbers of the corner nodes of all elements in several blocks.
 
     The returned array has the shape (elements, width). The row of an element with fewer than
     ``width`` corners repeats the last corner.
@@ -219,9 +219,10 @@ def _select_entities(
     at: Sequence[Sequence[float]],
     box: Sequence[Sequence[float]] | None,
 ) -> list[int]:
-    """Return the entities that contain a point of ``at``, or lie inside ``box``.
+    """Select the entities that contain a given point or lie inside a given box.
 
-    The entities have the given ``dimension`` and form the group ``name``.
+    ``at`` contains the points. The entities have the given ``dimension`` and form the group
+    ``name``.
     """
     everything = gmsh.model.getBoundingBox(-1, -1)
     near = PICK_TOLERANCE * float(np.linalg.norm(np.subtract(everything[3:], everything[:3])))
@@ -259,7 +260,7 @@ def _select_entities(
 
 
 def _is_entity_near(gmsh: ModuleType, d: int, tag: int, point: np.ndarray, near: float) -> bool:
-    """Return whether an entity is at most ``near`` away from a point.
+    """Return whether the distance between an entity and a point is below a tolerance.
 
     The distance is measured to the entity within its boundary, not to the unbounded surface or
     curve that contains the entity.

@@ -267,7 +267,7 @@ def make_quadratic_mesh(
 def _make_simplex_mesh(
     points: np.ndarray, blocks: Sequence[CellBlock]
 ) -> tuple[Mesh, np.ndarray, np.ndarray]:
-    """Divide ``blocks`` into triangles or tetrahedra, and make a mesh of them."""
+    """Make a mesh from blocks whose elements are divided into triangles or tetrahedra."""
     corners, parent = divide_cells(blocks)
     vertices, cells = np.unique(corners, return_inverse=True)
     number = _index_vertices(vertices, len(points))
@@ -283,7 +283,7 @@ def _make_simplex_mesh(
 def _make_product_mesh(
     points: np.ndarray, blocks: Sequence[CellBlock]
 ) -> tuple[Mesh, np.ndarray, np.ndarray]:
-    """Make a mesh of the quadrilaterals or hexahedra in ``blocks``."""
+    """Make a mesh of quadrilaterals or hexahedra from blocks of elements."""
     dimension = points.shape[1]
     kind, curved = PRODUCT_MESHES[dimension]
     corners = np.concatenate([block.vertices for block in blocks])
@@ -312,7 +312,10 @@ def _compute_unit_positions(block: CellBlock) -> np.ndarray:
 
 
 def _match_positions(places: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Return the index in ``places`` that is nearest to each position in ``others``."""
+    """Match each position to the nearest of several candidates; return the indices.
+
+    ``places`` contains the candidates, and ``others`` contains the positions.
+    """
     distance = np.linalg.norm(places[None] - others[:, None], axis=-1)
     return np.asarray(distance.argmin(axis=1))
 
@@ -333,7 +336,7 @@ def _compute_interpolation_weights(block: CellBlock) -> np.ndarray:
 
 
 def _index_vertices(vertices: np.ndarray, count: int) -> np.ndarray:
-    """Return the index of each node number in ``vertices``, or -1.
+    """Return the index of each node number in a list of vertices; -1 if absent.
 
     The node numbers are 0 to ``count - 1``. The index is -1 for a node that is not in
     ``vertices``.
@@ -353,7 +356,7 @@ def find_edge_nodes(mesh: Mesh, pairs: np.ndarray) -> np.ndarray:
 
 
 def find_columns(entities: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Find the edges or faces with given corners, whose order is arbitrary.
+    """Find edges or faces by the numbers of their corners, in any order.
 
     Each column of ``entities`` (c, n) contains the c corners of an edge or face. Each row of
     ``corners`` (k, c) contains the corners of an edge or face to be found. Return the column

@@ -103,9 +103,10 @@ class GroupedMesh:
     numbers: np.ndarray
 
     def get_group(self, name: str, where: str, *codimensions: int) -> Group:
-        """Return the group ``name``, which must have one of the ``codimensions``.
+        """Return the group with a given name; reject a group of an unsuitable dimension.
 
-        ``where`` is the scene key that contains the name of the group.
+        The group must have one of the ``codimensions``. ``where`` is the scene key that contains
+        the name of the group.
 
         Raises
         ------
@@ -204,7 +205,9 @@ def read_mesh(
 
 
 def find_length_unit(path: Path, unit: str | None) -> float:
-    """Return the unit of length [m] of a file, which its format or ``unit`` states.
+    """Return the unit of length [m] of a file, from its format or from the scene.
+
+    ``unit`` is the unit that the scene states, or None.
 
     Raises
     ------
@@ -225,7 +228,7 @@ def find_length_unit(path: Path, unit: str | None) -> float:
     sides = measure_extent(path)
 
     def format_sides(scale: float) -> str:
-        """Return the side lengths times ``scale`` as text."""
+        """Format the side lengths as text, multiplied by a scale factor."""
         return " x ".join(f"{float(f'{scale * side:.4g}'):.12g}" for side in sides)
 
     sizes = (
@@ -263,7 +266,7 @@ def _call_gmsh(function: str, path: Path, data: bytes, **request: Any) -> dict[s
     file = FILE_FORMATS[path.suffix.lower()][1]
 
     def write_copy(home: Path) -> None:
-        """Write a copy of the mesh file to the folder ``home``."""
+        """Write a copy of the mesh file to a folder."""
         (home / file).write_bytes(data)
 
     request = {**request, "file": file}
@@ -366,7 +369,7 @@ def _assemble_mesh(
     where: str,
     merge: float | None = None,
 ) -> GroupedMesh:
-    """Return the mesh and the groups that the ``arrays`` of gmsh describe."""
+    """Assemble the mesh and its groups from the arrays that gmsh has returned."""
     points = unit * arrays["points"]
     if not np.isfinite(points).all():
         problem = "a node has a coordinate that is not a finite number"
@@ -416,7 +419,7 @@ def _assemble_mesh(
 
 
 def _make_empty_mesh_error(dimension: int, grouped: int, where: str) -> UsageError:
-    """Make the error for a mesh without elements of the required ``dimension``.
+    """Make the error for a mesh without elements of the required dimension.
 
     ``grouped`` is the largest dimension of a group in the file.
     """
@@ -435,7 +438,7 @@ def _make_empty_mesh_error(dimension: int, grouped: int, where: str) -> UsageErr
 def _compute_node_weights(
     mesh: Mesh, ends: np.ndarray, length: np.ndarray, name: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the nodes of points or of line elements, and the weight of each node.
+    """Return the nodes of a group of points or line elements, and the node weights.
 
     ``ends`` contains the nodes of points (k, 1), or the end nodes of line elements (k, 2). The sum
     of the weights is 1. On line elements, the weight of a node is its share in the total length.

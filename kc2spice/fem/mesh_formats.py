@@ -144,7 +144,7 @@ def _list_ignored_lines(reader: str, data: bytes) -> Iterator[tuple[bytes, str]]
 
 
 def merge_file(gmsh: ModuleType, file: str, dimension: int) -> None:
-    """Add the mesh of a file that meshio reads to the current gmsh model.
+    """Read a mesh file with meshio, and add the mesh to the current gmsh model.
 
     ``dimension`` is the dimension of the body, 2 or 3. For files that gmsh itself can read, use
     ``gmsh.merge`` instead.
@@ -209,7 +209,7 @@ def merge_file(gmsh: ModuleType, file: str, dimension: int) -> None:
 
 
 def _extend_meshio(reader: str, file: Path) -> None:
-    """Extend meshio to read a ``file`` with features that meshio does not support.
+    """Add features to meshio that the mesh file needs and meshio lacks.
 
     The added features are prisms with 15 nodes, some Abaqus elements, and continuation lines in
     Nastran files. If ``reader`` is "nastran", continuation lines are rewritten in the ``file``,
@@ -380,7 +380,7 @@ def _add_node_set(
 
 
 def _find_element_kind(gmsh: ModuleType, shape: str, corners: int, nodes: int) -> int:
-    """Return gmsh's number of the element type with a ``shape`` and some ``nodes``."""
+    """Return gmsh's number of the element type with a given shape and node count."""
     if shape == "Point":
         return 15
     if nodes == corners:
@@ -402,7 +402,7 @@ def _find_element_kind(gmsh: ModuleType, shape: str, corners: int, nodes: int) -
 def _order_nodes(
     gmsh: ModuleType, kind: int, shape: str, corners: int, nodes: np.ndarray, points: np.ndarray
 ) -> np.ndarray:
-    """Return the ``nodes`` of elements in gmsh's order.
+    """Reorder the nodes of elements to the node order of gmsh.
 
     ``nodes`` has the shape (elements, l). The order of nodes on edges and faces differs between
     programs. The returned order minimises the sum of the squared distances between the nodes and

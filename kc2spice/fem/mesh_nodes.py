@@ -17,9 +17,10 @@ COINCIDENCE_TOLERANCE = 1e-3
 
 
 def merge_nodes(points: np.ndarray, blocks: Sequence[CellBlock], distance: float) -> np.ndarray:
-    """Return the same number for all nodes that are at most ``distance`` [m] apart.
+    """Merge nodes that are close together: give these nodes the same number.
 
-    Nodes that belong to no element keep their numbers.
+    Nodes are merged if their distance is at most ``distance`` [m]. Nodes that belong to no element
+    keep their numbers.
 
     Raises
     ------
@@ -126,12 +127,12 @@ def _find_nodes_on_other_pieces(points: np.ndarray, cells: np.ndarray, near: flo
 
 
 def _mask_points_on_simplices(places: np.ndarray, simplices: np.ndarray, near: float) -> np.ndarray:
-    """Return a mask of the points whose distance from a simplex is at most ``near``.
+    """Return a mask of the points that are close to at least one simplex.
 
-    The mask has the shape (n,). Each of the n points ``places[i]`` (d,) is compared with one
-    simplex ``simplices[i]`` (corners, d). The foot of the perpendicular from the point x is ``s_0 +
-    J t`` with ``J'J t = J'(x - s_0)``, where ``s_0`` is a corner, and the columns of J are the
-    edges from this corner.
+    A point is close if its distance is at most ``near``. The mask has the shape (n,). Each of the n
+    points ``places[i]`` (d,) is compared with one simplex ``simplices[i]`` (corners, d). The foot
+    of the perpendicular from the point x is ``s_0 + J t`` with ``J'J t = J'(x - s_0)``, where
+    ``s_0`` is a corner, and the columns of J are the edges from this corner.
     """
     J = (simplices[:, 1:] - simplices[:, :1]).transpose(0, 2, 1)
     arm = (places - simplices[:, 0])[:, :, None]

@@ -96,7 +96,7 @@ def _split_range(count: int) -> Iterator[np.ndarray]:
 def _evaluate_fields(
     solid: Solid, basis: skfem.Basis, cells: np.ndarray, u: np.ndarray, phi: np.ndarray
 ) -> Iterator[np.ndarray]:
-    """Yield strains and electric fields at each integration point of ``basis``.
+    """Yield strains and electric fields at each integration point of a basis.
 
     Each array has the shape (cells, 9, k). ``cells`` are the elements of the basis. Rows 0 to 5
     contain the strains. Rows 6 to 8 contain the electric field, multiplied by the coupling factor
@@ -157,7 +157,7 @@ def _evaluate_linear_shape_functions(X: np.ndarray) -> np.ndarray:
 
 
 def _evaluate_monomials(x: np.ndarray, degree: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return all monomials of the coordinates ``x`` up to the given ``degree``.
+    """Return the values of all monomials of the coordinates up to a given degree.
 
     ``x`` has the shape (…, d), and the array of monomials has the shape (…, terms). The second
     returned array contains the degree (terms,) of each monomial.
@@ -237,7 +237,7 @@ def _sample_fields(
 
 
 def _number_patches(solid: Solid) -> tuple[np.ndarray, np.ndarray]:
-    """Return the number of the patch around each corner of each element.
+    """Return the number of the patch that belongs to each corner of each element.
 
     The numbers have the shape (elements, corners). A corner on the boundary between pieces of the
     mesh has one patch in each piece. The second returned array (patches, d) contains the position
@@ -299,7 +299,7 @@ def _assemble_normal_equations(
 def _widen_patches(
     members: sparse.csr_array, number: np.ndarray, middle: np.ndarray, places: np.ndarray
 ) -> sparse.csr_array:
-    """Add elements to each patch whose points do not surround its corner well.
+    """Enlarge patches whose sample points do not surround the patch's corner well.
 
     The added elements are the elements of the best neighbouring patch.
     """

@@ -64,13 +64,14 @@ class FacetMapping(MappingIsoparametric):
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """Mesh whose element ``k`` has the material ``materials[owner[k]]``.
+    """Mesh of a solid body, with the material of each element.
 
-    The tensors of the materials are already rotated to the poling direction. The shape functions
-    have the degree ``order``, which is 2, or optionally 1 on hexahedra. Reports list materials with
-    the same name as one material. ``numbers`` (l, elements) contains the node numbers of each
-    element. If ``numbers`` is None, scikit-fem numbers the nodes. Collapsed edges or faces require
-    ``numbers``, because all nodes of a collapsed edge or face have the same number.
+    Element ``k`` has the material ``materials[owner[k]]``. The tensors of the materials are already
+    rotated to the poling direction. The shape functions have the degree ``order``, which is 2, or
+    optionally 1 on hexahedra. Reports list materials with the same name as one material.
+    ``numbers`` (l, elements) contains the node numbers of each element. If ``numbers`` is None,
+    scikit-fem numbers the nodes. Collapsed edges or faces require ``numbers``, because all nodes of
+    a collapsed edge or face have the same number.
 
     Raises
     ------
@@ -148,7 +149,7 @@ class Solid:
     def make_facet_basis(
         self, facets: np.ndarray, order: int, side: Literal[0, 1] = 0
     ) -> skfem.BoundaryFacetBasis:
-        """Return the scalar basis on facets, evaluated in the elements on one ``side``."""
+        """Make the scalar basis on facets, evaluated in the elements on one side."""
         options: dict[str, Any] = {"facets": facets, "intorder": order, "dofs": self._dofs}
         if not self.mesh.affine:
             options["mapping"] = FacetMapping(self.mesh, self.mesh.elem(), self.mesh.bndelem)
@@ -163,7 +164,10 @@ class Solid:
 
     @cached_property
     def _dofs(self) -> skfem.Dofs | None:
-        """scikit-fem degrees of freedom for the node ``numbers``; None by default."""
+        """scikit-fem degrees of freedom with changed node numbers; None if unchanged.
+
+        The node numbers are ``numbers``.
+        """
         if self.numbers is None:
             return None
         result = skfem.Dofs(self.mesh, self.element)
@@ -171,7 +175,7 @@ class Solid:
         return result
 
     def nodes(self, elements: np.ndarray) -> np.ndarray:
-        """Return the node numbers of ``elements`` in ascending order."""
+        """Return the numbers of the nodes of some elements in ascending order."""
         return np.unique(self.basis(1).element_dofs[:, elements])
 
 
@@ -291,7 +295,7 @@ def assemble_solid(solid: Solid, *, only: int | None = None) -> SolidMatrices:
 def _compute_stress_stiffness(
     solid: Solid, material: Material, N: np.ndarray, B: np.ndarray, G: np.ndarray
 ) -> np.ndarray:
-    """Return the element stiffness due to prestress at one point.
+    """Return the element stiffness due to prestress at one integration point.
 
     The returned array has the shape (elements, l d, l d). Each displacement component u, with its
     test function v, contributes ``grad v . sigma0 grad u``, where sigma0 is the prestress. In
@@ -310,11 +314,12 @@ def _compute_stress_stiffness(
 def compute_node_shares(
     solid: Solid, *, facets: np.ndarray | None = None, elements: np.ndarray | None = None
 ) -> np.ndarray:
-    """Return the share ``int N / int 1`` of each node in the area or volume.
+    """Return the fraction of the area or volume that belongs to each node.
 
-    The returned array has the shape (nodes,). N is the shape function of a node, and the integrals
-    cover the given ``facets`` or ``elements``. In axisymmetric solids, the integrals cover the full
-    revolution. In meshes of lines, the cross-section is assumed to be constant.
+    The fraction is ``int N / int 1``. The returned array has the shape (nodes,). N is the shape
+    function of a node, and the integrals cover the given ``facets`` or ``elements``. In
+    axisymmetric solids, the integrals cover the full revolution. In meshes of lines, the
+    cross-section is assumed to be constant.
     """
     basis = (
         solid.make_facet_basis(facets, 4)
@@ -354,7 +359,7 @@ def compute_area(solid: Solid, facets: np.ndarray) -> float:
 def sum_matrices(
     parts: Sequence[tuple[np.ndarray, ...]], shape: tuple[int, int]
 ) -> sparse.csc_array:
-    """Assemble element matrices to a sparse matrix of the given ``shape``.
+    """Assemble element matrices to one sparse matrix.
 
     Each item of ``parts`` consists of three arrays: element matrices of shape (elements, l, k),
     their row numbers of shape (elements, l), and their column numbers of shape (elements, k).

@@ -95,6 +95,7 @@ class ThermalMaterialTable(Section):
 
     @model_validator(mode="after")
     def _require_positive_conductivity(self) -> ThermalMaterialTable:
+        """Reject a thermal conductivity that is not positive."""
         if np.min(self.conductivity) <= 0:
             raise make_invalid_value_error(
                 "conductivity must be greater than 0",
@@ -104,7 +105,7 @@ class ThermalMaterialTable(Section):
         return self
 
     def build_material(self, name: str) -> ThermalMaterial:
-        """Build the thermal material ``name`` from the constants of the table."""
+        """Build the thermal material from the constants of the table."""
         conductivity = np.broadcast_to(np.asarray(self.conductivity, float), 3).copy()
         return ThermalMaterial(name, self.density, self.specific_heat, conductivity)
 

@@ -35,7 +35,9 @@ ENTRY_BYTES = 24.0  # memory [B] of a complex entry of a factor: its value, inde
 
 
 def require_memory(need: float, purpose: str, *, where: str, hint: str) -> None:
-    """Raise an error if ``need`` [B] exceeds the free memory.
+    """Raise an error if a computation needs more memory than is free.
+
+    ``need`` is the required memory in bytes, and ``purpose`` describes the computation.
 
     Raises
     ------
@@ -55,7 +57,7 @@ def require_memory(need: float, purpose: str, *, where: str, hint: str) -> None:
 def require_memory_for_factors(
     matrix: scipy.sparse.sparray | np.ndarray, *, definite: bool = False, where: str = "reduction"
 ) -> None:
-    """Raise an error if the factors of a model reduction exceed the free memory.
+    """Raise an error if the factorisations of a model reduction need too much memory.
 
     A reduction needs one real and one complex LU factorisation. For plates, the memory estimate is
     up to five times too large. If ``definite`` is true, the matrix is definite or quasi-definite. A
@@ -434,9 +436,10 @@ def _order_by_dissection(matrix: scipy.sparse.csc_array) -> np.ndarray | None:
 
 
 def _group_unknowns(matrix: scipy.sparse.csc_array) -> tuple[np.ndarray, np.ndarray]:
-    """Group unknowns whose columns have the same sparsity pattern, by a hash.
+    """Group unknowns whose matrix columns have the same sparsity pattern.
 
-    Return the group number of each unknown, and the first unknown of each group.
+    The sparsity patterns are compared by a hash. Return the group number of each unknown, and the
+    first unknown of each group.
     """
     words = np.random.default_rng(0).integers(0, 2**63, matrix.shape[0], dtype=np.uint64)
     total = np.r_[np.uint64(0), np.cumsum(words[matrix.indices], dtype=np.uint64)]

@@ -48,7 +48,9 @@ NESTED_DISSECTION = 2  # value of ``iparm[ORDER]``: nested dissection by METIS
 
 
 class Pardiso:
-    """Factor of a real or complex sparse matrix, which may be symmetric.
+    """PARDISO factorisation of a real or complex sparse matrix.
+
+    The matrix may be symmetric.
 
     Parameters
     ----------

@@ -25,7 +25,7 @@ _CPU_INFO = Path("/proc/cpuinfo")
 
 
 def select_kernels(flags: set[str]) -> str | None:
-    """Return the name of the fastest kernels for a set of processor instructions.
+    """Return the name of the fastest OpenBLAS kernels for a processor's instructions.
 
     Return None if the processor lacks the instructions for all of the kernels.
 
@@ -38,7 +38,7 @@ def select_kernels(flags: set[str]) -> str | None:
 
 
 def read_processor_flags() -> set[str]:
-    """Return the names of the supported processor instructions.
+    """Return the names of the instructions that this processor supports.
 
     Both the processor and the operating system support the returned instructions. The set is empty
     if the operating system does not list the instructions.

@@ -157,12 +157,12 @@ def _assemble_front(
 
 
 def _eliminate_pivots(panel: np.ndarray, remainder: np.ndarray, minus: np.ndarray) -> ColumnPanel:
-    """Eliminate the pivots of a front; make ``remainder`` the Schur complement.
+    """Eliminate the pivots of a front; replace its other rows by the Schur complement.
 
-    The mask ``minus`` (k,) selects the pivots with the entry -1 in D. The front consists of the
-    block ``[A b'; b -C]`` of the pivot rows and the block ``[F G]`` of the other rows. The factor
-    contains ``S``, ``T``, ``W = b S'^-1``, ``Y = F S'^-1`` and ``Z = (Y W' - G) T'^-1``, where ``A
-    = S S'`` and ``C + W W' = T T'``.
+    The array ``remainder`` becomes the Schur complement. The mask ``minus`` (k,) selects the pivots
+    with the entry -1 in D. The front consists of the block ``[A b'; b -C]`` of the pivot rows and
+    the block ``[F G]`` of the other rows. The factor contains ``S``, ``T``, ``W = b S'^-1``, ``Y =
+    F S'^-1`` and ``Z = (Y W' - G) T'^-1``, where ``A = S S'`` and ``C + W W' = T T'``.
     """
     count, positive = len(minus), int((~minus).sum())
     turn = np.argsort(minus, kind="stable")

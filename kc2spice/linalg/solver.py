@@ -41,7 +41,7 @@ _supplied: ContextVar[DirectSolver | None] = ContextVar("solver", default=None)
 
 @contextmanager
 def use_solver(solver: DirectSolver | str | None) -> Iterator[None]:
-    """Use ``solver`` for all factorisations within the context.
+    """Use a direct solver for all factorisations within this context.
 
     The name ``"pardiso"`` selects :class:`kc2spice.linalg.pardiso.Pardiso`. If ``solver`` is None,
     the solver of the enclosing context remains selected. Without an enclosing context, this solver
@@ -77,7 +77,7 @@ def use_solver(solver: DirectSolver | str | None) -> Iterator[None]:
 
 
 def require_solver(name: str | None, where: str) -> str | None:
-    """Check that the direct solver ``name`` exists, and return the name.
+    """Check that a direct solver with this name exists, and return the name.
 
     Raises
     ------

@@ -48,7 +48,7 @@ class Card:
     def make_error(
         self, message: str, got: str = "", expected: str | None = None, hint: str | None = None
     ) -> UsageError:
-        """Return an error about this card that quotes ``got``, by default the whole card."""
+        """Return an error about this card that quotes a text, by default the whole card."""
         got = got or self.written[:80]
         return UsageError(message, where=self.where, got=got, expected=expected, hint=hint)
 
@@ -115,12 +115,12 @@ class Element(Card):
         return cls("b", name, (plus, minus), quantity=quantity, expression=law)
 
     def with_unit(self, unit: str) -> Element:
-        """Return a copy of the element with ``unit`` as the unit of its values."""
+        """Return a copy of the element with another unit of its values."""
         return replace(self, unit=unit)
 
     @cached_property
     def key(self) -> str:
-        """Name in lower case, because simulators ignore letter case."""
+        """Key for look-ups: the name in lower case, as simulators ignore letter case."""
         return self.name.lower()
 
     @cached_property
@@ -180,7 +180,7 @@ class FunctionCard(Card):
 
 @dataclass(frozen=True)
 class Directive(Card):
-    """Any other dot statement: the keyword in lower case, and the following words."""
+    """Dot statement without a class of its own: keyword in lower case, and words."""
 
     keyword: str
     words: tuple[str, ...] = ()
@@ -198,7 +198,7 @@ class Directive(Card):
 
 @dataclass(frozen=True)
 class Circuit(Card):
-    """Subcircuit, or the content of a file, whose ``name`` is empty.
+    """Subcircuit or netlist file with its items; a file has an empty ``name``.
 
     ``defaults`` are the parameters that an instance may set, with their default values. ``closing``
     contains the comments after the last item.
@@ -216,7 +216,10 @@ class Circuit(Card):
         return select_items(self.items, Circuit)
 
     def map_items(self, change: Callable[[Item], Item]) -> Circuit:
-        """Return the circuit with ``change`` applied to each item, innermost items first."""
+        """Return the circuit after a change to each item, innermost items first.
+
+        ``change`` is the function that changes an item.
+        """
         inner = (i.map_items(change) if isinstance(i, Circuit) else i for i in self.items)
         return replace(self, items=tuple(map(change, inner)))
 
@@ -253,7 +256,7 @@ class Pin:
 
     @property
     def key(self) -> str:
-        """Name in lower case, because simulators ignore letter case."""
+        """Key for look-ups: the name in lower case, as simulators ignore letter case."""
         return self.name.lower()
 
 

@@ -28,7 +28,10 @@ ANALYSES = frozenset((".tran", ".ac", ".dc", ".op", ".noise"))
 
 @dataclass(frozen=True)
 class Option:
-    """Entry of ``.options`` with its reason; a flag has an empty ``value``."""
+    """Simulator option on an ``.options`` card, with the reason for its value.
+
+    A flag has an empty ``value``.
+    """
 
     key: str
     value: str | float
@@ -104,21 +107,21 @@ class MeasureCard:
 
 
 def make_transient_command(stop: float, max_step: float, *, uic: bool) -> AnalysisCommand:
-    """Return a ``.tran`` command up to ``stop`` [s] with steps up to ``max_step`` [s]."""
+    """Return a ``.tran`` command with an end time [s] and a step limit [s]."""
     step = min(max_step, stop / 1000)
     words = (format_rounded(step), format_number(stop), "0", format_rounded(max_step))
     return AnalysisCommand("tran", (*words, "uic") if uic else words)
 
 
 def make_ac_command(start: float, stop: float, points: int, scale: str) -> AnalysisCommand:
-    """Return an ``.ac`` command with about ``points`` frequencies [Hz]."""
+    """Return an ``.ac`` command for a range of frequencies [Hz]."""
     return AnalysisCommand("ac", _format_range(start, stop, points, scale))
 
 
 def make_noise_command(
     output: str, source: str, start: float, stop: float, points: int, scale: str
 ) -> AnalysisCommand:
-    """Return a ``.noise`` command for the voltage ``output``.
+    """Return a ``.noise`` command for an output voltage.
 
     The frequencies are the same as for :func:`make_ac_command`. At each frequency, the simulator
     computes the noise of each device. The equivalent input noise is referred to the source with the
@@ -140,7 +143,7 @@ def _format_range(start: float, stop: float, points: int, scale: str) -> tuple[s
 def with_frequencies(
     command: AnalysisCommand, start: float, stop: float, points: int
 ) -> AnalysisCommand:
-    """Return a small-signal ``command`` with other, equally spaced frequencies [Hz]."""
+    """Return a small-signal command with other, equally spaced frequencies [Hz]."""
     reference = command.words[:2] if command.kind == "noise" else ()
     last = command.words[6:] if command.kind == "noise" else ()
     words = (*reference, *_format_range(start, stop, points, "linear"), *last)
@@ -148,7 +151,7 @@ def with_frequencies(
 
 
 def make_dc_command(source: str, first: float, last: float, points: int) -> AnalysisCommand:
-    """Return a ``.dc`` command that sweeps a source from ``first`` to ``last``.
+    """Return a ``.dc`` command that sweeps the value of a source.
 
     The limits ``first`` and ``last`` are in the unit of the source (V or A). The command states an
     end that is a quarter of a step beyond ``last``. Otherwise, accumulated rounding errors of the
@@ -246,7 +249,7 @@ class Deck:
 
     @cached_property
     def circuit(self) -> Circuit:
-        """Syntax tree of the main file.
+        """Syntax tree of the deck's main file.
 
         Raises
         ------
@@ -290,12 +293,12 @@ class Deck:
 
     @cached_property
     def _parse_text(self) -> Circuit:
-        """Return the syntax tree of a deck that the user has written."""
+        """Syntax tree of the netlist text that the user has written."""
         return self.tree or read_cards(self.text or "", self.main_file_name, title=True)
 
     @cached_property
     def _print_main(self) -> str:
-        """Return the text of the main file."""
+        """Text of the deck's main file."""
         if self.text is not None and not self.options and not self.refinements:
             return self.text
         return Printer().format_file(self.circuit)
@@ -320,7 +323,7 @@ class Deck:
         return Circuit(items=attach_comments(self._list_main_lines(usage)))
 
     def _list_main_lines(self, usage: Iterable[str]) -> Iterator[Line]:
-        """Yield the lines of the main file."""
+        """Yield the lines of the deck's main file."""
         yield f"* {format_comment(self.title)}"
         yield from self.notes or ("",)
         yield from usage
@@ -355,7 +358,7 @@ class Deck:
 
     @property
     def _refinement_cards(self) -> Iterator[Item]:
-        """Analysis cards for ``refinements``."""
+        """Cards of the further analyses, which refine the points of the main analysis."""
         return map(attrgetter("directive"), self.refinements)
 
     @property
@@ -371,7 +374,10 @@ class Deck:
         return [measure for measure in self.measures if measure.kind == self.command.kind]
 
     def _write_measures(self, printed: str) -> Iterator[Line]:
-        """Yield the measurement cards below a comment that ends with ``printed``."""
+        """Yield the measurement cards, below a title comment.
+
+        The comment ends with the text ``printed``.
+        """
         cards = list(chain.from_iterable(map(attrgetter("cards"), self._available_measures)))
         if cards:
             yield f"* Main metrics in SI units{printed}"
@@ -379,7 +385,7 @@ class Deck:
 
     @property
     def _print_cards(self) -> Iterator[Line]:
-        """Cards that print the measurements of an ``op`` analysis, and two vectors."""
+        """``.print`` cards for the measurements of an ``op`` analysis and two vectors."""
         columns = []
         for row in self._available_measures if self.command.kind == "op" else ():
             yield f"* {row.name} in SI units is {format_number(row.factor)} times {row.words[0]}"
@@ -426,7 +432,7 @@ class Deck:
         return result
 
     def with_results(self, vectors: Mapping[str, tuple[str, float]]) -> Deck:
-        """Return the deck with additional results ``vectors``."""
+        """Return the deck with additional saved results."""
         result = replace(self, vectors={**self.vectors, **vectors})
         if self.text is None or ".save" not in map(_get_keyword, self._parse_text.items):
             return result
@@ -434,17 +440,17 @@ class Deck:
         return result._replace_tree(_insert_cards(self._parse_text, [card]))
 
     def _replace_tree(self, tree: Circuit, **changes: Any) -> Deck:
-        """Return the deck with ``tree`` as the syntax tree of its main file."""
+        """Return the deck with another syntax tree of its main file."""
         return replace(self, tree=tree, text=Printer().format_file(tree), **changes)
 
     def with_options(self, options: Mapping[str, str], reason: str) -> Deck:
-        """Return the deck with new ``options`` and a ``reason`` for their values."""
+        """Return the deck with new simulator options and the reason for their values."""
         unchanged = tuple(option for option in self.options if option.key not in options)
         new = tuple(Option(key, value, reason) for key, value in options.items())
         return replace(self, options=unchanged + new)
 
     def scale_max_step(self, factor: float) -> Deck:
-        """Return the deck with its largest time step multiplied by ``factor``."""
+        """Return the deck with its largest time step multiplied by a factor."""
         if self.max_step is None:
             return self
         step, words = factor * self.max_step, list(self.command.words)
@@ -463,7 +469,7 @@ def _find_analysis(items: Sequence[Item]) -> int | None:
 
 
 def _insert_cards(tree: Circuit, cards: Sequence[Item]) -> Circuit:
-    """Return the syntax tree with ``cards`` inserted above its first analysis."""
+    """Return the syntax tree with cards inserted above its first analysis."""
     at = _find_analysis(tree.items)
     if at is None or not cards:
         return tree

@@ -109,7 +109,7 @@ Tree = (
 
 
 def parse_expression(text: str, *, where: str = "expression") -> Tree:
-    """Parse ``text`` to an expression tree.
+    """Parse a text to an expression tree.
 
     Braces have the meaning of parentheses, and outer quotes are ignored.
 
@@ -121,7 +121,7 @@ def parse_expression(text: str, *, where: str = "expression") -> Tree:
 
 
 def literal_value(text: str, *, where: str = "expression") -> float | None:
-    """Return the value of a number, which may have a scale factor, or None.
+    """Return the value of a text that is one number, such as ``4.7k``; otherwise None.
 
     The result is None for any other expression.
 
@@ -143,7 +143,7 @@ def walk_tree(tree: Tree) -> Iterator[Tree]:
 
 
 def list_operands(tree: Tree) -> tuple[Tree, ...]:
-    """Return the operands of the outermost operation of ``tree``."""
+    """Return the operands of the outermost operation of an expression tree."""
     below = tree.arguments if isinstance(tree, FunctionCall) else vars(tree).values()
     return tuple(item for item in below if isinstance(item, Tree))
 
@@ -162,7 +162,7 @@ def find_probed_names(tree: Tree, kind: str) -> frozenset[str]:
 
 
 def map_operands(tree: Tree, change: Callable[[Tree], Tree]) -> Tree:
-    """Apply ``change`` to each operand of the outermost operation of ``tree``."""
+    """Apply a function to each operand of an expression tree's outermost operation."""
     if isinstance(tree, FunctionCall):
         return FunctionCall(tree.function, tuple(map(change, tree.arguments)))
     kind: Any = type(tree)
@@ -224,7 +224,7 @@ def evaluate_parameter(tree: Tree, names: Mapping[str, float]) -> float:
 
 
 def substitute_names(tree: Tree, values: Mapping[str, Tree]) -> Tree:
-    """Replace each name in ``tree`` that is a key of ``values`` by its value."""
+    """Replace names in an expression tree by values."""
     if isinstance(tree, Name):
         return values.get(tree.text, tree)
     return map_operands(tree, lambda node: substitute_names(node, values))
@@ -306,7 +306,7 @@ class _Parser:
         return _TOKEN.match(self.text, self.at)
 
     def accept_operator(self, *ops: str) -> str | None:
-        """Consume and return the next token if it is one of the operators ``ops``."""
+        """Consume and return the next token if it is one of several operators."""
         match = self.peek_token()
         if match and match["op"] in ops:
             self.at = match.end()
@@ -314,7 +314,7 @@ class _Parser:
         return None
 
     def expect_operator(self, op: str) -> None:
-        """Consume the operator ``op``; raise an error if the next token is not ``op``."""
+        """Consume an operator; raise an error if the next token is another token."""
         if self.accept_operator(op) is None:
             raise self.make_error(f"{op} expected")
 
@@ -412,7 +412,7 @@ class Trace:
     parameter: str = ""
 
     def qualify_with_instance(self, instance: str) -> Trace:
-        """Return the same vector inside an ``instance`` of the circuit."""
+        """Return the same vector inside an instance of the circuit."""
         if self.quantity == "v":
             return replace(self, names=tuple(f"{instance}.{name}" for name in self.names))
         return replace(self, path=(instance, *self.path))

@@ -167,7 +167,7 @@ class _CircuitTranslator:
         return f"{{{self._translate_expression(text[1:-1], card)}}}"
 
     def _translate_expression(self, text: str, card: Card) -> str:
-        """Translate the expression ``text`` of a card to ngspice."""
+        """Translate the text of an expression on a card to ngspice."""
         return _ExpressionTranslator(card, self).translate(text)
 
     def _translate_item(self, item: Item) -> Iterable[Item]:
@@ -209,7 +209,7 @@ class _CircuitTranslator:
         return replace(model, type=base.type, parameters=parameters)
 
     def _translate_model(self, model: ModelCard) -> Iterable[ModelCard]:
-        """Translate a model to no or one ngspice model."""
+        """Translate a model; return no model if its elements become current sources."""
         model = self._resolve_model(model)
         kind = model.type.lower()
         if self._is_ideal_diode(model):
@@ -374,7 +374,7 @@ def _move_ratings(element: Element) -> Element:
 
 
 def _make_parallel_element(element: Element, name: str, *words: str) -> Element:
-    """Return a parasitic element with the multiplicity ``m`` of its main element."""
+    """Return a parasitic element with the same multiplicity ``m`` as its main element."""
     count = {key: text for key, text in element.parameters.items() if key.lower() == "m"}
     parasitic = Element.from_words(name, *words, **({} if name[0] in "Vv" else count))
     return replace(parasitic, where=element.where, written=element.written)
@@ -454,7 +454,7 @@ def _translate_ideal_diode(element: Element, model: Mapping[str, str]) -> Elemen
         )
 
     def format_parameter(name: str, default: str = "0") -> str:
-        """Return a parameter of the model or its default, both in parentheses."""
+        """Return the text of a model parameter, or of its default, in parentheses."""
         return f"({model.get(name, default).strip('{}')})"
 
     off, count = format_parameter("roff", f"{{1/{MIN_CONDUCTANCE}}}"), element.settings
@@ -498,7 +498,7 @@ def _translate_gradual_switch(element: Element, model: Mapping[str, str]) -> Ele
         control, on, off, default = f"I({element.sources[0]})", "ion", "ioff", "1m"
 
     def format_parameter(name: str, default: str) -> str:
-        """Return a parameter of the model or its default, both in parentheses."""
+        """Return the text of a model parameter, or of its default, in parentheses."""
         return f"({model.get(name, default).strip('{}')})"
 
     high, low = format_parameter(on, default), format_parameter(off, "0")
@@ -676,7 +676,7 @@ class _ExpressionTranslator:
 
 
 def _is_non_negative(tree: Tree) -> bool:
-    """Return whether an expression counts as non-negative.
+    """Return whether an expression can be assumed to be non-negative.
 
     Numbers, parameters, and functions without negative values count as non-negative.
     """
@@ -699,7 +699,7 @@ def _translate_limit(x: Tree, a: Tree, b: Tree) -> Tree:
 
 
 def _translate_table(x: Tree, *points: Tree) -> Tree:
-    """Translate a table to a piecewise linear function with constant ends.
+    """Translate a table to a piecewise linear function, constant beyond its ends.
 
     The function is ``y1 + sum((y[k+1] - y[k]) share[k])``, where ``share[k]`` is the fraction of
     the interval k below ``x``.

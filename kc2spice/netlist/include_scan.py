@@ -52,7 +52,7 @@ _CONTINUATION_MARK = "\\\\"  # a line with two backslashes at its end continues 
 
 @dataclass(frozen=True)
 class Line:
-    """Line of a file: normalised ``text``, position ``file:line`` and original text."""
+    """Line of a file: normalised text, position ``file:line`` and original text."""
 
     text: str
     where: str
@@ -109,7 +109,10 @@ class _Reader:
     def read_lines(
         self, name: str, path: Path, where: str, chain: tuple[Path, ...]
     ) -> Iterator[Line]:
-        """Yield the lines of ``path``, which the line ``where`` includes as ``name``."""
+        """Yield the lines of a file, with the content of included files inserted.
+
+        The line ``where`` of another file includes the file ``path`` as ``name``.
+        """
         real = path.resolve()
         if real in chain:
             got = " -> ".join(map(attrgetter("name"), (*chain, real)))
@@ -149,7 +152,10 @@ class _Reader:
             yield Line(end, position, end)
 
     def _is_outside(self, file: Path) -> bool:
-        """Return whether a file must not be opened, because it is outside of ``home``."""
+        """Return whether a file must not be opened, because it is outside of the folder.
+
+        ``home`` is the folder.
+        """
         outside = not file.resolve().is_relative_to(self.home.resolve())
         return outside and (self.inside or not self.trust)
 
@@ -268,7 +274,7 @@ _NETLIST_SUFFIXES = (".lib", ".cir", ".net", ".sub", ".mod", ".sp")
 
 
 def _is_missing(path: Path) -> bool:
-    """Return whether no file exists at ``path``; False for an impossible file name."""
+    """Return whether no file exists at a path; False for an impossible file name."""
     try:
         return not path.is_file()
     except (OSError, ValueError):
@@ -276,7 +282,7 @@ def _is_missing(path: Path) -> bool:
 
 
 def make_missing_netlist_error(path: Path) -> UsageError:
-    """Return the error for a netlist ``path`` that is missing or a directory."""
+    """Return the error for a netlist that is missing or a directory."""
     if path.is_dir():
         inside = sorted(item.name for item in path.glob("*.*") if item.suffix in _NETLIST_SUFFIXES)
         return UsageError(
@@ -294,7 +300,7 @@ def make_missing_netlist_error(path: Path) -> UsageError:
 
 
 def make_forbidden_line_error(reason: str, path: Path, where: str, text: str) -> UsageError:
-    """Return the error for a forbidden line ``text`` in the circuit ``path``."""
+    """Return the error for a forbidden line of a circuit."""
     library = re.fullmatch(r"(?i)\s*\.lib\s+\"?([\w.+-]+)\"?\s*", text)
     read = "read the file; if you trust every line, repeat the command with --trust"
     hint = f"write  .include {library[1]}" if library else read
@@ -377,7 +383,7 @@ def reject_side_effects(cards: Iterable[Statement], *, part: bool) -> None:
 def _find_deck_effects(
     card: Statement, outside: bool, part: bool
 ) -> Iterator[tuple[str, str, str]]:
-    """Yield each effect of a card on the whole deck, the expected text and a remedy."""
+    """Yield each problem that a card causes in a deck, the expected text and a remedy."""
     key, options = card.keyword, read_accuracy_options((card,))
     if parts := _find_separate_suffix(card):
         hint = f"write {parts[0]}{parts[1]} in place of {parts[0]} {parts[1]}"
@@ -450,7 +456,7 @@ def _find_decimal_comma(card: Statement) -> str:
 
 
 def read_accuracy_options(cards: Iterable[Statement]) -> Mapping[str, str]:
-    """Return the values of options that affect results; ``""`` for a flag.
+    """Return the values of accuracy options, keyed by option; ``""`` for a flag.
 
     If an option is repeated, the result contains its last value.
     """
@@ -545,7 +551,7 @@ def read_checked_circuit(
 
 
 def read_included_netlist(name: str, home: Path, *, trust: bool = False) -> FlatCircuit:
-    """Return the netlist ``name`` in the directory ``home``, with included files.
+    """Read a netlist file in a directory, with the files that it includes.
 
     Raises
     ------
@@ -570,9 +576,10 @@ def read_included_netlist(name: str, home: Path, *, trust: bool = False) -> Flat
 
 
 def read_untrusted_netlist(name: str, home: Path) -> FlatCircuit:
-    """Return the netlist ``name`` unchanged, with included files below ``home``.
+    """Read a netlist file unchanged, with included files in the same directory.
 
-    The function is for reading pins and nodes of a circuit that the user does not trust yet.
+    Included files may also be in directories below ``home``. The function is for reading pins and
+    nodes of a circuit that the user does not trust yet.
 
     Raises
     ------
@@ -590,7 +597,7 @@ def read_untrusted_netlist(name: str, home: Path) -> FlatCircuit:
 
 
 def _find_line_faults(text: str) -> Iterator[str]:
-    """Yield the faults of one line of a file, such as a continuation or a comment."""
+    """Yield the security faults of one line of a netlist, such as hidden characters."""
     if _HIDDEN_CHARACTERS.search(text) or "\r" in text:
         yield "has control characters that can hide text"
     if _COMMAND_COMMENT.match(text):
@@ -626,7 +633,7 @@ def _require_known_command(card: Statement) -> None:
 
 
 def _find_card_faults(card: Statement) -> Iterator[str]:
-    """Yield the faults of a card, including its continuation lines."""
+    """Yield the security faults of a card, including its continuation lines."""
     key = card.keyword
     if key.startswith(".") or key in _SHELL_WORDS:
         if key not in ALLOWED_COMMANDS:

@@ -144,7 +144,7 @@ class Subcircuit:
         return self.circuit if self.source else locate_cards(self.circuit, self.filename)
 
     def with_circuit(self, circuit: Circuit) -> Subcircuit:
-        """Return the part with ``circuit`` as its tree."""
+        """Return the part with another circuit as its syntax tree."""
         return replace(self, circuit=circuit, source="")
 
     def write(self, path: str | Path) -> Path:
@@ -244,7 +244,7 @@ def write_parameter_line(param: Param) -> str:
 
 
 def parse_subcircuits(text: str, file: str) -> list[Subcircuit]:
-    """Return the parts of a library file whose content is ``text``."""
+    """Return the parts in the text of a library file."""
     library = read_cards(text, file)
     parts = list(filter(parse_declared_pins, library.subcircuits))
     if not parts:

@@ -50,7 +50,7 @@ def require_valid_wiring(deck: Deck) -> None:
 
 
 def find_wiring_mistakes(deck: Deck) -> list[UsageError]:
-    """Return all wiring mistakes of ``deck``.
+    """Return all wiring mistakes of a deck.
 
     Wiring mistakes are unknown subcircuits, models, parameters, nodes or controlling sources, wrong
     numbers of pins, repeated names, and nodes with only one connection.
@@ -109,7 +109,7 @@ def _list_signal_pins(circuits: Iterable[Circuit]) -> Iterator[tuple[str, str]]:
 
 
 def _check_cards(scope: Scope) -> Iterator[UsageError]:
-    """Yield the mistakes on the cards of a scope."""
+    """Yield the mistakes on the cards of one subcircuit or of the top level."""
     for part in scope.elements:
         first = scope.elements_by_key[part.key]
         if first is not part:

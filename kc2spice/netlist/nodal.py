@@ -42,7 +42,7 @@ class NodalEquations:
     def solve(
         self, s: np.ndarray, loads: Sequence[Mapping[str, float]], answers: Sequence[str]
     ) -> np.ndarray:
-        """Return the values of the unknowns ``answers`` for each of the ``loads``.
+        """Solve for selected unknowns at complex frequencies and for several loads.
 
         The result has the shape (len(s), len(answers), len(loads)); ``s`` contains complex
         frequencies. A load contains currents into nodes, keyed by node, and voltages of sources,
@@ -103,7 +103,7 @@ class NodalCircuit:
         grounded: Collection[str],
         sources: Mapping[str, str],
     ) -> NodalEquations:
-        """Return the nodal equations of an instance of the circuit.
+        """Return the nodal equations of the circuit for given parameter values.
 
         Parameters
         ----------
@@ -152,7 +152,7 @@ def _number_unknowns(
 def _split_columns(
     entries: Sequence[tuple[int, int, float]],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return row indices, column indices and values of matrix entries as arrays."""
+    """Split matrix entries into row indices, column indices and values, as arrays."""
     i, j, v = zip(*entries, strict=True) if entries else ((), (), ())
     return np.array(i, int), np.array(j, int), np.array(v, float)
 
@@ -175,7 +175,7 @@ def _parse_value(item: Element) -> Tree | float:
 
 
 def _stamp_entries(item: Element, size: float) -> Iterable[tuple[int, str, str, float]]:
-    """Yield the entries of one element in the matrices G and C.
+    """Yield the matrix entries that one element adds to G and C.
 
     An entry consists of the number of the matrix (0: G, 1: C), the number of the equation, the
     number of the unknown, and the value.

@@ -17,7 +17,7 @@ from kc2spice.core.waveforms import Waveforms, differentiate
 
 
 class PowerTerm(NamedTuple):
-    """Power [W] as a formula of the results ``across`` and ``through``.
+    """Power [W] as a formula of a result across and a result through the pins.
 
     ``across`` is the name of the quantity across the pins, ``through`` the name of the quantity
     through the pins. ``law`` is the formula, which depends on the physical domain of the pins.
@@ -34,7 +34,7 @@ class PowerTerm(NamedTuple):
 
 
 def add_powers(waves: Waveforms, powers: Mapping[str, Iterable[PowerTerm]]) -> Waveforms:
-    """Return the waveforms ``waves`` with the computed powers added.
+    """Return the waveforms with the computed powers added.
 
     The power is instantaneous; in an ``ac`` analysis, it is the mean over a period.
     """

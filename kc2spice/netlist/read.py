@@ -143,7 +143,7 @@ def _split_at_blanks(text: str) -> Iterator[str]:
 
 
 def read_cards(text: str, file: str, *, title: bool = False) -> Circuit:
-    """Parse the cards of ``file`` up to ``.end``, in order.
+    """Parse the text of a netlist file to a syntax tree, up to the ``.end`` card.
 
     Raises
     ------
@@ -196,7 +196,7 @@ def _read_items(
 
 
 def _read_subckt(s: Statement, cards: Iterator[Statement]) -> Circuit:
-    """Read the subcircuit whose ``.subckt`` card is ``s``."""
+    """Read a subcircuit from its ``.subckt`` card to the matching ``.ends`` card."""
     _, *operands = s.plain_words
     if not operands:
         raise s.make_error("this subcircuit has no name", hint="write  .subckt NAME PIN1 PIN2")

@@ -29,7 +29,7 @@ INCLUDES = (".include", ".inc")
 
 @dataclass
 class Scope:
-    """Names defined in a subcircuit, or at the top level if ``name`` is empty.
+    """Names that are defined in one subcircuit or at the top level of a circuit.
 
     All names are in lower case. In each ``ChainMap``, the first map contains the definitions of
     this scope, and the other maps contain the definitions of the enclosing scopes. ``defaults``
@@ -64,11 +64,11 @@ class Scope:
         return result
 
     def select_elements(self, kinds: str) -> dict[str, Element]:
-        """Return the elements whose letter is in ``kinds``, keyed by lower-case name."""
+        """Return the elements with certain letters, keyed by lower-case name."""
         return {key: item for key, item in self.elements_by_key.items() if item.kind in kinds}
 
     def find_subcircuit(self, name: str) -> Scope | None:
-        """Return the definition of the subcircuit ``name`` that is valid in this scope."""
+        """Find the subcircuit definition that a name refers to in this scope."""
         return self.subcircuits.get(name.lower())
 
     def list_scopes(self) -> Iterator[Scope]:
@@ -79,7 +79,7 @@ class Scope:
 
 
 def build_scope(tree: Circuit, files: Mapping[str, Circuit] | None = None, file: str = "") -> Scope:
-    """Return the scope of a tree; ``files`` contains the trees of included files.
+    """Build the scope of a syntax tree and of the trees of included files.
 
     Raises
     ------
@@ -99,7 +99,7 @@ def build_scope(tree: Circuit, files: Mapping[str, Circuit] | None = None, file:
 def _fill_scope(
     scope: Scope, tree: Circuit, chain: tuple[str, ...], files: Mapping[str, Circuit]
 ) -> list[tuple[Directive, tuple[str, ...]]]:
-    """Add the cards of a circuit, and of its included files, to ``scope``.
+    """Add the cards of a circuit, and of its included files, to a scope.
 
     ``chain`` contains the file names from the main file to the file of the circuit, in the order in
     which they include each other. The result contains the includes of files that are not in
@@ -158,7 +158,7 @@ def _require_same_definition(scope: Scope, what: str, value: str, card: Card) ->
 
 
 def _open_subcircuit(item: Circuit, parent: Scope) -> Scope:
-    """Return a new scope for a subcircuit that is defined in the scope ``parent``."""
+    """Make the scope of a subcircuit that is defined in another scope."""
     name = item.name.lower()
     if first := parent.subcircuits.maps[0].get(name):
         expected = f"one definition; the first is in {first.where}"
@@ -196,7 +196,7 @@ def _has_node(top: Scope, *path: str) -> bool:
 
 
 def find_instance(top: Scope, path: tuple[str, ...]) -> Scope | None:
-    """Return the scope of the nested instance ``path``; None if it does not exist."""
+    """Return the scope of a nested instance; None if the instance does not exist."""
     scope: Scope | None = top
     for name in path:
         element = scope.elements_by_key.get(name) if scope else None

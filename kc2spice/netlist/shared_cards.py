@@ -19,7 +19,7 @@ _PIVOT_COMMENT = (
 
 
 def attach_comments(lines: Iterable[Line]) -> tuple[Item, ...]:
-    """Return the cards in ``lines``, each with the comments above it as ``notes``."""
+    """Attach each comment to the card that follows the comment; return the cards."""
     result: list[Item] = []
     notes: list[str] = []
     for line in lines:
@@ -33,9 +33,10 @@ def attach_comments(lines: Iterable[Line]) -> tuple[Item, ...]:
 
 
 def add_title(title: str, items: Iterable[Item], owner: str = "") -> tuple[Item, ...]:
-    """Return the cards of the part ``owner`` below a blank line and a title comment.
+    """Add a blank line and a title comment above the cards of a part.
 
-    The comment also states the units of the element values, unless these are V, A, Ohm, F and H.
+    ``owner`` is the name of the part. The comment also states the units of the element values,
+    unless these are V, A, Ohm, F and H.
     """
     first, *others = (replace(item, owner=owner) for item in items)
     units = dict.fromkeys(item.unit for item in (first, *others) if isinstance(item, Element))

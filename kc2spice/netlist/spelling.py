@@ -25,7 +25,7 @@ _RESERVED_NAMES = frozenset({"gnd", "time", "temper", "hertz", "temp", "dtemp", 
 
 
 def format_number(value: float) -> str:
-    """Return the shortest decimal text whose value is exactly ``value``.
+    """Return the shortest decimal text that represents a number exactly.
 
     The text has at most 17 digits and no suffix letters: SPICE reads ``M`` as milli, and simulators
     differ in other letters.
@@ -43,7 +43,7 @@ def format_number(value: float) -> str:
 
 
 def split_infix_unit(text: str) -> tuple[str, str, str] | None:
-    """Split a number with a unit in place of the decimal point; None for other texts.
+    """Split a number with a unit as decimal point, such as ``4k7``; otherwise None.
 
     The result consists of the digits before the unit, the unit, and the digits after it; for ``R``
     (ohms), the unit is empty.
@@ -71,7 +71,7 @@ def format_rounded(value: float) -> str:
 
 
 def require_name(text: str, *, where: str = "netlist") -> str:
-    """Return ``text`` if it is a valid name of a node, a part or a parameter.
+    """Return a text if it is a valid name of a node, a part or a parameter.
 
     Raises
     ------
@@ -90,19 +90,22 @@ def require_name(text: str, *, where: str = "netlist") -> str:
 
 
 def _suggest_name(text: str) -> str:
-    """Return a valid name that is similar to ``text``."""
+    """Return a valid name that is similar to an invalid name."""
     words = re.findall(r"\w+", text, re.ASCII)
     name = "_".join(words)[:60].strip("_")
     return name if name[:1].isalpha() and name.lower() not in _RESERVED_NAMES else f"n_{name}"
 
 
 def format_voltage(plus: str, minus: str) -> str:
-    """Return the expression of the voltage between two nodes; empty for node 0 alone."""
+    """Return the voltage between two nodes as an expression, such as ``v(a)-v(b)``.
+
+    Node 0 is left out, so the expression is empty if both nodes are node 0.
+    """
     return f"v({plus})" * (plus != "0") + f"-v({minus})" * (minus != "0")
 
 
 def require_word(text: str) -> str:
-    """Return ``text`` if it is one printable word, such as a unit in a header.
+    """Return a text if it is one printable word, such as a unit in a header.
 
     Raises
     ------
@@ -141,7 +144,7 @@ def require_distinct(names: Sequence[str], inner: str, *, where: str) -> None:
 
 
 def format_comment(text: str) -> str:
-    """Return ``text`` on one line, because a line break would begin a card.
+    """Return a text on one line, because a line break would begin a card.
 
     Superscript exponents of units are replaced by plain digits.
 
@@ -183,13 +186,13 @@ def get_template_environment(autoescape: bool = False) -> Any:
 
 
 def quote_string(text: str) -> str:
-    """Return ``text`` as a quoted string of an S-expression, as in KiCad files."""
+    """Return a text as a quoted string of an S-expression, as in KiCad files."""
     escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
     return f'"{escaped}"'
 
 
 def render_template(template: str, **values: object) -> str:
-    """Return the text of a template with ``values`` inserted.
+    """Return the text of a template with values inserted.
 
     The template can use four filters: ``n`` formats a number, ``name`` checks a name, ``comment``
     formats a comment, and ``q`` quotes a string of an S-expression.

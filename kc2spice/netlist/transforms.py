@@ -31,7 +31,7 @@ DIGITS = "0123456789"
 
 
 def merge_helpers(part: Subcircuit, helpers: Iterable[Subcircuit]) -> Subcircuit:
-    """Return ``part`` with the subcircuits ``helpers`` in its library file.
+    """Return ``part`` with the subcircuits ``helpers`` added to its library file.
 
     The merged subcircuits are named ``PART_HELPER``. As a result, a user includes only one library
     file, and two library files never define the same name.
@@ -55,7 +55,7 @@ def rename_subcircuits(circuit: Circuit, names: Mapping[str, str]) -> Circuit:
     new_names = key_by_lower_name(names)
 
     def rename_item(entry: Item) -> Item:
-        """Return an item in which subcircuits have their new names."""
+        """Return a netlist item that uses the new subcircuit names."""
         if isinstance(entry, Circuit):
             return replace(entry, name=new_names.get(entry.name.lower(), entry.name))
         if isinstance(entry, Element) and entry.kind == "x":
@@ -69,12 +69,12 @@ def rename_subcircuits(circuit: Circuit, names: Mapping[str, str]) -> Circuit:
 
 
 def make_library_stem(part: Subcircuit) -> str:
-    """Return the name of a part's library file without its suffix."""
+    """Return the file name of a part's library, without suffix."""
     return part.filename.rpartition(".")[0] or part.filename
 
 
 def list_parameterised_subcircuits(part: Subcircuit) -> Iterator[tuple[str, Circuit]]:
-    """Yield every subcircuit of a library with its name in the keys ``param.NAME.…``.
+    """Yield each subcircuit of a library, with its name in scene keys ``param.NAME``.
 
     The main subcircuit has the name of the library file. A helper subcircuit has the same name in
     all libraries, such as ``opamp`` for an amplifier.
@@ -96,7 +96,7 @@ def list_parameter_defaults(deck: Deck) -> dict[str, float]:
 
 
 def with_parameters(deck: Deck, values: Iterable[tuple[str, float]]) -> Deck:
-    """Return ``deck`` with new default values of parameters.
+    """Return a copy of ``deck`` in which parameters have new default values.
 
     ``values`` contains pairs ``("PART.NAME", value)``. The new values are also written into the
     headers of the libraries.
@@ -117,7 +117,10 @@ def with_parameters(deck: Deck, values: Iterable[tuple[str, float]]) -> Deck:
 
 
 def _change_parameter(part: Subcircuit, library: str, name: str, value: float) -> Subcircuit:
-    """Return a part with a new default value in the subcircuit ``library``."""
+    """Return a part in which a parameter of one subcircuit has a new default value.
+
+    ``library`` is the name of the subcircuit in the keys ``param.NAME.…``.
+    """
     changed_circuits = dict[int, Circuit]()
     params = list(part.params)
     for k, param in enumerate(params if library == make_library_stem(part) else ()):
@@ -202,12 +205,12 @@ def make_array_deck(deck: Deck, count: int) -> Deck:
 
 
 def _prefix_keys(prefix: str, values: Mapping[str, Value]) -> dict[str, Value]:
-    """Return the mapping ``values`` with ``prefix`` before each key."""
+    """Return a copy of a dictionary with ``prefix`` before each key."""
     return {f"{prefix}{key}": value for key, value in values.items()}
 
 
 def _move_into_instance(expression: str, instance: str) -> str:
-    """Return ``expression`` with each vector moved into the subcircuit ``instance``."""
+    """Rewrite the vectors of an expression as vectors inside a subcircuit instance."""
     signed = []
     for sign, text in split_terms(expression):
         item = parse_vector(text)
@@ -218,7 +221,7 @@ def _move_into_instance(expression: str, instance: str) -> str:
 def add_noise_results(
     deck: Deck, output: str, owners: Iterable[str], noisy: Mapping[str, Iterable[str]]
 ) -> Deck:
-    """Return the deck with the noise density of each noisy resistor as a result.
+    """Return the deck with the noise density of each noisy resistor as a new result.
 
     Such a result has the name ``OUTPUT.OWNER.RESISTOR``. The result ``output`` itself is the
     density of the total noise. ``OWNER`` is the part in ``owners`` whose name is the beginning of
@@ -244,7 +247,7 @@ def add_noise_results(
 
 
 def _remove_arithmetic_noise(part: Subcircuit, noisy: Iterable[str]) -> Subcircuit:
-    """Return ``part`` without thermal noise of resistors that only calculate.
+    """Remove the thermal noise of resistors that only serve calculations.
 
     A resistor keeps its noise if its name begins with ``Rnoise``, or if ``noisy`` contains its name
     without the final number.
@@ -252,7 +255,7 @@ def _remove_arithmetic_noise(part: Subcircuit, noisy: Iterable[str]) -> Subcircu
     names = set(map(str.lower, noisy))
 
     def silence_resistor(entry: Item) -> Item:
-        """Return an item; a resistor that only calculates becomes noiseless."""
+        """Return a netlist item without thermal noise if it only serves calculations."""
         if not isinstance(entry, Element) or entry.kind != "r" or entry.key.startswith("rnoise"):
             return entry
         if names & {entry.key, entry.key.rstrip(DIGITS)}:
@@ -263,7 +266,7 @@ def _remove_arithmetic_noise(part: Subcircuit, noisy: Iterable[str]) -> Subcircu
 
 
 def _list_noisy_resistors(scope: Scope, path: str = "") -> Iterator[tuple[str, str]]:
-    """Yield the simulator name and the path of each noisy resistor."""
+    """Yield the simulator name of each noisy resistor, and its path in the netlist."""
     for item in scope.elements:
         if item.kind == "x" and (inner := scope.find_subcircuit(item.model)) is not None:
             yield from _list_noisy_resistors(inner, f"{path}{item.key}.")

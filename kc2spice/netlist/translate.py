@@ -21,7 +21,7 @@ from kc2spice.netlist.printers.verilog_a import make_testbench, print_module
 
 
 def translate_deck(deck: Deck, dialect: str) -> Deck:
-    """Return ``deck`` with all files in a dialect; for ngspice, the deck is unchanged.
+    """Translate all netlist files of a deck to the dialect of a simulator.
 
     Raises
     ------
@@ -46,7 +46,7 @@ def translate_deck(deck: Deck, dialect: str) -> Deck:
 
 
 def write_dialect_files(deck: Deck, dialect: str) -> dict[str, str]:
-    """Return the files of a deck in a dialect, or Verilog-A modules of its parts.
+    """Return the netlist files of a deck in a dialect, or as Verilog-A modules.
 
     A part that cannot be a Verilog-A module, such as a pulse generator, remains a library, and the
     file ``verilog-a.txt`` states the reason. The testbench ``NAME_osdi.cir`` runs the compiled

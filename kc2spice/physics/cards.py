@@ -174,7 +174,7 @@ def _write_items(
 def _list_inner_voltages(
     declaration: Declaration, linkages: FluxLinkages | None
 ) -> dict[str, Tree]:
-    """Return the voltages of the inner nodes of a part with lookups, keyed by name.
+    """Return expressions of the voltages from inner nodes to ground, keyed by name.
 
     The voltages are relative to ground, because the reference pin of a part with lookups is at 0 V.
     ngspice evaluates the voltage of one node faster than the voltage between two nodes.
@@ -186,7 +186,7 @@ def _list_inner_voltages(
 
 
 def _list_laws(declaration: Declaration, linkages: FluxLinkages | None) -> tuple[Tree, ...]:
-    """Return the expressions that may contain tables.
+    """Return the laws in which tables are allowed: forces and voltages due to motion.
 
     Tables may occur in forces, and in voltages due to motion.
 
@@ -211,7 +211,7 @@ def _list_laws(declaration: Declaration, linkages: FluxLinkages | None) -> tuple
 
 
 def _write_lookups(lookups: Lookups, nodes: Mapping[str, Tree]) -> Iterator[Line]:
-    """Yield the cards of the cell number of all lookups, and of shared lookups.
+    """Yield the cards that find the table cell, and the cards of shared lookups.
 
     A shared lookup occurs in several laws, and therefore has a node.
     """
@@ -239,7 +239,7 @@ def _write_lookups(lookups: Lookups, nodes: Mapping[str, Tree]) -> Iterator[Line
 
 
 def _write_lookup(name: str, lookups: Lookups, values: np.ndarray) -> Iterator[Line]:
-    """Yield the cards of the node ``name``, whose voltage is the value of a lookup."""
+    """Yield the cards of a node whose voltage is the value of a lookup."""
     law = format_tree(lookups.write_interpolation(values))
     yield Element.behavioural_source(f"B{name}", lookups.base, name, "I", law)
     yield Element.from_words(f"R{name}", name, lookups.base, "1")
@@ -275,7 +275,7 @@ def _write_linkages(
 
 
 def _name_inverse_node(k: int, l: int) -> str:
-    """Return the node of the entry (k, l) of the inverse inductance matrix."""
+    """Return the name of the node for entry (k, l) of the inverse inductance matrix."""
     return f"lookup_g{min(k, l) + 1}{max(k, l) + 1}"
 
 
@@ -313,7 +313,7 @@ def _write_linkage(
 
 
 def _write_node(name: str, tree: Tree, nodes: Mapping[str, Tree], base: str) -> Iterator[Line]:
-    """Yield the cards of the node ``name``, whose voltage is the value of ``tree``."""
+    """Yield the cards of a node whose voltage is the value of an expression."""
     yield from _write_current(name, (base, name), tree, nodes)
     yield Element.from_words(f"R{name}", name, base, "1")
 
@@ -321,7 +321,7 @@ def _write_node(name: str, tree: Tree, nodes: Mapping[str, Tree], base: str) -> 
 def _write_current(
     name: str, ends: tuple[str, str], tree: Tree, nodes: Mapping[str, Tree]
 ) -> Iterator[Line]:
-    """Yield the cards of the current ``tree`` between the two nodes ``ends``.
+    """Yield the cards of a current between two nodes, given as an expression.
 
     The current flows from the first node to the second node. An affine expression becomes linear
     sources, which ngspice need not differentiate.
@@ -354,7 +354,7 @@ def _list_circuit_variables(tree: Tree) -> list[CircuitVariable]:
 
 
 def _find_single_voltage(tree: Tree) -> tuple[str, ...]:
-    """Return the two nodes of the voltage, if ``tree`` has no other circuit variable.
+    """Return both nodes of a voltage if it is an expression's only circuit variable.
 
     Otherwise, return an empty tuple.
     """
@@ -465,7 +465,7 @@ def find_coordinate_quantity(b: Branch) -> Quantity:
 
 
 def _scale_to_si(tree: Tree, factor: float) -> Tree:
-    """Multiply a voltage or current by ``factor``, without simplification."""
+    """Return a voltage or current in SI units: ``tree`` multiplied by ``factor``."""
     return tree if factor == 1 else BinaryOperation("*", _format_power_of_ten(factor), tree)
 
 
@@ -528,7 +528,7 @@ def _write_states(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterat
 
 
 def _write_law(declaration: Declaration, tree: Tree, nodes: Mapping[str, Tree]) -> str:
-    """Return ``tree`` as text for a card, with node voltages in place of variables."""
+    """Return an expression as card text, with node voltages in place of variables."""
     return format_tree(substitute_names(declaration.replace_power_series(tree), nodes))
 
 
@@ -724,7 +724,7 @@ def _write_current_branch(
 
 
 def _write_kink_switches(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterator[Line]:
-    """Yield a switch for each kink of a law.
+    """Yield the cards of a switch for each kink of a law.
 
     The switch makes ngspice place a time point at the kink. A time step across a kink would change
     the energy of a spring. ngspice shortens its time steps until the control voltage of a switch is

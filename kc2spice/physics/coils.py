@@ -187,7 +187,7 @@ def tabulate_coenergy(table: MagnetostaticTable, points: int) -> dict[str, Table
 
 
 def _evaluate_column(functions: PiecewisePolynomial, k: int, y: np.ndarray) -> np.ndarray:
-    """Return column ``k`` of the functions at the positions ``y``."""
+    """Evaluate column ``k`` of a piecewise polynomial matrix at the positions ``y``."""
     return functions(y)[..., k]
 
 
@@ -198,7 +198,7 @@ def make_law(
     raised: float = 0.0,
     **given: float,
 ) -> DeclaredLaw:
-    """Return the law of the coils, with a ``table`` of finite-element solutions.
+    """Return the law of the coils, from a table of finite-element solutions.
 
     The height of the magnet is its displacement plus ``raised`` [m]. ``given`` contains the values
     of further parameters.
@@ -224,5 +224,5 @@ def _make_table_functions(coenergy: Coenergy) -> Mapping[str, Callable[[float], 
 
 
 def _evaluate_at_height(values: Callable[[float], Any], k: int, y: float) -> float:
-    """Return the ``k``-th table value at the height ``y`` [m]."""
+    """Return entry ``k`` of the tabulated values at the height ``y`` [m]."""
     return float(values(y)[k])

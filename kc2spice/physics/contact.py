@@ -64,7 +64,7 @@ class ContactForce:
 
     @property
     def law_constants(self) -> dict[str, float]:
-        """Constants of the expressions of the law, in SI units: stiffness and curve."""
+        """Stiffness and series coefficients in the law's expressions, keyed by name."""
         result = {f"c{k}": c / self.depth ** (k / 2) for k, c in enumerate(self.curve) if k}
         return {"eps": self.stiffness} | result
 

@@ -209,7 +209,7 @@ def make_frame_branch(name: str, pin: str, base: str) -> Branch:
 
 
 def measured(branch: Branch) -> Branch:
-    """Return a copy of ``branch`` without a flow.
+    """Return a copy of ``branch`` as a measured branch, which has no flow.
 
     The input of a sensor is an example of such a branch.
     """
@@ -389,7 +389,7 @@ class Declaration:
         )
 
     def _make_coordinate_hint(self, unknown: Iterable[str]) -> str:
-        """Return a hint if an unknown name is the quantity of a coordinate.
+        """Return a hint if an unknown name is a quantity, not the name of its coordinate.
 
         Expressions must contain the name of the coordinate instead. Return an empty string if no
         unknown name is the quantity of a coordinate.
@@ -416,7 +416,7 @@ class Declaration:
             )
 
     def _require_loss_in_content(self) -> None:
-        """Reject a content that does not depend on a rate, voltage or current.
+        """Reject a dissipation content that depends on no rate, voltage or current.
 
         A content that depends only on a displacement is rejected, for example.
         """
@@ -622,7 +622,7 @@ class Declaration:
         return result
 
     def replace_power_series(self, tree: Tree) -> Tree:
-        """Return ``tree`` with names in place of power series.
+        """Return an expression with names in place of its power series.
 
         :attr:`power_series` contains the names of the power series.
         """
@@ -637,31 +637,31 @@ class Declaration:
 
     @cached_property
     def defaults(self) -> dict[str, float]:
-        """Default values of the parameters in ``given``, keyed by name."""
+        """Default values of the parameters in the field ``given``, keyed by name."""
         return {param.name: param.default for param in self.given}
 
     @cached_property
     def number_names(self) -> tuple[str, ...]:
-        """Names of the numeric keys, and of the parameters in ``given``."""
+        """Names of the numeric keys, and of the parameters in the field ``given``."""
         return (*self.number_keys, *self.defaults)
 
     @cached_property
     def parameters(self) -> tuple[str, ...]:
-        """Names of the numeric keys, of the parameters in ``given``, and of the constants."""
+        """Names of numeric keys, of parameters in the field ``given``, and of constants."""
         return (*self.number_names, *self.constants)
 
     # --- expressions ------------------------------------------------------------------------------
 
     def _parse_field(self, what: str) -> Tree:
-        """Return the expression tree of the field ``what``, such as energy or content."""
+        """Return the expression tree of a field of the declaration, such as ``energy``."""
         return parse_simplified(getattr(self, what), f"{what} of {self.name}", self.tables)
 
     def _differentiate_field(self, what: str, name: str) -> Tree:
-        """Return the derivative of the field ``what`` with respect to ``name``."""
+        """Return the derivative of a field, such as ``energy``, with respect to ``name``."""
         return differentiate_tree(self._parse_field(what), name)
 
     def _parse_texts(self, what: str, stated: Mapping[str, str]) -> dict[str, Tree]:
-        """Return the expression trees of the texts in ``stated``, keyed by name.
+        """Return the expression trees of several texts, keyed by name.
 
         Error messages contain ``what`` and the name of the part.
         """
@@ -721,7 +721,7 @@ class Declaration:
         return result
 
     def substitute_signals(self, tree: Tree) -> Tree:
-        """Return ``tree`` with the expression of each signal in place of its name."""
+        """Return an expression with the definitions of signals in place of their names."""
         return add_trees(substitute_names(tree, self._expanded_signals)) if self.signals else tree
 
     @cached_property
@@ -788,7 +788,7 @@ class Declaration:
         return self._differentiate_field("coenergy", branch.name)
 
     def split_motion(self, stored: Tree) -> tuple[Tree, Tree]:
-        """Split a stored quantity into its rate due to motion and the part at rest.
+        """Split a stored quantity into its rate due to motion and its value at rest.
 
         Only displacements with a velocity node in ``velocities`` count as motion. The stored
         quantity must be an affine function of these displacements.
@@ -815,14 +815,14 @@ class Declaration:
 
     @cached_property
     def _powers_of_forces(self) -> tuple[Tree, ...]:
-        """Expressions of the power [W] of each of the ``forces``."""
+        """Expressions of the powers [W] of all forces in the field ``forces``."""
         return tuple(
             multiply_trees(Name(name + RATE), tree) for name, tree in self._force_trees.items()
         )
 
     @cached_property
     def dissipation(self) -> Tree:
-        """Expression of the power [W] that all branches and ``forces`` dissipate.
+        """Expression of the power [W] that all branches and dissipative forces dissipate.
 
         The power of a branch in the thermal domain is the product of temperature and heat flow.
         """
@@ -877,7 +877,7 @@ class Declaration:
         return f"{name} = {' + '.join(terms)}" if terms else ""
 
     def set_variables_to_zero(self, tree: Tree, variable: str = "") -> Tree:
-        """Return ``tree`` with zero in place of each variable except ``variable``.
+        """Return an expression with zero in place of each variable except ``variable``.
 
         Variables are coordinates, rates and states.
         """

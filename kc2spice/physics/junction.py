@@ -248,10 +248,10 @@ class Junction(Device):
         return np.diag(np.sqrt(powers)), np.zeros((1, len(e)))
 
     def limit_change(self, e: np.ndarray, last: np.ndarray) -> np.ndarray:
-        """Return the inputs ``e`` after limiting the change of the junction voltage.
+        """Return the inputs of the law with a limited change of the junction voltage.
 
-        ``last`` contains the inputs of the previous Newton step. The change is limited in the
-        forward direction and in breakdown.
+        ``e`` contains the inputs of the present Newton step, ``last`` the inputs of the previous
+        Newton step. The change is limited in the forward direction and in breakdown.
         """
         v, before = float(e[0]), float(last[0])
         start, scale, critical = (

@@ -50,7 +50,7 @@ def _make_input_name(branch: Branch) -> str:
 
 @dataclass(frozen=True)
 class DeclaredLaw(Device):
-    """Law of a declared part, with the ``values`` of the part's parameters.
+    """Law of a declared part, with the values of the part's parameters.
 
     ``tables`` contains the functions of the tables and of the derivatives of the tables, keyed by
     name.
@@ -158,6 +158,7 @@ class DeclaredLaw(Device):
 
     @property
     def has_stored_quantities(self) -> bool:
+        """Whether the law stores fluxes, charges or momenta."""
         return bool(self._through_branches or self.storing_flow_indices)
 
     @cached_property
@@ -169,6 +170,7 @@ class DeclaredLaw(Device):
 
     @cached_property
     def is_affine(self) -> bool:
+        """Whether the outputs are affine in each mode, and the law stores nothing."""
         d = self.declaration
         laws = (*d.state_rates.values(), *d.output_trees.values())
         trees = (*map(d.derive_direct_flow, d.acting_branches), *laws)
@@ -195,7 +197,7 @@ class DeclaredLaw(Device):
         return tuple(dict.fromkeys(corners))
 
     def _substitute_inputs(self, tree: Tree) -> Tree:
-        """Return ``tree`` with the law's inputs in place of signals and coordinates.
+        """Return an expression with the law's inputs in place of signals and coordinates.
 
         Only coordinates of measured branches are replaced.
         """
@@ -210,7 +212,7 @@ class DeclaredLaw(Device):
         return self._compile(map(self._substitute_inputs, trees), slopes)
 
     def _compile(self, trees: Iterable[Tree], slopes: bool = False) -> _Compiled:
-        """Return a compiled function of the law's inputs that evaluates ``trees``.
+        """Return a compiled function of the law's inputs that evaluates expressions.
 
         With ``slopes``, the function also returns the derivatives with respect to all inputs.
         """
@@ -281,7 +283,7 @@ class DeclaredLaw(Device):
         return self._compile_expressions(self.declaration.limit_trees.values())
 
     def _evaluate(self, compiled: _Compiled, e: np.ndarray, mode: Any) -> np.ndarray:
-        """Return the values of a compiled function for the inputs ``e`` in a mode."""
+        """Evaluate a compiled function at the inputs ``e`` in the mode ``mode``."""
         try:
             return np.array(compiled(*e.tolist(), *mode, *self.values), dtype=float)
         except (ZeroDivisionError, OverflowError, ValueError) as error:
@@ -323,7 +325,7 @@ class DeclaredLaw(Device):
         return self._evaluate(self._stored_quantities_function, e, mode)
 
     def find_initial_mode(self, e: np.ndarray) -> tuple[int, ...]:
-        """Return the mode of the law at the inputs ``e``.
+        """Return the mode at the inputs ``e``: a flag for the sign of each kink argument.
 
         The mode contains 1 for each one-sided function whose argument is positive, otherwise 0.
         """

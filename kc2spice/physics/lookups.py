@@ -71,7 +71,7 @@ class TableFunction:
 
 
 class Lookups:
-    """Lookups for the tables that occur in the laws of a declaration.
+    """Interpolated tables (lookups) in the laws of a declaration.
 
     Each term of a law has at most one table as a factor. Terms of a law that differ only in the
     table are combined into one lookup. A lookup that occurs once is written into the expression of
@@ -148,7 +148,7 @@ class Lookups:
         return result
 
     def write_interpolation(self, values: np.ndarray) -> Tree:
-        """Return the expression that interpolates ``values`` (points,) from node voltages."""
+        """Return an expression of node voltages that interpolates tabulated ``values``."""
         cell, weight = (CircuitVariable("v", (node,)) for node in (CELL_NODE, WEIGHT_NODE))
         f, b = (FunctionCall("pwl", (cell, *points)) for points in compute_smooth_lookup(values))
         return BinaryOperation("-", f, BinaryOperation("*", weight, b))
@@ -170,14 +170,14 @@ class Lookups:
 
 
 def _replace_calls_by_names(tree: Tree, tables: Mapping[str, TableFunction]) -> Tree:
-    """Replace each call of a table in ``tree`` by the name of the table."""
+    """Replace each call of a table in an expression by the name of the table."""
     if isinstance(tree, FunctionCall) and tree.function in tables:
         return Name(tree.function)
     return map_operands(tree, lambda node: _replace_calls_by_names(node, tables))
 
 
 def has_tables(tree: Tree, tables: Iterable[str]) -> bool:
-    """Return whether ``tree`` calls a table."""
+    """Return whether an expression calls a table."""
     known = set(tables)
     return any(
         isinstance(node, FunctionCall) and node.function in known for node in walk_tree(tree)
@@ -185,7 +185,7 @@ def has_tables(tree: Tree, tables: Iterable[str]) -> bool:
 
 
 def compute_smooth_lookup(values: np.ndarray) -> tuple[tuple[Number, ...], tuple[Number, ...]]:
-    """Return the points of two piecewise linear functions with a smooth combination.
+    """Return the points of two piecewise linear functions for smooth interpolation.
 
     The function ``f`` interpolates the equally spaced ``values``. The function ``b`` interpolates
     half of the second differences of ``values``. The position within a cell is t from 0 to 1, and

@@ -151,7 +151,7 @@ class DeclaredPart(PartType[KeysT]):
         return tuple(d.speeds.get(b.plus, b.plus) for b in d.inertial_branches)
 
     def equilibrium_conditions(self, part: Part[KeysT], scene: WiredScene) -> EquilibriumConditions:
-        """Return the branches that determine the equilibrium of their pins.
+        """Return the equilibrium conditions: paths along stiff branches and flow branches.
 
         A branch determines the equilibrium if it has a stiffness at rest, or if its coordinate is a
         flow.
@@ -175,7 +175,7 @@ class DeclaredPart(PartType[KeysT]):
     def subcircuits(
         self, part: Part[KeysT], build: BuiltScene, header: Header
     ) -> tuple[Subcircuit, ...]:
-        """Return a tuple with the only subcircuit of the part."""
+        """Return the only subcircuit of the part, as a tuple of length 1."""
         d, name = self.declare_built_part(part, build), build.libraries[part.name]
         return (make_declared_subcircuit(header, name, d, d.values(part.keys), build.has_noise),)
 
@@ -508,7 +508,7 @@ def balance_energy(
     known = d.values(part.keys) | dict(recorded) | speeds | slopes
 
     def evaluate_over_time(tree: Tree) -> np.ndarray:
-        """Return the values of ``tree`` at all times as an array of shape (nt,)."""
+        """Return the values of an expression at all times as an array of shape (nt,)."""
         return np.asarray(evaluate_tree(tree, known) * np.ones_like(time))
 
     stored = evaluate_over_time(d.stored_energy)
@@ -590,7 +590,7 @@ def _compute_step_work(
 
 
 def _select_nearer(near: np.ndarray, *tried: np.ndarray) -> np.ndarray:
-    """Return, for each element, the value in two arrays that is nearer to ``near``."""
+    """Return, for each element, the nearer of two values to a reference value."""
     first, second = tried
     return np.where(np.abs(second - near) < np.abs(first - near), second, first)
 

@@ -70,7 +70,7 @@ _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(30)
 
 @cache
 def parse_simplified(text: str, where: str = "expression", tables: tuple[str, ...] = ()) -> Tree:
-    """Return the simplified expression tree of ``text``.
+    """Return the simplified expression tree of a text.
 
     ``tables`` contains the names of tables, which are functions of one argument. The functions of
     the tables must be passed when the expression is evaluated. The derivative of a table ``f`` has
@@ -117,7 +117,7 @@ def parse_simplified(text: str, where: str = "expression", tables: tuple[str, ..
 
 
 def _replace_above(tree: Tree) -> Tree:
-    """Return ``tree`` with a condition in place of each step function ``above(e)``.
+    """Return an expression with a condition in place of each step function.
 
     The condition is ``e > 0 ? 1 : 0``.
     """
@@ -145,7 +145,7 @@ class _CardWriter(ExpressionWriter):
 
 
 def format_tree(tree: Tree) -> str:
-    """Return the text of ``tree`` for a netlist card.
+    """Return the text of an expression tree for a netlist card.
 
     The text of ``sqrt(max(0, e))`` is ``sqrt(max(1e-18, e))``, whose derivative at e = 0 is finite.
 
@@ -164,12 +164,12 @@ def format_tree(tree: Tree) -> str:
 
 
 def find_names(tree: Tree) -> frozenset[str]:
-    """Return the names of all variables and parameters in ``tree``."""
+    """Return the names of all variables and parameters in an expression."""
     return frozenset(node.text for node in walk_tree(tree) if isinstance(node, Name))
 
 
 def is_affine(tree: Tree, variables: Set[str]) -> bool:
-    """Return whether ``tree`` is an affine function of ``variables``."""
+    """Return whether an expression is an affine function of ``variables``."""
     return all(
         variables.isdisjoint(find_names(differentiate_tree(tree, name))) for name in variables
     )
@@ -297,10 +297,11 @@ def _step_function(value: Tree) -> Tree:
 
 
 def _clip_excesses(value: Tree) -> tuple[Tree, Tree]:
-    """Return the two expressions ``value - 1`` and ``-value - 1``.
+    """Return by how much ``value`` is above 1 and below -1, as two expressions.
 
-    If ``clip(value)`` limits the value to 1, the first expression is positive. If ``clip(value)``
-    limits the value to -1, the second expression is positive.
+    The expressions are ``value - 1`` and ``-value - 1``. If ``clip(value)`` limits the value to 1,
+    the first expression is positive. If ``clip(value)`` limits the value to -1, the second
+    expression is positive.
     """
     return subtract_trees(value, ONE), subtract_trees(UnaryOperation("-", value), ONE)
 
@@ -471,7 +472,7 @@ def _may_differ_from_zero(tree: Tree) -> bool:
 
 @cache  # the derivative of a product contains the same sums many times
 def _factor_into_product(tree: Tree) -> _Product:
-    """Return ``tree`` as a product; a sum of several terms becomes one factor."""
+    """Return an expression as a product; a sum of several terms becomes one factor."""
     result = _list_nonzero_terms(tree)
     if len(result) == 1:
         return result[0]
@@ -499,7 +500,7 @@ WeightedCalls = tuple[tuple[FunctionCall, Fraction], ...]
 def split_calls(
     tree: Tree, functions: Container[str]
 ) -> tuple[list[tuple[Tree, WeightedCalls]], Tree]:
-    """Split ``tree`` into products with calls of ``functions``, and all other terms.
+    """Split an expression into products with calls of ``functions``, and other terms.
 
     Each product is a pair: a factor, and a weighted sum of calls. The first weight of each sum is
     1. The other terms are returned as a single sum.
@@ -545,7 +546,7 @@ def make_weighted_sum(calls: WeightedCalls) -> Tree:
 
 
 def find_kinks(tree: Tree) -> tuple[Tree, ...]:
-    """Return the arguments of all one-sided functions and steps in ``tree``.
+    """Return the arguments of all one-sided functions and steps in an expression.
 
     For example, the argument of ``max(0, e)`` is e. Arguments of inner functions precede arguments
     of outer functions.
@@ -562,7 +563,7 @@ def find_kinks(tree: Tree) -> tuple[Tree, ...]:
 
 
 def replace_kinks(tree: Tree, corners: tuple[Tree, ...]) -> Tree:
-    """Return ``tree`` with flags in place of one-sided functions.
+    """Return an expression with flags (1 or 0) in place of one-sided functions.
 
     The flags are factors with the names ``flag0``, ``flag1``, …. With constant flags, the returned
     expression is smooth. Each expression in ``corners`` has a flag. The flag is 1 if the expression
@@ -592,7 +593,7 @@ def replace_kinks(tree: Tree, corners: tuple[Tree, ...]) -> Tree:
 
 
 def _name_flag(argument: Tree, corners: tuple[Tree, ...]) -> Name:
-    """Return the name of the flag of ``argument``.
+    """Return the name of the flag that is 1 if ``argument`` is positive.
 
     ``argument`` is one of the ``corners``.
     """
@@ -659,7 +660,7 @@ def compile_function(
     arguments: Iterable[str],
     tables: Mapping[str, Callable[[Any], Any]] | None = None,
 ) -> Callable[..., tuple[Any, ...]]:
-    """Return a compiled function that evaluates ``trees`` for values of ``arguments``.
+    """Return a compiled function that evaluates expressions for values of arguments.
 
     The values of the arguments are numbers or arrays. ``tables`` contains the functions of the
     tables, keyed by name.
@@ -674,7 +675,7 @@ def compile_function(
 
 
 def evaluate_tree(tree: Tree, known: Mapping[str, Any]) -> Any:
-    """Return the value of ``tree``.
+    """Return the value of an expression for known values of its names.
 
     ``known`` contains numbers or arrays, keyed by name.
     """

@@ -18,7 +18,7 @@ from kc2spice.reference.system import PlacedDevice, System
 
 
 class Interval:
-    """Equations of a system between two events.
+    """Equations of a system in the time interval between two events.
 
     The equations are ``d/dt g(t, z) = f(t, z)``, and each device stays in its mode in ``modes``.
     Each source follows the smooth piece of its waveform that contains the time ``within``.
@@ -93,7 +93,7 @@ class Interval:
         return f
 
     def sum_term_sizes(self, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Compute the sums of the absolute terms of ``f`` and of ``g``.
+        """Return the sum of the absolute terms in each entry of ``f`` and of ``g``.
 
         Both arrays of sums have the shape (n, nt). The rounding errors of ``f`` and ``g`` are
         proportional to these sums.
@@ -111,7 +111,7 @@ class Interval:
         return f, g
 
     def compute_slopes(self, t: float, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the derivatives ``dg/dz`` and ``df/dz``, two arrays of shape (n, n)."""
+        """Return the Jacobians ``dg/dz`` and ``df/dz``, two arrays of shape (n, n)."""
         n, X = self.system.size, self.append_sources(t, z)
         M, J = self.system.G[:, :n], self.F[:, :n]
         for device, mode in self.curved:
@@ -122,7 +122,7 @@ class Interval:
         return M, J
 
     def evaluate_equations(self, t: float, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return ``g`` and ``f``, two arrays of shape (n,), at one time."""
+        """Return the stored quantities ``g`` and right-hand sides ``f``, of shape (n,)."""
         X = self.append_sources(t, z)[:, None]
         return self.compute_stored_quantities(X)[:, 0], self.compute_right_sides(X)[:, 0]
 
@@ -157,7 +157,7 @@ class Interval:
 
 @dataclass(frozen=True, eq=False)
 class _LinearisedLaw(Device):
-    """Linearisation of a law at the inputs ``point``."""
+    """Linearisation of a law about given inputs."""
 
     law: Device
     point: np.ndarray
@@ -169,7 +169,7 @@ class _LinearisedLaw(Device):
 
     @property
     def across_inputs(self) -> tuple[AcrossInput, ...]:
-        """Across inputs of the linearised law."""
+        """Quantities across pins that are inputs of the linearised law."""
         return self.law.across_inputs
 
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -237,7 +237,7 @@ def _sum_absolute_terms(
     points: Iterable[tuple[np.ndarray, np.ndarray]],
     mode: Any,
 ) -> np.ndarray:
-    """Return the sums of the absolute terms in the outputs of a linearised law.
+    """Return the sum of the absolute terms in each output of a linearised law.
 
     The terms of an output are the output itself, and each derivative multiplied by the absolute
     value of the input. The array of the sums has the shape (k, nt).
@@ -320,7 +320,7 @@ class _StaticEquations:
         self.into = np.array([*map(attrgetter("into"), values)]).reshape(-1, n).T
 
     def make_interval(self, z: np.ndarray) -> Interval:
-        """Return the equations for the device modes at ``z``."""
+        """Return the equations of an interval, with the device modes at ``z``."""
         X = np.concatenate((z, self.evaluate_source_derivatives))
         modes = [device.law.find_initial_mode(device.inputs @ X) for device in self.system.devices]
         return Interval(self.system, modes, 0.0)

@@ -128,7 +128,7 @@ def make_static_solver(pencil: Any) -> Callable[[np.ndarray], np.ndarray]:
 
 @dataclass(frozen=True, eq=False)
 class FixedStepResult:
-    """Waveforms, keyed by name, and device modes at the times ``time``.
+    """Result of a fixed-step run: times, waveforms and device modes.
 
     ``time`` and each waveform have the shape (nt,). Currents that charge a device are not among the
     waveforms. Bodies have no modes.
@@ -208,7 +208,7 @@ class _StepIntegrator:
         self.is_affine = all(law.is_affine for _, law in self.others)
 
     def make_interval(self, t: float) -> Interval:
-        """Return the equations at the time ``t`` for the present modes of the devices."""
+        """Return the equations of the interval at the time ``t``, with the present modes."""
         return Interval(self.system, list(self.modes), t)
 
     def get_device_modes(self, interval: Interval) -> tuple[Any, ...]:
@@ -233,7 +233,7 @@ class _StepIntegrator:
         return last
 
     def _solve_stage(self, t: float, z: np.ndarray, stored: np.ndarray, second: bool) -> np.ndarray:
-        """Solve the stage ``g(z) - stored = f(z) / rate`` for the unknowns ``z``.
+        """Solve the equations ``g(z) - stored = f(z) / rate`` of a stage for ``z``.
 
         The integrator then stores the device modes at ``z``.
         """

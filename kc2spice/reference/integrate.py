@@ -324,7 +324,7 @@ _MAX_SEGMENTS = 20_000
 
 @dataclass(frozen=True)
 class Segment:
-    """Interval between two corners or events: equations and accepted steps."""
+    """Time segment between two corners or events: equations and accepted steps."""
 
     interval: Interval
     steps: tuple[Step, ...]
@@ -472,7 +472,10 @@ def _find_triggered_guard(
 
 
 def _switch_mode(system: System, modes: list[Any], fired: int) -> list[Any]:
-    """Return the modes of all devices after guard ``fired`` has fallen to zero."""
+    """Return the modes of all devices after one guard has fallen to zero.
+
+    ``fired`` is the index of this guard among the guards of all devices.
+    """
     devices_with_modes = zip(system.devices, modes, strict=True)
     counts = [
         len(d.law.evaluate_guards(np.zeros(len(d.inputs)), mode)) for d, mode in devices_with_modes
@@ -566,7 +569,7 @@ def _locate_zero(
 
 
 def _sum_energies(system: System, segment: Segment) -> tuple[list[float], list[float]]:
-    """Return lists of the supplied energies [J] and lost energies [J] of a segment.
+    """Return the supplied and the lost energies [J] of a segment, as two lists.
 
     The supplied energies come from sources and from devices with a negative loss. One lost energy
     covers all linear laws together; each nonlinear device has a separate lost energy.

@@ -93,12 +93,12 @@ class LinearisedSystem:
         )
 
     def respond(self, w: complex, amplitudes: np.ndarray) -> np.ndarray:
-        """Compute the complex outputs (ny,) for sources ``amplitudes e^(w t)``."""
+        """Compute the output amplitudes (ny,) for sources ``amplitudes e^(w t)``."""
         X = self._solve_unknowns(w, amplitudes)
         return np.asarray(self.C0 @ X + w * (self.C1 @ X))
 
     def sum_term_sizes(self, w: complex, amplitudes: np.ndarray) -> np.ndarray:
-        """Sum the absolute values of the terms of each output of :meth:`respond`.
+        """Return the sum of the absolute terms in each output of :meth:`respond`.
 
         Return an array of shape (ny,).
         """
@@ -106,7 +106,10 @@ class LinearisedSystem:
         return self._compute_term_sizes(slice(None), X[:, None], np.array([w]))[:, 0]
 
     def _solve_unknowns(self, w: complex, amplitudes: np.ndarray) -> np.ndarray:
-        """Return the amplitudes ``X`` (N,) for sources ``amplitudes e^(w t)``."""
+        """Return the amplitudes of unknowns, sources and source rates for a complex rate.
+
+        The array ``X`` has the shape (N,). The sources are ``amplitudes e^(w t)``.
+        """
         n, sources = self.system.size, np.concatenate((amplitudes, w * amplitudes))
         P = w * self.G - self.F
         # The rows of the system are scaled without the devices, which may depend on the frequency.
@@ -116,7 +119,10 @@ class LinearisedSystem:
         return np.concatenate((z, sources))
 
     def _compute_term_sizes(self, columns: slice, X: np.ndarray, rates: np.ndarray) -> np.ndarray:
-        """Return ``|C0| |X| + |C1| |X rates|`` (ny, m) for ``columns`` of C0 and C1."""
+        """Return the sum of the absolute terms in each output, an array (ny, m).
+
+        For ``columns`` of C0 and C1, the sums are ``|C0| |X| + |C1| |X rates|``.
+        """
         now, rated = self._sizes
         return np.asarray(now[:, columns] @ np.abs(X) + rated[:, columns] @ np.abs(X * rates))
 
@@ -151,7 +157,7 @@ class LinearisedSystem:
         return _compute_finite_eigenvalues(self.F[:, :n], self.G[:, :n])
 
     def combine_output_rows(self, of: L.WaveCombination) -> tuple[np.ndarray, np.ndarray]:
-        """Return the row vectors (N,) of ``C0`` and ``C1`` for the result ``of``.
+        """Return the row vectors (N,) of ``C0`` and ``C1`` for a combination of waves.
 
         The result ``of`` is a linear combination of waves, and the row vectors are the same linear
         combination of the rows of ``C0`` and ``C1``.
@@ -161,7 +167,7 @@ class LinearisedSystem:
         return rows, of.combine(dict(zip(names, self.C1, strict=True)))
 
     def find_zeros(self, of: L.WaveCombination, amplitudes: np.ndarray) -> np.ndarray:
-        """Compute zeros of the transfer function from all sources to the result ``of``.
+        """Compute the zeros of the transfer function from all sources to one result.
 
         The zeros are an array (m,) of complex rates ``w`` [1/s]. At the rate ``w`` of a zero, the
         result is zero for sources ``amplitudes e^(w t)``. The sources are written as ``amplitudes
@@ -240,7 +246,7 @@ class LinearisedSystem:
     def _compute_line_responses(
         self, motion: _FreeMotion, rates: np.ndarray, shapes: np.ndarray, drives: list[np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the static gains and the slope responses of the outputs.
+        """Return the static gains and slope responses of the outputs to linear ramps.
 
         Both arrays have the shape (sources, ny).
 
@@ -427,7 +433,7 @@ class ExponentialSolution:
 
     @property
     def corner_times(self) -> np.ndarray:
-        """Times [s] of the starts of sines, and of the jumps of slopes of sources."""
+        """Times [s] at which sines start or slopes of sources jump."""
         starts = map(attrgetter("start"), map(itemgetter(1), self.sines))
         return np.unique([0.0, *map(itemgetter(0), self.kinks), *starts])
 
@@ -514,14 +520,14 @@ class ExponentialSolution:
 
     @cached_property
     def _largest_amplitudes(self) -> np.ndarray:
-        """Largest magnitude (m,) of each mode's amplitude at the starts of all intervals."""
+        """Largest amplitude (m,) of each mode at the starts of all intervals."""
         amplitudes = np.array([*map(itemgetter(2), self._list_intervals(self.modes.rates))])
         return np.asarray(np.abs(amplitudes).max(axis=0))
 
     def choose_sample_times(self, count: int) -> np.ndarray:
-        """Choose times [s] that resolve the motion, in particular after the outer corners.
+        """Choose sample times [s] that resolve the motion after corners of the sources.
 
-        The outer corners are the first eight and the last eight corners of the sources.
+        Additional times follow the first eight and the last eight corners.
         """
         spread = np.random.default_rng(0).uniform(0.0, self.stop, count)
         corners = self.corner_times
@@ -536,10 +542,11 @@ class ExponentialSolution:
 def solve_noise(
     laws: Iterable[L.Law], joins: Mapping[str, Iterable[str]], of: L.WaveCombination, f: np.ndarray
 ) -> np.ndarray:
-    """Compute the spectral noise density of a result ``of`` at frequencies ``f`` [Hz].
+    """Compute the spectral noise density of a result at the frequencies ``f`` [Hz].
 
-    The unit of the noise density is the unit of the result per square root of Hz. ``joins`` maps
-    the name of each net to pins, as in :func:`kc2spice.reference.system.assemble_system`.
+    ``of`` is the result. The unit of the noise density is the unit of ``of`` per square root of Hz.
+    ``joins`` maps the name of each net to pins, as in
+    :func:`kc2spice.reference.system.assemble_system`.
     """
     noise_laws = (
         L.PortBody(law.name, law.model, law.ports) if isinstance(law, L.SecondOrderBody) else law

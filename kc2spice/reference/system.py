@@ -30,9 +30,10 @@ MICRO = 1e-6  # typical displacement [m], the unit of scaled displacements
 
 @dataclass(frozen=True, eq=False)
 class PlacedDevice:
-    """Device in a system, with inputs ``inputs @ X``.
+    """Device in a system, with the matrices that connect it to the equations.
 
-    The outputs of the device, multiplied by the matrix ``into``, are added to ``f``.
+    The inputs of the device are ``inputs @ X``. The outputs of the device, multiplied by the matrix
+    ``into``, are added to ``f``.
     """
 
     law: L.Device
@@ -123,7 +124,7 @@ class System:
 def assemble_system(
     laws: Iterable[L.Law], joins: Mapping[str, Iterable[str]], max_unknowns: int | None = None
 ) -> System:
-    """Assemble the equations of ``laws`` whose pins are joined at nets.
+    """Assemble the equations of a circuit: laws whose pins are joined at nets.
 
     ``joins`` maps the name of each net to the pins ``NAME.pin`` of the net. All pins of a net have
     the same kind. The net ``gnd`` is the reference node for every kind.
@@ -264,7 +265,7 @@ class _Assembly:
     # --- linear forms of the unknowns, for the equations of the laws ---
 
     def find_linear_form(self, law: L.Law, pin: str) -> np.ndarray:
-        """Express the displacement, voltage or signal of a pin by the unknowns.
+        """Express a pin's displacement, voltage or signal as linear form of the unknowns.
 
         The result contains the coefficients (n,) of a linear form.
         """
@@ -299,18 +300,20 @@ class _Assembly:
         return row
 
     def add_energy(self, kind: str, rows: np.ndarray, weight: Any) -> None:
-        """Add ``y' weight y`` to the stored energy or to the lost power.
+        """Add a quadratic form of the unknowns to the stored energy or to the lost power.
 
-        ``y = rows @ raw`` are linear forms of the unknowns ``raw`` before the elimination of
-        constraints. ``kind`` is ``"stored"`` or ``"dissipated"``.
+        The quadratic form is ``y' weight y``, where ``y = rows @ raw`` are linear forms of the
+        unknowns ``raw`` before the elimination of constraints. ``kind`` is ``"stored"`` or
+        ``"dissipated"``.
         """
         rows = np.atleast_2d(rows)
         self.forms[kind] += rows.T @ np.atleast_2d(weight) @ rows
 
     def add_constraint(self, form: np.ndarray, source: int) -> None:
-        """Add the constraint ``form @ raw = s[source]`` on the unknowns ``raw``.
+        """Add a constraint that sets a linear form of the unknowns to a source value.
 
-        If ``source`` is -1, the right-hand side is zero.
+        The constraint is ``form @ raw = s[source]`` on the unknowns ``raw``. If ``source`` is -1,
+        the right-hand side is zero.
         """
         self.constraints.append((form, np.arange(len(self.sources)) == source))
 
@@ -319,7 +322,7 @@ class _Assembly:
         return np.array([self.state_index[f"{law.name}.{s}"] for s in law.states], dtype=int)
 
     def find_store_rows(self, law: L.Device, outputs: np.ndarray) -> np.ndarray:
-        """Return the matrix from the rates of stored quantities to the equations.
+        """Return the matrix that maps the rates of stored quantities to the equations.
 
         The matrix has one row for each equation, and one column for each stored quantity of the
         device.
@@ -336,7 +339,7 @@ class _Assembly:
     def _compute_constraint_basis(
         self, where: slice, sizes: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Compute a basis of unconstrained motions, and the motions due to the sources.
+        """Compute a basis that satisfies the constraints, and the motions due to sources.
 
         Return the basis and the matrix R. The source values ``s`` prescribe the motion ``R s``.
         ``sizes`` contains the typical sizes of the unknowns in the slice ``where``.
@@ -514,7 +517,7 @@ def _stack_rows(rows: Iterable[Any], width: int) -> np.ndarray:
 
 
 def _separate_columns(basis: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rotate a basis to separate columns in the null space of ``pattern``.
+    """Rotate a basis so that some columns are in the null space of ``pattern``.
 
     The matrix ``pattern`` is positive semidefinite. The null space contains as many columns as
     possible. Return the basis, and a mask of the columns that are not in the null space.
@@ -553,7 +556,7 @@ def _add_body(law: L.SecondOrderBody, into: _Assembly) -> None:
             acceleration_forms[k] = into.find_linear_form(law, port.name)
 
     def sum_direct_terms(k: int, forms: Mapping[int, np.ndarray]) -> np.ndarray:
-        """Return the contribution of the matrix D to output ``k``."""
+        """Return the contribution of the feedthrough matrix D to output ``k``."""
         return sum((D[k, j] * form for j, form in forms.items()), np.zeros(n))
 
     for k, port in enumerate(law.ports):

@@ -35,7 +35,7 @@ def write_bench(directory: Path, title: str, record: Mapping[str, Any]) -> None:
 
 
 def format_bench(record: Mapping[str, Any]) -> list[PageSection]:
-    """Return the results of ``kc2spice bench`` as sections for page or terminal.
+    """Return the results of ``kc2spice bench`` as sections for a page or the terminal.
 
     ``record`` contains the settings in ascending order of CPU time.
     """

@@ -76,7 +76,7 @@ def _split_panel(panel: Panel) -> Iterator[Panel]:
 
 
 def _sort_curves(panel: Panel) -> Panel:
-    """Return ``panel`` with curves whose x increases.
+    """Return a panel with curves whose x increases.
 
     A panel with equal scales of both axes contains outlines and is returned unchanged.
     """
@@ -110,14 +110,14 @@ def _split_at_turns(curve: Curve) -> Iterator[Curve]:
 
 
 def _select_points(curve: Curve, indices: np.ndarray) -> Curve:
-    """Return ``curve`` with only the points ``indices``, in the order of ``indices``."""
+    """Return a curve with selected points, in the order of their indices."""
     names = tuple(map(curve.names.__getitem__, indices)) if curve.names else ()
     x, y = np.asarray(curve.x, dtype=float), np.asarray(curve.y, dtype=float)
     return replace(curve, x=x[indices], y=y[indices], names=names)
 
 
 def _scale_y(panel: Panel) -> Panel:
-    """Return ``panel`` with a y axis whose SI prefix suits the largest value.
+    """Return a panel with a y axis whose SI prefix suits the largest value.
 
     A y axis that shows powers of ten has no SI prefix. In a panel with a map, the prefix applies to
     the values of the map.
@@ -157,7 +157,7 @@ def _spans_decade(panel: Panel) -> bool:
 
 
 def _scale_x(panels: Sequence[Panel], label: str) -> list[Panel]:
-    """Return ``panels`` with a suitable SI prefix for the common x axis.
+    """Return panels with a suitable SI prefix for the common x axis.
 
     ``label`` is the label of the x axis.
     """
@@ -398,7 +398,7 @@ def _separate_equal_numbers(x: np.ndarray) -> np.ndarray:
 
 
 def _select_point_indices(panel: Panel) -> list[np.ndarray]:
-    """Select the points of each curve that are written to the page; return indices.
+    """Return, for each curve, the indices of the points that are written to the page.
 
     If all curves have the same values of x, all curves have the same indices.
     """

@@ -159,6 +159,6 @@ def _assign_levels(spans: Mapping[str, tuple[float, float]]) -> dict[str, int]:
 
 
 def _overlaps(span: tuple[float, float], others: Iterable[tuple[float, float]]) -> bool:
-    """Return whether the range ``span`` overlaps any of the ``others``."""
+    """Return whether a range overlaps any of several other ranges."""
     low, high = span
     return any(low <= end and start <= high for start, end in others)

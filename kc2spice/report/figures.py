@@ -78,6 +78,7 @@ def make_notebook_figure(figure: Figure) -> Any:
         """Matplotlib figure that notebooks display as a PNG image."""
 
         def _repr_png_(self) -> bytes:
+            """Return the figure as PNG image, for display in a notebook."""
             stream = BytesIO()
             self.savefig(stream, format="png")
             return stream.getvalue()
@@ -96,6 +97,7 @@ def make_notebook_figure(figure: Figure) -> Any:
 
 
 def _draw_panel(axes: Any, panel: Panel) -> None:
+    """Draw a panel of a figure on matplotlib axes."""
     for low, high, label in panel.bands:
         axes.axhspan(low, high, color=GREEN, alpha=0.15, lw=0, label=label or None)
     for value, label in panel.levels:

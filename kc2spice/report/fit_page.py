@@ -18,7 +18,7 @@ from kc2spice.report.html import PageSection, write_page
 
 @dataclass(frozen=True, eq=False)
 class PlottedCurve:
-    """Admittances for a figure of a fit: measured, initial and fitted.
+    """Curve in a figure of a fit: measured, initial and fitted admittances.
 
     ``before`` contains the admittances before the fit, ``after`` the fitted admittances.
 
@@ -52,7 +52,7 @@ def write_fit(path: Path, record: Mapping[str, Any], curves: Sequence[PlottedCur
 
 
 def format_fit(record: Mapping[str, Any]) -> list[PageSection]:
-    """Return the results of ``kc2spice fit`` as sections for page or terminal."""
+    """Return the results of ``kc2spice fit`` as sections for a page or the terminal."""
     keys = tuple(record["parameters"])
     sections = [
         PageSection("Values", list(map(_make_value_row, keys, record["parameters"].values())),
@@ -137,6 +137,7 @@ def plot_fit(
     three = {"measured": (Y, "o"), "scene": (before, "--"), "fitted": (after, "-")}
 
     def plot_curves(function: Callable[[np.ndarray], np.ndarray]) -> tuple[Curve, ...]:
+        """Return curves of ``function`` of the measured, initial and fitted impedances."""
         return tuple(Curve(name, f, function(1 / y), style) for name, (y, style) in three.items())
 
     left = Curve("fitted over measured", f, 100 * (np.abs(Y / after) - 1))

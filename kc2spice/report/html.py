@@ -69,7 +69,7 @@ def flatten_mapping(value: Any, joint: str = ".", path: str = "") -> Iterator[tu
 
 
 def label_key(key: str, unit: str = "") -> str:
-    """Return a label for a key of ``result.json``, without the suffix for ``unit``."""
+    """Return a readable label for a key of ``result.json``, without its unit."""
     suffix = _UNIT_SUFFIXES.get(unit, f"_{unit.lower()}" if unit else "")
     words = (_LABEL_WORDS.get(word, word) for word in key.removesuffix(suffix).split("_"))
     return _LABELS.get(key) or " ".join(words)
@@ -95,7 +95,7 @@ def distinguish_labels(labels: Mapping[str, str], units: Mapping[str, str]) -> d
 
 
 def format_metric(key: str, value: Any, unit: str = "") -> tuple[str, str]:
-    """Return a label for a key of ``result.json``, and the value with ``unit``."""
+    """Return the label of a metric, and its value with unit, as two strings."""
     values = value if isinstance(value, (list, tuple)) else [value]
     if len(values) > MAX_ROW_VALUES:
         return label_key(key, unit), f"{len(values)} values, in result.json"

@@ -86,7 +86,7 @@ def write_run(
 
 
 def format_results(result: Mapping[str, Any]) -> list[PageSection]:
-    """Return numbers in ``result.json`` as page sections for page or terminal."""
+    """Return the results in ``result.json`` as sections for a page or the terminal."""
     wall = result.get("wall_s", {})
     times = {**wall, "sum": sum(wall.values())} if wall else {}
     checks = list(map(_make_check_row, result.get("checks", ())))
@@ -261,7 +261,7 @@ def _find_largest_by_unit(values: Mapping[str, Any], units: Mapping[str, str]) -
 
 
 def _replace_rounding_error(value: Any, scales: Mapping[str, float], unit: str) -> Any:
-    """Return ``value``, or 0 if ``value`` is a rounding error.
+    """Return a value, or 0 if the value is only a rounding error.
 
     ``scales`` contains the largest magnitude of the values of each unit, keyed by unit. A value
     counts as a rounding error if it is much smaller than the largest magnitude of the same unit.
@@ -353,7 +353,7 @@ def _make_summary_row(
 
 
 def _format_energy(name: str, entries: Mapping[str, float]) -> PageSection:
-    """Return a page section with a table of the entries of an energy balance."""
+    """Return a page section with the table of an energy balance."""
     return PageSection(f"Energy: {name}", _make_summary_rows(entries, dict.fromkeys(entries, "J")))
 
 

@@ -37,7 +37,7 @@ def _has_common_type(column: Sequence[Any], *kinds: type) -> bool:
 
 
 def _convert_to_numbers(column: Sequence[Any]) -> np.ndarray:
-    """Convert a column to an array of numbers; None becomes NaN."""
+    """Convert a table column to an array of numbers; None becomes NaN."""
     return np.array(column, dtype=float)
 
 
@@ -70,7 +70,7 @@ def write_sweep(
     plan: str,
     shares: Mapping[str, Mapping[str, float]],
 ) -> None:
-    """Write the page of a sweep with the results ``table`` to ``path``.
+    """Write the page of a sweep, with its table of results, to ``path``.
 
     ``units`` contains the units of the swept keys, and ``metric_units`` the units of the metrics.
     ``random`` are the names of the random keys. ``plan`` is a string with the number of points.
@@ -98,14 +98,14 @@ def write_sweep(
 
 
 def _make_failure_rows(status: Sequence[str]) -> list[tuple[str, str]]:
-    """Return table rows with the 20 most frequent reasons of failed points."""
+    """Return table rows of the 20 most frequent reasons why sweep points failed."""
     counts = Counter(status)
     del counts["ok"]
     return [(str(count), reason) for reason, count in counts.most_common(20)]
 
 
 def _make_yield_row(name: str, share: Mapping[str, float]) -> tuple[str, str]:
-    """Return the table row of a yield: share of true points, confidence interval."""
+    """Return the table row of a yield: percentage of true values, confidence interval."""
     low, high, level = 100 * share["low"], 100 * share["high"], 100 * share["confidence"]
     interval = f"{level:.3g} % confidence: {low:.4g} … {high:.4g} %"
     return label_key(name), f"{100 * share['share']:.4g} % ({interval})"
@@ -178,7 +178,7 @@ def plot_sweep(
 
 
 def _plot_curves(x: Axis, words: Sequence[str], y: Axis) -> Panel:
-    """Return a panel with a curve for each combination of strings in ``words``."""
+    """Return a panel with one curve for each distinct label in ``words``."""
     labels = np.array(words) if words else np.full(x[1].size, "")
     curves = []
     for label in np.unique(labels):

@@ -55,7 +55,7 @@ class VerificationResult:
         return all(map(attrgetter("passed"), self.checks))
 
     def make_record(self) -> dict[str, Any]:
-        """Return the content of ``verify.json``."""
+        """Return the results as a mapping for ``verify.json``."""
         result = {"passed": self.passed, **vars(self)}
         del result["figures"], result["units"]
         result["checks"] = list(map(Check.make_record, self.checks))
@@ -85,7 +85,7 @@ def _make_summary_row(scene: str, findings: VerificationResult) -> tuple[str, ..
 
 
 def format_verification(scene: str, record: Mapping[str, Any]) -> list[PageSection]:
-    """Return sections with checks and wall times of one scene for page or terminal.
+    """Return checks and wall times of a scene as sections for a page or the terminal.
 
     ``record`` is the content of ``verify.json`` for the scene.
     """
@@ -208,10 +208,10 @@ def _is_driving_point(response: str) -> bool:
 def _find_largest_wave_names(
     names: Iterable[str], waves: Waveforms, units: Mapping[str, str]
 ) -> list[str]:
-    """Select the largest waveform of each unit, for at most ``MAX_PANELS`` units.
+    """Return the names of the largest waveforms, one for each of a few units.
 
-    Return the names of the waveforms. The order is the order in which the units first occur in
-    ``names``.
+    At most ``MAX_PANELS`` units are selected. The order is the order in which the units first occur
+    in ``names``.
     """
     best: dict[str, str] = {}
     for name in names:
@@ -230,10 +230,10 @@ def _convert_to_real(values: np.ndarray) -> np.ndarray:
 def _compute_relative_difference(
     waves: Waveforms, exact: Waveforms, scale: str, name: str
 ) -> np.ndarray:
-    """Return the difference between the waveforms ``name`` of two solutions.
+    """Return the relative difference of a waveform between two solutions.
 
-    The difference is relative to the largest value of the waveform in the solution ``exact``. The
-    returned array has a value for each point of ``exact``.
+    The difference is relative to the largest value of the wave ``name`` in the solution ``exact``.
+    The returned array has a value for each point of ``exact``.
     """
     values, y = waves[name], exact[name]
     if values.shape != y.shape or scale == "time":

@@ -252,7 +252,7 @@ class AffineModel:
 def sum_affine_terms(
     constant: Mapping[str, Matrix], terms: Iterable[AffineTerm], values: Values
 ) -> dict[str, Matrix]:
-    """Return the sums of constant matrices and terms, keyed by letter.
+    """Return the sum of constant and parametric terms of each matrix, keyed by letter.
 
     ``values`` are the values of the parameters.
 
@@ -282,7 +282,7 @@ def reduce_affine(
     norm: Norm | None = None,
     progress: Callable[[int, int], None] = lambda done, of: None,
 ) -> ModelOverRanges:
-    """Reduce a model over the ranges of the parameters.
+    """Reduce a model over the ranges of its parameters.
 
     Parameters
     ----------
@@ -355,6 +355,7 @@ def _describe_values(values: Values) -> str:
 
 
 def _make_indefinite_error(affine: AffineModel, got: str) -> UsageError:
+    """Make the error for a matrix that is not positive definite over the ranges."""
     return UsageError(
         "a matrix is not positive definite over the ranges of the parameters",
         where=affine.name,
@@ -366,7 +367,7 @@ def _make_indefinite_error(affine: AffineModel, got: str) -> UsageError:
 
 
 def _reduce_heat(task: RangeTask) -> ModelOverRanges:
-    """Reduce heat models, whose inputs are heat flows, over the ranges of a task."""
+    """Reduce heat models, whose inputs are heat flows, over ranges of parameters."""
     from kc2spice.rom.heat_range_reduction import (
         HeatReduction,
     )  # imported here: only needed for heat models

@@ -131,7 +131,7 @@ def _compute_rayleigh_quotients(K: Matrix, M: Matrix, X: np.ndarray) -> np.ndarr
 
 
 def find_band_end(pencil: Pencil, count: int, high: float) -> float:
-    """Return the ``count``-th lowest elastic frequency [Hz], at most ``high``.
+    """Return a band end [Hz]: the ``count``-th elastic frequency, at most ``high``.
 
     Return ``high`` if the model has fewer than ``count`` elastic modes, or if the modes cannot be
     computed.

@@ -136,7 +136,7 @@ def _make_network(elements: Elements) -> ParallelBranches:
 
 
 def fit_branches(samples: Samples) -> Elements:
-    """Return the fewest elements that describe the samples within the noise."""
+    """Return a circuit with few elements that fits the samples within their noise."""
     elements: Elements = ()
     best, least, useless = elements, np.inf, 0
     patience = POOR_PATIENCE
@@ -167,12 +167,12 @@ def fit_branches(samples: Samples) -> Elements:
 
 
 def _count_parameters(elements: Elements) -> int:
-    """Return the number of parameters of a sum of elements."""
+    """Return the total number of parameters of all elements of a circuit."""
     return sum(len(e.logs) for e in elements)
 
 
 def _select_best_sum(samples: Samples, ends: Sequence[Elements]) -> Elements:
-    """Return the first sum of elements with nearly the smallest criterion.
+    """Return the first sum of elements with nearly the least information criterion.
 
     Criteria that differ by less than ``CRITERION_TOLERANCE`` count as equal, so that rounding
     errors do not change the selection.
@@ -236,7 +236,7 @@ def _exceeds_noise(samples: Samples, elements: Elements) -> bool:
 
 
 def _simplify_sum(samples: Samples, elements: Elements, doubtful: Elements) -> Elements:
-    """Remove or simplify elements among ``doubtful`` if this reduces the criterion."""
+    """Remove or simplify doubtful elements if this reduces the information criterion."""
     value = samples.compute_information_criterion(elements)
     for element in doubtful:
         for fewer in _propose_simpler_sums(samples, elements, element):
@@ -338,7 +338,7 @@ def _fit_peak(samples: Samples, elements: Elements) -> Elements:
 
 
 def _propose_elements(samples: Samples, elements: Elements) -> Iterable[list[FitElement]]:
-    """Yield lists of candidates for the next branch or lead, with start values."""
+    """Yield lists of possible additional elements that differ only in start values."""
     present = {element.form for element in elements}
     forms = [
         form

@@ -99,7 +99,7 @@ def _describe_evidence(basis: ReducedBasis, proof: StabilityProof) -> str:
 
 
 def _describe_zeros(entries: EntryScales, model: LinearModel) -> str:
-    """Describe the entries of the response that count as zero."""
+    """Return a text that lists the entries of the response that are zero by symmetry."""
     places = zip(*np.nonzero(entries.zero), strict=True)
     names = [f"{model.outputs[i]}/{model.inputs[j]}" for i, j in places]
     if not names:

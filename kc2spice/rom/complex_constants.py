@@ -152,9 +152,9 @@ def make_complex_constants_model(model: Resonators, losses: ComplexConstants) ->
     motional, clamped = shares.T @ shares, model.D[np.ix_(ports, ports)]
 
     def estimate_stiffness_sensitivity(f: np.ndarray) -> np.ndarray:
-        """Return 1 below the lowest resonance, and Q above.
+        """Return the ratio of response error to stiffness error at each frequency.
 
-        The result is the ratio of the response error to the stiffness error.
+        The ratio is 1 below the lowest resonance, and Q above.
         """
         lowest = SENSITIVITY_LIMIT * model.omega.min() / (2 * np.pi)
         return np.where(f > lowest, max(1.0, 1 / max(losses.loss_factor, 1e-12)), 1.0)

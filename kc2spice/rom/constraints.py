@@ -134,10 +134,10 @@ def _insert_multipliers(
     L: Matrix,
     Z: Matrix,
 ) -> Pencil:
-    """Add the multipliers ``l = S^-1 L'M^-1 (B u - E x' - K x)`` to the outputs.
+    """Add the Lagrange multipliers of the constraints to the outputs of a model.
 
-    In this equation, ``S = L'M^-1 L``. If the multipliers depend on velocities, the result is a
-    first-order model.
+    The multipliers are ``l = S^-1 L'M^-1 (B u - E x' - K x)`` with ``S = L'M^-1 L``. If the
+    multipliers depend on velocities, the result is a first-order model.
     """
     K, E, M = map(to_dense, parts)
     L, Z = to_dense(L), to_dense(Z)

@@ -37,8 +37,9 @@ EQUALITY_TOLERANCE = 1e-13  # smaller relative numbers count as zero
 
 @dataclass(frozen=True, eq=False)
 class BlockModel(EqualByContent):
-    """Model ``z' = diag(blocks) z + B u + F w``, ``y = C z + D u + R w``.
+    """State-space model whose state matrix consists of decoupled diagonal blocks.
 
+    The equations are ``z' = diag(blocks) z + B u + F w`` and ``y = C z + D u + R w``.
     Each block is a real square matrix. The signals w are determined by algebraic equations:
     ``0 = P z + Q u + S w``. For example, the signals w are the waves at the ports of a measured
     multiport. Without the signals w, the blocks would have more entries. ``loops`` contains the
@@ -91,7 +92,7 @@ def make_block_model(model: LinearModel, *, dense: bool = False) -> BlockModel:
 
 
 def _sample_between_poles(A: np.ndarray) -> np.ndarray:
-    """Return values ``j w`` (n,) that span the magnitudes of the poles of A.
+    """Return points ``j w`` (n,) from below the slowest to above the fastest pole.
 
     If all poles are zero, the array is empty.
     """
@@ -103,11 +104,11 @@ def _sample_between_poles(A: np.ndarray) -> np.ndarray:
 
 
 def _read_blocks(model: LinearModel) -> BlockModel | None:
-    """Return the block model of a first-order model with a suitable form.
+    """Return a first-order model as a block model if its states form decoupled blocks.
 
-    The form is suitable if the states form small blocks, and E is diagonal with ones before zeros.
-    Rows in which E is zero are algebraic equations, which become the ``loops`` of the block model.
-    Return None for other models.
+    The states must form small blocks, and E must be diagonal with ones before zeros. Rows in which
+    E is zero are algebraic equations, which become the ``loops`` of the block model. Return None
+    for other models.
     """
     if not model.first_order or model.E is None:
         return None
@@ -130,7 +131,7 @@ def _read_blocks(model: LinearModel) -> BlockModel | None:
 def decouple_states(
     A: np.ndarray, growth: float = CONDITION_LIMIT
 ) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray]:
-    """Return the blocks, X and X^-1 of the decomposition ``A = X diag(blocks) X^-1``.
+    """Decompose ``A = X diag(blocks) X^-1``; return the blocks, X and X^-1.
 
     If A is symmetric or skew-symmetric, X is orthogonal. ``growth`` is the largest permitted norm
     of the solution of a Sylvester equation.
@@ -201,7 +202,7 @@ def _get_block_size(T: np.ndarray, start: int) -> int:
 
 
 def _list_poles(T: np.ndarray) -> np.ndarray:
-    """Return one eigenvalue of each diagonal block of a real Schur form.
+    """Return one pole (eigenvalue) for each diagonal block of a real Schur form.
 
     Of a complex pair, the eigenvalue in the upper half-plane is returned.
     """

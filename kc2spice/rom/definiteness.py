@@ -44,7 +44,7 @@ def is_definite(pencil: Pencil, *, undamped_too: bool = False) -> bool:
 
 
 def _is_free_to_move(K: Matrix, y: np.ndarray, load: np.ndarray) -> bool:
-    """Return whether the softest mode has an energy within rounding errors of K.
+    """Return whether the softest mode is a rigid-body mode, within rounding errors.
 
     The softest mode dominates ``y = K^-1 load`` for a random load. The check is necessary, because
     rounding errors can make the singular stiffness matrix of a free body positive definite.

@@ -102,7 +102,7 @@ SIMPLER_FORMS = {
 
 @dataclass(frozen=True)
 class FitElement:
-    """Element of a circuit: one of the admittances in parallel, or a lead in series.
+    """Circuit element of a fit: a parallel admittance, or a series impedance (lead).
 
     ``form`` is the kind of the element. ``logs`` are the logarithms of the element's parameters,
     the amplitude first.
@@ -112,7 +112,7 @@ class FitElement:
     logs: Logs
 
     def response(self, s: np.ndarray) -> Response:
-        """Return the admittance (impedance of a lead) of the element, and derivatives."""
+        """Return the admittance, or impedance of a lead, and its parameter derivatives."""
         logs = np.clip(self.logs, -MAX_LOG_PARAMETER, MAX_LOG_PARAMETER)
         return ELEMENT_FORMS[self.form](logs, s)
 
@@ -122,7 +122,7 @@ class FitElement:
 
     @property
     def is_in_parallel(self) -> bool:
-        """Whether the element is one of the admittances in parallel, not a lead."""
+        """Whether the element is a parallel admittance, not a lead in series."""
         return self.form in PARALLEL_FORMS
 
     @property
@@ -136,7 +136,7 @@ class FitElement:
         return self.amplitude if self.form in CONDUCTING_FORMS else 0.0
 
     def branch(self) -> CircuitBranch:
-        """Return an element other than a capacitance as R, L and C in series."""
+        """Convert the element to a series R-L-C branch; not possible for a capacitance."""
         p = np.exp(self.logs).tolist()
         if self.form == "lead resistance":
             return CircuitBranch(p[0])
@@ -173,7 +173,7 @@ class Samples:
 
     @property
     def conducts_direct_current(self) -> bool:
-        """Whether direct current flows through the part.
+        """Whether the measured part conducts direct current.
 
         If the user states a conductance at zero frequency, direct current flows if the stated
         conductance is positive. Otherwise, direct current flows if the mean phase at the lowest
@@ -186,7 +186,7 @@ class Samples:
 
     @cached_property
     def tolerance(self) -> np.ndarray:
-        """Relative deviation (n,) below which no further element is added.
+        """Relative deviation (n,) of the fit below which no element is added.
 
         The tolerance combines :data:`INSTRUMENT_DEVIATION` and the effect of frequencies that are
         rounded in the file.
@@ -209,7 +209,7 @@ class Samples:
         return DC_WEIGHT * np.sqrt(len(self.f)) if self.conductance else 0.0
 
     def _sum_elements(self, elements: Elements) -> tuple[np.ndarray, np.ndarray]:
-        """Compute the admittance (n,) of parallel elements, and impedance (n,) of leads."""
+        """Sum the admittances (n,) of parallel elements, and the impedances (n,) of leads."""
         parallel, leads = np.zeros((2, len(self.f)), complex)
         for element in elements:
             if element.is_in_parallel:
@@ -265,7 +265,7 @@ class Samples:
         )
 
     def _stack_rows(self, x: np.ndarray, dc: float) -> np.ndarray:
-        """Convert complex numbers (n,) to real rows, and append the residual ``dc``.
+        """Stack real and imaginary parts of values (n,), and append the residual ``dc``.
 
         ``dc`` is the residual of the conductance at zero frequency. The residual ``dc`` is omitted
         if the user states no conductance, or a conductance of zero.
@@ -300,7 +300,7 @@ class Samples:
         return ((*positive, *leads) if positive else ()), float(left)
 
     def refine(self, elements: Elements, evaluations: int = TRIAL_EVALUATIONS) -> Elements:
-        """Fit all parameters of the elements by nonlinear least squares.
+        """Refine all parameters of the elements by nonlinear least squares.
 
         The residuals are evaluated at most ``evaluations`` times.
         """
@@ -309,7 +309,7 @@ class Samples:
         ends = np.cumsum([len(e.logs) for e in elements])[:-1]
 
         def unpack_elements(logs: np.ndarray) -> Elements:
-            """Return elements with the logarithmic parameters ``logs``."""
+            """Return elements whose parameters have the stacked logarithms ``logs``."""
             parts = np.split(logs, ends)
             return tuple(
                 FitElement(e.form, tuple(map(float, part)))
@@ -350,7 +350,7 @@ class Samples:
 
 
 def estimate_frequency_rounding(f: np.ndarray) -> float:
-    """Estimate the rounding error (rms) [Hz] of frequencies ``f`` (n,).
+    """Estimate the rms rounding error [Hz] of the listed frequencies ``f`` (n,).
 
     The estimate is the rms difference between ``f`` and frequencies with equal linear or
     logarithmic steps. If rounding of the last decimal digit cannot cause the rms difference, the

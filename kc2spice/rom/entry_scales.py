@@ -23,13 +23,13 @@ BALANCING_STEPS = 40  # number of iterations; each iteration halves the logarith
 
 
 def get_min_relative_divisor(norm: str) -> float:
-    """Return the smallest divisor of an entry's errors, relative to the entry's peak."""
+    """Return the smallest error divisor that a norm allows, as a fraction of the peak."""
     return PEAK_SHARE if norm == "pointwise" else 1.0
 
 
 @dataclass(frozen=True, eq=False)
 class EntryScales:
-    """Scales of the entries (outputs, inputs) of a response over a frequency band.
+    """Magnitude scales for relative errors of each response entry (output, input).
 
     ``peak`` is the largest magnitude of each entry. For entries in the mask ``zero``, ``peak`` is
     the product of ``rows`` and ``columns``, which is a geometric mean of row and column.
@@ -44,7 +44,7 @@ class EntryScales:
     def from_response(
         cls, H: np.ndarray, peak: np.ndarray | None = None, zero: np.ndarray | bool = False
     ) -> EntryScales:
-        """Compute the scales of the entries of a response H.
+        """Compute the error scales for all entries of a response H.
 
         H has the shape (frequencies, outputs, inputs).
 
@@ -60,7 +60,7 @@ class EntryScales:
         return cls(np.where(zero, scale, peak), np.asarray(zero), rows, columns)
 
     def compute_error_divisors(self, H: np.ndarray, share: float = PEAK_SHARE) -> np.ndarray:
-        """Return the values by which errors of the response ``H`` are divided.
+        """Return the divisors that turn errors of the response ``H`` into relative errors.
 
         Each value is the magnitude of the entry, but at least ``share`` times the entry's peak.
         """
@@ -82,7 +82,7 @@ class EntryScales:
     def compute_relative_errors(
         self, difference: np.ndarray, H: np.ndarray, share: float = PEAK_SHARE
     ) -> np.ndarray:
-        """Return the relative magnitude of a ``difference`` from the response H.
+        """Return the relative errors (magnitudes) of a ``difference`` from the response H.
 
         Both arrays have the shape (..., outputs, inputs). The divisors are the values of
         :meth:`compute_error_divisors`. Where a divisor is zero, the relative magnitude is zero.
@@ -94,7 +94,7 @@ class EntryScales:
 
 
 def balance_matrix(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Compute factors ``rows`` and ``columns`` that balance a matrix.
+    """Compute row and column factors that balance the entries of a matrix.
 
     The largest entry of each row and column of ``size / (rows columns)`` is one. Rows and columns
     of zeros are ignored.
@@ -109,7 +109,7 @@ def balance_matrix(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _compute_geometric_mean(size: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Compute the geometric mean of the maxima of each entry's row and column.
+    """Return the geometric mean of the largest values in each entry's row and column.
 
     ``size`` and the returned array have the shape (..., outputs, inputs).
     """

@@ -88,7 +88,7 @@ def choose_adaptive_frequencies(
 
 
 def _find_minima_near_zeros(H: np.ndarray) -> np.ndarray:
-    """Find the minima of ``abs(H)`` that may be near a deeper minimum.
+    """Find the sampled minima of ``abs(H)`` that may be near a zero of H.
 
     H is scaled to a peak of 1. Return the magnitudes of the minima, and infinity for all other
     samples. Two signs indicate a deeper minimum: a neighbouring sample is much larger, or the
@@ -106,11 +106,11 @@ def _find_minima_near_zeros(H: np.ndarray) -> np.ndarray:
 
 
 def _refine_intervals(known: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Place frequencies in each interval from ``known[low]`` to ``known[high]``.
+    """Return new frequencies that subdivide given intervals of known frequencies.
 
-    Each interval contains ``ZOOM_FREQUENCIES`` frequencies. The result contains no repeated
-    frequency and no frequency of ``known``, because equal frequencies with different rounding
-    errors could hide a maximum.
+    Each interval from ``known[low]`` to ``known[high]`` contains ``ZOOM_FREQUENCIES`` frequencies.
+    The result contains no repeated frequency and no frequency of ``known``, because equal
+    frequencies with different rounding errors could hide a maximum.
     """
     points = np.unique(np.linspace(known[low], known[high], ZOOM_FREQUENCIES))
     points = points[np.r_[True, np.diff(points) > EQUAL_FREQUENCY * points[1:]]]
@@ -139,23 +139,23 @@ class ErrorEstimator:
 
     @cached_property
     def frequency(self) -> np.ndarray:
-        """Frequencies [Hz] at which errors are probably large."""
+        """Sample frequencies [Hz] of the band at which large errors are likely."""
         return choose_adaptive_frequencies(self.exact, self.band, self.static, self.norm)
 
     @cached_property
     def exact_response_and_scales(self) -> tuple[np.ndarray, EntryScales]:
-        """Response of the exact model, and the scales of the entries of the response."""
+        """Exact response at :attr:`frequency`, and the scales for relative errors."""
         H = self.exact.transfer(2j * np.pi * self.frequency)
         return H, self.exact.compute_error_scales(self.frequency, H)
 
     @property
     def min_divisor_share(self) -> float:
-        """Smallest divisor of the errors of an entry, relative to the entry's peak."""
+        """Smallest error divisor in this norm, as a fraction of an entry's peak."""
         return get_min_relative_divisor(self.norm)
 
     @cached_property
     def _significant_entry_mask(self) -> np.ndarray:
-        """Mask of the entries that exceed the rounding errors of the summed terms.
+        """Mask of the response entries (outputs, inputs) that exceed rounding errors.
 
         The mask includes entries that are zero by symmetry, because errors of zero entries are
         relative to row and column.
@@ -258,7 +258,7 @@ def estimate_errors_above_band(
 
 
 def compute_relative_error(response: np.ndarray, reference: np.ndarray) -> float:
-    """Return the largest relative error of all entries at all frequencies.
+    """Return the largest relative error of a response, over entries and frequencies.
 
     The error of an entry is divided by the magnitude of the entry, but at least by ``PEAK_SHARE``
     times the entry's peak. The class :class:`kc2spice.rom.entry_scales.EntryScales` describes
@@ -278,7 +278,7 @@ def compute_relative_error(response: np.ndarray, reference: np.ndarray) -> float
 def compute_relative_errors(
     difference: np.ndarray, reference: np.ndarray, entries: EntryScales | None = None
 ) -> np.ndarray:
-    """Return the relative errors of a response with a given ``difference``.
+    """Convert a ``difference`` from a reference response to relative errors.
 
     The ``difference`` and the ``reference`` have the shape (..., outputs, inputs).
 
@@ -290,11 +290,11 @@ def compute_relative_errors(
 
 
 def make_inaccuracy_error(message: str, got: str, limit: float, hint: str) -> SimulationError:
-    """Make the error of a reduction whose error estimate remains above the limit."""
+    """Make the exception for an error estimate that remains above the limit."""
     expected = f"at most {limit:.1e}"
     return SimulationError(message, where="reduction", got=got, expected=expected, hint=hint)
 
 
 def choose_default_norm(model: LinearModel) -> Norm:
-    """Return *peak* if all ports are signals, and *pointwise* for all other models."""
+    """Choose the error norm: *peak* if all ports are signals, otherwise *pointwise*."""
     return "pointwise" if any(port.conservative for port in model.ports) else "peak"

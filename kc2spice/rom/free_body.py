@@ -57,25 +57,25 @@ class FreeBody:
     momenta: np.ndarray
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
-        """Return the elastic part of ``(K + shift M)^-1 rhs``."""
+        """Solve ``(K + shift M) x = rhs``, and return the elastic part of x."""
         balanced = rhs - self.momenta @ (self.modes.T @ rhs)
         x = self.factor.solve(balanced)
         return np.asarray(x - self.modes @ (self.momenta.T @ x))
 
     def apply_shifted_stiffness(self, x: np.ndarray) -> np.ndarray:
-        """Return ``(K + shift M) x``, in which Krylov bases are orthonormal."""
+        """Apply ``K + shift M`` to x, for the inner product of Krylov bases."""
         K, _, M = self.pencil.coefficients
         return np.asarray(K @ x + self.shift * (M @ x))
 
     @cached_property
     def vectors(self) -> np.ndarray:
-        """Rigid-body modes (n, r), orthonormal in ``K + shift M``, for the basis."""
+        """Rigid-body modes (n, r) as basis vectors, orthonormal in ``K + shift M``."""
         return np.asarray(self.modes / np.sqrt(self.shift))
 
     def separate_rigid_body_modes(
         self, projected: Pencil, V: np.ndarray
     ) -> tuple[Pencil, np.ndarray]:
-        """Correct the rigid-body modes of a projected model.
+        """Separate the rigid-body modes of a projected model from its elastic unknowns.
 
         The first columns of the basis ``V`` are :attr:`vectors`. Modes that no port drives are
         omitted. Return the corrected model, and a matrix whose columns express the unknowns of the
@@ -87,7 +87,7 @@ class FreeBody:
 
     @cached_property
     def _absolute_forces(self) -> tuple[np.ndarray, ...]:
-        """Absolute forces ``|P| |V|`` (n, r) of the vectors V for each matrix P."""
+        """Absolute forces ``|P| |V|`` (n, r) of the rigid-body modes V, for each matrix P."""
         return tuple(
             compute_absolute_entries(P) @ np.abs(self.vectors) for P in self.pencil.coefficients
         )
@@ -107,7 +107,7 @@ class FreeBody:
 
 
 def find_free_body(pencil: Pencil, omega: float) -> FreeBody | None:
-    """Return the rigid-body modes of a definite model that is free to move.
+    """Split an unsupported definite model into rigid-body modes and an elastic part.
 
     ``omega`` [rad/s] is the upper band limit. Return None if the model has no definite form, no
     rigid-body modes, or supports whose stiffness is as small as rounding errors.

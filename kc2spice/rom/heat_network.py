@@ -106,7 +106,7 @@ class FosterNetwork(EqualByContent):
 
 @dataclass(frozen=True, eq=False)
 class HeatLadder(EqualByContent):
-    """Ladder of heat capacities (n,) [J/K] and thermal resistances (n,) [K/W].
+    """Cauer network: ladder of heat capacities (n,) [J/K] and resistances (n,) [K/W].
 
     The ladder connects the port to ``ambient``.
 
@@ -154,7 +154,7 @@ def find_heat_ladder(model: LinearModel) -> HeatLadder | None:
 
 
 def parse_network_form(form: str | None, where: str) -> NetworkForm | None:
-    """Return the network form with the name ``form``; None if ``form`` is None.
+    """Parse the name of a network form, Foster or Cauer; return None for None.
 
     Raises
     ------
@@ -181,7 +181,7 @@ def make_network_model(network: FosterNetwork, form: NetworkForm, port: Port) ->
 def _add_modes(
     resistance: list[Decimal], times: list[Decimal]
 ) -> tuple[list[Decimal], list[Decimal]]:
-    """Return the numerator and denominator of a sum of modes as polynomials in s.
+    """Add modes: return numerator and denominator of the sum as polynomials in s.
 
     The coefficients are in ascending powers of s.
     """
@@ -193,7 +193,7 @@ def _add_modes(
 
 
 def _multiply_by_time_constant(polynomial: list[Decimal], t: Decimal) -> list[Decimal]:
-    """Return the product of a polynomial and ``1 + s t``."""
+    """Multiply a polynomial in s by ``1 + s t`` with the time constant t."""
     if not polynomial:
         return []
     inner = [high + t * low for low, high in pairwise(polynomial)]
@@ -201,6 +201,7 @@ def _multiply_by_time_constant(polynomial: list[Decimal], t: Decimal) -> list[De
 
 
 def _add_polynomials(first: list[Decimal], second: list[Decimal]) -> list[Decimal]:
+    """Add two polynomials whose coefficients are in ascending powers of s."""
     return [a + b for a, b in zip_longest(first, second, fillvalue=Decimal(0))]
 
 

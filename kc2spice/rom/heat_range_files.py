@@ -31,7 +31,9 @@ def write_heat_over_ranges(model: HeatOverRanges, directory: Path, name: str) ->
 
 
 def read_heat_over_ranges(path: Path | str) -> HeatOverRanges:
-    """Read a file that :func:`write_heat_over_ranges` wrote.
+    """Read a heat model over parameter ranges from a ``.npz`` file.
+
+    The function :func:`write_heat_over_ranges` writes such files.
 
     Raises
     ------
@@ -47,7 +49,7 @@ def read_heat_over_ranges(path: Path | str) -> HeatOverRanges:
 def _build_model(
     arrays: dict[str, np.ndarray], record: dict[str, Any], name: str
 ) -> HeatOverRanges:
-    """Check the arrays and the record of a file, and build a model from both."""
+    """Build a heat model from the arrays and the record of a file, and check both."""
     common = parse_ranges(record)
     ports, axes = common["ports"], common.pop("axes")
     terms, states = np.shape(arrays["powers"])[0], np.shape(arrays["B"])[0]

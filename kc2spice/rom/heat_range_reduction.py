@@ -70,7 +70,7 @@ FACT_DEGREE = 6  # highest degree of the polynomials that interpolate facts
 
 
 class HeatReduction:
-    """Reductions of heat models over the same ranges of parameters.
+    """Full heat models over parameter ranges, prepared for repeated reductions.
 
     All reductions use the same terms of the matrices of the full models.
 
@@ -120,7 +120,7 @@ class HeatReduction:
     def _reduce(
         self, task: RangeTask, *, flows: bool
     ) -> tuple[HeatOverRanges, Sequence[_ReferenceResponses]]:
-        """Return the reduced model, and reference responses at samples of the ranges.
+        """Return the reduced model, and the reference responses for its error checks.
 
         If ``flows`` is true, the error includes heat flows into ports with prescribed temperatures.
         """
@@ -156,7 +156,7 @@ class HeatReduction:
     def _add_certificate_and_facts(
         self, ranges: _FullModelsOverRanges, result: HeatOverRanges, error: float
     ) -> HeatOverRanges:
-        """Add the certificate, and facts from full models, to a reduced model."""
+        """Add a certificate, and polynomials of facts such as a mass, to a reduced model."""
         axes = ranges.terms.axes
         semidefinite = all(map(is_semidefinite, (*result.terms.E, *result.terms.K)))
         middle = result.evaluate(ranges.values(np.zeros(len(axes))))
@@ -202,7 +202,7 @@ class _FullModelsOverRanges:
         )
 
     def compute_reference(self, model: LinearModel, values: Values) -> _ReferenceResponses:
-        """Return the reference responses at ``values`` of the parameters."""
+        """Compute reference responses of a full model at parameter ``values``."""
         parts, task = split_prescribed_ports(model, self.prescribed), self.task
         inner, flows = remove_inactive_ports(parts.inner), None
         if self.prescribed:
@@ -225,7 +225,7 @@ class _FullModelsOverRanges:
 
 @dataclass(frozen=True, eq=False)
 class _ReferenceResponses:
-    """Responses of a full model at ``values`` of the parameters."""
+    """Reference responses of a full model at one set of parameter values."""
 
     ranges: _FullModelsOverRanges
     values: Values
@@ -250,7 +250,7 @@ class _ReferenceResponses:
         return max(still, self.estimator.estimate_model_error(response, limit) + self.uncertainty)
 
     def compute_flow_error(self, reduced: HeatOverRanges) -> float:
-        """Return the largest relative error of heat flows into prescribed ports."""
+        """Return the largest relative error of heat flows at prescribed temperatures."""
         assert self.flows is not None
         model = reduced.evaluate(self.values)
         return self.flows.compute_error(
@@ -307,7 +307,7 @@ class _TemperatureBasis:
             self.add(ranges.values(x))
 
     def add(self, values: Values) -> None:
-        """Add the basis vectors of the reduced model at ``values`` of the parameters."""
+        """Reduce the model at parameter ``values``, and add the vectors to the basis."""
         ranges, n = self.ranges, len(self.middle.at)
         self.count += 1
         model = ranges.model(values)
@@ -369,7 +369,10 @@ class _TemperatureBasis:
         return np.asarray(Q @ U)
 
     def model(self, W: np.ndarray) -> HeatOverRanges:
-        """Return the reduced model with the basis vectors ``W`` (others, directions)."""
+        """Return the heat model over ranges, reduced with the basis vectors ``W``.
+
+        ``W`` has the shape (others, directions).
+        """
         middle, ranges = self.middle, self.ranges
         n = len(middle.at)
         V = np.zeros((ranges.frame.order, n + W.shape[1]))
@@ -408,7 +411,7 @@ def _project_matrix(matrix: scipy.sparse.csc_array, V: np.ndarray) -> np.ndarray
 def _find_smallest_model(
     basis: _TemperatureBasis, samples: Sequence[_ReferenceResponses], limit: float
 ) -> tuple[HeatOverRanges, float]:
-    """Return the smallest model with acceptable errors at all samples.
+    """Return the smallest reduced heat model with acceptable errors at all samples.
 
     The second result is the largest error of this model at the samples.
 

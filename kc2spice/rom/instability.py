@@ -105,7 +105,7 @@ def _has_negative_stiffness(pencil: Pencil) -> bool:
 
 
 def _find_highest_energy(P: Matrix) -> np.ndarray | None:
-    """Find the vector x with the largest ``x'Px`` for a symmetric matrix P.
+    """Find the vector x with the largest energy ``x'Px`` for a symmetric matrix P.
 
     The length of x is ``sum_i w_i x_i^2 = 1``, where the weights w_i are the row sums of ``|P|``.
     Return None if the Lanczos method does not converge.
@@ -125,7 +125,7 @@ def _find_highest_energy(P: Matrix) -> np.ndarray | None:
 
 
 def _compute_median_rate(pencil: Pencil) -> float:
-    """Return the median of ``(k_ii / m_ii)^(1/degree)`` [1/s] over unknowns.
+    """Return the median rate ``(k_ii / m_ii)^(1/degree)`` [1/s] of all unknowns.
 
     Unknowns without inertia or stiffness are ignored.
     """
@@ -137,9 +137,10 @@ def _compute_median_rate(pencil: Pencil) -> float:
 
 
 def _find_growing_poles(pencil: Pencil, rate: float) -> np.ndarray:
-    """Find growing poles [1/s] by the Cayley transform with c = ``rate``.
+    """Find poles [1/s] with positive real part by a Cayley transform.
 
-    A pole is returned only if the residual of the eigenvector is small.
+    The transform has the constant c = ``rate`` [1/s]. A pole is returned only if the residual of
+    the eigenvector is small.
     """
     solve = pencil.factorise_polynomial(rate)[0].solve
     n, degree = pencil.size, pencil.degree

@@ -53,7 +53,7 @@ def reduce_with_interfaces(
     measured: bool = True,
     **aims: Any,
 ) -> LinearModel:
-    """Reduce a heat model; the ports ``prescribed`` have prescribed temperatures.
+    """Reduce a heat model some of whose ports have prescribed temperatures.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ def _reduce_inner_model(
 def _reduce_parts(
     model: LinearModel, parts: PrescribedTemperatures, small: LinearModel
 ) -> LinearModel:
-    """Reduce the whole heat model with the basis of ``small``.
+    """Combine static responses and a reduced inner model to a reduced heat model.
 
     ``small`` is the reduced model of the temperatures that are not prescribed.
     """
@@ -157,7 +157,7 @@ def make_no_congruence_error(model: LinearModel) -> UsageError:
 
 
 def _reduce_definite_model(model: LinearModel, aims: Mapping[str, Any]) -> LinearModel:
-    """Reduce a model whose K is positive definite.
+    """Reduce a heat model whose conductance matrix K is positive definite.
 
     The rates of a small model may differ by 12 orders of magnitude. With rates of very different
     sizes, a slow mode could be mistaken for a body without a thermal path. Therefore, small models

@@ -23,13 +23,13 @@ ROUNDING = 1e-12
 
 
 def keeps_all_heat(K: sparse.csc_array) -> bool:
-    """Return whether a uniform temperature of the body causes no heat flow."""
+    """Return whether heat cannot leave the body: no flow at uniform temperature."""
     return bool(np.abs(K @ np.ones(K.shape[0])).max() < ROUNDING * np.abs(K.diagonal()).max())
 
 
 @dataclass(frozen=True, eq=False)
 class PrescribedTemperatures:
-    """Heat model that is divided into prescribed temperatures and all other unknowns.
+    """Heat model divided into prescribed temperatures and all other unknowns.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class PrescribedTemperatures:
 
 
 def split_prescribed_ports(model: LinearModel, prescribed: Sequence[str]) -> PrescribedTemperatures:
-    """Divide a heat model into the ports ``prescribed`` and all other unknowns."""
+    """Divide a heat model into prescribed temperatures and all other unknowns."""
     K, E = map(sparse.csc_array, model.pencil.coefficients)
     names = list_names(model.ports)
     of_ports = [names.index(name) for name in prescribed]
@@ -82,7 +82,7 @@ def split_prescribed_ports(model: LinearModel, prescribed: Sequence[str]) -> Pre
 
 
 def remove_inactive_ports(model: LinearModel) -> LinearModel:
-    """Return the model without the ports whose column of B is zero."""
+    """Return the model without its inactive ports, whose columns of B are zero."""
     live = np.flatnonzero(np.abs(model.B).max(axis=0) > 0)
     return model.select([model.ports[k].name for k in live])
 

@@ -74,7 +74,7 @@ class IntermediateModel:
 def make_no_convergence_error(
     response: Response, band: tuple[float, float], error: float, limit: float
 ) -> SimulationError:
-    """Make the error of a Krylov method whose error estimate remains above the limit."""
+    """Make the exception for a Krylov method that does not converge."""
     modes = response.select_in_band(band)[0].size
     return make_inaccuracy_error(
         "the reduced model does not settle",

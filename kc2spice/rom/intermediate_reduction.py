@@ -70,7 +70,7 @@ def build_intermediate_model(
     *,
     deflated: bool = True,
 ) -> IntermediateModel:
-    """Return a model with a relative error of at most ``target`` over ``band`` [Hz].
+    """Build an intermediate model with a relative error of at most ``target``.
 
     If solutions of the full model have rounding errors above ``target``, an error of at most
     ``limit`` is accepted. If ``deflated`` is true, the rigid-body modes of a free body are
@@ -158,7 +158,7 @@ def _restore_units(
 def _use_full_order(
     full: Pencil, band: tuple[float, float], limit: float, most: int = MAX_COMPLETE_STATES
 ) -> IntermediateModel | None:
-    """Convert a small full-order model to an intermediate model without reduction.
+    """Use a small full-order model as the intermediate model, without reduction.
 
     Return None if evaluating the response of the model would take too long.
 

@@ -86,7 +86,7 @@ def parse_matrix_market(data: bytes, allowed: Callable[[tuple[int, int], int], N
 
 
 def _read_matrix_size(data: bytes, start: int) -> tuple[list[int], int]:
-    """Return the numbers in the size line, and the position of the next line."""
+    """Return the numbers in the size line of a file, and the next line's position."""
     while start < len(data):
         end = data.find(b"\n", start)
         end = len(data) if end < 0 else end
@@ -98,7 +98,7 @@ def _read_matrix_size(data: bytes, start: int) -> tuple[list[int], int]:
 
 
 def _count_stored_entries(rows: int, columns: int, symmetry: str) -> int:
-    """Return the number of entries in an 'array' file of a matrix."""
+    """Return how many entries a Matrix Market file in 'array' format contains."""
     if symmetry == "general":
         return rows * columns
     return rows * (rows + 1) // 2 if symmetry == "symmetric" else rows * (rows - 1) // 2
@@ -107,7 +107,7 @@ def _count_stored_entries(rows: int, columns: int, symmetry: str) -> int:
 def _read_coordinates(
     rows: int, columns: int, symmetry: str, table: np.ndarray, value: np.ndarray
 ) -> Matrix:
-    """Return the matrix of a 'coordinate' file."""
+    """Return the matrix of a Matrix Market file in 'coordinate' format."""
     row, column = parse_indices(table[:, 0], rows), parse_indices(table[:, 1], columns)
     matrix = sparse.csc_array((value, (row, column)), shape=(rows, columns))
     if symmetry == "general":
@@ -119,7 +119,7 @@ def _read_coordinates(
 
 
 def _read_array(rows: int, columns: int, symmetry: str, values: np.ndarray) -> Matrix:
-    """Return the matrix of an 'array' file."""
+    """Return the matrix of a Matrix Market file in 'array' format."""
     if symmetry == "general":
         return values.reshape(columns, rows).T.copy()
     skew = symmetry != "symmetric"
@@ -265,7 +265,7 @@ def _require_loadable_size(shape: tuple[int, int], entries: int) -> None:
 
 
 def require_certificate(certificate: Certificate | None, name: str) -> Certificate:
-    """Return the certificate of the model ``name``.
+    """Return the certificate of a reduced model; reject a model without one.
 
     Raises
     ------
@@ -306,7 +306,7 @@ def read_arrays(path: Path, names: Iterable[str]) -> tuple[dict[str, np.ndarray]
 
 
 def make_damage_error(path: Path, error: Exception) -> UsageError:
-    """Convert an error of a parser to an error for a file without a reduced model."""
+    """Make the error for a damaged file, or for a file without a reduced model."""
     unreduced = isinstance(error, KeyError) and _RECORD_NAME in str(error)
     reason = " ".join(str(error).split())[:120] or type(error).__name__
     return UsageError(
@@ -370,6 +370,7 @@ def parse_certificate(record: object) -> Certificate:
 
 
 def _build_model(matrices: dict[str, Any], record: dict[str, Any]) -> LinearModel:
+    """Check the matrices and JSON record of a file, and build a model from both."""
     from pydantic import TypeAdapter  # imported here, because most commands read no reduced model
 
     ports, certificate = parse_ports(record["ports"]), parse_certificate(record["certificate"])
@@ -386,5 +387,5 @@ def _build_model(matrices: dict[str, Any], record: dict[str, Any]) -> LinearMode
 
 
 def _list_matrix_letters(first_order: bool) -> str:
-    """Return the letters of all matrices in a file, in the order of the file."""
+    """Return the letters that name the matrices in a model file, in file order."""
     return "EABCD" if first_order else "MEKBCD"

@@ -293,12 +293,12 @@ class LinearModel:
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """Names of the ports that are columns of B."""
+        """Names of the input ports, one for each column of B."""
         return tuple(p.name for p in self.ports if p.kind != "output")
 
     @property
     def outputs(self) -> tuple[str, ...]:
-        """Names of the ports that are rows of C."""
+        """Names of the output ports, one for each row of C."""
         return tuple(p.name for p in self.ports if p.kind != "input")
 
     @cached_property
@@ -421,6 +421,7 @@ class LinearModel:
         return convert_to_state_space(self.pencil, known.band_hz[1] if known else None)
 
     def _make_no_state_space_error(self) -> UsageError:
+        """Make the error for a model with structural damping, which has no state space."""
         return UsageError(
             "a model with structural damping has no state-space form",
             where=self.name,
@@ -469,7 +470,7 @@ class LinearModel:
         return self.copy_with(B=B, C=C, D=D, ports=ports)
 
     def copy_with(self, **changes: Any) -> LinearModel:
-        """Return a copy with other attributes but the same K and factorisation of K."""
+        """Return a copy with changed attributes, which shares the factorisation of K."""
         result = replace(self, **changes)
         self.pencil.share_factors(result.pencil)
         return result
@@ -511,7 +512,7 @@ def make_piezoelectric_model(
     k_pV: np.ndarray | None = None,
     **others: Any,
 ) -> LinearModel:
-    """Make a voltage-driven piezoelectric model without free potentials.
+    """Make a voltage-driven piezoelectric model, with free potentials eliminated.
 
     Free potentials are eliminated exactly.
 
@@ -746,7 +747,7 @@ def _suggest_size(letter: str, shape: tuple[int, ...], expected: tuple[int, ...]
 
 
 def _complete_ports(ports: tuple[Port, ...], m: int, p: int, where: str) -> tuple[Port, ...]:
-    """Check ``ports``; if there are none, return m inputs and p outputs."""
+    """Check the ports of a model; without ports, return m inputs and p outputs."""
     strange = next((port for port in ports if not isinstance(port, Port)), None)
     if strange is not None:
         raise UsageError(
@@ -777,7 +778,7 @@ def _complete_ports(ports: tuple[Port, ...], m: int, p: int, where: str) -> tupl
 
 
 def _reject_mixed_thermal_ports(model: LinearModel) -> None:
-    """Reject thermal ports of a second-order model, or together with other ports."""
+    """Reject thermal ports in second-order models, or beside ports of other kinds."""
     of_heat = [port.domain is THERMAL for port in model.ports]
     if any(of_heat) and not (all(of_heat) and model.first_order):
         raise UsageError(

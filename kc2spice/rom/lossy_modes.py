@@ -35,7 +35,7 @@ MIN_AMPLITUDE = 1e-12  # smallest amplitude of a relaxation, relative to the sti
 
 @dataclass(frozen=True, eq=False)
 class Oscillator:
-    """Passive oscillator with a spring, a dashpot, a mass and relaxations.
+    """Passive oscillator: spring, dashpot and mass, with relaxations of the stiffness.
 
     The module docstring defines the dynamic stiffness ``d(s)``.
 
@@ -60,7 +60,9 @@ class Oscillator:
 
 
 def make_viscous_oscillator(stiffness: float, loss: float) -> Oscillator:
-    """Make an oscillator whose dashpot has a prescribed ``loss`` at the resonance.
+    """Make an oscillator with a dashpot of prescribed loss stiffness at resonance.
+
+    The loss stiffness ``loss`` is the imaginary part of the dynamic stiffness at the resonance.
 
     Examples
     --------

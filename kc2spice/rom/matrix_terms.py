@@ -49,7 +49,7 @@ _Matrices: TypeAlias = "Mapping[str, scipy.sparse.csc_array]"
 
 @dataclass(frozen=True, eq=False)
 class MatrixTerms:
-    """Terms of the matrices E and K of a heat model.
+    """Heat matrices E and K as sums of constant matrices times parameter factors.
 
     ``powers`` (terms, axes) are the exponents of the parameters in each factor. All factors are one
     if the parameters have the values ``scales`` (axes,). ``E`` and ``K`` contain one constant
@@ -63,7 +63,7 @@ class MatrixTerms:
     K: tuple[Any, ...]
 
     def evaluate_factors(self, values: Values) -> np.ndarray:
-        """Return the factors (terms,) of the matrices for ``values`` of all parameters."""
+        """Return the factor of each matrix term (terms,) for ``values`` of all parameters."""
         return compute_factors(self.powers, [values[a.name] for a in self.axes] / self.scales)
 
     def evaluate_matrices(self, values: Values) -> dict[str, Any]:
@@ -100,7 +100,7 @@ def find_matrix_terms(full: Full, axes: Sequence[ParameterAxis], frame: LinearMo
 
     @cache
     def compute_matrices(coordinates: tuple[float, ...]) -> _Matrices:
-        """Return the matrices E and K of the full model at ``coordinates``."""
+        """Return the matrices E and K of the full model at parameter ``coordinates``."""
         pairs = zip(axes, coordinates, strict=True)
         values = {axis.name: axis.value(x) for axis, x in pairs}
         model = full(values) if any(coordinates) else frame
@@ -113,7 +113,10 @@ def find_matrix_terms(full: Full, axes: Sequence[ParameterAxis], frame: LinearMo
         return {"E": E, "K": K}
 
     def interpolate(choice: Sequence[tuple[int, ...]]) -> MatrixTerms:
-        """Return the terms for all products of the powers in ``choice``."""
+        """Compute the matrix of each term by interpolation between full models.
+
+        The terms contain all products of the powers in ``choice``.
+        """
         powers = np.array([*product(*choice)], dtype=int).reshape(-1, len(axes))
         places = [*product(*(PLACES[len(item)] for item in choice))]
         rows = []

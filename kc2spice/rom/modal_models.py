@@ -111,7 +111,7 @@ class Resonators(EqualByContent):
 
 
 def compute_resonators(rom: LinearModel) -> Resonators | None:
-    """Compute the mass-normalised modes of a model with symmetric K and M.
+    """Convert a model with symmetric K and M to decoupled, mass-normalised modes.
 
     The result is None for a first-order model, an indefinite or singular M or K, ``C != B'``, or
     damping that couples modes. The function solves the eigenvalue problem ``M phi = mu K phi``
@@ -360,7 +360,7 @@ _BLOCK_STEPS = 4096  # number of time steps per group, which limits the memory
 def simulate_resonators(
     model: Resonators, t: np.ndarray, load: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the outputs and the stored energy of a chip for given loads.
+    """Compute outputs and stored energy of resonators under given loads over time.
 
     ``load`` (n, ports) contains forces on the chip [N] and voltages [V] at the times ``t`` (n,)
     [s]. Between successive times, the loads are linear. The outputs (n, ports) are displacements
@@ -488,7 +488,7 @@ def compute_permittivity_ratio(frequency: np.ndarray, tangent: float) -> np.ndar
 
 
 def compute_clamped_tangent(tangent: float, ratio: float) -> float:
-    """Convert the loss tangent of a mechanically free body to the clamped body.
+    """Return the loss tangent of a clamped body from the free body's loss tangent.
 
     Both loss tangents are at 1 kHz.
 

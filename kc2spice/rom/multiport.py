@@ -141,7 +141,7 @@ def _select_fit(f: np.ndarray, S: np.ndarray, noise: float, where: str) -> ABCD:
 def _fit_increasing_orders(
     f: np.ndarray, S: np.ndarray, noise: float, where: str
 ) -> list[tuple[float, ABCD]]:
-    """Fit models with increasing numbers of poles.
+    """Fit models with increasing numbers of poles to scattering parameters.
 
     Return pairs of deviation and state-space matrices, sorted by deviation.
     """
@@ -221,7 +221,7 @@ def _enforce_passivity(model: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None
     count, order = triangle + m * (n + m), n + 2 * m
 
     def make_inequality_matrix(x: np.ndarray) -> np.ndarray:
-        """Return the matrix of the inequality without the constant entries -1.
+        """Return the left side of the passivity inequality, without the constants -1.
 
         ``x`` contains the lower triangle of P, and then the rows of the block matrix ``[C D]``.
         """
@@ -341,7 +341,7 @@ def refine_poles(
         return np.asarray(p)
 
     def project(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Solve the linear least-squares problem for the pole parameters ``x``.
+        """Fit residues for given pole parameters ``x`` by linear least squares.
 
         Return an orthonormal basis of the columns, the coefficients of the columns, and the
         residual.
@@ -383,7 +383,7 @@ def refine_poles(
 
 
 def _scale_columns(s: np.ndarray, p: np.ndarray, real: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return scaled columns of the linear least-squares problem, and the norms.
+    """Return the least-squares columns scaled to norm 1, and the original norms.
 
     The columns are divided by the norms. Columns contain the real and imaginary parts of the
     following terms: ``1``, ``1 / (s - p)`` for real poles, and ``1 / (s - p) + 1 / (s - p*)`` and
@@ -398,7 +398,7 @@ def _scale_columns(s: np.ndarray, p: np.ndarray, real: np.ndarray) -> tuple[np.n
 
 
 def _recover_residues(coefficients: np.ndarray, real: np.ndarray) -> np.ndarray:
-    """Combine real and imaginary parts to residues of shape (poles, entries).
+    """Convert fitted real coefficients to complex residues (poles, entries).
 
     ``coefficients`` contains D, the real parts of all residues, and then the imaginary parts of
     complex residues.
@@ -411,7 +411,7 @@ def _recover_residues(coefficients: np.ndarray, real: np.ndarray) -> np.ndarray:
 def _yield_pole_derivatives(
     s: np.ndarray, p: np.ndarray, real: np.ndarray, coefficients: np.ndarray
 ) -> Iterator[np.ndarray]:
-    """Yield derivatives of the fit with respect to the logarithms of pole parts.
+    """Yield the derivatives of the fit with respect to all log pole parameters.
 
     The pole parts are the negative real parts and the imaginary parts of the poles. Each derivative
     has the shape (frequencies, entries).
@@ -420,7 +420,7 @@ def _yield_pole_derivatives(
     one, other = 1 / (s[:, None] - p) ** 2, 1 / (s[:, None] - p.conj()) ** 2
 
     def compute_pole_derivative(k: int, rate: complex) -> np.ndarray:
-        """Return the derivative of the fit for a ``rate`` of change of the pole ``k``."""
+        """Return how the fit changes if the pole number ``k`` moves by ``rate``."""
         result = np.outer(rate * one[:, k], residues[k])
         if not real[k]:
             result = result + np.outer(np.conj(rate) * other[:, k], residues[k].conj())
@@ -492,7 +492,7 @@ def is_passive(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> bo
 def _convert_to_charges(
     A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, R: float
 ) -> LinearModel:
-    """Convert a state space of scattering parameters to charges versus voltages.
+    """Convert a scattering-parameter model to a model of charges versus voltages.
 
     The input ``v`` [V] contains the voltages of the ports, and the output ``q`` [C] the charges of
     the ports. ``r`` is the square root of the reference resistance R [Ohm].

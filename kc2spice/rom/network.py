@@ -29,7 +29,7 @@ NETWORK_PORT = Port("anode", ELECTRICAL.port, pins=("anode", "cathode"))
 
 @dataclass(frozen=True)
 class CircuitBranch:
-    """Series circuit of R [Ohm], L [H] and C, stated by the elastance 1/C [1/F].
+    """Series branch of R [Ohm], L [H] and C; the elastance is 1/C [1/F].
 
     The value of a missing element is 0.
     """
@@ -50,7 +50,7 @@ IDEAL_LEAD = CircuitBranch(0.0)
 
 @dataclass(frozen=True)
 class ParallelBranches:
-    """One-port network: ``branches`` and a ``capacitance`` C0 [F] in parallel.
+    """One-port network of parallel branches and a parallel capacitance C0 [F].
 
     The ``lead`` consists of R and L in series with the parallel branches, and carries the total
     current.
@@ -97,7 +97,7 @@ class ParallelBranches:
 
 
 def recognise_parallel_branches(model: LinearModel) -> ParallelBranches | None:
-    """Return the network that a linear ``model`` describes.
+    """Return the parallel R-L-C branches that a linear model represents, or None.
 
     The result is None if the matrices of the model do not have the form of a network.
     """
@@ -128,7 +128,7 @@ def recognise_parallel_branches(model: LinearModel) -> ParallelBranches | None:
 
 
 def _find_common_value(matrix: np.ndarray) -> float | None:
-    """Return the common value of all off-diagonal entries of a matrix.
+    """Return the common value of all off-diagonal entries, None if entries differ.
 
     The result is None if the off-diagonal entries differ, are negative, or exceed a diagonal entry.
     Without off-diagonal entries, the result is 0.

@@ -24,7 +24,7 @@ SAVING_RATIO = 0.91
 
 
 def find_least_order(basis: ReducedBasis, tolerance: float, states: float = np.inf) -> int | None:
-    """Return the smallest acceptable order with fewer than ``states`` states.
+    """Return the smallest acceptable order of a basis, limited by a number of states.
 
     ``states`` counts first-order states. The result is None if no order is acceptable. All orders
     are tried in ascending order, because the error may increase with the order, and because models
@@ -120,7 +120,7 @@ def _prove_stability(task: ReductionTask) -> StabilityProof | None:
 def _select_fewest_states(
     task: ReductionTask, reductors: Sequence[Reductor], tolerance: float, states: float
 ) -> tuple[ReducedBasis, int] | None:
-    """Find a basis and an order that meet the tolerance with few states.
+    """Find a basis and order within tolerance that need fewer than ``states`` states.
 
     The number of states must be smaller than ``states``; otherwise, the result is None. In the norm
     *peak*, the basis with the fewest states is used. In the norm *pointwise*, the first acceptable
@@ -145,7 +145,7 @@ def _select_smallest_order(
     states: float,
     optional: bool,
 ) -> tuple[Reductor, ReducedBasis, int | None]:
-    """Return the reductor that needs the smallest order, the basis, and the order.
+    """Select the reductor with the smallest sufficient order, its basis and the order.
 
     If no order is acceptable, the order is None, or an error is raised if the result is not
     ``optional``.
@@ -163,13 +163,13 @@ def _select_smallest_order(
 
 
 def _replace_origin(result: tuple[ReducedBasis, int], text: str) -> tuple[ReducedBasis, int]:
-    """Replace the origin of a basis by ``text``, with which the certificate begins."""
+    """Replace the text about the origin of a basis, which begins the certificate."""
     basis, order = result
     return replace(basis, origin=text), order
 
 
 def require_order(bases: Sequence[ReducedBasis], tolerance: float) -> tuple[ReducedBasis, int]:
-    """Find the basis and the order that meet the tolerance with the fewest states.
+    """Find the basis with the fewest states within tolerance, or raise an error.
 
     Raises
     ------

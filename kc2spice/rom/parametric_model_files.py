@@ -55,7 +55,7 @@ def is_parametric_model(path: Path) -> bool:
 
 
 def _contains_heat(path: Path) -> bool:
-    """Return whether a file is an archive of a parametric heat model."""
+    """Return whether a file contains a parametric heat model."""
     try:
         with zipfile.ZipFile(path) as archive:
             return _HEAT_MARK in archive.namelist()
@@ -64,7 +64,9 @@ def _contains_heat(path: Path) -> bool:
 
 
 def read_parametric_model(path: Path | str) -> ModelOverRanges:
-    """Read a file that :func:`write_parametric_model` wrote.
+    """Read a parametric model from a ``.npz`` file.
+
+    The function :func:`write_parametric_model` writes such files.
 
     Raises
     ------

@@ -99,7 +99,7 @@ class ParameterAxis:
 
 
 def require_values_in_ranges(axes: Iterable[ParameterAxis], values: Values) -> None:
-    """Check that ``values`` contains a value within the range of each axis.
+    """Reject parameter ``values`` that are missing or outside of their ranges.
 
     Raises
     ------
@@ -151,7 +151,7 @@ class ParameterPolynomials:
         return {axis.name: axis for axis in (*self.axes, *(item.axis for item in self.losses))}
 
     def compute_products(self, values: Values) -> np.ndarray:
-        """Return the product of polynomials of each term for ``values`` of all parameters.
+        """Return the value of each polynomial term at parameter ``values``.
 
         Raises
         ------
@@ -222,7 +222,7 @@ def reduce_over_parameters(
     cached_model = cache(lambda key: full(dict(key)))
 
     def build_full_model(values: Values) -> LinearModel:
-        """Return the full model for ``values``. Each model is computed only once."""
+        """Return the full model for parameter ``values``, computed only once."""
         return cached_model(tuple(sorted(values.items())))
 
     middle = {axis.name: axis.middle_value for axis in axes}
@@ -277,7 +277,7 @@ def reduce_over_parameters(
 
 
 def choose_higher_degree(model: DenseParametricModel) -> int | None:
-    """Return the next higher total degree, or None above :data:`MAX_DEGREES`."""
+    """Return the next higher polynomial degree, or None above :data:`MAX_DEGREES`."""
     degree = int(model.exponents.sum(axis=1).max()) + DEGREE_STEP
     return degree if degree <= MAX_DEGREES.get(len(model.axes), 0) else None
 
@@ -350,7 +350,7 @@ def _require_parametric_model(model: LinearModel, frame: LinearModel | None) -> 
 
 
 def _compute_modes_and_static_responses(pencil: Pencil, band: tuple[float, float]) -> np.ndarray:
-    """Compute mode shapes and static responses.
+    """Compute mode shapes and static responses as basis vectors.
 
     The static responses do not contain the contributions of the mode shapes.
 
@@ -387,7 +387,7 @@ def _orthonormalise(columns: Sequence[np.ndarray], M: Matrix) -> np.ndarray:
 def _find_damping_parameter(
     full: Full, axis: ParameterAxis, middle: Values, frame: LinearModel
 ) -> DampingParameter | None:
-    """Return the damping parameter of ``axis``; None if there are other effects.
+    """Return an axis as damping parameter, None if its parameter has other effects.
 
     A damping parameter only multiplies the Rayleigh coefficients by powers of the parameter.
     """

@@ -44,23 +44,23 @@ class SharedValue(Generic[T]):
 
     @property
     def value_or_none(self) -> T | None:
-        """Value, or None before the first use."""
+        """Shared value, or None if the value is not yet computed."""
         return self._values[0] if self._values else None
 
     def get(self, compute: Callable[[], T]) -> T:
-        """Return the value. The first call computes the value by ``compute``."""
+        """Return the value; at the first call, compute it by the function ``compute``."""
         if not self._values:
             self._values.append(compute())
         return self._values[0]
 
     def share_with(self, other: SharedValue[T]) -> None:
-        """Share the value with ``other``, so that the value is computed only once."""
+        """Share the value of ``other``, so that both objects compute the value only once."""
         self._values = other._values
 
 
 @dataclass(frozen=True, eq=False)
 class SchurComplement:
-    """Schur complement ``uu - up pp^-1 pu`` of a sparse matrix.
+    """Schur complement ``uu - up pp^-1 pu`` of a sparse matrix with four blocks.
 
     The Schur complement itself is dense, so only the four sparse blocks of the matrix are
     stored. The unknowns of the block ``pp`` are eliminated.
@@ -99,7 +99,7 @@ class SchurComplement:
         return self.factor.get(self._factorise_inner)
 
     def _factorise_inner(self) -> Factor:
-        """Factorise the block ``pp`` that the Schur complement eliminates."""
+        """Factorise the block ``pp`` of the eliminated unknowns."""
         is_symmetric = is_equal(self.pp, self.pp.T)
         if is_symmetric and self.is_large:
             return factorise_quasi_definite(self.pp)
@@ -111,7 +111,7 @@ class SchurComplement:
         return bool(self.uu.shape[0] + self.pp.shape[0] >= QUASI_DEFINITE_UNKNOWNS)
 
     def is_proven_definite(self, factor: Factor | None) -> bool:
-        """Return whether a ``factor`` of all blocks proves positive definiteness.
+        """Return whether a factorisation of all blocks proves positive definiteness.
 
         The matrix of all blocks has as many negative eigenvalues as ``pp`` and the Schur complement
         have together (Haynsworth 1968). A positive definite Schur complement has no negative
@@ -306,7 +306,7 @@ class Pencil:
         return replace(self, coefficients=parts, rayleigh=None)
 
     def assemble_bordered_matrix(self, k: complex, e: complex, m: complex) -> Matrix:
-        """Compute ``k K + e E + m M`` with rows and columns of the eliminated unknowns.
+        """Compute ``k K + e E + m M``, bordered by the equations of eliminated unknowns.
 
         For a first-order model, the result is ``k (-A) + e E``. If K is a Schur complement, the
         eliminated unknowns are scaled so that both diagonal blocks of K have equally large entries.
@@ -327,7 +327,7 @@ class Pencil:
         return scipy.sparse.csc_array(scipy.sparse.block_array(blocks))
 
     def evaluate_polynomial(self, s: complex) -> Matrix:
-        """Return the matrix ``P(s)`` with rows and columns of the eliminated unknowns.
+        """Evaluate ``P(s)``, bordered by the equations of eliminated unknowns.
 
         The matrix is real if s is real, or if the model is undamped and ``s^2`` is real.
         """
@@ -339,7 +339,7 @@ class Pencil:
         return self.assemble_bordered_matrix(*powers)
 
     def apply_derivative(self, s: complex, x: np.ndarray) -> np.ndarray:
-        """Compute ``P'(s) x``: the derivative of ``P(s)``, times a vector.
+        """Compute ``P'(s) x`` with the derivative of ``P(s)`` with respect to s.
 
         The result is real if ``P(s)`` and x are real. For an undamped model, the derivative is with
         respect to ``s^2`` instead of ``s``.
@@ -470,7 +470,7 @@ class Pencil:
         return self._select_unknowns(slice(self.free, None), 0)
 
     def _select_unknowns(self, q: slice, free: int) -> Pencil:
-        """Return the pencil of the unknowns ``q``, of which ``free`` are rigid-body modes."""
+        """Return the pencil of selected unknowns, which include ``free`` rigid-body modes."""
         parts = tuple(P[q, q] for P in self.coefficients)
         return Pencil(parts, self.B[q], self.C[:, q], self.D, free=free)
 
@@ -509,7 +509,7 @@ class Pencil:
         return np.asarray(np.exp2(np.round(np.log2(t))))  # powers of two cause no rounding errors
 
     def rescale_unknowns(self, t: np.ndarray) -> Pencil:
-        """Return the model with the unknowns ``x / t``."""
+        """Return the model whose unknowns are divided by the units ``t`` (n,)."""
 
         def scale_both_sides(P: Matrix) -> Matrix:
             """Return ``diag(t) P diag(t)`` with scaled rows and columns."""
@@ -527,7 +527,7 @@ class Pencil:
         return result
 
     def states(self, s: np.ndarray) -> np.ndarray:
-        """Compute the complex unknowns ``P(s)^-1 B`` at all values ``s``.
+        """Compute the states ``P(s)^-1 B`` (all unknowns) at all values ``s``.
 
         The result has the shape (len(s), n, m): values, unknowns and inputs.
 

@@ -45,10 +45,10 @@ REFERENCE_SHARE = 0.01, 0.3
 def make_driven_model(
     model: LinearModel, parts: PrescribedTemperatures, *, stored: bool = True
 ) -> LinearModel:
-    """Return the model of temperatures ``T_e`` with inputs ``B_e`` and ``-K_ei``.
+    """Make the model of free temperatures, driven by the prescribed temperatures.
 
-    If ``stored`` is true, the model also has the inputs ``E_ei``. Each column of an input matrix is
-    a port.
+    The model of ``T_e`` has the inputs ``B_e`` and ``-K_ei``. If ``stored`` is true, the model also
+    has the inputs ``E_ei``. Each column of an input matrix is a port.
     """
     K, E = map(sparse.csc_array, model.pencil.coefficients)
     at, others, count = parts.at, parts.others, len(parts.shares)
@@ -64,7 +64,7 @@ def make_driven_model(
 
 @dataclass(frozen=True, eq=False)
 class FlowReference:
-    """Response of a full model to prescribed temperatures and heat flows.
+    """Reference response of a full heat model with prescribed temperatures.
 
     Attributes
     ----------
@@ -90,7 +90,7 @@ class FlowReference:
         norm: Norm,
         tolerance: float,
     ) -> FlowReference:
-        """Compute the reference from a full ``model`` that is divided into ``parts``."""
+        """Compute the reference response from a full model with divided unknowns."""
         low, high = max(band[0], band[1] / 10**DECADES), band[1]
         frequency = np.r_[[0.0] * (band[0] == 0.0), np.geomspace(low, high, FREQUENCIES)]
         uncertainty = 0.0
@@ -104,7 +104,7 @@ class FlowReference:
         return cls(frequency, response, uncertainty, rounding, get_min_relative_divisor(norm))
 
     def compute_error(self, model: LinearModel, parts: PrescribedTemperatures) -> float:
-        """Return the largest relative error of the response of a reduced ``model``.
+        """Return the largest relative error of a reduced model's flows and temperatures.
 
         ``parts`` describes the division of the unknowns of the reduced model. The error includes
         the uncertainty of the reference.
@@ -121,7 +121,7 @@ class FlowReference:
 def _project_on_responses(
     model: LinearModel, parts: PrescribedTemperatures, band: tuple[float, float], tolerance: float
 ) -> tuple[LinearModel, PrescribedTemperatures, float]:
-    """Project a large model on its responses in the ``band`` [Hz].
+    """Replace a large model by its projection on responses in the ``band`` [Hz].
 
     Return the smaller model, the division of its unknowns, and its error. The error is far below
     the ``tolerance``.
@@ -146,7 +146,7 @@ def _project_on_responses(
 def _compute_response(
     model: LinearModel, parts: PrescribedTemperatures, frequency: np.ndarray
 ) -> np.ndarray:
-    """Return the response of heat flows and temperatures of a divided model.
+    """Compute the response of heat flows and temperatures at all frequencies.
 
     The result has the shape (n, ports, ports) and the entries of :attr:`FlowReference.response`.
     The module docstring contains two equivalent forms of the equations. At each frequency, the form

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class RangeTask:
-    """Task of a reduction over ranges: full-order models and required accuracy.
+    """Task of a reduction over parameter ranges: full models and required accuracy.
 
     ``full(values)`` returns the full-order model for values of the parameters. ``axes`` contains
     the ranges of the parameters. The largest relative error in the ``band`` [Hz], measured in the
@@ -69,10 +69,11 @@ class ModelOverRanges(ABC):
 
 
 def record_model_values(full: Full) -> tuple[Full, list[tuple[Values, Mapping[str, float]]]]:
-    """Return a function that calls ``full`` and records the facts of each model.
+    """Wrap the function ``full``, and record characteristic numbers of its models.
 
-    The second result is the list of records. A record contains the parameter values and the
-    ``facts`` (characteristic values) of the model.
+    The first result is the wrapped function. The second result is the list of records. A record
+    contains the parameter values and the ``facts`` (such as masses and error estimates) of the
+    model.
     """
     facts: list[tuple[Values, Mapping[str, float]]] = []
 

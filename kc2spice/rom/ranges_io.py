@@ -16,7 +16,7 @@ MAX_LABEL_LENGTH = 200  # largest number of characters in a unit or a descriptio
 
 
 def describe_ranges(model: ModelOverRanges) -> dict[str, Any]:
-    """Return the JSON record of the ports, certificate and parameters of a model."""
+    """Return the ports, certificate and parameter ranges of a model as JSON record."""
     return {
         "ports": list(map(asdict, model.ports)),
         "certificate": asdict(require_certificate(model.certificate, model.name)),
@@ -28,7 +28,7 @@ def describe_ranges(model: ModelOverRanges) -> dict[str, Any]:
 
 
 def parse_ranges(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Parse the ports, certificate and parameters in the JSON record of a file.
+    """Parse the ports, certificate and parameter ranges in the JSON record of a file.
 
     Raises
     ------

@@ -144,7 +144,7 @@ def reduce_model(
 
 
 def reduce_to_target(fom: LinearModel, target: ReductionTarget) -> LinearModel:
-    """Return a reduced model that meets the requirements ``target``."""
+    """Reduce a model so that it meets the requirements ``target``."""
     require_valid(target)
     if fom.structural:
         return _reduce_structural_damping(fom, target)
@@ -221,10 +221,10 @@ def choose_band(
 def make_verified_first_step(
     pencil: Pencil, band: tuple[float, float], target: ReductionTarget
 ) -> tuple[IntermediateModel, StabilityProof]:
-    """Return the intermediate model and the stability proof of the full-order model.
+    """Compute the first reduction step: an intermediate model and a stability proof.
 
-    The proof also covers passivity. If ``target.exact`` is false, any error of the intermediate
-    model is accepted. The caller then checks the error.
+    The proof applies to the full-order model, and also covers passivity. If ``target.exact`` is
+    false, any error of the intermediate model is accepted. The caller then checks the error.
     """
     # If the stiffness matrix proves to be indefinite, the required memory is checked again later.
     require_memory_for_factors(
@@ -256,7 +256,7 @@ def make_verified_first_step(
 
 
 def list_methods(task: ReductionTask, target: ReductionTarget) -> list[Reductor]:
-    """Return the prescribed reduction method, or all suitable methods by default."""
+    """List the prescribed reduction method, or all suitable methods by default."""
     if target.method is not None:
         return [find_reductor(target.method)]
     if not task.intermediate.proof:
@@ -303,7 +303,7 @@ def find_smallest_basis(
 
 
 def _subtract_rounding_error(tolerance: float, intermediate: IntermediateModel) -> float:
-    """Return the part of the tolerance that rounding errors leave for the reduction.
+    """Return the tolerance that remains after rounding errors are subtracted.
 
     If the difference is too small for a reduction, the result is the whole tolerance.
     """
@@ -364,7 +364,7 @@ def warn_of_rounding_errors(rom: LinearModel, floor: float, tolerance: float | N
 def _make_congruence(
     target: ReductionTarget,
 ) -> Callable[[LinearModel, float, tuple[float, float]], LinearModel]:
-    """Return a function that reduces a model to a tolerance by a congruence."""
+    """Return a function that reduces a model by a congruence, within a tolerance."""
 
     def reduce_by_congruence(
         fom: LinearModel, tolerance: float, band: tuple[float, float]
@@ -400,7 +400,7 @@ def _reduce_structural_damping(fom: LinearModel, target: ReductionTarget) -> Lin
 
 
 def require_valid(target: ReductionTarget) -> None:
-    """Check that the tolerance, order, norm and method of a target are valid."""
+    """Reject a reduction target with invalid tolerance, order, norm or method."""
     tolerance, order = target.tolerance, target.order
     if (tolerance is None) == (order is None):
         raise UsageError(

@@ -46,8 +46,9 @@ DEPENDENT_VECTOR = 1e-10
 
 @dataclass(frozen=True)
 class ReductionTask:
-    """Full-order model ``fom`` to be reduced, and its ``intermediate`` model.
+    """Reduction task: full-order model, intermediate model, estimator and tolerance.
 
+    ``fom`` is the full-order model to be reduced, and ``intermediate`` its intermediate model.
     ``pencil`` contains the matrices of the full-order model after constraints and infinite poles
     are eliminated. The ``estimator`` computes errors in a band and a norm. The ``tolerance`` is
     None if the order is prescribed. ``shared`` contains computed values that are the same for all
@@ -75,7 +76,7 @@ class ReductionTask:
         norm: Norm,
         tolerance: float | None = None,
     ) -> ReductionTask:
-        """Create a task whose error estimator measures errors in a band [Hz] and a norm."""
+        """Create a task whose error estimator uses a given band [Hz] and norm."""
         return cls(fom, pencil, intermediate, intermediate.make_estimator(band, norm), tolerance)
 
     @property
@@ -113,9 +114,7 @@ class ReductionTask:
         return self.response.pencil.size * self.response.pencil.degree
 
     def get_shared_value(self, name: str, compute: Callable[[], T]) -> T:
-        """Return the shared value ``name``, which ``compute`` returns at the first call.
-
-
+        """Return the shared value ``name``; the first call computes the value.
 
         Tasks of the same model that differ only in the tolerance share the value.
         """
@@ -125,9 +124,10 @@ class ReductionTask:
 
     @property
     def model(self) -> LinearModel:
-        """Linear model with the matrices :attr:`pencil_without_rigid_modes`.
+        """Linear model of the intermediate model, without rigid-body modes.
 
-        The dense matrices are ``M E K B C D``, or ``A E B C D`` for a first-order model.
+        The matrices are dense, and equal to :attr:`pencil_without_rigid_modes`: ``M E K B C D``, or
+        ``A E B C D`` for a first-order model.
         """
         core, fom = self.pencil_without_rigid_modes, self.fom
         return self.get_shared_value(
@@ -136,7 +136,7 @@ class ReductionTask:
 
     @property
     def first_order_response(self) -> Response:
-        """First-order response ``x' = A x + B u`` without rigid-body modes.
+        """Response of the first-order form ``x' = A x + B u``, without rigid-body modes.
 
         All rates are divided by the angular frequency at the end of the band.
         """
@@ -147,7 +147,7 @@ class ReductionTask:
 
     @property
     def proof(self) -> StabilityProof:
-        """Stability and passivity of the intermediate model."""
+        """Proof of stability and passivity of the intermediate model."""
         return self.get_shared_value(
             "proof", lambda: prove_stability(self.response.pencil, self.band)
         )
@@ -155,7 +155,7 @@ class ReductionTask:
     def project(
         self, V: np.ndarray, W: np.ndarray | None = None, *, fixed: int = 0
     ) -> ReducedBasis:
-        """Project :attr:`model` on V by a Galerkin or Petrov-Galerkin projection.
+        """Project the model on the basis V by a Galerkin or Petrov-Galerkin projection.
 
         Parameters
         ----------
@@ -219,7 +219,7 @@ class ReductionTask:
         )
 
     def add_rigid_body_vectors(self, V: np.ndarray) -> np.ndarray:
-        """Extend basis vectors V without rigid-body modes to the intermediate model.
+        """Extend basis vectors V by the rigid-body modes of the intermediate model.
 
         The rigid-body modes are the first vectors in the result.
         """
@@ -322,7 +322,7 @@ class ReducedBasis:
         return {}
 
     def expand_basis(self, order: int) -> np.ndarray | None:
-        """Return the first ``order`` basis vectors in unknowns of the full-order model.
+        """Express the first ``order`` basis vectors in unknowns of the full-order model.
 
         The result has the shape (n, order). The result is None if the vectors are unknown, or
         cannot be expressed in unknowns of the full-order model.

@@ -36,7 +36,7 @@ SUFFICIENT_RATIO = 0.97
 
 
 def find_lower_order(basis: ReducedBasis, order: int, tolerance: float) -> tuple[ReducedBasis, int]:
-    """Return a fitted basis that meets the tolerance at a lower order, and the order.
+    """Return a fitted basis of lower order within the tolerance, and the order.
 
     If no fit succeeds, return ``basis`` and ``order``.
     """
@@ -52,7 +52,7 @@ def find_lower_order(basis: ReducedBasis, order: int, tolerance: float) -> tuple
 def fit_output_matrix(
     basis: ReducedBasis, order: int, tolerance: float
 ) -> tuple[ReducedBasis, int]:
-    """Minimise the largest error of models of lower order by fitted output matrices C.
+    """Lower the order by fits of the output matrix C that minimise the largest error.
 
     The result is the fitted basis of the lowest possible order, and the order. If no fit succeeds,
     the arguments are returned.
@@ -88,7 +88,7 @@ def fit_output_matrix(
 
 
 def fit_relaxations(basis: ReducedBasis, order: int, tolerance: float) -> tuple[ReducedBasis, int]:
-    """Minimise the largest error of relaxing models by fitted rates and gains.
+    """Lower the order of relaxing models by fits of rates and gains.
 
     Relaxing models are always passive. The result is the fitted basis of the lowest possible order,
     and the order. If no fit succeeds, the arguments are returned. Models with rigid-body modes or

@@ -79,7 +79,7 @@ def fit_minimax(
         )
 
     def slopes(x: np.ndarray) -> np.ndarray:
-        """Return the derivatives of the residuals with respect to ``x``."""
+        """Return the derivatives of the residuals with respect to the unknowns ``x``."""
         return _stack_parts(
             weight[:, None, None] * _compute_slopes(x, count, s, upper) / scale[:, None]
         )

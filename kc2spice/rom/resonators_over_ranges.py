@@ -97,11 +97,11 @@ NOTCH_RESOLUTION = 1e-2
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ResonatorsOverRanges(ParameterPolynomials, ModelOverRanges):
-    """Resonators ``z'' + E z' + L L' z = g u``, ``y = g' z + D u`` over ranges.
+    """Resonators ``z'' + E z' + L L' z = g u`` over ranges of parameters.
 
-    The damping matrix is ``E = alpha + beta L L'``. For given values of the parameters, the vector
-    ``T`` (terms,) contains products of polynomials of the parameters. The fields contain
-    coefficients of these products:
+    The outputs are ``y = g' z + D u``. The damping matrix is ``E = alpha + beta L L'``. For given
+    values of the parameters, the vector ``T`` (terms,) contains products of polynomials of the
+    parameters. The fields contain coefficients of these products:
 
     * ``exp(T diagonal)`` (q,) is the diagonal of L. ``T below`` (q, q) contains the entries of L
       below the diagonal, in blocks of the sizes ``blocks``.
@@ -197,11 +197,12 @@ def reduce_over_ranges(task: RangeTask) -> ResonatorsOverRanges:
 
 
 def _reduce_and_check(task: RangeTask) -> tuple[ResonatorsOverRanges, float]:
-    """Return resonators, and their largest error times :data:`SAFETY_FACTOR`.
+    """Reduce full models to resonators; return the resonators and an error estimate.
 
-    The error is the largest relative difference from full models. If this error is too large, the
-    reduction is repeated with more full models and polynomials of a higher degree. The results of
-    each degree are compared with different full models.
+    The error estimate is :data:`SAFETY_FACTOR` times the largest relative difference from full
+    models. If this error is too large, the reduction is repeated with more full models and
+    polynomials of a higher degree. The results of each degree are compared with different full
+    models.
     """
     axes, band, tolerance = task.axes, task.band, task.tolerance
     sobol = scipy.stats.qmc.Sobol(len(axes), seed=11)
@@ -256,10 +257,11 @@ def interpolate_model_facts(
     exponents: np.ndarray,
     known: Sequence[tuple[Values, Mapping[str, float]]],
 ) -> dict[str, np.ndarray]:
-    """Fit polynomials to the ``facts`` (characteristic numbers) of full models.
+    """Fit polynomials of the parameters to characteristic numbers of full models.
 
-    The number of full models limits the degree of the polynomials. The result contains coefficients
-    (terms,) of each fact, for the products of polynomials with ``exponents`` (terms, axes).
+    The number of full models limits the degree of the polynomials. The numbers, such as masses, are
+    the ``facts`` of each model. The result contains coefficients (terms,) of each fact, for the
+    products of polynomials with ``exponents`` (terms, axes).
     """
     x = [[axis.compute_coordinate(values[axis.name]) for axis in axes] for values, _ in known]
     total = exponents.sum(axis=1, initial=0)
@@ -319,7 +321,7 @@ def make_resonators(
 
 
 def make_range_error(problem: str, name: str, got: str, tolerance: float) -> SimulationError:
-    """Return the error about parameter ranges that are too wide for the tolerance."""
+    """Make the error for parameter ranges that are too wide for the tolerance."""
     return SimulationError(
         problem,
         where=name,
@@ -332,7 +334,7 @@ def make_range_error(problem: str, name: str, got: str, tolerance: float) -> Sim
 def _compute_values_at(
     parameter_axes: Mapping[str, ParameterAxis], x: np.ndarray
 ) -> dict[str, float]:
-    """Return the parameter values at coordinates ``x`` of the first axes.
+    """Return parameter values at coordinates ``x``; later axes use middle values.
 
     Each other parameter has the value in the middle of its range.
     """
@@ -345,7 +347,7 @@ def _compute_values_at(
 def _yield_check_points(
     dense_model: DenseParametricModel, band: tuple[float, float], norm: Norm
 ) -> Iterator[tuple[np.ndarray, ErrorEstimator]]:
-    """Yield points of the ranges, each with an error estimator for the dense model.
+    """Yield check points in the parameter ranges, with estimators of the errors.
 
     The points are the middle of the ranges, all corners, and random points.
     """
@@ -433,7 +435,7 @@ class _ModesOverRanges:
 
 
 class _ReducedSpace:
-    """Subspace of the retained modes, and of Ritz vectors for the other modes.
+    """Subspace of retained modes, with Ritz vectors in place of all other modes.
 
     The Ritz vectors span ``sum_i phi_i phi_i' B / (w_i^2 - s)^j`` over the other modes i, for j up
     to ``moments``. ``phi_i`` are the mode shapes and ``w_i`` the natural frequencies. The shift s
@@ -459,7 +461,7 @@ class _ReducedSpace:
         self._blocks_by_range: dict[tuple[int, int], tuple[np.ndarray, np.ndarray] | None] = {}
 
     def _project_responses(self, p: _DenseModes) -> np.ndarray:
-        """Return responses to port loads, in coordinates of the modes not retained."""
+        """Project responses to port loads on the modes that are not retained."""
         k = self.modes.count
         load, share = p.V[:, k:].T @ p.model.B, self.unit / (p.w2[k:, None] - self.shift)
         return np.hstack([share**j * load for j in range(1, self.moments + 1)])
@@ -505,7 +507,7 @@ class _ReducedSpace:
     def fit_polynomials(
         self, gap: float, degree: int, tolerance: float
     ) -> ResonatorsOverRanges | None:
-        """Fit polynomials to the coefficients of blocks of modes.
+        """Fit polynomials of the parameters to the coefficients of mode blocks.
 
         The logarithms of the squared frequencies of two blocks differ by more than ``gap``. The
         result is None if the mode shapes of a block change too much within the ranges.

@@ -77,7 +77,7 @@ class Response:
 
     @cached_property
     def _decoupling(self) -> Modes | None:
-        """Prescribed modes, or modes of a decoupling congruence, or None."""
+        """Prescribed modes, or modes that decouple the pencil by a congruence, or None."""
         return self._prescribed_modes or _diagonalise_pencil(self.core)
 
     @cached_property
@@ -100,7 +100,7 @@ class Response:
         return self.modes is not None or self.core.size <= MIN_UNKNOWNS
 
     def states(self, s: np.ndarray) -> np.ndarray:
-        """Compute the unknowns ``P(s)^-1 B`` at all values ``s``.
+        """Compute the states ``P(s)^-1 B`` (all unknowns) at all values ``s``.
 
         The result has the shape (len(s), n, m): values, unknowns and inputs.
         """
@@ -129,7 +129,7 @@ class Response:
         return H + self._free.C @ self._free.states(s) if self._free else H
 
     def mask_cancelled_entries(self, s: np.ndarray) -> np.ndarray:
-        """Return a mask (outputs, inputs) of the entries that are only rounding errors.
+        """Return a mask (outputs, inputs) of entries that cancel to rounding errors.
 
         The terms of a cancelled entry add up to zero at all ``s``.
         """
@@ -176,7 +176,7 @@ class Response:
 
     @cached_property
     def _poles(self) -> np.ndarray:
-        """Finite poles [1/s] of the model ``core``."""
+        """Finite poles [1/s] of the pencil without uncoupled rigid-body modes."""
         return self.core.poles() if self.modes is None else _compute_finite_poles(*self.modes[2])
 
     @cached_property
@@ -248,7 +248,7 @@ class DirectResponse(Response):
 
     @cached_property
     def _decoupling(self) -> Modes | None:
-        """None, because responses are computed without decoupled coordinates."""
+        """None: this response never uses decoupled coordinates."""
         return None
 
 
@@ -298,12 +298,15 @@ def _compute_finite_poles(rest: np.ndarray, inertia: np.ndarray) -> np.ndarray:
 
 
 def _mask_finite_poles(rest: np.ndarray) -> np.ndarray:
-    """Return a mask of the entries of ``rest`` with a finite pole ``-rest / inertia``."""
+    """Return a mask of the decoupled equations that have a finite pole.
+
+    The pole of an equation is ``-rest / inertia``.
+    """
     return np.asarray(np.abs(1 - rest) * INFINITE_POLE_RATIO > 1)
 
 
 def _mask_inside_band(frequency: np.ndarray, band: tuple[float, float]) -> np.ndarray:
-    """Return a mask of the frequencies [Hz] in the band that are not almost zero."""
+    """Return a mask of the frequencies [Hz] inside the band and clearly above zero."""
     return np.asarray((frequency > max(band[0], 1e-6 * band[1])) & (frequency < band[1]))
 
 
@@ -377,7 +380,7 @@ def sample_resonances(
 def drop_points_near_poles(
     points: np.ndarray, frequency: np.ndarray, ratio: np.ndarray
 ) -> np.ndarray:
-    """Omit the frequencies in ``points`` too close to nearly undamped resonances.
+    """Omit frequencies that are too close to nearly undamped resonances.
 
     The smallest permitted relative distance is :data:`FLANK_DISTANCE`.
     """

@@ -49,12 +49,13 @@ Rounding: TypeAlias = tuple[np.ndarray, ...]
 
 
 class RigidBodySplit(NamedTuple):
-    """Model ``pencil`` whose first ``pencil.free`` coordinates are rigid-body modes.
+    """Pencil whose first unknowns are its rigid-body modes, and the transformation.
 
-    ``columns`` contains the basis vectors of all coordinates, expressed in the original unknowns.
-    If ``static`` is true, the other coordinates have a static response. ``projected`` is the pencil
-    with its rounding errors, before these errors are set to zero. If the form of the matrices is
-    not preserved, ``projected`` is None.
+    The first ``pencil.free`` unknowns of ``pencil`` are rigid-body modes. ``columns`` contains the
+    basis vectors of all coordinates, expressed in the original unknowns. If ``static`` is true, the
+    other coordinates have a static response. ``projected`` is the pencil with its rounding errors,
+    before these errors are set to zero. If the form of the matrices is not preserved, ``projected``
+    is None.
     """
 
     pencil: Pencil
@@ -98,10 +99,11 @@ def split_rigid_body(
 
 
 def split_driven_modes(pencil: Pencil, free: int, rounding: Rounding) -> RigidBodySplit:
-    """Omit undriven rigid-body modes, and set rounding errors of the others to zero.
+    """Separate driven rigid-body modes from other unknowns; omit undriven modes.
 
-    The rigid-body modes are the first ``free`` unknowns of the pencil. ``rounding`` contains bounds
-    of the rounding errors of all matrix entries.
+    The rigid-body modes are the first ``free`` unknowns of the pencil. Entries that are only
+    rounding errors are set to zero. ``rounding`` contains bounds of the rounding errors of all
+    matrix entries.
     """
     X = np.eye(pencil.size)[:, :free]
     others = scipy.linalg.null_space((pencil.coefficients[-1] @ X).T)
@@ -111,7 +113,7 @@ def split_driven_modes(pencil: Pencil, free: int, rounding: Rounding) -> RigidBo
 def _split_congruently(
     pencil: Pencil, X: np.ndarray, others: np.ndarray, rounding: Rounding
 ) -> RigidBodySplit:
-    """Project on the driven rigid-body modes of X, and on the motions ``others``."""
+    """Separate driven rigid-body modes of X from the motions ``others`` by congruence."""
     X = _select_driven_modes(pencil, X, rounding)
     V = np.hstack([X, others])
     result, projected = project_with_rigid_body(pencil, V, X.shape[1], rounding)
@@ -175,7 +177,7 @@ def _select_zero_energy_motions(
 
 
 def estimate_energy_rounding(P: Matrix, V: np.ndarray) -> np.ndarray:
-    """Estimate the effect of random rounding of the matrix P on ``V'PV`` (k, k).
+    """Estimate the errors (k, k) of ``V'PV`` due to random rounding of the matrix P.
 
     The rounding errors of the entries of P are independent, so the squares of the effects of all
     entries add up: ``eps (sum_ij v_ik^2 P_ij^2 v_jl^2)^(1/2)``.
@@ -326,7 +328,7 @@ def _find_slow_subspace(rest: np.ndarray, inertia: np.ndarray, omega: float) -> 
 
 
 def _order_chains(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rotate A to a block triangular matrix ``Q'AQ`` with exact zeros.
+    """Order integrator chains: rotate A to block triangular form ``Q'AQ``.
 
     The coordinates form chains of integrators. The first coordinates are constant. The rates of all
     other coordinates depend only on coordinates that come earlier in the chain.

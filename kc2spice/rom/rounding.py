@@ -123,11 +123,11 @@ def find_zero_entries(
 
 
 def describe_uncertainty(at: np.ndarray, size: np.ndarray, tolerance: float) -> str:
-    """Describe the effect of rounded matrix entries on the response.
+    """Describe for the certificate how rounded matrix entries change the response.
 
-    The certificate contains the description. ``size`` is the relative change of the response at the
-    frequencies ``at`` [Hz]. The description is empty if the change is negligible. If the change
-    exceeds ``tolerance``, the function also warns.
+    ``size`` is the relative change of the response at the frequencies ``at`` [Hz]. The description
+    is empty if the change is negligible. If the change exceeds ``tolerance``, the function also
+    warns.
     """
     worst = int(size.argmax())
     effect = f"changes the response by {size[worst]:.1e} at {at[worst]:.5g} Hz"
@@ -141,7 +141,7 @@ def describe_uncertainty(at: np.ndarray, size: np.ndarray, tolerance: float) -> 
 
 
 def estimate_removed_stiffness(projected: Pencil, free: Pencil, band: tuple[float, float]) -> float:
-    """Return the relative change of the response by removed rigid-body stiffness.
+    """Estimate how the removal of rigid-body stiffness changes the response.
 
     The removed stiffness of rigid-body modes is a rounding error. The pencil ``projected`` contains
     this stiffness, and ``free`` does not. The change is evaluated at the lowest frequency of the
@@ -159,7 +159,7 @@ def add_rounding_floor(
     model: IntermediateModel,
     target: float,
 ) -> IntermediateModel:
-    """Return an intermediate model with the effect of rounding errors on resonances.
+    """Add the effect of rounding errors on resonances to an intermediate model.
 
     The attribute ``floor`` of the returned model is the effect of rounding errors. A change of the
     units of the unknowns changes the rounding errors of the full model's matrix entries, but not

@@ -163,7 +163,7 @@ def _eliminate_last_unknowns(
 
 
 def _make_energy_state_space(pencil: Pencil) -> ABCD:
-    """Convert a first-order model to state-space matrices A, B, C and D.
+    """Convert a first-order model to a state space, in energy coordinates if possible.
 
     If E is symmetric positive definite, the squares of the states are energies. Algebraic equations
     are eliminated.
@@ -213,7 +213,7 @@ def to_schur_form(pencil: Pencil, top: float) -> Pencil:
 
 
 def restore_time_unit(pencil: Pencil, top: float) -> Pencil:
-    """Convert a first-order model with scaled time to SI units.
+    """Convert a first-order model from scaled time to SI units.
 
     The scaled time is the time of :func:`to_schur_form`.
     """

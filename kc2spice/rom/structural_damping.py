@@ -48,7 +48,7 @@ ADDITIONAL_RELAXATIONS = 8
 
 @dataclass(frozen=True, eq=False)
 class RelaxingStiffness(EqualByContent):
-    """Factor of stiffness ``constant + sum_k amplitudes_k s / (s + rates_k)``.
+    """Stiffness factor ``constant + sum_k amplitudes_k s / (s + rates_k)``.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class RelaxingStiffness(EqualByContent):
 
     @property
     def instantaneous_factor(self) -> float:
-        """Factor of stiffness just after a sudden displacement, ``c_0 + sum_k c_k``."""
+        """Stiffness factor just after a sudden displacement, ``c_0 + sum_k c_k``."""
         return float(self.constant + self.amplitudes.sum())
 
 
@@ -229,19 +229,19 @@ def add_structural_damping(model: LinearModel, stiffness: RelaxingStiffness) -> 
 
 
 def _make_corner_matrix(inner: int) -> np.ndarray:
-    """Return a matrix (1 + inner, 1 + inner) of zeros, with a one as first entry."""
+    """Return a zero matrix (1 + inner, 1 + inner) whose first entry is one."""
     result = np.zeros((1 + inner, 1 + inner))
     result[0, 0] = 1.0
     return result
 
 
 def _make_spring_matrix(stiffness: RelaxingStiffness) -> np.ndarray:
-    """Return the matrix (1 + k, 1 + k) of springs to inner displacements, for K = 1."""
+    """Return the spring matrix (1 + k, 1 + k) of k relaxations, for unit stiffness."""
     result = np.diag(np.r_[stiffness.instantaneous_factor, np.ones(stiffness.rates.size)])
     result[0, 1:] = result[1:, 0] = -np.sqrt(stiffness.amplitudes)
     return result
 
 
 def _make_damper_matrix(stiffness: RelaxingStiffness) -> np.ndarray:
-    """Return the damping matrix (1 + k, 1 + k) of the inner displacements, for K = 1."""
+    """Return the damping matrix (1 + k, 1 + k) of k relaxations, for unit stiffness."""
     return np.diag(np.r_[0.0, 1 / stiffness.rates])

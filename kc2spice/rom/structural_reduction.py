@@ -121,7 +121,7 @@ def approximate_causally(
 
 
 def _describe_loss(model: LinearModel) -> str:
-    """Return the words `` of FACTOR`` for a loss factor, or "" without a loss factor."""
+    """Describe the loss factor for messages, as `` of 0.02``, or "" without a factor."""
     return f" of {model.loss_factor:g}" if model.loss_factor else ""
 
 
@@ -135,7 +135,7 @@ class _PassiveModelSearch:
     norm: Norm
 
     def reduce(self, within: float) -> float:
-        """Reduce the model with viscous damping, and return the error of the result.
+        """Replace structural by viscous damping, reduce the model, and return the error.
 
         ``within`` is the tolerance. If the resonance peaks with structural damping are lower than
         the peaks of the reduced viscous model, the reduction is repeated with a smaller tolerance.
@@ -146,7 +146,10 @@ class _PassiveModelSearch:
         return self.estimate_model_error(self.dashpot_modes)
 
     def _reduce(self, within: float) -> None:
-        """Reduce the model with viscous damping to a tolerance, and compute the modes."""
+        """Reduce the model, with viscous in place of structural damping, to a tolerance.
+
+        The method also computes the modes of the reduced model.
+        """
         # the viscous damping ``beta H`` is at most as large as the structural damping in the band
         beta = 1 / (2 * np.pi * self.band[1])
         viscous, other = make_loss_viscous(self.full, beta)
@@ -178,7 +181,7 @@ class _PassiveModelSearch:
 
     @property
     def damped_model(self) -> Pencil:
-        """Reduced model with structural damping."""
+        """Matrices of the reduced model with structural damping."""
         parts = np.diag(self.squares) + 1j * self.H, self.other_damping, np.eye(self.squares.size)
         return Pencil(parts, self.B, self.C, self.small.D)
 
@@ -195,7 +198,7 @@ class _PassiveModelSearch:
 
     @cached_property
     def _largest_decoupled_share(self) -> float:
-        """Largest share of the diagonal of H whose removal leaves H semidefinite."""
+        """Largest fraction of the diagonal of H that leaves the rest semidefinite."""
         losses = np.diag(self.H)
         lossy = losses > ZERO_DAMPING * losses.max(initial=0.0)
         if not lossy.any():
@@ -258,7 +261,7 @@ class _PassiveModelSearch:
         return [trial if use else mode for trial, mode, use in both]
 
     def compute_deviation(self, modes: Sequence[Oscillator]) -> float:
-        """Return the largest relative error of ``modes`` compared with structural damping."""
+        """Return the largest relative error of a modal model, against structural damping."""
         frequency, exact = self._sample_lossy_response(modes)
         response = self.model(modes).transfer(frequency)
         return float(
@@ -268,7 +271,7 @@ class _PassiveModelSearch:
         )
 
     def estimate_model_error(self, modes: Sequence[Oscillator]) -> float:
-        """Return the error estimate of ``modes`` compared with the full model."""
+        """Estimate the error of the modal model, compared with the full model."""
         known = self.small.certificate
         assert known is not None
         return max(

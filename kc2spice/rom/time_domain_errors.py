@@ -129,7 +129,7 @@ def _split_modes(modes: int, points: int) -> Iterator[slice]:
 
 
 def _select_modes(modal: Resonators, rows: slice) -> Resonators:
-    """Return a model with the modes ``rows`` of ``modal``, without a direct term."""
+    """Return resonators with only the modes ``rows``, and without a direct term."""
     massless = int(np.count_nonzero(modal.inertia[rows] == 0))
     return replace(
         modal,
@@ -142,7 +142,7 @@ def _select_modes(modal: Resonators, rows: slice) -> Resonators:
 
 
 def find_last_change(load: np.ndarray) -> int:
-    """Return the index of the last time point at which an input of ``load`` changes."""
+    """Return the index of the last time point at which any load changes."""
     step = np.abs(np.diff(load, axis=0)) > CONSTANT_VARIATION * np.abs(load).max(axis=0)
     changes = np.flatnonzero(step.any(axis=1))
     return int(changes[-1]) + 1 if changes.size else 0
@@ -155,7 +155,7 @@ def compute_time_errors(
     load: np.ndarray,
     groups: Sequence[np.ndarray],
 ) -> Mapping[str, float] | None:
-    """Compute the relative rms errors of the responses of ``small``, keyed by output.
+    """Compute relative rms errors of a reduced model over time, keyed by output.
 
     The errors are the differences from the responses of ``rich``, a model with more states. Both
     models respond to the ``load`` (n, inputs) at the times ``t`` (n,). The difference at an output

@@ -79,7 +79,7 @@ class StepSamples(EqualByContent):
         return first, 1 / np.sqrt(np.add.reduceat(self.weight**2, first))
 
     def average_groups(self, table: np.ndarray) -> np.ndarray:
-        """Return weighted means of the rows of a table over groups of samples.
+        """Average the rows of a table over groups of samples, with weights.
 
         The table (n, columns) has one row for each sample. The result has the shape (groups,
         columns). The means are scaled: the sum of their squares equals the weighted sum of the
@@ -142,7 +142,7 @@ def fit_transient(samples: StepSamples) -> TransientFit:
 
 
 def compute_unsettled_share(network: FosterNetwork, last: float) -> float:
-    """Return the share of a network's resistance that is unsettled at ``last`` [s].
+    """Return the fraction of a network's resistance not yet settled at ``last`` [s].
 
     Resistances with long time constants have not settled.
     """
@@ -195,9 +195,9 @@ def _merge_neighbours(grid: np.ndarray, resistance: np.ndarray) -> np.ndarray:
 
 
 def _merge_best_pair(samples: StepSamples, constants: np.ndarray) -> np.ndarray:
-    """Replace two neighbouring time constants by their geometric mean.
+    """Merge the two neighbouring time constants whose mean describes samples best.
 
-    The replaced pair is the pair whose mean describes the samples best.
+    The mean is the geometric mean of both time constants.
     """
     logs = np.sort(np.log(constants))
     trials = list[tuple[float, np.ndarray]]()
@@ -234,7 +234,7 @@ def _refine_network(
         )[:, 0]
 
     def slopes(x: np.ndarray) -> np.ndarray:
-        """Return the derivatives of the residuals with respect to ``x``."""
+        """Return the derivatives of the residuals with respect to the unknowns ``x``."""
         R, t, _ = split_parameters(x)
         ratio = time[:, None] / t
         # derivatives: d/d(log R) = R (1 - exp(-t/t_k)), d/d(log t_k) = -R (t/t_k) exp(-t/t_k)

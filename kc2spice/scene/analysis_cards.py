@@ -19,14 +19,14 @@ from kc2spice.scene.results import NOISE_WAVE
 
 @dataclass(frozen=True)
 class AnalysisCards:
-    """SPICE command of an analysis, and cards of the input of a noise analysis."""
+    """SPICE analysis command, and the extra cards that a noise analysis needs."""
 
     command: AnalysisCommand
     items: tuple[Item, ...] = ()
 
 
 def make_analysis_cards(build: BuiltScene) -> AnalysisCards:
-    """Return the command and the cards of the analysis of a scene.
+    """Return the SPICE command of a scene's analysis, and the cards it needs.
 
     Raises
     ------

@@ -80,6 +80,7 @@ class CataloguePart:
 
 @cache
 def _read_tables() -> dict[str, Any]:
+    """Read the tables of the catalogue file, ``catalogue.toml``."""
     text = (resources.files("kc2spice") / "scene" / "catalogue.toml").read_text(encoding="utf-8")
     return tomllib.loads(text)
 
@@ -101,7 +102,7 @@ def read_catalogue() -> Mapping[str, CataloguePart]:
 
 
 def find_part(name: str) -> CataloguePart | None:
-    """Return the part with a number in any letter case, None for an unknown number."""
+    """Return the part with a part number (any letter case), or None."""
     parts = read_catalogue()
     numbers = {number.casefold(): number for number in parts}
     number = numbers.get(name.casefold())
@@ -109,7 +110,7 @@ def find_part(name: str) -> CataloguePart | None:
 
 
 def search_parts(words: str = "") -> list[CataloguePart]:
-    """Return the parts that match all ``words``.
+    """Return the catalogue parts that match all search ``words``.
 
     The words may occur in the part number, manufacturer, device or kind.
 

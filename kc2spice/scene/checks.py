@@ -33,17 +33,17 @@ class Metric:
 
 @dataclass(frozen=True)
 class Check:
-    """Check that ``value`` does not exceed ``limit``.
+    """Check of a run: a value, its limit, and the effect of a violation.
 
-    ``advice`` states what to do if the check is violated. The value is NaN if the run did not reach
-    the checked event. ``action`` is the effect of a violation on the run. If ``coarse`` is true,
-    time steps that are too large cause a violation, and tighter tolerances may reduce the steps. If
-    ``wiring`` is true, the check compares the netlist with the scene. A difference may be
-    intentional in an edited deck. ``suggested`` contains dotted keys with values that avoid the
-    violation. ``suggested`` is empty if no values are known, or if the scene sets the keys. If
-    ``discretisation`` is true, the check compares a model with a finer model at the frequencies of
-    the run. In a transient, the command ``verify`` includes this check, unless ``verify`` solves
-    the scene with the finer model.
+    The value must not exceed ``limit``. The value is NaN if the run did not reach the checked
+    event. ``advice`` states what to do if the check is violated. ``action`` is the effect of a
+    violation on the run. If ``coarse`` is true, time steps that are too large cause a violation,
+    and tighter tolerances may reduce the steps. If ``wiring`` is true, the check compares the
+    netlist with the scene. A difference may be intentional in an edited deck. ``suggested``
+    contains dotted keys with values that avoid the violation. ``suggested`` is empty if no values
+    are known, or if the scene sets the keys. If ``discretisation`` is true, the check compares a
+    model with a finer model at the frequencies of the run. In a transient, the command ``verify``
+    includes this check, unless ``verify`` solves the scene with the finer model.
 
     If ``loaded`` is true, the value is the relative error of a reduced body under the recorded
     loads of a transient. In a check of a motion, ``distance`` is the smallest distance of the
@@ -82,14 +82,14 @@ class Check:
         return self.action == "fail" and not self.passed
 
     def make_record(self) -> dict[str, object]:
-        """Return the entry of the check in ``result.json``."""
+        """Return the check as an entry of ``result.json``."""
         names = ("name", "value", "limit", "unit", "passed", "action", "advice")
         return {name: getattr(self, name) for name in names}
 
 
 @dataclass(frozen=True, eq=False)
 class RunEnergyBalance(EqualByContent):
-    """Balance of the energies of a part or of a whole run.
+    """Energy balance of a part or of a whole run.
 
     ``entries`` [J] are the energies at the end of the run. ``missing`` [J] is the largest error of
     the balance at any time. ``limit`` is the largest accepted ratio of ``missing`` to ``scale``
@@ -106,7 +106,7 @@ class RunEnergyBalance(EqualByContent):
 
     @property
     def relative_imbalance(self) -> float:
-        """Largest missing energy, relative to ``scale``."""
+        """Largest error of the energy balance, divided by the energy ``scale``."""
         return self.missing / self.scale if self.scale else self.missing
 
 

@@ -24,7 +24,7 @@ MOTION_UNITS = (TRANSLATION.across.pin_unit, VELOCITY.pin_unit)
 
 
 def find_frames(scene: Scene) -> dict[tuple[str, str], AcceleratedFrame]:
-    """Return the accelerated frame of each pin that is in an accelerated frame.
+    """Find the pins in accelerated reference frames, with the frame of each pin.
 
     Raises
     ------
@@ -79,7 +79,7 @@ def _find_body_frames(part: Part, scene: Scene) -> dict[str, AcceleratedFrame]:
 
 
 def _compute_cosine(a: tuple[float, ...] | None, b: tuple[float, ...] | None) -> float | None:
-    """Return the cosine of the angle between two vectors, None if one is unknown."""
+    """Return the cosine of the angle between two unit vectors, or None if unknown."""
     if a is None or b is None:
         return None
     return float(sum(map(mul, a, b)))
@@ -101,7 +101,7 @@ def _list_moving_pins(part: Part, scene: Scene, *, listening: bool = False) -> l
 def _set_frame(
     known: dict[str, AcceleratedFrame], net: str, frame: AcceleratedFrame, where: str
 ) -> None:
-    """Store the frame of a net in ``known``; reject a net in two different frames."""
+    """Store the reference frame of a net in ``known``; reject conflicting frames."""
     if net == "0":
         return
     first = known.setdefault(net, frame)
@@ -120,7 +120,7 @@ def _set_frame(
 def _copy_frame_to_moving_nets(
     part: Part, scene: Scene, known: dict[str, AcceleratedFrame]
 ) -> None:
-    """Assign the frame of one moving net of a part to all moving nets of the part."""
+    """Copy the frame of one moving net of a part to all moving nets of the part."""
     nets = scene.get_nets(part.name, _list_moving_pins(part, scene))
     frame = next(filter(None, map(known.get, nets)), None)
     if frame is not None:
@@ -206,7 +206,7 @@ def _require_inertial_force(
 
 
 def describe_frames(scene: Scene) -> Iterator[str]:
-    """Yield the text of ``explain`` about the reference frames of displacements."""
+    """Yield lines for the command ``explain`` about frames of displacements."""
     nets: dict[str, list[str]] = {}
     for (part, pin), net in scene.nets.items():
         end = scene.terminals[part, pin]

@@ -93,6 +93,6 @@ def list_scene_keys(scene: Scene) -> dict[str, KeyDescription]:
 
 
 def _with_unit_of_part(key: KeyDescription, unit: Any) -> KeyDescription:
-    """Return the description ``key``, with the part's ``unit`` where it applies."""
+    """Give a key description the part's unit, if the key takes its unit from the part."""
     follows = key.unit is None and not key.integer and not key.choices and key.mixed
     return replace(key, unit=unit if isinstance(unit, str) else "") if follows else key

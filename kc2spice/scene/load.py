@@ -162,7 +162,7 @@ def _require_known_parts(
 
 
 def _suggest_part(keys: Mapping[str, Any], tables: Mapping[str, Any], parts: Sequence[str]) -> str:
-    """Suggest the first part whose part type has the first of the ``keys``."""
+    """Suggest a part that has the first of the given ``keys``."""
     word = next(iter(keys), "")
     owners = (part for part in parts if f"{part}.{word}" in _list_part_keys(part, tables[part]))
     owner = next(owners, None)
@@ -199,7 +199,7 @@ def _make_scene(data: dict[str, Any], source: SceneFile) -> Scene:
 def _suggest_probed_result(
     data: Mapping[str, Any], source: SceneFile, error: UsageError
 ) -> str | None:
-    """Suggest a result for a probe without the key ``of``, or None for other errors."""
+    """Suggest a result for a probe without the key ``of``; None for other errors."""
     probe = re.fullmatch(r"probes\.(\w+)\.of", error.where or "")
     if probe is None or not error.message.endswith("is missing"):
         return None
@@ -218,7 +218,7 @@ def _suggest_probed_result(
 def _make_parts(
     data: Mapping[str, Any], types: Mapping[str, PartType], home: Path
 ) -> tuple[dict[str, Part], Analysis | None]:
-    """Return all parts, and the analysis that a part generates, or None."""
+    """Make all parts of a scene; also return an analysis that a part generates."""
     parts = {}
     for name, kind in types.items():
         short = () if "part" in data[name] else tuple(data)
@@ -246,7 +246,7 @@ def _make_parts(
 
 
 def _with_default_drive(scene: Scene) -> Scene:
-    """Return the scene, and add a 1 V source if no part drives its ``ac`` analysis.
+    """Return the scene, with a 1 V source if no part drives its ``ac`` analysis.
 
     Raises
     ------
@@ -304,7 +304,7 @@ def _advise_drive(scene: Scene, ports: Sequence[tuple[str, str]]) -> str:
 
 
 def _list_part_tables(data: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:
-    """Yield the name and the table of each part."""
+    """Yield the name and the table of each part of a scene."""
     spellings: dict[str, str] = {}
     for name, table in data.items():
         if name in SceneKeys.model_fields:
@@ -364,7 +364,7 @@ def _make_unknown_key_error(name: str, data: Mapping[str, Any]) -> UsageError:
 
 
 def _list_part_keys(name: str, table: Mapping[str, Any]) -> list[str]:
-    """Return the dotted keys of the part ``name``, none for an unknown part type."""
+    """Return the dotted keys of a part; none if the part type is unknown."""
     kind = find_part_type(str(table.get("part", DEFAULT_TYPES.get(name))))
     keys = () if kind is None else list_keys(kind.schema)
     return [".".join((name, *path)) for path, _ in keys]
@@ -415,7 +415,7 @@ def _make_part(
     short: tuple[str, ...] = (),
     tables: Mapping[str, Any] = MappingProxyType({}),
 ) -> Part:
-    """Return the part that a table describes.
+    """Make the part that a table of the scene describes.
 
     ``at`` is the path of the table in the file, by default ``(name,)``. If the name of the table
     implies the part type, ``short`` contains the names of all tables of the scene. Some keys of a
@@ -433,7 +433,7 @@ def _make_part(
 
 
 def _list_pins(name: str, table: Mapping[str, Any], kind: PartType, home: Path) -> list[str]:
-    """Return the pin names of a part that is the only part of a scene.
+    """Return the pin names of a part, made without the other parts of the scene.
 
     The result is empty if the pins depend on other parts.
     """
@@ -445,7 +445,7 @@ def _list_pins(name: str, table: Mapping[str, Any], kind: PartType, home: Path) 
 
 
 def _suggest_target(name: str, tables: Mapping[str, Any], home: Path) -> str:
-    """Return the first pin of another part, or ``gnd`` if no other part has pins."""
+    """Suggest a target for a pin: the first pin of another part, or ``gnd``."""
     for other, table in tables.items():
         if other != name and other not in SceneKeys.model_fields and isinstance(table, Mapping):
             with suppress(UsageError):
@@ -498,7 +498,9 @@ def _validate_table(
     at: tuple[str | int, ...],
     context: Mapping[str, Any] | None = None,
 ) -> Any:
-    """Convert the table at the path ``at`` to an instance of its ``schema``.
+    """Check a table, and convert the table to an instance of its schema class.
+
+    ``at`` is the path of the table in the file.
 
     Raises
     ------

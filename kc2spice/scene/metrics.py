@@ -83,7 +83,7 @@ def _list_metrics(waves: Waveforms, build: BuiltScene, *, partial: bool) -> dict
 
 
 def _covers_probe(probe: ProbeKeys, waves: Waveforms, window: tuple[float, float] | None) -> bool:
-    """Return whether the waves of an interrupted run contain all points of a probe."""
+    """Return whether the waves of an interrupted run cover everything a probe reads."""
     low, high = waves.scale.real.min(), waves.scale.real.max()
     places = [*probe.read_positions.values(), *(filter(math.isfinite, window or ()))]
     return probe.of in waves and all(low <= place <= high for place in places)
@@ -105,7 +105,7 @@ def _find_reference_pressure(probe: ProbeKeys, build: BuiltScene) -> float:
 
 
 def select_sound_levels(build: BuiltScene, metrics: Mapping[str, Any]) -> dict[str, SoundLevel]:
-    """Return the ``metrics`` of a run that probes compute as sound pressure levels."""
+    """Return the metrics that probes compute as sound pressure levels [dB]."""
     result = {}
     for name, probe in build.scene.probes.items():
         if probe.take == "spl":
@@ -114,7 +114,7 @@ def select_sound_levels(build: BuiltScene, metrics: Mapping[str, Any]) -> dict[s
 
 
 def _evaluate_probe(name: str, probe: ProbeKeys, build: BuiltScene, waves: Waveforms) -> Metric:
-    """Return the value of a probe with its unit.
+    """Compute the value of a probe, with its unit.
 
     Raises
     ------

@@ -107,7 +107,7 @@ class Terminal:
 
     @classmethod
     def from_domain(cls, name: str, domain: Domain, default: str | None = None) -> Terminal:
-        """Return a pin of a conservative domain."""
+        """Make a pin with the units of a conservative domain."""
         return cls(name, *domain.units, default)
 
     @classmethod
@@ -165,7 +165,7 @@ class Part(Generic[KeysT]):
     at: tuple[str | int, ...] = ()
 
     def with_schema(self, schema: builtins.type[S]) -> Part[S]:
-        """Return the part, typed as a part with keys of the class ``schema``.
+        """Return the part with its keys typed as ``schema``, for type checkers.
 
         Raises
         ------
@@ -328,7 +328,7 @@ class DeclaredScene:
 
     @property
     def rom(self) -> RomKeys:
-        """Default reduction of bodies."""
+        """Default settings for the model reduction of bodies."""
         return self.frame.rom
 
     @property
@@ -348,12 +348,12 @@ class DeclaredScene:
 
     @property
     def bench(self) -> BenchKeys:
-        """Settings of the benchmark."""
+        """Settings of the benchmark of this scene."""
         return self.frame.bench
 
     @property
     def include(self) -> tuple[str, ...]:
-        """Netlist files in the folder of the scene that the deck includes."""
+        """Netlist files that the deck includes, in the folder of the scene."""
         return self.frame.include
 
     @property
@@ -453,7 +453,7 @@ class GovernedScene(DeclaredScene):
     frames: Mapping[tuple[str, str], AcceleratedFrame] = field(default_factory=dict)
 
     def get_record(self, part: Part) -> PartRecord[object] | None:
-        """Return the record of a part.
+        """Return the record of a part, or None if the scene has no record of this part.
 
         The result is None if the scene contains another object of the same name, whose keys may
         differ.
@@ -464,7 +464,7 @@ class GovernedScene(DeclaredScene):
 
 @dataclass(frozen=True, eq=False)
 class JoinedScene(GovernedScene):
-    """Third stage of a scene, with the pins that the keys of parts join.
+    """Third stage of a scene, with the joins that the keys of parts imply.
 
     ``joins`` maps the name of each part to the targets of the part's pins.
     """
@@ -532,7 +532,10 @@ class Scene(WiredScene):
         return key if self.source is None else self.source.locate_key(key)
 
     def select_overridden_key(self, first: str, second: str) -> str:
-        """Return the key ``first`` if overrides set only this key, otherwise ``second``."""
+        """Return the overridden one of two keys; by default, return the second key.
+
+        If both keys or neither key are overridden, return ``second``.
+        """
         if self.source is None or self.source.overrides_key(second):
             return second
         return first if self.source.overrides_key(first) else second
@@ -548,7 +551,7 @@ class Scene(WiredScene):
 
 
 def compute_scene_hash(scene: Scene) -> str:
-    """Return a hash, 16 hexadecimal digits, of all values that determine the netlist.
+    """Return a hash (16 hexadecimal digits) of all values that determine a netlist.
 
     The name and title of the scene, error limits, actions of checks, and keys without a value do
     not change the hash. A new optional key therefore leaves old hashes unchanged. Numbers are
@@ -573,7 +576,7 @@ def compute_scene_hash(scene: Scene) -> str:
 
 @dataclass(frozen=True)
 class BuildRecord:
-    """Results and equilibrium conditions of one part of a build.
+    """Results and equilibrium conditions of one part of a built scene.
 
     The fields are the results of :meth:`PartType.equilibrium_after_build`,
     :meth:`PartType.vectors` and :meth:`PartType.settable_quantities`. A part without cards in the
@@ -625,7 +628,9 @@ class BuiltScene:
         return self.scene.analysis.type == "noise"
 
     def model(self, part: Part, kind: type[M]) -> M:
-        """Return the model of a part, which must be an instance of ``kind``.
+        """Return the model of a part; raise an error if the model has the wrong class.
+
+        The model must be an instance of ``kind``.
 
         Raises
         ------
@@ -640,7 +645,10 @@ class BuiltScene:
         return result
 
     def find_models(self, kind: type[M]) -> dict[str, M]:
-        """Return all models that are instances of the class ``kind``, keyed by part name."""
+        """Return all models that are instances of a class, keyed by part name.
+
+        ``kind`` is the class.
+        """
         return {name: item for name, item in self.models.items() if isinstance(item, kind)}
 
     @property
@@ -667,7 +675,10 @@ class BuiltScene:
         }
 
     def facts(self, part: Part) -> Mapping[str, float]:
-        """Return the characteristic values of a part's model, as in ``result.json``."""
+        """Return the numbers that describe a part's model, such as a mass, keyed by name.
+
+        The file ``result.json`` contains these numbers.
+        """
         result: Mapping[str, float] = getattr(self.models.get(part.name), "facts", {})
         return result
 
@@ -676,7 +687,7 @@ class BuiltScene:
         return self.scene.get_net(part.name, pin)
 
     def get_pin_vector(self, part: Part, pin: str) -> PartResult:
-        """Return the vector of a pin's displacement, voltage or signal in SI units."""
+        """Return a pin's displacement, voltage or signal as an ngspice vector in SI units."""
         terminal = self.scene.terminals[part.name, pin]
         quantity = terminal.across
         factor, si = (quantity.factor, quantity.unit) if quantity else (1.0, terminal.unit)
@@ -687,7 +698,7 @@ class BuiltScene:
         return self.scene.meters.get((part.name, pin))
 
     def get_inner_name(self, part: Part, *words: str) -> str:
-        """Return the netlist name of an inner node or card.
+        """Return the netlist name of a part's internal node or internal card.
 
         The method :meth:`PartType.list_inner_names` returns the ``words`` of each inner node or
         card.
@@ -736,7 +747,7 @@ class PartType(Generic[KeysT]):
     def generate_tables(
         self, part: Part[KeysT], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
-        """Return the tables of further parts that the part generates.
+        """Return tables of scene keys that the part adds, such as tables of other parts.
 
         ``data`` contains all tables of the scene. The entry ``at`` of a generated table is the path
         of the table's keys in the file, such as ``("kick", "drive")``. A generated table
@@ -752,9 +763,10 @@ class PartType(Generic[KeysT]):
         return ()
 
     def default_joins(self, part: Part[KeysT], scene: GovernedScene) -> Mapping[str, str]:
-        """Return the targets that keys of the part imply for its pins, keyed by pin.
+        """Return the targets (pins or ground) to which the part's keys join its pins.
 
-        A target in the table ``pins`` overrides the target that this method returns.
+        The targets are keyed by pin. A target in the table ``pins`` overrides the target that this
+        method returns.
         """
         return {}
 
@@ -766,7 +778,7 @@ class PartType(Generic[KeysT]):
     def governed_parts(
         self, part: Part[KeysT], scene: DeclaredScene
     ) -> Mapping[str, InitialState | Governed]:
-        """Return how the part governs other parts, keyed by name.
+        """Return how the part moves, copies or initialises other parts, keyed by part.
 
         The value for a part that starts in a prescribed state is its :class:`InitialState` [m/s,
         m]. The value is ``"moved"`` for a part whose motion is prescribed. The value is
@@ -776,14 +788,14 @@ class PartType(Generic[KeysT]):
         return {}
 
     def list_inner_names(self, part: Part[KeysT], scene: WiredScene) -> Iterable[tuple[str, ...]]:
-        """Return the words that form the name of each inner node and each further card.
+        """Return the words in the name of each internal node and each additional card.
 
         :meth:`BuiltScene.get_inner_name` returns the complete names.
         """
         return ()
 
     def shared_data(self, part: Part[KeysT], scene: GovernedScene) -> object:
-        """Return data for other part types of the same package.
+        """Return the data that the part shares with other part types of its package.
 
         The class of the data is defined in the package of the part. For example, a loudspeaker
         shares its parameters with the part type of its box. The data depend only on keys and on
@@ -823,10 +835,11 @@ class PartType(Generic[KeysT]):
         return ()
 
     def problems(self, part: Part[KeysT], scene: GovernedScene) -> Iterable[UsageError]:
-        """Yield the errors of the part; the ``where`` of each error is a dotted key.
+        """Yield an error for each invalid key or combination of keys of the part.
 
-        Errors about implausible values (:func:`kc2spice.scene.plausibility.check_range`) stop the
-        run, are warnings, or are ignored, according to the key ``checks.plausible``.
+        The ``where`` of each error is a dotted key. Errors about implausible values
+        (:func:`kc2spice.scene.plausibility.check_range`) stop the run, are warnings, or are
+        ignored, according to the key ``checks.plausible``.
         """
         return ()
 
@@ -867,7 +880,7 @@ class PartType(Generic[KeysT]):
         return type(self).cards is PartType.cards
 
     def cards(self, part: Part[KeysT], build: BuiltScene) -> tuple[Item, ...]:
-        """Return the elements of the part at the top level of the deck.
+        """Return the netlist elements of the part at the top level of the deck.
 
         By default, the elements are an instance of the part's subcircuit, and an ammeter at each
         pin whose flow a probe reads.
@@ -892,7 +905,7 @@ class PartType(Generic[KeysT]):
         return {}
 
     def has_ac_source(self, part: Part[KeysT], scene: DeclaredScene) -> bool:
-        """Return whether the part is a source of small signals in an ``ac`` analysis.
+        """Return whether the part is a small-signal source in an ``ac`` analysis.
 
         The method is called when the scene is loaded. If no part drives an ``ac`` analysis, a
         source of 1 V is added at the only free electrical port.
@@ -989,7 +1002,7 @@ class PartType(Generic[KeysT]):
     def main_metrics(
         self, part: Part[KeysT], build: BuiltScene
     ) -> Mapping[str, ProbeKeys | LargestRealPartFrequency]:
-        """Return probes for the metrics of the part that every simulator can compute."""
+        """Return the part's main metrics as probes, which every simulator can evaluate."""
         return {}
 
     def checks(
@@ -1019,7 +1032,7 @@ class PartType(Generic[KeysT]):
     def check_operating_point(
         self, part: Part[KeysT], build: BuiltScene, point: Waveforms
     ) -> Iterable[Check]:
-        """Return checks that the operating ``point`` is valid for small-signal analyses."""
+        """Check that the operating ``point`` is valid for small-signal analyses."""
         return ()
 
     def law(self, part: Part[KeysT], build: BuiltScene) -> Equations | MissingEquations | None:

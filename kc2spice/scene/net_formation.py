@@ -36,7 +36,7 @@ METER_SUFFIX = "meter"  # suffix of the names of ammeters
 
 
 def join_parts(scene: Scene) -> Scene:
-    """Return the scene with nets and with the reference frames of pins.
+    """Join the pins of all parts; return the scene with nets and reference frames.
 
     Parts in an accelerated frame have additional pins for the acceleration of the frame. The
     additional pins are joined after the frames are determined.
@@ -57,7 +57,7 @@ def join_parts(scene: Scene) -> Scene:
 
 
 def add_default_joins(scene: Scene) -> Scene:
-    """Return the scene with the pin targets that the keys of parts imply."""
+    """Return the scene with the default joins that the keys of its parts imply."""
     joins = {}
     for name, record in scene.records.items():
         joins[name] = record.part.type.default_joins(record.part, scene)
@@ -120,7 +120,7 @@ _SECOND_PIN_NAMES = (
 
 
 def _suggest_pin(typed: str, pins: Sequence[str]) -> str | None:
-    """Suggest a pin if other programs call the pin ``typed``, such as ``anode``."""
+    """Suggest a pin for a name that other programs use, such as ``anode``."""
     if len(pins) >= 2:
         for names, pin in ((_FIRST_PIN_NAMES, pins[0]), (_SECOND_PIN_NAMES, pins[1])):
             if typed.lower() in names:
@@ -129,7 +129,7 @@ def _suggest_pin(typed: str, pins: Sequence[str]) -> str | None:
 
 
 def _list_joins(part: Part, scene: Scene) -> Iterator[tuple[str, str, str]]:
-    """Yield the pin, the target and the dotted key of each join of a part.
+    """Yield each join of a part: pin, target pin or ground, and dotted key.
 
     Joins in the table ``pins`` come first, then joins that keys imply, then default joins. A pin
     that another part names as a target has no default join.
@@ -153,7 +153,7 @@ def _list_joins(part: Part, scene: Scene) -> Iterator[tuple[str, str, str]]:
 
 
 def _find_target(target: str, scene: Scene, where: str) -> Pin:
-    """Return the pin of a target such as ``part.pin``; reject an unknown target."""
+    """Parse a join target such as ``part.pin`` into a pin; reject an unknown target."""
     if target in (GROUND, "0"):
         return _GROUND_PIN
     name, dot, pin = target.partition(".")
@@ -215,7 +215,7 @@ def _require_same_kind(a: Pin, b: Pin, scene: Scene, where: str) -> None:
 
 
 def _suggest_kind(part: str, terminal: Terminal, other: Terminal) -> str | None:
-    """Suggest a key value that gives a pin the same units as the pin ``other``."""
+    """Suggest a key value with which a pin has the same units as another pin."""
     units = other.unit, other.flow
     kinds = [name for name, (domain, _) in QUANTITIES.items() if domain.units == units]
     if not terminal.kind_key or not kinds:
@@ -224,7 +224,7 @@ def _suggest_kind(part: str, terminal: Terminal, other: Terminal) -> str | None:
 
 
 def _suggest_target(pin: Pin, choices: Sequence[str], scene: Scene) -> str:
-    """Suggest one of the ``choices`` as the target of a pin.
+    """Suggest a pin or ground to which a pin can be joined.
 
     For a part with two pins whose other pin is joined, suggest ground. The ``choices`` may be on
     the net of the other pin.
@@ -236,7 +236,7 @@ def _suggest_target(pin: Pin, choices: Sequence[str], scene: Scene) -> str:
 
 
 def _are_compatible(a: Terminal, b: Terminal) -> bool:
-    """Return whether two pins have equal units and flows; signals need equal units."""
+    """Return whether two pins may be joined: equal units, equal flows or a signal."""
     return a.unit == b.unit and (a.flow == b.flow or "-" in (a.flow, b.flow))
 
 
@@ -262,7 +262,7 @@ def _require_distinct_pin_names(terminals: Mapping[Pin, Terminal]) -> None:
 
 
 def _name_nets(groups: list[list[Pin]], scene: Scene) -> dict[Pin, str]:
-    """Return the netlist node of each pin, named after the first pin of its net."""
+    """Name each net after its first pin, and return the net name of each pin."""
     names, nets = NameAllocator(("0", GROUND)), dict[Pin, str]()
     for group in groups:
         preferred = group[0], "_".join(group[0]).lower()
@@ -273,7 +273,7 @@ def _name_nets(groups: list[list[Pin]], scene: Scene) -> dict[Pin, str]:
 
 
 def _with_inner_names(scene: Scene) -> Scene:
-    """Return the scene with unused names for ammeters, inner nodes and further cards."""
+    """Return the scene with unused names for ammeters, internal nodes and extra cards."""
     cards = map("".join, product(ascii_lowercase, scene.parts))
     free = NameAllocator((*scene.nets.values(), *cards))
     names: dict[tuple[str, ...], str] = {}
@@ -307,7 +307,7 @@ def list_metered_pins(part: Part, scene: Scene) -> dict[str, Domain]:
 
 
 def list_power_input_pins(part: Part, scene: Scene) -> dict[str, Domain]:
-    """Return the pins of one domain through which power enters a part.
+    """Return the pins through which power enters a part, with their common domain.
 
     For a part with electrical pins, the domain is electrical. For all other parts, the domain of
     the first pin is used.
@@ -404,7 +404,9 @@ def _make_unjoined_error(
     return UsageError(
         f"pin {pin} of {name} is not connected",
         where=f"{name}.pins.{pin}",
-        expected=f"{pin_kind}: {listed or 'the scene has none'}{more}",
+        expected=f"{pin_kind}: {listed}{more}"
+        if listed
+        else f"{pin_kind} of another part, which this scene does not have",
         hint=hint,
     )
 
@@ -425,7 +427,7 @@ def _require_one_output_per_net(scene: Scene) -> None:
 
 
 def _require_pins_on_distinct_nets(scene: Scene) -> None:
-    """Reject a part without effect, whose two pins are on one net."""
+    """Reject a two-pin part whose pins are on one net, where the part has no effect."""
     for part in scene.parts.values():
         pins = scene.pins(part.name)
         if len(pins) != 2 or pins[0].kind != pins[1].kind or pins[0].flow == "-":
@@ -488,7 +490,7 @@ class DisjointGroups:
         return self._groups[a] is self._groups[b]
 
     def join(self, a: Hashable, b: Hashable) -> None:
-        """Join the groups of the members ``a`` and ``b`` into one group."""
+        """Merge the groups of two members into one group."""
         first, second = self._groups[a], self._groups[b]
         if first is not second:
             first += second

@@ -19,7 +19,7 @@ MAX_RMS_CHANGE = 0.02
 
 
 def compute_noise_by_part(waves: Waveforms) -> dict[str, np.ndarray]:
-    """Return the spectral density of the output noise that each part causes.
+    """Return the spectral density of the output noise from each part, keyed by part.
 
     The densities are keyed by part. Each density is an array with one value for each frequency.
     """
@@ -33,7 +33,7 @@ def compute_noise_by_part(waves: Waveforms) -> dict[str, np.ndarray]:
 
 
 def compute_noise_metrics(waves: Waveforms, build: BuiltScene) -> dict[str, Any]:
-    """Return the rms values of the output noise, and of the noise from each part.
+    """Return the rms output noise, in total and from each part, as metrics.
 
     The rms values are integrals over the frequency range of the analysis.
     """

@@ -59,7 +59,7 @@ class NumericalSetting:
     mesh: bool = False
 
     def refine_keys(self, steps: float) -> dict[str, Any]:
-        """Return the changed keys and their values after a number of refinement ``steps``.
+        """Refine a setting by some steps, and return the changed keys with new values.
 
         Negative ``steps`` make the setting coarser. The result is empty if no key changes.
         """
@@ -101,7 +101,7 @@ def find_finest_settings(build: BuiltScene) -> tuple[NumericalSetting, ...]:
 
 
 def _list_settings(build: BuiltScene) -> Iterator[NumericalSetting]:
-    """Yield all settings of a scene that have a refinement rule."""
+    """Yield all numerical settings of a scene that have a refinement rule."""
     scene = build.scene
     if scene.analysis.type == "transient":
         solver = {
@@ -124,14 +124,14 @@ def _list_settings(build: BuiltScene) -> Iterator[NumericalSetting]:
 
 
 def _count_decades(analysis: Analysis) -> float:
-    """Return the number of decades of a logarithmic frequency range, 0 if linear."""
+    """Return the number of decades of a frequency range, or 0 if it is linear."""
     if analysis.scale == "linear":
         return 0.0
     return math.log10(float(analysis.stop or analysis.start) / analysis.start)
 
 
 def _list_settings_of_keys(keys: BaseModel, prefix: str) -> Iterator[NumericalSetting]:
-    """Yield the numerical settings in a table and in inner tables, except ``rom``."""
+    """Yield numerical settings in a table of keys and its subtables, except ``rom``."""
     for name, declared in type(keys).model_fields.items():
         value = getattr(keys, name)
         if isinstance(value, BaseModel) and not isinstance(value, RomKeys):
@@ -147,7 +147,7 @@ def _rule_applies(rule: RefinementRule, keys: BaseModel) -> bool:
 
 
 def _list_reduction_settings(build: BuiltScene) -> Iterator[NumericalSetting]:
-    """Yield a setting for each table ``rom`` of the scene or of a body."""
+    """Yield the tolerance or order setting of each table ``rom`` in the scene."""
     scene = build.scene
     timed = scene.analysis.type == "transient"
     known: set[str] = set()
@@ -184,13 +184,16 @@ def _list_reduction_settings(build: BuiltScene) -> Iterator[NumericalSetting]:
 
 
 def _uses_scene_reduction(part: Part, scene: Scene) -> bool:
-    """Return whether all bodies have the same reduction as ``part``."""
+    """Return whether a part has the same reduction settings as all other bodies."""
     reduction = scene.records[part.name].reduction
     return all(record.reduction in (None, reduction) for record in scene.records.values())
 
 
 def _make_setting(name: str, value: float, declared: FieldInfo) -> NumericalSetting:
-    """Return the setting of a key, with rule and limits from the key's declaration."""
+    """Return the numerical setting of a key, with rule and limits of the key.
+
+    The declaration of the key contains the rule and the limits.
+    """
     rule = _find_rule(declared)
     assert rule is not None
     low, high = 0.0, math.inf
@@ -214,7 +217,10 @@ def _find_rule(declared: FieldInfo) -> RefinementRule | None:
 def refine_settings(
     selected: Sequence[NumericalSetting], steps: Mapping[str, float]
 ) -> dict[str, Any]:
-    """Return the changed keys and values after all settings are refined by ``steps``."""
+    """Refine all settings, and return the changed keys with their new values.
+
+    ``steps`` contains the number of refinement steps of each setting.
+    """
     result: dict[str, Any] = {}
     for setting in selected:
         result |= setting.refine_keys(steps.get(setting.name, 0.0))

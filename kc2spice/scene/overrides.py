@@ -32,9 +32,10 @@ _OVERRIDE_EXAMPLES = (
 def read_overrides(
     overrides: Sequence[str] | Mapping[str, Any], example: Callable[[str], str]
 ) -> Iterator[tuple[str, Any, str]]:
-    """Yield the key, the value and the origin of each override, for error messages.
+    """Yield the key, the value and the origin of each override.
 
-    ``example`` is a function that returns an example of an override for a key.
+    The origin is a text for error messages. ``example`` is a function that returns an example of an
+    override for a key.
 
     Raises
     ------
@@ -106,11 +107,11 @@ def _parse_override(text: str, example: Callable[[str], str]) -> tuple[str, Any]
 
 
 def write_example(name: str, tables: Mapping[str, Any], keys: Sequence[str]) -> str:
-    """Return an example of an override of ``name``, the name of a key or of a table.
+    """Return an example of how to override a key, or a key in a table.
 
-    For a table, the example overrides a key in the table. The example contains the present value in
-    ``tables``, the tables of the scene. ``keys`` are the dotted keys of the part to which ``name``
-    belongs.
+    ``name`` is the name of the key or of the table. For a table, the example overrides a key in the
+    table. The example contains the present value in ``tables``, the tables of the scene. ``keys``
+    are the dotted keys of the part to which ``name`` belongs.
     """
     value: Any = tables
     for step in re.findall(rf"{_WORD_PATTERN}|{_INDEX_PATTERN}", name):
@@ -136,7 +137,7 @@ def write_example(name: str, tables: Mapping[str, Any], keys: Sequence[str]) -> 
 
 
 def set_key(data: dict[str, Any], name: str, value: Any, where: str) -> tuple[str, ...]:
-    """Set the key ``name`` in ``data``; return the path of the key.
+    """Set a dotted key in nested tables, and return the path of the key.
 
     The path contains the indices of list entries. Missing tables are added, but list entries must
     exist. ``where`` is the origin of the override, for error messages.
@@ -169,13 +170,13 @@ def set_key(data: dict[str, Any], name: str, value: Any, where: str) -> tuple[st
 
 
 def _suggest_list(holder: Any, key: str) -> str | None:
-    """Return a hint if a list in the table ``holder`` has a name similar to ``key``."""
+    """Return a hint if a table contains a list with a name similar to a key."""
     table = holder if isinstance(holder, dict) else {}
     return did_you_mean(key, [name for name, value in table.items() if isinstance(value, list)])
 
 
 def _find_key(holder: Any, step: str, so_far: str, where: str, suggestion: str | None) -> str | int:
-    """Return the table key or the list index for one ``step`` of a dotted key.
+    """Return the table key or list index that one step of a dotted key denotes.
 
     ``holder`` is the value of the dotted key ``so_far``, which precedes the step. ``suggestion`` is
     a hint about a list with a similar name.

@@ -108,7 +108,7 @@ class PartResult:
 
     @property
     def noise_density_vector(self) -> PartResult:
-        """Result for the spectral density of the noise of the expression."""
+        """Noise density of this result, as the result of a noise analysis."""
         return PartResult("onoise_spectrum", abs(self.factor), f"{self.unit}{DENSITY_UNIT}")
 
 
@@ -143,7 +143,7 @@ class LargestRealPartFrequency:
 
 @dataclass(frozen=True)
 class SweptSource:
-    """Source that a dc sweep of a key varies.
+    """Voltage or current source that a dc sweep of a key varies.
 
     ``scale`` is the value of the source in volts or amperes for one SI unit of the key. If the part
     changes the range of the sweep, ``range`` contains the first and the last value of the key in SI
@@ -189,7 +189,7 @@ class DcSweep(EqualByContent):
 
 @dataclass(frozen=True)
 class SampledSource:
-    """Python function that sets the value of a source during a transient.
+    """Source whose value a Python function sets at sampling times of a transient.
 
     ``source`` is the name of the source's card in lower case. The function ``call(time, values)``
     is called with the saved node voltages every ``period`` [s], first at t = 0. The returned value
@@ -205,7 +205,7 @@ class SampledSource:
 
     @property
     def record_with_reset_function(self) -> SampledSource:
-        """Copy of the record, with the function in the state before the first call."""
+        """Copy of this source, with its Python function reset to the initial state."""
         return self if self.reload is None else replace(self, call=self.reload())
 
 
@@ -242,7 +242,7 @@ class NumericalRequirements:
 
 @dataclass(frozen=True)
 class FrameAcceleration:
-    """Acceleration signal of a reference frame, at the ``pin`` of a body.
+    """Acceleration of a reference frame, with the body's pin that carries its signal.
 
     ``net`` is the netlist node of the pin. ``along`` is the cosine of the angle between the
     acceleration and a displacement in the frame, or None if a direction is unknown.
@@ -255,14 +255,14 @@ class FrameAcceleration:
 
 @dataclass(frozen=True)
 class AcceleratedFrame:
-    """Accelerated frame of a net: all accelerations along the motion of the net."""
+    """Accelerated reference frame of a net: its body and all its accelerations."""
 
     body: str
     shakes: tuple[FrameAcceleration, ...]
 
     @property
     def node_cosines(self) -> frozenset[tuple[str, float | None]]:
-        """Netlist node and cosine of each acceleration, which together identify a frame."""
+        """Node and direction cosine of each acceleration, which together identify a frame."""
         return frozenset((shake.net, shake.along) for shake in self.shakes)
 
     @property

@@ -97,7 +97,7 @@ def _describe_type(name: str, examples: Mapping[str, tuple[str, Part, Scene]]) -
 
 
 def _find_examples() -> dict[str, tuple[str, Part, Scene]]:
-    """Return the first part of each type in a built-in scene, keyed by part type."""
+    """Return one example of each part type from the built-in scenes, keyed by type."""
     result: dict[str, tuple[str, Part, Scene]] = {}
     for name in list_gallery():
         scene = load_scene(name)

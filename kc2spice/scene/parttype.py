@@ -30,7 +30,7 @@ SHARED_MODULE_SUFFIX = "_types"  # suffix of the names of modules that define se
 
 
 def find_current_into(part: Part, pin: str, build: BuiltScene) -> PartResult | None:
-    """Return the current into a pin, if the only other part at the pin reports it.
+    """Return the current into a pin if a single other part reports it, otherwise None.
 
     Return None if several other parts are joined to the pin, because the current is the sum of the
     currents of these parts.
@@ -48,7 +48,7 @@ def find_current_into(part: Part, pin: str, build: BuiltScene) -> PartResult | N
 
 
 def find_flow_into(part: Part, pin: str, build: BuiltScene) -> PartResult | None:
-    """Return the flow into a pin, the sum of the flows out of all other parts.
+    """Return the flow into a pin: the sum of the flows out of the other parts there.
 
     Return None if one of the other parts is a body, or has no result for the flow at the pin.
     """
@@ -78,7 +78,7 @@ def compute_pin_forces(build: BuiltScene, waves: Waveforms) -> Mapping[tuple[str
     """
 
     def compute_all_forces() -> tuple[BuiltScene, Waveforms, dict[tuple[str, str], np.ndarray]]:
-        """Return the build, the waves, and the forces of all parts."""
+        """Return the forces [N] of all parts, with the build and waves that cause them."""
         result = {}
         for name, part in build.scene.parts.items():
             for pin, force in part.type.forces(part, build, waves).items():

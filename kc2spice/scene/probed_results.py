@@ -135,7 +135,7 @@ def _list_results(build: BuiltScene, waiting: Collection[str]) -> list[str]:
 
 
 def _list_metered_results(part: Part, scene: Scene, known: Collection[str]) -> Iterator[str]:
-    """Yield flows and powers of a part that are measured only for probes."""
+    """Yield names of flows and powers of a part that are measured only if probed."""
     n, pins, powered = part.name, list_metered_pins(part, scene), list_power_input_pins(part, scene)
     separate = scene.has_subcircuit(part)
     for domain in dict.fromkeys(powered.values()):

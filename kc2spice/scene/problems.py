@@ -169,7 +169,7 @@ def _check_frequencies(scene: Scene) -> Iterator[UsageError]:
 
 
 def _check_noise_output(selected: Analysis) -> Iterator[UsageError]:
-    """Yield an error if a noise analysis has no output, or another analysis has one."""
+    """Yield an error if the key ``output`` is missing or does not suit the analysis."""
     expected = 'output = "PART.RESULT" or "PART.PIN" with type = "noise"'
     if selected.type == "noise" and selected.output is None:
         yield UsageError(
@@ -262,7 +262,7 @@ def check_periods(scene: Scene) -> Iterator[UsageError]:
 
 
 def _check_window(where: str, count: int, scene: Scene) -> Iterator[UsageError]:
-    """Yield an error if the analysis does not contain ``count`` periods."""
+    """Yield an error if the analysis does not contain a given number of periods."""
     if scene.analysis.type != "transient":
         got, expected = f"{scene.analysis.type} analysis", "a transient, or from and to"
         yield UsageError(
@@ -341,7 +341,10 @@ def _check_probe_position(where: str, place: float, scene: Scene) -> Iterator[Us
 
 
 def _find_scale_unit(scene: Scene) -> str | None:
-    """Return the unit of the scale (time, frequency or swept key), None if unknown."""
+    """Return the unit of the independent variable: time, frequency or swept key.
+
+    The result is None if the unit is unknown.
+    """
     selected = scene.analysis
     if selected.type != "dc":
         return ANALYSIS_UNITS.get(selected.type)

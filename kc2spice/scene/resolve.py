@@ -22,7 +22,7 @@ from kc2spice.scene.results import collect_results, find_noise_output, resolve_d
 
 
 def resolve(scene: Scene) -> Scene:
-    """Return the scene with nets, reference frames and the records of parts.
+    """Resolve a scene: join its parts, and add reference frames and records of parts.
 
     Raises
     ------
@@ -83,7 +83,7 @@ def _list_parts_with_cards(build: BuiltScene) -> list[Part]:
 
 
 def add_governed_records(scene: Scene) -> Scene:
-    """Return the scene with records of governed parts and of shared data.
+    """Record which parts each part moves, copies or initialises, and its shared data.
 
     The shared data of one part may depend on the shared data of other parts.
     """
@@ -109,7 +109,7 @@ def add_governed_records(scene: Scene) -> Scene:
 def _find_movers(
     governed_parts: Mapping[str, Mapping[str, InitialState | Governed]],
 ) -> dict[str, str]:
-    """Return the first part that prescribes the motion of each moved part."""
+    """Return the first part that moves each moved part, keyed by moved part."""
     result: dict[str, str] = {}
     for owner, answer in governed_parts.items():
         for name, governed in answer.items():
@@ -137,7 +137,7 @@ def _find_initial_states(
 def _find_parts_without_cards(
     governed_parts: Mapping[str, Mapping[str, InitialState | Governed]],
 ) -> frozenset[str]:
-    """Return the names of parts that other parts copy or move."""
+    """Return the names of parts without cards: other parts copy or move these parts."""
     rows = chain.from_iterable(answer.items() for answer in governed_parts.values())
     return frozenset(name for name, governed in rows if isinstance(governed, str))
 
@@ -173,12 +173,12 @@ def with_numerics(scene: Scene) -> Scene:
 
 
 def resolve_again(scene: Scene) -> Scene:
-    """Return the scene with new records after a change of keys; nets are unchanged."""
+    """Update the records of all parts after a change of keys; keep the nets."""
     return with_numerics(with_equilibrium_conditions(add_governed_records(scene)))
 
 
 def name_subcircuits(scene: Scene) -> dict[str, str]:
-    """Return the name of the subcircuit of each part.
+    """Return the subcircuit name of each part, keyed by part name.
 
     If parts of different types choose the same name, each subcircuit gets the name of its part.
     """

@@ -113,7 +113,10 @@ def _collect_metered_results(
 
 
 def _collect_across_quantity(part: Part, build: BuiltScene) -> dict[str, PartResult]:
-    """Return the quantity across the two pins of a part that is not a subcircuit."""
+    """Return the voltage, or other across quantity, of a two-pin part.
+
+    The result is empty for a subcircuit.
+    """
     pins = [pin for pin in build.scene.pins(part.name) if pin.domain is not None]
     if build.scene.has_subcircuit(part) or len(pins) != 2 or pins[0].kind != pins[1].kind:
         return {}
@@ -128,7 +131,7 @@ def _collect_across_quantity(part: Part, build: BuiltScene) -> dict[str, PartRes
 
 
 def collect_powers(build: BuiltScene, known: Collection[str]) -> dict[str, Powers]:
-    """Return the terms of each power that a probe reads, for a part or a pin.
+    """Return the terms of each power of a part or pin that a probe reads.
 
     The power [W] of a source is positive if the source delivers it. The power of any other part is
     positive if the part absorbs it.
@@ -168,7 +171,7 @@ def _make_part_power_term(name: str, domain: Domain) -> PowerTerm:
 
 
 def _make_pin_power_term(part: Part, pin: str, domain: Domain, build: BuiltScene) -> PowerTerm:
-    """Return the power that flows into a part at a pin, as a power term."""
+    """Return the power that flows into a part at one of its pins, as a power term."""
     unit = build.scene.terminals[part.name, pin].unit
     power = domain.power if unit == domain.across.pin_unit else "across * through"
     across, through = domain.across.symbol, domain.through_variable.name

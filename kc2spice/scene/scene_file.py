@@ -51,7 +51,7 @@ class SceneFile:
         return tuple(key.split(".")) in self.overrides
 
     def locate_key(self, key: str) -> str:
-        """Return the override or the line that sets a key.
+        """Return the override, or the line of the file, that sets a key.
 
         An example of a key is ``disc.layers.0.diameter``. For an empty key, return the name of the
         scene or file.
@@ -136,7 +136,7 @@ def _make_missing_file_error(name: str, path: Path, scenes: Collection[str]) -> 
 def _add_entry_numbers(
     table: tuple[str, ...], counts: Mapping[tuple[str, ...], int]
 ) -> tuple[str, ...]:
-    """Return the path of a table, with the entry number in each array of tables."""
+    """Return the path of a table, with an entry number after each array of tables."""
     result: list[str] = []
     for end in range(1, len(table) + 1):
         result.append(table[end - 1])

@@ -90,6 +90,7 @@ class RomKeys(Section):
     @model_validator(mode="before")
     @classmethod
     def _require_one_target(cls, data: Any) -> Any:
+        """Reject a reduction with both an order and an error tolerance."""
         if isinstance(data, dict) and "order" in data and "tolerance" in data:
             hint = "delete the key `order`"
             raise make_invalid_value_error(
@@ -100,13 +101,14 @@ class RomKeys(Section):
     @field_validator("tolerance")
     @classmethod
     def _set_default_tolerance(cls, tolerance: float | None, info: ValidationInfo) -> float | None:
-        """Set the default tolerance if no order is stated."""
+        """Set the default error tolerance if the scene states no fixed order."""
         order_set = info.data.get("order") is not None
         return 1e-4 if tolerance is None and not order_set else tolerance
 
     @field_validator("band")
     @classmethod
     def _require_nonempty_band(cls, band: tuple[float, float]) -> tuple[float, float]:
+        """Reject a frequency band whose lower end is not below its upper end."""
         if not 0 <= band[0] < band[1]:
             hint = 'write the lower frequency first, such as ["0 Hz", "20 kHz"]'
             raise make_invalid_value_error(
@@ -116,7 +118,7 @@ class RomKeys(Section):
 
     @property
     def is_default(self) -> bool:
-        """Whether the scene states neither order nor tolerance."""
+        """Whether the scene states neither order nor tolerance of the reduction."""
         return not {"order", "tolerance"} & self.model_fields_set
 
 
@@ -233,7 +235,7 @@ class BenchKeys(Section):
 
 
 class ErrorLimits(Section):
-    """Keys of the largest accepted differences between two solutions of a scene.
+    """Error limits: largest accepted differences between two solutions of a scene.
 
     Values with a dimension need a unit.
     """
@@ -443,7 +445,7 @@ class Analysis(Section):
     @field_validator("stop", mode="before")
     @classmethod
     def _read_stop(cls, stop: Any, info: ValidationInfo) -> Any:
-        """Convert ``stop`` to the time or frequency at which the analysis ends."""
+        """Convert the key ``stop`` to the end time [s] or end frequency [Hz]."""
         unit = ANALYSIS_UNITS.get(info.data.get("type", ""))
         if stop is None or unit is None:
             return stop
@@ -537,7 +539,7 @@ class ProbeKeys(Section):
 
     @property
     def read_positions(self) -> dict[str, float]:
-        """Values of the keys ``at``, ``from`` and ``to`` that the probe states, by key."""
+        """Values of the keys ``at``, ``from`` and ``to`` that a probe states, by key name."""
         places = {"at": self.at, "from": self.from_, "to": self.to}
         return {key: place for key, place in places.items() if place is not None}
 

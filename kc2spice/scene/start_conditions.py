@@ -45,7 +45,7 @@ def find_floating_nets(
 
 
 def find_rigid_groups(scene: Scene, without: str = "") -> list[frozenset[str]]:
-    """Return groups of nets whose displacements ideal sources connect rigidly.
+    """Return the groups of nets that ideal displacement sources connect rigidly.
 
     The source named ``without`` is ignored. A net that no ideal source connects to another net is a
     separate group.
@@ -127,7 +127,10 @@ def _list_position_errors(
 def _list_loading_parts(
     group: frozenset[str], scene: Scene, conditions: Mapping[str, EquilibriumConditions]
 ) -> list[str]:
-    """Return the parts that apply a constant force or flow to ``group`` at t = 0."""
+    """Return the parts that apply a constant force or flow to some nets at t = 0.
+
+    ``group`` contains the nets.
+    """
     result = []
     for name, rest in conditions.items():
         if not group.isdisjoint(scene.get_nets(name, rest.loaded_pins)):
@@ -171,7 +174,7 @@ def _list_storage_errors(
 def _list_velocity_jump_errors(
     scene: Scene, conditions: Mapping[str, EquilibriumConditions]
 ) -> Iterator[UsageError]:
-    """Yield an error for each initial displacement that makes a velocity jump."""
+    """Yield an error for each initial displacement that causes a velocity jump."""
     inert: dict[str, str] = {}
     for name, rest in conditions.items():
         inert |= dict.fromkeys(scene.get_nets(name, rest.inertial_pins), name)
@@ -195,7 +198,7 @@ def _list_velocity_jump_errors(
 
 
 def _map_nets_to_units(scene: Scene) -> dict[str, str]:
-    """Return the pin unit of each net that needs a path to its reference."""
+    """Return the pin unit of each net that needs a path to its reference, by net."""
     result = {"0": ""}
     for key, terminal in scene.terminals.items():
         if terminal.needs_path:

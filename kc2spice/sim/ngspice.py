@@ -97,7 +97,7 @@ def find_ngspice() -> Simulator:
 
 @cache
 def _make_parent_death_prefix() -> tuple[str, ...]:
-    """Return a prefix with which a command ends when this process ends.
+    """Return a command prefix that ends the command when this process ends.
 
     The prefix is an empty tuple on systems without the program ``setpriv``.
     """
@@ -297,7 +297,7 @@ def read_partial_waves(
 
 
 def convert_to_waves(deck: Deck, vectors: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return the results of a deck in SI units, keyed by name.
+    """Convert ngspice vectors to the results of a deck in SI units, keyed by name.
 
     The results are computed from the ngspice ``vectors``. The first result is the scale
     (independent variable), which is called ``time``, ``frequency`` or ``sweep``. The scale of a
@@ -340,7 +340,10 @@ class RetrySetting:
     factor: float = 1.0
 
     def combine(self, other: RetrySetting) -> RetrySetting:
-        """Return these settings combined with ``other``; the factors are multiplied."""
+        """Return these solver settings combined with other settings.
+
+        The factors are multiplied.
+        """
         options, factor = {**other.options, **self.options}, self.factor * other.factor
         return replace(self, options=options, factor=factor)
 
@@ -353,7 +356,7 @@ class RetrySetting:
         return ", ".join(words) or "unchanged"
 
     def apply(self, deck: Deck) -> Deck:
-        """Return a copy of ``deck`` with these settings."""
+        """Return a copy of a deck with these solver settings."""
         options = dict(self.options)
         if self.factor != 1.0:
             options["reltol"] = format_number(self.factor * deck.reltol)
@@ -442,7 +445,7 @@ class RetriesFailedError(SimulationError):
 
 
 def _join_suggestions(violated: Iterable[Check]) -> dict[str, Any]:
-    """Return scene keys with values that would prevent the violations.
+    """Return scene keys and values that would prevent the violated checks.
 
     Violations due to large time steps are omitted. If another violation cannot be prevented by
     keys, the dictionary is empty.

@@ -110,9 +110,9 @@ class Failure:
 
 
 def find_failure(text: str) -> Failure:
-    """Return the failure that ``text``, the log of one run, reports.
+    """Return the failure that the log of a run reports.
 
-    If the log reports no failure, the cause is None.
+    ``text`` is the log of one run. If the log reports no failure, the cause is None.
     """
     lines = re.split(r"[\r\n]+", _CARD_ERROR.sub(r"error in the card \1: \2", text))
     errors, struggles = [], []
@@ -161,7 +161,7 @@ def list_changed_cards(text: str) -> tuple[str, ...]:
 
 
 def read_statistics(text: str) -> dict[str, float]:
-    """Return numbers of time points and iterations, and CPU time [s], from the log.
+    """Read numbers of time points and iterations, and the CPU time [s], from a log.
 
     ngspice prints the statistics of a run if the deck contains ``.options acct``.
     """
@@ -271,7 +271,10 @@ class _Plot(NamedTuple):
         return np.isfinite(self.table[:, 0].real) & np.isfinite(self.table[:, 1:]).all(axis=1)
 
     def columns(self, points: int) -> dict[str, np.ndarray]:
-        """Return the first ``points`` points of all vectors by name; the scale is real."""
+        """Return the first points of all vectors, keyed by vector name.
+
+        ``points`` is the number of points. The scale is real.
+        """
         rows = self.table[:points]
         columns = map(np.array, (rows[:, 0].real, *rows[:, 1:].T))
         return dict(zip(self.names, columns, strict=True))
@@ -399,12 +402,12 @@ def _read_plot(path: Path, begin: int = 0) -> _Plot | None:
 
 
 def _has_next_plot(path: Path, offset: int) -> bool:
-    """Return whether another plot begins at the byte ``offset``."""
+    """Return whether another plot of a raw file begins at a byte offset."""
     with path.open("rb") as stream:
         stream.seek(offset)
         return stream.read(len(_PLOT_MARK)) == _PLOT_MARK
 
 
 def _make_corrupt_file_error(path: Path, damage: str) -> SimulationError:
-    """Make the error for a damaged raw file; ``damage`` describes the damage."""
+    """Make the error about a damaged raw file, with a description of the damage."""
     return SimulationError(f"the raw file is damaged: {damage}", where=str(path))

@@ -104,7 +104,7 @@ class _Sampler:
         volts[0] = self.inputs.get(key, 0.0)
 
     def limit_step(self, time: float, step: Any, *_: object) -> None:
-        """Limit a time step so that it does not pass the next instant of any source.
+        """Limit a time step to the time until the next sampling or change of a source.
 
         The instants of a source are its sampling instants and the instants at which it changes.
         """
@@ -231,7 +231,7 @@ class NgspiceLibrary:
         return self._send_command("run")
 
     def vectors(self) -> dict[str, np.ndarray]:
-        """Return the vectors of the last analysis, with their names in batch mode."""
+        """Return the vectors of the last analysis, named as in batch mode."""
         with tempfile.TemporaryDirectory(prefix="kc2spice-") as folder:
             raw = Path(folder) / "out.raw"
             self._send_command("set filetype=binary")
@@ -251,9 +251,10 @@ class NgspiceLibrary:
     # -- callbacks of ngspice ------------------------------------------------------------------
 
     def _guard_callback(self, name: str) -> Callable[..., int]:
-        """Return a C callback that calls the method ``name`` of the sampler.
+        """Return a C callback that calls a method of the sampler.
 
-        The callback stores an exception in ``broken``, and has no effect after an exception.
+        ``name`` is the name of the method. The callback stores an exception in ``broken``, and has
+        no effect after an exception.
         """
 
         def guarded_callback(*arguments: Any) -> int:
@@ -268,7 +269,7 @@ class NgspiceLibrary:
         return guarded_callback
 
     def _on_text(self, text: bytes, *_: object) -> int:
-        """Append a line that ngspice prints to the log."""
+        """Append a line of ngspice output to the log."""
         line = text.decode(errors="replace")
         self.log += line.removeprefix("stdout ").removeprefix("stderr ") + "\n"
         return 0

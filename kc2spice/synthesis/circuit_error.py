@@ -49,7 +49,7 @@ PERTURBATION_SPREAD = 10.0
 
 @dataclass(frozen=True)
 class CircuitDeviation:
-    """Largest relative error of a circuit, and the ``frequency`` [Hz] of this error."""
+    """Largest relative error of a circuit, with the frequency [Hz] of this error."""
 
     error: float
     frequency: float = 0.0
@@ -157,7 +157,7 @@ def accelerates_frame(port: Port) -> bool:
 
 
 def _make_unit_load(port: Port) -> dict[str, float]:
-    """Return the load of one SI unit at a port, keyed by its node or clamping source."""
+    """Return one SI unit of load at a port, keyed by its node or clamping source."""
     node = port.terminals[0].lower()
     unit = (
         port.domain.get_quantity(port.domain.input_side).pin_value_per_si_unit
@@ -168,7 +168,7 @@ def _make_unit_load(port: Port) -> dict[str, float]:
 
 
 def _get_response_vector(port: Port) -> str:
-    """Return the response of a port: its node, or the current of its clamping source."""
+    """Return the vector of a port's response: a node, or a clamping source's current."""
     node = port.terminals[0].lower()
     return f"i(held_{node})" if port.conservative and not port.is_flow_driven else node
 
@@ -224,7 +224,7 @@ class _RelativeErrorFunction:
 
 
 def _select_frequencies(exact: Response, band: tuple[float, float], unknowns: int) -> np.ndarray:
-    """Return the compared frequencies [Hz], which include both ends of the band."""
+    """Return the frequencies [Hz] of the comparison, with both ends of the band."""
     low, high = band[0] or LOWEST_FREQUENCY_RATIO * band[1], band[1]
     start = max(low, 1e-4 * high)
     below = np.geomspace(low, start, max(2, round(POINTS_PER_DECADE * np.log10(start / low)) + 1))
@@ -239,7 +239,7 @@ def _select_frequencies(exact: Response, band: tuple[float, float], unknowns: in
 
 
 def require_circuit_tolerance(part: Subcircuit, model: LinearModel, tolerance: float) -> None:
-    """Raise an error if a part with its circuit exceeds the error tolerance.
+    """Raise an error if the error estimate of a part's circuit exceeds the tolerance.
 
     The function only prints a warning if rounding of the model's matrices changes the response as
     much as the circuit error does. In that case, rounding errors of the matrices limit the accuracy

@@ -134,11 +134,12 @@ def render_library(
     mesh: str = "",
     **values: object,
 ) -> Subcircuit:
-    """Return the subcircuit of a part whose cards are in ``templates/TEMPLATE.j2``.
+    """Render the library of a part from a template: its header and its subcircuit.
 
-    :func:`write_part_header` makes the header of the subcircuit. The template can use the
-    ``values`` and the text ``card``. ``card`` contains the words of the ``.subckt`` card: the name,
-    the pins, and the parameters with default values.
+    The cards of the subcircuit are in ``templates/TEMPLATE.j2``. :func:`write_part_header` makes
+    the header of the subcircuit. The template can use the ``values`` and the text ``card``.
+    ``card`` contains the words of the ``.subckt`` card: the name, the pins, and the parameters with
+    default values.
     """
     pins = tuple(Pin(item.name, item.unit, item.flow) for item in terminals)
     settings = map("=".join, format_parameter_defaults(params).items())

@@ -58,7 +58,7 @@ _STORED_COMMENT = "no path removes its heat; the leak gives it an operating poin
 
 @dataclass(frozen=True, eq=False)
 class HeatModes:
-    """Modes of a heat model.
+    """Modes of a heat model, with their thermal resistances and heat capacities.
 
     ``resistance`` and ``capacity`` contain the thermal resistance [K/W] and the heat capacity [J/K]
     of each mode. ``share[j, k]`` is the contribution of mode j to the temperature of port k,
@@ -74,12 +74,13 @@ class HeatModes:
 
 
 def estimate_leak_share(model: LinearModel) -> float:
-    """Return the relative temperature error that the leak of an insulated body causes.
+    """Return the largest share of heat flow through the leak of an insulated body.
 
-    In the netlist of a body without a heat path, each heat capacity C has the leakage conductance
-    ``C LEAK_RATE``. Between two ports with the thermal resistance R, of which one has a prescribed
-    temperature, the share ``R C LEAK_RATE`` of the heat flow passes through the leak. The function
-    returns the largest share of all pairs of ports.
+    The share is the relative temperature error that the leak causes. In the netlist of a body
+    without a heat path, each heat capacity C has the leakage conductance ``C LEAK_RATE``. Between
+    two ports with the thermal resistance R, of which one has a prescribed temperature, the share
+    ``R C LEAK_RATE`` of the heat flow passes through the leak. The function returns the largest
+    share of all pairs of ports.
     """
     K, E = model.pencil.make_dense().coefficients
     values, vectors = np.linalg.eigh(0.5 * (K + K.T))
@@ -99,7 +100,7 @@ def is_heat_model(model: LinearModel) -> bool:
 
 
 def compute_heat_modes(model: LinearModel) -> HeatModes:
-    """Return the modes of a heat model that a port excites, slowest mode first.
+    """Return the modes of a heat model that its ports excite, slowest mode first.
 
     The mode shapes x satisfy ``E x = t K x`` with the time constants t. If K is singular, no path
     conducts the heat of some modes away. A mode without a heat path has the thermal resistance of a
@@ -128,7 +129,7 @@ def compute_heat_modes(model: LinearModel) -> HeatModes:
 
 
 def decouple_heat(model: LinearModel) -> tuple[np.ndarray, np.ndarray]:
-    """Return the time constants [s] and the shapes of all modes, slowest mode first.
+    """Return time constants [s] and shapes of a heat model's modes, slowest first.
 
     The array of shapes has one row for each state and one column for each mode. The mode shapes are
     scaled so that the thermal resistance of each mode is 1 K/W. See :func:`compute_heat_modes`.
@@ -185,7 +186,7 @@ def diagonalise_heat_model(model: LinearModel) -> LinearModel:
 
 
 def _separate_stored_heat(E: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return two bases of the temperatures: one without and one with a heat path.
+    """Return two bases of temperatures: states without and states with a heat path.
 
     The first basis spans the null space of K. The second basis spans the E-orthogonal complement of
     the null space of K. The modes in one subspace are therefore independent of the modes in the
@@ -218,10 +219,11 @@ def _make_not_passive_error(model: LinearModel, got: str) -> UsageError:
 
 
 def write_heat_model(model: LinearModel, base: str) -> tuple[list[str], list[Line]]:
-    """Return comments and the cards of a heat model between its ports and ``base``.
+    """Return the netlist comments and the cards of a heat model.
 
-    If the model has the matrices of a ladder (Cauer's form), the network is this ladder; otherwise,
-    the network consists of modes.
+    The cards are between the ports of the model and the node ``base``. If the model has the
+    matrices of a ladder (Cauer's form), the network is this ladder; otherwise, the network consists
+    of modes.
     """
     about = _NETWORK_COMMENT.format(base=base).split("\n")
     ladder = find_heat_ladder(model)
@@ -251,7 +253,7 @@ def _write_ladder_cards(ladder: HeatLadder, pin: str, base: str) -> Iterator[Lin
 
 
 def describe_heat_mode(modes: HeatModes, j: int) -> str:
-    """Return the netlist comment that precedes the elements of mode ``j``."""
+    """Return the netlist comment that precedes the elements of one mode."""
     R, C = modes.resistance[j], modes.capacity[j]
     text = f"time constant {R * C:.4g} s, {R:.4g} K/W, {C:.4g} J/K"
     if R * C * LEAK_RATE >= 1 - ZERO_EIGENVALUE:
@@ -260,7 +262,7 @@ def describe_heat_mode(modes: HeatModes, j: int) -> str:
 
 
 def _write_mode_elements(modes: HeatModes, j: int, node: str, other: str) -> Iterator[Line]:
-    """Yield the resistor and the capacitor of mode ``j`` between two nodes."""
+    """Yield the resistor and the capacitor of one mode between two nodes."""
     yield Element.from_words(f"R{j + 1}", node, other, float(modes.resistance[j]))
     if modes.capacity[j] > 0:
         yield Element.from_words(f"C{j + 1}", node, other, float(modes.capacity[j]))
@@ -306,7 +308,7 @@ def write_heat_port_cards(modes: HeatModes, base: str) -> Iterator[Line]:
 
 
 def write_heat_flows(modes: HeatModes, j: int, base: str) -> Iterator[Line]:
-    """Yield the sources of the heat flows from all ports into mode ``j``."""
+    """Yield the sources of the heat flows from all ports into one mode."""
     for port, share in zip(modes.ports, modes.share[j], strict=True):
         pin = port.terminals[0]
         yield Element.from_words(

@@ -82,8 +82,8 @@ def write_relaxing_loss(
 
 
 def write_heat_source(tag: int | str, law: str) -> Element:
-    """Return the source of a heat flow [W] with the expression ``law``.
+    """Return a netlist source of a heat flow [W] that follows an expression.
 
-    The name of the source ends with ``tag``.
+    ``law`` is the expression. The name of the source ends with ``tag``.
     """
     return Element.behavioural_source(f"Bheat{tag}", AMBIENT, LOSS_NODE, "I", law)

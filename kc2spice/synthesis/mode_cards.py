@@ -73,7 +73,7 @@ class StepWeights:
     share: float
 
     def capacitances(self, omega: np.ndarray, slowest: float) -> np.ndarray:
-        """Return the capacitances [F] of modes with angular frequencies ``omega`` [rad/s].
+        """Return the netlist capacitance [F] of each mode from its frequency [rad/s].
 
         ``slowest`` is the lowest mode frequency [rad/s] of the body.
         """
@@ -270,7 +270,7 @@ def describe_branch(
     gains: np.ndarray,
     terminals: Sequence[PortTerminal],
 ) -> str:
-    """Return text about a mode's equivalent circuit at a port, for a netlist comment.
+    """Describe a mode's equivalent circuit at a port, for a netlist comment.
 
     The mode has the equation ``z'' + damp z' + omega^2 z = g v``, and contributes ``g z`` to the
     charge or displacement of the port. At an electrical port, the mode is equivalent to L = 1/g^2,
@@ -298,7 +298,7 @@ def describe_branch(
 
 
 def _write_massless_mode(j: int, omega: float, damp: float, base: str) -> Iterator[Line]:
-    """Yield the cards of mode ``j``, which has no mass."""
+    """Yield the cards of a mode that has no mass."""
     hertz, time = omega / (2 * np.pi), damp / omega**2
     yield f"\n* Without inertia, from {hertz:.6g} Hz on: relaxes within {time:.6g} s"
     if time > 0:

@@ -22,7 +22,7 @@ RANGE_STOPS = """
 
 
 def list_parameters(model: ModelOverRanges) -> list[Param]:
-    """List the netlist parameters in the order of ``model.parameter_axes``."""
+    """Return the netlist parameters of a model, in the order of its parameter axes."""
     result = []
     for name, axis in model.parameter_axes.items():
         default, unit = model.defaults.get(name, axis.middle_value), model.units.get(name, "-")

@@ -115,7 +115,7 @@ def make_heat_range_subcircuit(
 
 
 def _make_modal_network(model: HeatOverRanges, parameters: Sequence[Param]) -> _ModalNetwork:
-    """Return the modes of a heat model, and how parameters change K and E."""
+    """Make the modal network of a heat model whose matrices depend on parameters."""
     values = {key: p.default for key, p in zip(model.parameter_axes, parameters, strict=True)}
     rom = model.evaluate(values)
     times, shapes = decouple_heat(rom)
@@ -143,9 +143,10 @@ def _make_modal_network(model: HeatOverRanges, parameters: Sequence[Param]) -> _
 def _write_change(
     powers: np.ndarray, parameters: Sequence[Param], scales: np.ndarray, start: float
 ) -> str:
-    """Return the text of ``prod_k (p_k / s_k)^a_k - start``.
+    """Return the change of a product of parameter powers as text.
 
-    The symbols are the parameters p, the ``scales`` s and the ``powers`` a, which are -1, 0 or 1.
+    The change is relative to the value ``start``: ``prod_k (p_k / s_k)^a_k - start``. The symbols
+    are the parameters p, the ``scales`` s and the ``powers`` a, which are -1, 0 or 1.
     """
     text = ""
     for p, scale, power in zip(parameters, scales, powers, strict=True):
@@ -167,11 +168,11 @@ def _remove_rounding_errors(matrix: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class _ModalNetwork:
-    """Modes at the default values of the parameters, and changes of K and E.
+    """Modes of a heat model at default parameters, and changes of the matrices.
 
-    ``changes`` are the texts of the differences ``f_t(p) - f_t(p_0)``. ``stiff`` and ``stored`` are
-    the matrices K_t and E_t by which the ``changes`` are multiplied. ``stiff`` and ``stored`` have
-    the shape (changes, modes, modes).
+    The matrices are K and E. ``changes`` are the texts of the differences ``f_t(p) - f_t(p_0)``.
+    ``stiff`` and ``stored`` are the matrices K_t and E_t by which the ``changes`` are multiplied.
+    ``stiff`` and ``stored`` have the shape (changes, modes, modes).
     """
 
     modes: HeatModes
@@ -197,7 +198,7 @@ class _ModalNetwork:
                 )
 
     def _write_mode_elements(self, j: int, base: str) -> Iterator[Line]:
-        """Yield the resistor and the capacitor of mode ``j``."""
+        """Yield the resistor and the capacitor of one mode."""
         node, R, C = f"h{j + 1}", self.modes.resistance[j], self.modes.capacity[j]
         flow = self._write_sum(1 / R, self.stiff[:, j, j])
         changed = self.stiff[:, j, j].any()
@@ -214,9 +215,9 @@ class _ModalNetwork:
             yield Element.from_words(f"C{j + 1}", node, base, float(C))
 
     def _write_sum(self, constant: float, coefficients: np.ndarray) -> str:
-        """Return the text of ``constant`` plus the changes times ``coefficients``.
+        """Return the text of a constant plus a weighted sum of parameter changes.
 
-        The text is empty if all terms are zero.
+        ``coefficients`` are the weights. The text is empty if all terms are zero.
         """
         text = format_number(constant) if constant else ""
         for t, value in enumerate(coefficients, 1):

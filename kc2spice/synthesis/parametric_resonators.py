@@ -187,9 +187,10 @@ def _describe_resonators(ports: Sequence[Port], base: str) -> str:
 
 
 def require_parametric_form(ports: Iterable[Port], parameters: Sequence[str], name: str) -> None:
-    """Reject ports and parameter names that the subcircuit ``name`` cannot have.
+    """Reject ports and parameter names that parametric subcircuits do not support.
 
-    The check is fast, so that it can precede a long reduction.
+    ``name`` is the name of the subcircuit. The check is fast, so that it can precede a long
+    reduction.
 
     Raises
     ------
@@ -252,7 +253,7 @@ def _write_coordinate_cards(
 
 
 def _name_chebyshev_factors(exponents: np.ndarray) -> list[str]:
-    """Return the parameter names of Chebyshev polynomials of degrees ``exponents``."""
+    """Return the parameter names of the Chebyshev polynomials of given degrees."""
     result = []
     for k in np.flatnonzero(exponents):
         result.append(f"x{k + 1}" if exponents[k] == 1 else f"t{k + 1}_{exponents[k]}")
@@ -260,7 +261,7 @@ def _name_chebyshev_factors(exponents: np.ndarray) -> list[str]:
 
 
 def _write_polynomial(terms: Sequence[str], coefficients: np.ndarray) -> str:
-    """Return the text of a polynomial: the sum of ``terms`` times ``coefficients``."""
+    """Return the text of a polynomial: a weighted sum of its terms."""
     text = ""
     for value, term in zip(coefficients, terms, strict=True):
         if value:
@@ -316,7 +317,7 @@ def _write_block_parameters(
 def _write_capacitance_cards(
     model: ResonatorsOverRanges, polynomial: Polynomial
 ) -> Iterator[Parameters]:
-    """Yield the ``.param`` cards of the capacitances c and of their Cholesky factor f."""
+    """Yield ``.param`` cards of electrode capacitances c and of their Cholesky factor f."""
     electrodes = range(len(model.electrical_ports))
     for k in electrodes:
         yield write_parameter_card(
@@ -340,7 +341,10 @@ def _write_dot_product(row: str, column: str, indices: Iterable[int]) -> str:
 
 
 def _find_nonzero_entries(model: ResonatorsOverRanges) -> tuple[np.ndarray, np.ndarray]:
-    """Return masks, of shape (q, q), of nonzero entries of L and of L L'."""
+    """Return masks of nonzero entries of a triangular factor L and its product L L'.
+
+    Both masks have the shape (q, q).
+    """
     lower = model.below.any(axis=0) | np.eye(model.order, dtype=bool)
     return lower, lower @ lower.T
 
@@ -381,7 +385,10 @@ class _PortAndModeWriter:
             at += size
 
     def _connect_port(self, k: int, t: PortTerminal) -> PortTerminal:
-        """Return the terminal ``t`` of port k, with the sources of the port's output."""
+        """Connect a port to the sources of its output, and return the changed terminal.
+
+        ``t`` is the terminal of port k.
+        """
         if not t.port.electrical:
             sums = list[Transconductance]()
             for i in range(1, self.model.order + 1):
@@ -401,18 +408,20 @@ class _PortAndModeWriter:
         return replace(t, capacitance=_name_capacitance(n, n), through=tuple(shared))
 
     def _weigh_state(self, i: int, k: int, label: str) -> Iterator[Transconductance]:
-        """Yield the source that adds the state q of mode i to the output of port k.
+        """Yield the source that adds the state of a mode to the output of a port.
 
-        Nothing is yielded if the gain of the mode at the port is zero.
+        The state is q of mode i, and the port has the number k. Nothing is yielded if the gain of
+        the mode at the port is zero.
         """
         if self.model.gain[:, i - 1, k].any():
             share = format_number(MICRO / self.terminals[k].unit / self.scale[i - 1])
             yield Transconductance(label, f"q{i}", self.base, f"{share}*g{i}_{k + 1}")
 
     def _write_rate_source(self, i: int, k: int) -> Iterator[Transconductance]:
-        """Yield the source that adds the rate ``w p`` of mode i to the output of port k.
+        """Yield the source that adds the rate of a mode to the output of a port.
 
-        Nothing is yielded if the gain of the mode at the port is zero.
+        The rate is ``w p`` of mode i, and the port has the number k. Nothing is yielded if the gain
+        of the mode at the port is zero.
         """
         if self.model.gain[:, i - 1, k].any():
             rate = MICRO * self.omega[i - 1] * MICRO / self.terminals[k].unit / self.scale[i - 1]
@@ -431,7 +440,7 @@ class _PortAndModeWriter:
         return f"\n* Mode {at + 1}, at the defaults: {describe_mode(omega[0], damp)}{branch}"
 
     def _write_mode(self, i: int) -> Iterator[Line]:
-        """Yield the elements of mode i, and the sources of its charge at the electrodes."""
+        """Yield the elements of one mode, and the sources of its charge at the electrodes."""
         base, damped = self.base, self.model.damped
         c, w, s = self.farad[i - 1], self.omega[i - 1], self.scale[i - 1]
         yield Element.from_words(f"Cq{i}", f"q{i}", base, c)

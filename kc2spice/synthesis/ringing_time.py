@@ -56,7 +56,7 @@ class RingingEstimate:
 
 
 def estimate_time_per_point(states: int) -> float:
-    """Return the CPU time [s] per time point for a body with ``states`` states."""
+    """Return the CPU time [s] per time point, from the number of states of a body."""
     return POINT_SECONDS + STATE_SECONDS * states
 
 

@@ -128,7 +128,10 @@ def _write_input_cards(terminals: Iterable[PortTerminal], base: str) -> Iterator
 
 
 def _write_output_cards(t: PortTerminal, index: int, base: str) -> Iterator[Line]:
-    """Yield the cards of the signal output ``t``, whose number is ``index``."""
+    """Yield the cards of one signal output.
+
+    ``index`` is the number of the output.
+    """
     node = f"sum{index}"
     yield f"\n* Output {t.pins[0]}"
     yield Element.from_words(f"E{index}", t.pins[0], base, node, base, "1")
@@ -140,7 +143,7 @@ def _write_output_cards(t: PortTerminal, index: int, base: str) -> Iterator[Line
 def _balance_block(
     block: np.ndarray, drive: np.ndarray, omega: float
 ) -> tuple[np.ndarray, bool, np.ndarray]:
-    """Return a block with scaled states, whether the block integrates, and the scales.
+    """Scale the states of a block; return the block, integrator flag and scales.
 
     The block of a complex pair of poles becomes ``[[a, w], [-w, a]]``. The scaled states are about
     1 for a constant input of 1. ``drive`` contains the rows of B for the states of the block, and

@@ -83,9 +83,9 @@ def scale_value(factor: float, value: Value) -> Value:
 
 @dataclass(frozen=True)
 class Transconductance:
-    """Current source that the voltage between ``plus`` and ``minus`` controls.
+    """Current source that the voltage between two nodes controls.
 
-    ``value`` is the transconductance [A/V].
+    The nodes are ``plus`` and ``minus``. ``value`` is the transconductance [A/V].
     """
 
     label: str
@@ -102,14 +102,14 @@ class Transconductance:
 def connect_sources(
     sources: Iterable[Transconductance], a: str, b: str, prefix: str = ""
 ) -> Iterator[Element]:
-    """Yield the elements of ``sources``, whose currents all flow from ``a`` to ``b``."""
+    """Yield the elements of controlled sources in parallel, from node a to node b."""
     for source in sources:
         yield source.write_element(a, b, prefix)
 
 
 @dataclass(frozen=True)
 class PortTerminal:
-    """Port of a subcircuit with its ``pins``.
+    """Port of a subcircuit with its pins, capacitances and output sources.
 
     ``column`` is the number of the port's column in the matrix B, and ``row`` the number of its row
     in the matrix C. ``clamped`` is the clamped capacitance [F] of the port. If ``capacitance`` is
@@ -189,7 +189,10 @@ class PortTerminal:
     def weigh_input(
         self, label: str, row: np.ndarray | Sequence[Value], base: str
     ) -> Transconductance:
-        """Return the source of the port's input, multiplied by its weight in ``row``."""
+        """Return a current source that the port's input controls, scaled by a weight.
+
+        ``row`` contains the weights of all inputs.
+        """
         value = row[self.column or 0]
         if self.input_unit != 1.0 and value:
             value = scale_value(self.input_unit, value)
@@ -198,10 +201,11 @@ class PortTerminal:
 
 @dataclass(frozen=True, eq=False)
 class StateNodes:
-    """Nodes of the states z in ``z' = A z + B u``, ``y = C z + D u``.
+    """Netlist nodes of the states of a state-space model.
 
-    Each state is the voltage of one of the ``nodes``. The outputs y are the voltages of the output
-    nodes of the ports. ``labels`` are the ends of the names of the sources that depend on a state.
+    The model is ``z' = A z + B u``, ``y = C z + D u`` with the states z. Each state is the voltage
+    of one of the ``nodes``. The outputs y are the voltages of the output nodes of the ports.
+    ``labels`` are the ends of the names of the sources that depend on a state.
     """
 
     nodes: Sequence[str]
@@ -211,7 +215,10 @@ class StateNodes:
     C: np.ndarray
 
     def write_state_sum(self, row: np.ndarray, base: str) -> tuple[Transconductance, ...]:
-        """Return sources whose total current is the sum of the states weighted by ``row``."""
+        """Return sources whose total current is a weighted sum of the states.
+
+        ``row`` contains the weights.
+        """
         result = []
         for k in np.flatnonzero(row).tolist():
             value = float(row[k])
@@ -282,7 +289,7 @@ def make_terminals(rom: LinearModel, D: np.ndarray, where: str) -> list[PortTerm
 
 
 def _compute_pin_capacitance(domain: Domain | None, stored: Any) -> float:
-    """Return the capacitance [F] at the pins of a port that stores a quantity.
+    """Return the capacitance [F] that represents the stored quantity of a port.
 
     ``stored`` is the stored quantity, such as a charge, per unit of the across quantity in SI
     units.
@@ -340,7 +347,10 @@ def list_subcircuit_pins(
 
 
 def get_flow_node_pattern(pin: Pin) -> str:
-    """Return the pattern of the internal node names of a port whose input is a flow."""
+    """Return the pattern of internal node names of a port whose input is a flow.
+
+    The pattern is a regular expression.
+    """
     return f"[uf]{pin.name.lower()}"
 
 
@@ -372,12 +382,12 @@ def port_domains(ports: Iterable[Port]) -> list[Domain]:
 
 @dataclass(frozen=True, eq=False)
 class OutputSourceWriter:
-    """Writer of the sources for the outputs ``y = C z + D u``.
+    """Writer of the sources that make the outputs of a state-space model.
 
-    At an electrical port without a clamped capacitance, the sources provide the current ``y' = C A
-    z + C B u``. At an acceleration port, the sources provide the force ``m a - y''`` with ``y'' =
-    C A^2 z + C A B u``. At an acceleration port, C B must be zero, as in all models whose moving
-    parts have inertia.
+    The outputs are ``y = C z + D u``. At an electrical port without a clamped capacitance, the
+    sources provide the current ``y' = C A z + C B u``. At an acceleration port, the sources provide
+    the force ``m a - y''`` with ``y'' = C A^2 z + C A B u``. At an acceleration port, C B must be
+    zero, as in all models whose moving parts have inertia.
     """
 
     terminals: Sequence[PortTerminal]
@@ -387,7 +397,7 @@ class OutputSourceWriter:
     base: str
 
     def connect_output(self, t: PortTerminal) -> PortTerminal:
-        """Return the terminal ``t`` with the sources that make the port's output.
+        """Connect a port to the sources of its output, and return the changed terminal.
 
         Raises
         ------
@@ -447,13 +457,16 @@ class OutputSourceWriter:
         return replace(t, sums=self._weigh_states(MICRO * row @ self.states.A) + jumps)
 
     def _weigh_states(self, row: np.ndarray) -> tuple[Transconductance, ...]:
-        """Return sources whose total current is the sum of the states weighted by ``row``."""
+        """Return sources whose total current is a weighted sum of the states.
+
+        ``row`` contains the weights.
+        """
         return self.states.write_state_sum(row, self.base)
 
     def _weigh_inputs_only(self, row: np.ndarray, mark: str = "u") -> tuple[Transconductance, ...]:
-        """Return sources whose total current is the sum of the inputs weighted by ``row``.
+        """Return sources whose total current is a weighted sum of the port inputs.
 
-        Inputs whose weight is a rounding error are omitted.
+        ``row`` contains the weights. Inputs whose weight is a rounding error are omitted.
         """
         size = np.abs(row).max(initial=0.0)
         row = np.where(np.abs(row) > CROSS_ROUNDING * size, row, 0.0)
@@ -472,7 +485,7 @@ def write_port_cards(terminals: Sequence[PortTerminal], base: str, share: float)
 
 
 def _write_port(t: PortTerminal, base: str, share: float) -> Iterator[Line]:
-    """Yield the cards of the port that belongs to the terminal ``t``."""
+    """Yield the cards of one port."""
     pin, tag = t.pins[0], t.tag
     if t.is_frame_acceleration:
         yield _FRAME_COMMENT.format(pin=pin)
@@ -521,11 +534,11 @@ def _clamped_lines(t: PortTerminal, base: str, share: float) -> Iterator[Line]:
 
 
 def _list_pin_comment_values(t: PortTerminal, base: str) -> dict[str, str]:
-    """Return the values for the netlist comment about a port's pin, keyed by name."""
+    """Return pin names and units for the netlist comment about a port, keyed by name."""
     return {"pin": t.pins[0], "base": base, "across": t.port.across, "flow": t.port.flow}
 
 
 def has_other_reference(domains: Iterable[Domain]) -> bool:
-    """Return whether pins of ``domains`` have a reference pin other than ``base``."""
+    """Return whether physical domains have a reference pin other than ``base``."""
     references = set(map(attrgetter("reference"), domains)) - {""}
     return bool(references) and BASE not in references

@@ -83,7 +83,7 @@ class _TimedRun:
 
     @property
     def largest_error(self) -> float:
-        """Largest error of the metrics."""
+        """Largest error of all metrics of the combination."""
         return max(self.errors.values())
 
     @property
@@ -92,7 +92,10 @@ class _TimedRun:
         return statistics.median(self.times)
 
     def dominates(self, other: _TimedRun) -> bool:
-        """Return whether a combination is better in error or time, and worse in neither."""
+        """Return whether a combination Pareto-dominates another in error and CPU time.
+
+        The combination is better in error or time, and worse in neither.
+        """
         ours, theirs = (
             (self.largest_error, self.median_time),
             (other.largest_error, other.median_time),
@@ -101,7 +104,7 @@ class _TimedRun:
 
 
 class _SettingSearch:
-    """Search over combinations of numerical settings, with all runs of the scene.
+    """Search for fast and accurate combinations of settings, with all runs of a scene.
 
     The runs are keyed by the labels of their settings. ``names`` are the metrics whose errors are
     compared.
@@ -126,7 +129,7 @@ class _SettingSearch:
         return dict(zip(map(attrgetter("name"), self.varied_settings), combination, strict=True))
 
     def run_uniform_refinement(self, steps: float) -> Run:
-        """Return the run with each setting refined by the same number of ``steps``."""
+        """Run the scene with every setting refined by the same number of steps."""
         return self.runs.get_refined_run(
             self.map_steps_to_settings((steps,) * len(self.varied_settings))
         )
@@ -137,7 +140,7 @@ class _SettingSearch:
         return refine.estimate_by_coarser_runs(self.runs, {}, self.finest, self.names)
 
     def estimate_error(self) -> dict[str, Any] | None:
-        """Return the error estimate of the unchanged scene with its meshes and tables."""
+        """Estimate the errors of the unchanged scene, including its meshes and tables."""
         result = refine.estimate_errors(self.runs, {})
         if result is None:
             return None
@@ -145,7 +148,7 @@ class _SettingSearch:
         return {"error": max(errors.values(), default=0.0), "errors": errors}
 
     def run_setting(self, combination: Combination) -> None:
-        """Run a combination of settings, unless it has already run."""
+        """Run the scene with a combination of settings, unless it has already run."""
         settings = refine_settings(self.varied_settings, self.map_steps_to_settings(combination))
         label = _describe_settings(settings)
         if label in self.points or label in self.failed:
@@ -189,7 +192,7 @@ class _SettingSearch:
         return self.errors_by_setting[setting.name, steps]
 
     def compute_error_bound(self, point: _TimedRun) -> float:
-        """Return the error bound of a combination: the sum of its single errors.
+        """Return the error bound of a combination: the sum of the errors of its settings.
 
         A single error is the error due to one value of the combination. The sum is computed for
         each metric, and the result is the largest sum.
@@ -201,11 +204,11 @@ class _SettingSearch:
         return max(sum(map(itemgetter(name), errors)) for name in self.names)
 
     def compute_larger_error(self, point: _TimedRun) -> float:
-        """Return the larger of the error and the error bound of a combination."""
+        """Return the larger of a combination's measured error and its error bound."""
         return max(point.largest_error, self.compute_error_bound(point))
 
     def find_cheapest(self, limit: float) -> _TimedRun | None:
-        """Return the fastest combination whose error is within ``limit``, or None.
+        """Return the fastest combination whose error is within a limit, or None.
 
         Of several equally fast combinations, return the most accurate one.
         """
@@ -217,8 +220,9 @@ class _SettingSearch:
         return min(fastest, key=self.compute_larger_error, default=None)
 
     def run_combinations(self, limit: float, progress: Progress) -> None:
-        """Run combinations with one changed setting, then search the fastest combinations.
+        """Run simple combinations of settings, then search for the fastest combinations.
 
+        In a simple combination, only one setting is changed, or all settings are refined equally.
         One search accepts errors up to ``limit``. Another search accepts errors up to the error of
         the unchanged scene.
         """
@@ -358,7 +362,7 @@ def bench(
 
 
 def _select_metrics(run: Run, names: Sequence[str]) -> tuple[str, ...]:
-    """Return the metrics of ``run`` whose name, or whose group, is in ``names``.
+    """Return the metrics of a run that the user names, directly or by group.
 
     Without ``names``, the result is all metrics that are single numbers, or all curves if no metric
     is a single number.
@@ -411,7 +415,9 @@ def _measure_convergence(
 
 
 def compute_metric_errors(run: Run, exact: Run, names: Sequence[str]) -> Errors:
-    """Return the relative error of each of the metrics ``names``.
+    """Return the relative error of each metric of a run against a reference run.
+
+    ``names`` are the compared metrics.
 
     Raises
     ------
@@ -432,7 +438,7 @@ def compute_metric_errors(run: Run, exact: Run, names: Sequence[str]) -> Errors:
 
 
 def _format_set_options(settings: Mapping[str, Any]) -> list[str]:
-    """Return the command-line options that change the ``settings``."""
+    """Return the command-line options that set the changed settings."""
     options = []
     for key, value in settings.items():
         text = value if isinstance(value, str) else repr(value)

@@ -59,7 +59,7 @@ ParameterAxes = dict[str, ParameterAxis]
 
 @dataclass(frozen=True, eq=False)
 class BodyFit:
-    """Body with its varied keys, and the measurement to which the keys are fitted.
+    """Body with varied keys, and the measured admittance to which the keys are fitted.
 
     The scene ``like`` defines the mesh. ``counted`` is the number of computed finite-element
     models. ``last`` contains the latest full model.
@@ -81,7 +81,7 @@ class BodyFit:
 
     @property
     def noise(self) -> float:
-        """Standard deviation of the real and of the imaginary part of log Y."""
+        """Standard deviation of the noise in the real and imaginary parts of log Y."""
         return max(self.data.noise, MIN_NOISE)
 
     @property
@@ -90,10 +90,10 @@ class BodyFit:
         return float(self.data.f[0]), float(self.data.f[-1])
 
     def make_full_model(self, values: Mapping[str, float], moved: bool = True) -> LinearModel:
-        """Return the full model at ``values`` with only its first electrical port.
+        """Return the full model for values of the keys, with one electrical port.
 
-        With ``moved``, the model has the mesh of the scene ``like`` with displaced nodes.
-        Without ``moved``, the model has a new mesh.
+        The port is the first electrical port of the body. With ``moved``, the model has the mesh of
+        the scene ``like`` with displaced nodes. Without ``moved``, the model has a new mesh.
 
         Raises
         ------
@@ -135,7 +135,7 @@ class BodyFit:
         return model
 
     def name_scene_keys(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Return values of the keys, keyed by their dotted names in the scene."""
+        """Return values of the part's keys, keyed by their dotted names in the scene."""
         return {f"{self.part}.{key}": value for key, value in values.items()}
 
     def compute_full_admittance(self, values: Mapping[str, float]) -> np.ndarray:
@@ -149,7 +149,7 @@ class BodyFit:
 
     @property
     def damping(self) -> DampingKeys:
-        """Damping of the part in the scene."""
+        """Damping settings of the fitted part."""
         return find_damping(self.scene.get_part(self.part))
 
     def compute_complex_loss_response(
@@ -197,7 +197,7 @@ class BodyFit:
         return self.compute_lossy_admittance(charge, float(model.D[0, 0]), values)
 
     def compute_loss_factor(self, values: Mapping[str, float]) -> float:
-        """Return the loss factor ``1 / Q`` of the motion at ``values`` of the keys."""
+        """Return the mechanical loss factor ``1 / Q`` for values of the keys."""
         known = {name: values[name] for name in LOSS_FACTORS if name in values}
         if not known:
             return 2 * self.damping.zeta
@@ -212,7 +212,7 @@ class BodyFit:
     def compute_lossy_admittance(
         self, charge: np.ndarray, clamped: float, values: Mapping[str, float]
     ) -> np.ndarray:
-        """Return the admittance [S] with dielectric loss from the loss-free charge.
+        """Return the admittance [S] with dielectric loss, from a charge without loss.
 
         ``charge`` is the charge per volt [C/V] at :attr:`frequencies`.
         """
@@ -229,7 +229,7 @@ class BodyFit:
     def compute_effects_of_causes(
         self, values: Mapping[str, float], Y: np.ndarray
     ) -> dict[str, np.ndarray]:
-        """Return the effect of each likely misfit cause on the log of the admittance.
+        """Return how each likely cause of misfit changes the logarithm of the admittance.
 
         ``Y`` [S] is the fitted admittance. The changes are keyed by the description of the cause.
         The causes are effects that the scene can lack: losses that are not varied, and the leads of
@@ -268,7 +268,7 @@ class BodyFit:
         return {name: column / self.noise for name, column in result.items()}
 
     def response(self, reduced: DenseParametricModel, values: Mapping[str, float]) -> np.ndarray:
-        """Return the admittance [S] of a reduced model at ``values`` of the keys."""
+        """Return the admittance [S] of a reduced model for values of the keys."""
         model = reduced.evaluate(values)
         if self.damping.model == "ieee176":
             return self.compute_complex_loss_response(model.pencil, values)
@@ -278,7 +278,7 @@ class BodyFit:
     def reduce(
         self, parameter_axes: ParameterAxes, degree: int | None = None
     ) -> DenseParametricModel:
-        """Return a reduced model that is valid in the parameter ranges ``parameter_axes``."""
+        """Return a reduced model that is valid in parameter ranges of the keys."""
         constant = {LOSS_TANGENT_KEY}
         if self.damping.model == "ieee176":
             constant |= LOSS_FACTORS.keys()

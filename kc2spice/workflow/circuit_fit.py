@@ -130,7 +130,7 @@ def _find_network(scene: Scene, part: str) -> Network:
 
 @dataclass(frozen=True, eq=False)
 class CircuitFit:
-    """Least-squares fit of the logarithms of keys to measured curves."""
+    """Least-squares fit of a part's keys, as logarithms, to measured curves."""
 
     scene: Scene
     part: str
@@ -151,13 +151,13 @@ class CircuitFit:
         return ends.min(axis=1), ends.max(axis=1)
 
     def values(self, x: np.ndarray) -> dict[str, float]:
-        """Return the value of each key from its logarithm in ``x``."""
+        """Convert logarithms to the values of the keys."""
         signs = np.sign([item.low for item in self.keys])
         values = signs * np.exp(np.clip(x, *self.bounds))
         return dict(zip(map(attrgetter("key"), self.keys), values.tolist(), strict=True))
 
     def name_scene_keys(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Return values of the keys, keyed by their dotted names in the scene."""
+        """Return values of the part's keys, keyed by their dotted names in the scene."""
         return {f"{self.part}.{key}": value for key, value in values.items()}
 
     def admittance(self, curve: MeasuredCurve, values: Mapping[str, float]) -> np.ndarray:
@@ -168,7 +168,7 @@ class CircuitFit:
         return compute_admittance(load_scene(self.scene, overrides), self.part, curve.data.f)
 
     def residuals(self, values: Mapping[str, float]) -> np.ndarray:
-        """Return the residuals of all curves in units of the noise.
+        """Return the residuals of all curves, divided by the noise of their data.
 
         The real parts of all curves come before the imaginary parts.
         """
@@ -180,7 +180,7 @@ class CircuitFit:
         return np.concatenate([result.real, result.imag])
 
     def compute_deviation(self, x: np.ndarray) -> np.ndarray:
-        """Return the residuals at ``x``; impossible values have large residuals."""
+        """Return the residuals for logarithms of key values; large for impossible values."""
         try:
             return self.residuals(self.values(x))
         except (UsageError, SimulationError):
@@ -188,9 +188,10 @@ class CircuitFit:
             return np.full(2 * count, IMPOSSIBLE_RESIDUAL)
 
     def jacobian(self, x: np.ndarray) -> np.ndarray:
-        """Return the derivatives of the residuals, an array of shape (2 n, keys).
+        """Return the derivatives of the residuals with respect to logarithms of the keys.
 
-        The derivatives are computed by one-sided differences inside the range.
+        The result is an array of shape (2 n, keys). The derivatives are computed by one-sided
+        differences inside the range.
         """
         columns, middle, first = [], np.mean(self.bounds, axis=0), self.compute_deviation(x)
         for k in range(len(x)):
@@ -263,7 +264,10 @@ def fit_circuit(problem: CircuitFit, where: str) -> dict[str, Any]:
 
 
 def _describe_curve(curve: MeasuredCurve, size: np.ndarray) -> dict[str, Any]:
-    """Return the record of a curve; ``size`` contains the relative errors of |Z|."""
+    """Return the record of a curve, with the errors of its impedance magnitude.
+
+    ``size`` contains the relative errors of ``|Z|``.
+    """
     return {
         "data": Path(curve.data.where).name,
         "set": dict(curve.overrides),

@@ -49,11 +49,11 @@ def prepare_deck(
     functions: Mapping[str, Any] | None = None,
     edited: Path | None = None,
 ) -> tuple[BuiltScene, Deck]:
-    """Return the models and the deck of ``scene``, or its ``edited`` deck.
+    """Return the built scene and its deck, or the deck that the user has edited.
 
-    Wiring errors state file and line, and are raised before the simulator starts. ``functions`` are
-    the Python functions of controllers, keyed by part. Raises the errors of :func:`make_deck` and
-    :func:`kc2spice.netlist.edited_deck.read_edited_deck`.
+    ``edited`` is the edited deck. Wiring errors state file and line, and are raised before the
+    simulator starts. ``functions`` are the Python functions of controllers, keyed by part. Raises
+    the errors of :func:`make_deck` and :func:`kc2spice.netlist.edited_deck.read_edited_deck`.
     """
     build = build_models(scene, clock, trust=trust, functions=functions)
     with clock.time_stage("export", "netlists"):
@@ -141,7 +141,7 @@ def _is_controller(part: Part, scene: Scene) -> bool:
 
 
 def _list_libraries(build: BuiltScene, header: Header) -> Iterator[tuple[Part, Subcircuit]]:
-    """Yield the different subcircuits, each with the first part that uses it.
+    """Yield each different subcircuit with the first part that uses it.
 
     Raises
     ------
@@ -253,15 +253,18 @@ def _list_initial_voltages(build: BuiltScene, loose: Sequence[FloatingNets]) -> 
 
 
 def _list_statements(text: str, name: str) -> list[str]:
-    """Return the statements that a simulator reads from the ``text`` of a file."""
+    """Return the statements that a simulator reads from a netlist file.
+
+    ``text`` is the text of the file.
+    """
     return list(filter(None, map(attrgetter("written"), split_statements(text, name))))
 
 
 def protect_other_decks(out: Path, files: Mapping[str, str]) -> None:
-    """Raise an error if a new library would change another deck in ``out``.
+    """Raise an error if a new library would change another deck in a directory.
 
-    Decks in ``out`` that are not among ``files`` are not replaced. If a library of the same name
-    changed, a deck that is not replaced would simulate another part.
+    ``out`` is the directory. Decks in ``out`` that are not among ``files`` are not replaced. If a
+    library of the same name changed, a deck that is not replaced would simulate another part.
 
     Raises
     ------

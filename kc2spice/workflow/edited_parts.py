@@ -17,7 +17,7 @@ from kc2spice.workflow.models import replace_parts
 
 
 def with_edited_parameters(build: BuiltScene, edits: DeckEdits, path: Path) -> BuiltScene:
-    """Return ``build`` with the parameter values of an edited deck.
+    """Return the build with the parameter values of an edited deck.
 
     A part is not checked if its keys cannot express its cards in the edited deck. One warning lists
     the unchecked parts, and a second warning lists accuracy options that differ from the scene.
@@ -56,7 +56,7 @@ def _warn_about_options(edits: DeckEdits, path: Path) -> None:
 
 
 def replace_key_value(part: Part, name: str, old: float, new: float) -> Part | None:
-    """Return the part with a ``new`` value of the key ``name`` in any letter case.
+    """Return the part with a new value of a key, whose name may be in any letter case.
 
     The result is None if the part has no key ``name`` with the ``old`` value.
     """

@@ -38,12 +38,13 @@ def export_scene(
     count: int | None = None,
     solver: str | None = None,
 ) -> list[Path]:
-    """Write netlists and symbols of ``scene`` into ``out`` without simulating.
+    """Write netlists and symbols of a scene into a directory, without a simulation.
 
-    Bodies from files have all ports that their files declare, including ports that the scene does
-    not connect. Returns the paths of the files. With ``trust``, included netlists may execute
-    programs and open files. With ``count``, the deck has ``count`` copies of the scene, and no
-    symbols are written. ``solver`` names the direct solver for model reductions.
+    ``out`` is the directory, and ``scene`` the scene. Bodies from files have all ports that their
+    files declare, including ports that the scene does not connect. Returns the paths of the files.
+    With ``trust``, included netlists may execute programs and open files. With ``count``, the deck
+    has ``count`` copies of the scene, and no symbols are written. ``solver`` names the direct
+    solver for model reductions.
 
     Raises
     ------

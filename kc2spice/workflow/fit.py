@@ -247,7 +247,7 @@ def _require_one_port(measured: MeasuredAdmittance) -> None:
 
 
 def _require_keys(vary: object, part: str) -> None:
-    """Raise an error if ``vary`` contains no key."""
+    """Raise an error if the fit varies no key."""
     if not vary:
         raise UsageError(
             "the option --vary is missing",
@@ -260,7 +260,7 @@ def _require_keys(vary: object, part: str) -> None:
 def _make_record(
     body: BodyFit, start: np.ndarray, end: DescentResult, ends: Sequence[DescentResult]
 ) -> dict[str, Any]:
-    """Return the content of ``fit --json``.
+    """Return the record of a fit, which ``fit --json`` prints.
 
     ``start`` is the admittance [S] of the model at the values of the scene.
     """

@@ -132,7 +132,7 @@ def read_curves(
 def _read_entries(
     entries: Sequence[MeasurementKeys], folder: Path, where: str, shunt: float | None
 ) -> Iterator[MeasuredCurve]:
-    """Yield the measured curve of each entry, restricted to its ``band``."""
+    """Yield the measured curve of each ``[[curve]]`` table, limited to its band."""
     for k, entry in enumerate(entries):
         file = entry.file
         measured = (
@@ -146,7 +146,7 @@ def _read_entries(
 def _select_band(
     measured: MeasuredAdmittance, band: tuple[float, float], where: str
 ) -> MeasuredAdmittance:
-    """Return the part of a measured curve within ``band`` [Hz]."""
+    """Return a measured curve, limited to a frequency band [Hz]."""
     inside = (measured.f >= band[0]) & (measured.f <= band[1])
     if inside.sum() < MIN_POINTS:
         low, high = measured.f[0], measured.f[-1]

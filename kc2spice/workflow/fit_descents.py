@@ -36,7 +36,7 @@ CONVERGED_CHANGE = 0.1
 
 @dataclass(frozen=True, eq=False)
 class DescentResult:
-    """Result of a descent: values, parameter ranges, and linearised problem.
+    """Result of a descent: key values, parameter ranges and least-squares solution.
 
     ``exact`` is the admittance [S] of the full model at the values; empty before the correction by
     the full model.
@@ -55,7 +55,7 @@ class DescentResult:
 
 @dataclass(frozen=True, eq=False)
 class Descent:
-    """Least-squares fit of a reduced model within its parameter ranges.
+    """Descent of a least-squares fit, with a reduced model in parameter ranges.
 
     The variables are the logarithms of the values. ``degree`` is the degree of the polynomials in
     the parameters; by default the reduction chooses the degree.
@@ -77,13 +77,13 @@ class Descent:
         return ends.min(axis=1), ends.max(axis=1)
 
     def values(self, x: np.ndarray) -> dict[str, float]:
-        """Return the value of each key from its logarithm in ``x``, limited to the range."""
+        """Convert logarithms to the values of the keys, limited to their ranges."""
         signs = np.sign(list(map(attrgetter("low"), self.parameter_axes.values())))
         values = signs * np.exp(np.clip(x, *self.bounds))
         return dict(zip(self.parameter_axes, values.tolist(), strict=True))
 
     def compute_deviation(self, x: np.ndarray) -> np.ndarray:
-        """Return the residuals of the reduced model at the logarithms ``x`` of the values."""
+        """Return the residuals of the reduced model for logarithms of key values."""
         return self.compute_log_ratio(self.body.response(self.reduced_model, self.values(x)))
 
     def compute_log_ratio(self, Y: np.ndarray) -> np.ndarray:
@@ -95,9 +95,10 @@ class Descent:
         return np.concatenate([ratio.real, ratio.imag]) / self.body.noise
 
     def jacobian(self, x: np.ndarray) -> np.ndarray:
-        """Return the derivatives of the residuals, an array of shape (2 n, keys).
+        """Return the derivatives of the residuals with respect to logarithms of the keys.
 
-        The derivatives are central differences, or one-sided differences at a bound.
+        The result is an array of shape (2 n, keys). The derivatives are central differences, or
+        one-sided differences at a bound.
         """
         low, high = self.bounds
         columns = []
@@ -111,13 +112,13 @@ class Descent:
         return np.column_stack(columns)
 
     def compute_start_logarithms(self, values: Mapping[str, float]) -> np.ndarray:
-        """Return the logarithm of the value of each key, limited to the range."""
+        """Return the logarithms of the start values of all keys, limited to their ranges."""
         return np.clip(
             np.log(np.abs(list(map(values.__getitem__, self.parameter_axes)))), *self.bounds
         )
 
     def solve(self, values: Mapping[str, float]) -> DescentResult:
-        """Return the result of a descent that starts at ``values``."""
+        """Run a descent from start values of the keys, and return its result."""
         solved = least_squares(
             self.compute_deviation, self.compute_start_logarithms(values),
             jac=self.jacobian, bounds=self.bounds, x_scale="jac",
@@ -127,7 +128,10 @@ class Descent:
 
 
 def run_descents(descent: Descent) -> list[DescentResult]:
-    """Return the results of all descents in the full ranges; the best result is first."""
+    """Run descents from several start values; return all results, best result first.
+
+    Each descent covers the full ranges.
+    """
     low, high = descent.bounds
     samples = qmc.scale(qmc.Sobol(len(low), seed=1).random(RANDOM_SAMPLES), low, high)
     costs = [float(np.sum(descent.compute_deviation(x) ** 2)) for x in samples]
@@ -200,7 +204,10 @@ def refine_descent_result(descent: Descent, end: DescentResult) -> DescentResult
 
 
 def _narrow_range(item: VariedKey, value: float, half: float) -> ParameterAxis:
-    """Return the part of a key's range within the factor ``exp(half)`` of a value."""
+    """Narrow a key's range to a factor around a value, within the full range.
+
+    The factor is ``exp(half)``.
+    """
     ends = sorted((value * np.exp(-half), value * np.exp(half)))
     return ParameterAxis(item.key, max(item.low, ends[0]), min(item.high, ends[1]))
 

@@ -60,7 +60,7 @@ def read_varied_keys(
 
 
 def _parse_range(key: str, text: str) -> tuple[float, float]:
-    """Return the range of a key that ``text`` states."""
+    """Parse the range of a key from text such as ``LOW:HIGH``."""
     ends = text.split(":")
     if len(ends) != 2:
         raise UsageError(
@@ -75,12 +75,12 @@ def _parse_range(key: str, text: str) -> tuple[float, float]:
 
 
 def compute_log_widths(keys: Sequence[VariedKey]) -> list[float]:
-    """Return the logarithm of the ratio of the ends of each key's range."""
+    """Return the width of each key's range: the logarithm of high over low."""
     return [abs(float(np.log(item.high / item.low))) for item in keys]
 
 
 def format_calibrated_ranges(part: str, parameters: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return ``rom.parameters`` of the part with ranges around the fitted values.
+    """Return the key ``rom.parameters`` of a part, with ranges around fitted values.
 
     Each range extends :data:`RANGE_ERRORS` standard errors on both sides of the value, and is
     limited to the range of the fit.

@@ -74,7 +74,10 @@ def describe_values(
 
 
 def describe_error(size: np.ndarray) -> dict[str, float]:
-    """Return the rms and the largest value of the relative errors ``size`` of ``|Z|``."""
+    """Return the rms value and the largest value of relative impedance errors.
+
+    ``size`` contains the relative errors of ``|Z|``.
+    """
     return {"rms": float(np.sqrt(np.mean(size**2))), "largest": float(size.max())}
 
 

@@ -52,7 +52,7 @@ IMPROVEMENT_RATIO = 0.7
 
 @dataclass(frozen=True)
 class LargerOrder:
-    """Larger order of a body, set by ``keys`` of the scene.
+    """Larger order of a body, with the scene keys that set the order.
 
     ``states`` and ``error`` (under the loads of the run) are pairs of values for the present and
     the larger model. ``seconds`` is the expected CPU time of the simulator for a run with the
@@ -103,7 +103,7 @@ def with_larger_orders(run: Run, work: Path, clock: StageTimer) -> Run:
 
 
 def suggest_keys(error: RetriesFailedError, automatic: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return scene keys with which a failed run may succeed; empty if there are none.
+    """Suggest scene keys with which a failed run may succeed; empty if none exist.
 
     The checks of the run suggest the keys. If the order of a body is still too small although the
     order is an ``automatic`` key, the order is doubled again.
@@ -120,7 +120,10 @@ def suggest_keys(error: RetriesFailedError, automatic: Mapping[str, Any]) -> Map
 def _rerun_with_orders(
     run: Run, scene: Scene, chosen: Sequence[LargerOrder], work: Path, clock: StageTimer
 ) -> Run | None:
-    """Run the scene with ``chosen`` orders; return None without an improvement."""
+    """Run the scene with larger orders of bodies; return None without an improvement.
+
+    ``chosen`` are the larger orders.
+    """
     build = run.build
     for item in chosen:
         warnings.warn(str(item), stacklevel=3)
@@ -179,7 +182,7 @@ def _search_larger_orders(run: Run, clock: StageTimer) -> _OrderSearch:
 def _search_larger_order(
     run: Run, earlier: _OrderSearch, name: str, check: Check, clock: StageTimer
 ) -> _OrderSearch:
-    """Find the smallest multiple of the order whose error is within the limit.
+    """Find the smallest multiple of a body's order whose error is within the limit.
 
     If no error is within the limit, the result is the multiple with the smallest error. ``earlier``
     is the search for other bodies, whose orders the scene already has.
@@ -233,7 +236,7 @@ def _search_larger_order(
 
 
 def _estimate_time_ratio(model: LinearModel, larger: LinearModel) -> float:
-    """Estimate the CPU time of a run with a ``larger`` model, relative to ``model``.
+    """Estimate the CPU time of a run with a larger model, relative to the present one.
 
     The CPU time is proportional to the time per point and to the highest natural frequency of modes
     with inertia, which the time steps resolve.
@@ -250,7 +253,7 @@ def _highest_natural_frequency(model: LinearModel) -> float:
 
 
 def _largest_error(run: Run, names: Sequence[str]) -> float:
-    """Return the largest error of bodies under the recorded loads of ``run``."""
+    """Return the largest error of bodies under the loads that a run has recorded."""
     result = 0.0
     for name in names:
         part = run.build.scene.parts[name]

@@ -69,7 +69,7 @@ def _list_measures(
     probes: Mapping[str, ProbeKeys | LargestRealPartFrequency],
     sweep_scale: float,
 ) -> Iterator[MeasureCard]:
-    """Yield a ``.meas`` card for each of the ``probes`` that a card can compute."""
+    """Yield a ``.meas`` card for each probe that a card can compute."""
     for name, probe in probes.items():
         wave = _find_measured_vector(build.scene, build.results.vectors.get(probe.of), sweep_scale)
         if wave is None or not _VALID_NAME.fullmatch(name):
@@ -134,7 +134,7 @@ def _list_probe_measures(
 
 
 def _choose_extreme_function(word: str, factor: float) -> str:
-    """Return the ``.meas`` function of an extreme.
+    """Return the ``.meas`` function that finds a minimum, maximum or other extreme.
 
     A negative factor exchanges minimum and maximum.
     """

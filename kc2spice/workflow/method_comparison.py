@@ -115,7 +115,7 @@ def _load_model(path: Path | str) -> LinearModel:
 def _run_method(
     reduction: Reduction, method: str, tolerance: float | None, order: int | None
 ) -> dict[str, Any]:
-    """Return the row of a method: states, errors and CPU time [s], or why it failed."""
+    """Run a reduction method; return states, errors and CPU time [s], or the failure."""
     begin, rom, reason = time.process_time(), None, None
     try:
         rom = reduction.reduce(tolerance=tolerance, order=order, method=method)

@@ -31,7 +31,7 @@ EXPLAINED_SHARE = 0.5
 
 
 def compute_rms_misfit(residuals: np.ndarray, keys: int) -> float:
-    """Return the rms residual in units of the noise.
+    """Return the rms residual, relative to the standard deviation of the noise.
 
     Parameters
     ----------
@@ -49,9 +49,10 @@ def compute_rms_misfit(residuals: np.ndarray, keys: int) -> float:
 
 
 def compute_error_scale(residuals: np.ndarray, keys: int) -> float:
-    """Return the rms residual in units of the noise, but at least 1.
+    """Return the factor for the standard errors: the rms residual, but at least 1.
 
-    The arguments are defined in :func:`compute_rms_misfit`.
+    The rms residual is in units of the noise. The arguments are defined in
+    :func:`compute_rms_misfit`.
 
     Examples
     --------
@@ -93,7 +94,10 @@ def estimate_covariance(J: np.ndarray, residuals: np.ndarray, widest: np.ndarray
 
 
 def _refit_without_band(J: np.ndarray, residuals: np.ndarray, band: np.ndarray) -> np.ndarray:
-    """Return the changes of the k values if the fit omits the frequencies in ``band``."""
+    """Return the changes of the fitted values if the fit omits a frequency band.
+
+    ``band`` contains the indices of the omitted frequencies.
+    """
     used = np.ones(len(residuals), dtype=bool)
     used[band] = used[band + len(residuals) // 2] = False
     return np.asarray(-np.linalg.lstsq(J[used], residuals[used], rcond=None)[0])
@@ -133,7 +137,7 @@ def find_likely_cause(
 
 
 def _compute_residual_with_cause(J: np.ndarray, residuals: np.ndarray, cause: np.ndarray) -> float:
-    """Return the sum of squared residuals if an amount of ``cause`` is also fitted."""
+    """Return the sum of squared residuals after a cause of misfit is also fitted."""
     column = np.concatenate([cause.real, cause.imag])
     Q, _ = np.linalg.qr(J)
     column = column - Q @ (Q.T @ column)

@@ -59,7 +59,7 @@ def _resolve_equations(build: BuiltScene) -> BuiltScene:
 def replace_parts(
     build: BuiltScene, parts: Mapping[str, Part], unchecked_parts: Iterable[str]
 ) -> BuiltScene:
-    """Return the build with changed keys of parts, and with unchanged models.
+    """Return the build with changed parts and unchanged models.
 
     For the parts ``unchecked_parts``, neither checks nor energy balances are computed.
     """
@@ -68,12 +68,12 @@ def replace_parts(
 
 
 def rebuild_with_scene(build: BuiltScene, scene: Scene) -> BuiltScene:
-    """Return a build that reuses pins, nets and models for a scene with changed keys."""
+    """Return a build for a scene with changed keys; reuse pins, nets and models."""
     return _resolve_equations(replace(build, scene=resolve_again(scene)))
 
 
 def merge_equal_subcircuits(build: BuiltScene) -> BuiltScene:
-    """Return ``build`` in which parts of one type share equal subcircuits.
+    """Return the build in which parts of one type share equal subcircuits.
 
     The shared subcircuit has the name of the part type if all parts of the type have equal
     subcircuits. Otherwise, each group of equal subcircuits has the name of the subcircuit of its
@@ -107,7 +107,7 @@ def _list_netlist_texts(part: Part, build: BuiltScene, header: Header) -> tuple[
 
 
 def _name_libraries(build: BuiltScene) -> dict[str, str]:
-    """Return the library name of each part, different for different subcircuits.
+    """Give each different subcircuit its own library name; return names by part.
 
     Bodies with the same catalogue part number may have different subcircuits, for example with
     different ports. The first subcircuit has the part number as its name; the others are named
@@ -132,7 +132,7 @@ def _name_libraries(build: BuiltScene) -> dict[str, str]:
 
 
 def list_model_values(build: BuiltScene) -> dict[str, dict[str, float]]:
-    """Return ``model`` of ``result.json``: characteristic values of each part's model."""
+    """Return ``model`` of ``result.json``: numbers that describe each part's model."""
     result = {}
     for part in build.scene.parts.values():
         if facts := build.facts(part):
@@ -150,7 +150,10 @@ VALUE_UNITS = {
 
 
 def find_value_units(facts: Mapping[str, float]) -> dict[str, str]:
-    """Return the SI units of a model's values; values without a unit are left out."""
+    """Return the SI units of the numbers that describe a model, keyed by name.
+
+    Numbers without a unit are left out.
+    """
     result = {}
     for name in facts:
         pattern = next(filter(partial(fnmatchcase, name), VALUE_UNITS), None)
@@ -169,7 +172,10 @@ def tabulate_body_modes(build: BuiltScene) -> dict[str, dict[str, Any]]:
 
 
 def collect_rom_values(build: BuiltScene) -> dict[str, Any]:
-    """Return ``rom`` of ``result.json``; for several reduced models, also ``roms``."""
+    """Return the records of reduced models: ``rom`` and ``roms`` of ``result.json``.
+
+    ``roms`` is present only for several reduced models.
+    """
     models = build.find_models(LinearModel)
     if not models:
         return {}

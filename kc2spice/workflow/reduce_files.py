@@ -249,6 +249,7 @@ def _reduce_matrices(
         require_one_heat_port(model)
 
     def make_reduced_model() -> LinearModel:
+        """Reduce the full model, and convert a heat model to the requested network."""
         small = reduce_model(
             model,
             band=band,
@@ -306,7 +307,7 @@ def _reduce_affine(
 
 
 def describe_order(model: LinearModel) -> str:
-    """Return whether a model's equations are of first or second order in time."""
+    """Describe whether a model's equations are of first or second order in time."""
     return "first order" if model.first_order else "second order"
 
 
@@ -393,6 +394,7 @@ def _reduce_measured(
     notes = list(data.notes)
 
     def fit_model() -> LinearModel:
+        """Fit a passive model to the measurement, and reject a large misfit."""
         model = _fit_passive_model(data, conductance, notes, progress)
         _require_small_misfit(model, data)
         return model
@@ -471,7 +473,7 @@ def _fit_state_space_model(data: MeasuredAdmittance) -> LinearModel:
 
 @dataclass(frozen=True)
 class _ModelMisfit:
-    """Error of a model, its ``limit``, and the ``noise`` of the data in the same norm."""
+    """Error of a fitted model, its limit, and the noise of the data in the same norm."""
 
     error: float
     limit: float
@@ -524,7 +526,7 @@ def _require_small_misfit(model: LinearModel, data: MeasuredAdmittance) -> None:
 
 
 def _parse_conductance(dc: str | float) -> float:
-    """Return the conductance [S] at zero frequency that ``--dc`` states."""
+    """Return the conductance [S] at zero frequency that the option ``--dc`` states."""
     if dc == "open":
         return 0.0
     resistance = convert_quantity(dc, "Ohm", where="--dc")
@@ -667,7 +669,7 @@ def export_rom(
 
 
 def _read_model_and_subcircuit(path: Path, dense: bool) -> tuple[LinearModel, Subcircuit]:
-    """Read a reduced model from a file, and return the model and its subcircuit.
+    """Read a reduced model from a file, and make its subcircuit.
 
     The parameters of a model have their default values.
     """

@@ -100,9 +100,10 @@ class RefinedRuns:
         self.refused: UsageError | None = None  # error about the latest mesh that was too large
 
     def get_refined_run(self, steps: RefinementSteps) -> Run:
-        """Return the run with settings refined by ``steps``.
+        """Return the run with refined settings, from the cache if possible.
 
-        Raises the errors of :func:`kc2spice.workflow.simulate.simulate_deck`.
+        ``steps`` contains the refinement steps of the settings. Raises the errors of
+        :func:`kc2spice.workflow.simulate.simulate_deck`.
         """
         build, settings = self.start.build, refine_settings(self.all_settings, steps)
         if repr(settings) not in self.run_cache:
@@ -128,7 +129,9 @@ class RefinedRuns:
         return MAX_MESH_UNKNOWNS, MEMORY_SHARE * find_available_bytes()
 
     def require_mesh_size(self, steps: RefinementSteps) -> None:
-        """Reject meshes that exceed :attr:`mesh_limits` after refinement by ``steps``.
+        """Reject refined meshes with too many unknowns or too much memory.
+
+        The limits are :attr:`mesh_limits`.
 
         Raises
         ------
@@ -185,12 +188,12 @@ class RefinedRuns:
 
 
 def _format_size(unknowns: float, memory: float) -> str:
-    """Return a number of unknowns and a memory size [B] as text."""
+    """Format a number of unknowns and a memory size [B] as text."""
     return f"{unknowns:,.0f}".replace(",", " ") + f" unknowns and {memory / 1e9:.2g} GB"
 
 
 def estimate_factor_bytes(unknowns: float, dimensions: int) -> float:
-    """Estimate the memory [B] of the factor of a stiffness matrix.
+    """Estimate the memory [B] of a factorised stiffness matrix.
 
     For n unknowns, the number of nonzeros of the factor grows as n^(4/3) in three dimensions, and
     as n log n in a plane (A. George, SIAM J. Numer. Anal. 10 (1973) 345).
@@ -231,7 +234,7 @@ def repeat_timing(run: Run) -> float:
 
 
 def compute_metric_changes(run: Run, finer: Run) -> dict[str, float]:
-    """Return the relative change of every metric between ``run`` and ``finer``.
+    """Return the relative change of every metric from a run to a finer run.
 
     The change of a curve is relative to its largest value. The change of a number is relative to
     the number itself, or to a fraction of the largest metric with the same unit if this fraction is
@@ -271,10 +274,11 @@ def compute_metric_changes(run: Run, finer: Run) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class RunEstimate:
-    """Run with settings refined by ``steps``, and the error estimate of each metric.
+    """Error estimate of each metric of a run, with the run and its settings.
 
-    The error estimates come from a further, finer run. The settings ``unmoved`` could not be
-    refined; ``fixed`` is their contribution to the largest error.
+    ``steps`` are the refinement steps of the settings. The error estimates come from a further,
+    finer run. The settings ``unmoved`` could not be refined; ``fixed`` is their contribution to the
+    largest error.
     """
 
     steps: RefinementSteps
@@ -333,10 +337,11 @@ class ConvergedRun:
 
 
 def converge_to_budget(start: Run, clock: StageTimer) -> ConvergedRun | None:
-    """Refine the scene until every error estimate is within ``error_budget``.
+    """Refine the scene until all error estimates are within the error budget.
 
-    Without a budget, ``checks.reduction`` requests a single estimate. The result is None if the
-    scene has neither ``error_budget`` nor ``checks.reduction``. A warning lists refined settings.
+    The key ``error_budget`` is the error budget. Without a budget, ``checks.reduction`` requests a
+    single estimate. The result is None if the scene has neither ``error_budget`` nor
+    ``checks.reduction``. A warning lists refined settings.
 
     Raises
     ------
@@ -411,13 +416,13 @@ def _explain_finest_mesh(runs: RefinedRuns, now: RunEstimate) -> str:
 
 
 def estimate_errors(runs: RefinedRuns, steps: RefinementSteps) -> RunEstimate | None:
-    """Estimate the error of each metric of the run at ``steps``.
+    """Estimate the error of each metric of a run by a finer run.
 
-    The result is None if no refined run succeeds. In the refined run, all settings are one step
-    finer. If the refined meshes are too large for the machine, the meshes remain unchanged. The
-    error of settings at their finest value is estimated from coarser runs
-    (:func:`estimate_by_coarser_runs`). Runs with an ``error_budget`` and the command ``bench``
-    report the returned error estimate.
+    ``steps`` are the refinement steps of the run. The result is None if no refined run succeeds. In
+    the refined run, all settings are one step finer. If the refined meshes are too large for the
+    machine, the meshes remain unchanged. The error of settings at their finest value is estimated
+    from coarser runs (:func:`estimate_by_coarser_runs`). Runs with an ``error_budget`` and the
+    command ``bench`` report the returned error estimate.
     """
     now = runs.get_refined_run(steps)
     finest = tuple(map(attrgetter("name"), runs.finest))
@@ -441,11 +446,11 @@ def estimate_errors(runs: RefinedRuns, steps: RefinementSteps) -> RunEstimate | 
 def estimate_by_coarser_runs(
     runs: RefinedRuns, steps: RefinementSteps, unmoved: Sequence[str], metrics: Iterable[str]
 ) -> dict[str, float]:
-    """Estimate the error of each metric that the settings ``unmoved`` cause.
+    """Estimate the metric errors of settings at their finest value, by coarser runs.
 
-    The estimate is the larger of two values: the error estimate of a body's mesh, and the change of
-    the metric due to a coarser setting. A refinement step at least halves an error, so that the
-    change is not less than the remaining error.
+    ``unmoved`` are the settings. The estimate is the larger of two values: the error estimate of a
+    body's mesh, and the change of the metric due to a coarser setting. A refinement step at least
+    halves an error, so that the change is not less than the remaining error.
     """
     now = runs.get_refined_run(steps)
     result = dict.fromkeys(metrics, runs.find_largest_mesh_error(unmoved, now))
@@ -510,12 +515,15 @@ def _refine_dominant_setting(
 def _add_steps(
     steps: RefinementSteps, moved: Sequence[NumericalSetting], by: int = 1
 ) -> RefinementSteps:
-    """Return ``steps`` with ``by`` additional steps for each setting in ``moved``."""
+    """Add refinement steps to some settings, and return the steps of all settings.
+
+    The steps of each setting in ``moved`` increase by ``by``.
+    """
     return {**steps, **{setting.name: steps.get(setting.name, 0) + by for setting in moved}}
 
 
 def _try_run(runs: RefinedRuns, steps: RefinementSteps) -> Run | None:
-    """Return the run at ``steps``; None if it fails, or if no further run is allowed."""
+    """Run refined settings; return None if the run fails or no further run is allowed."""
     try:
         return runs.get_refined_run(steps) if runs.has_runs_left else None
     except (SimulationError, UsageError):
@@ -523,7 +531,7 @@ def _try_run(runs: RefinedRuns, steps: RefinementSteps) -> Run | None:
 
 
 def _estimate_differences(run: Run, finer: Run) -> dict[str, float]:
-    """Estimate the error of each metric from its change in a ``finer`` run."""
+    """Estimate the error of each metric from its change in a finer run."""
     return {
         name: REMAINDER_FACTOR * change
         for name, change in compute_metric_changes(run, finer).items()

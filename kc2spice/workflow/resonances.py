@@ -92,7 +92,10 @@ def _list_probe_frequencies(build: BuiltScene) -> list[float]:
 def _list_widening_analyses(
     command: AnalysisCommand, f: float, width: float, build: BuiltScene
 ) -> Iterator[AnalysisCommand]:
-    """Yield analyses around the resonance ``f`` [Hz] with increasing frequency spans."""
+    """Yield analyses around a resonance, with increasing frequency spans.
+
+    ``f`` is the frequency [Hz] of the resonance.
+    """
     analysis, reach = build.scene.analysis, NARROWEST_HALF_WIDTHS * width
     while True:
         start, stop = max(f - reach, analysis.start), min(f + reach, float(analysis.stop or 0.0))

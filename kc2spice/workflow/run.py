@@ -44,7 +44,7 @@ class CompletedRun:
 
     @cached_property
     def page_items(self) -> tuple[Figure | FileWriter, ...]:
-        """Figures of probes and parts, and further output files."""
+        """Contents of the result page: figures of probes and parts, and other files."""
         build, waves, units = self.run.build, self.run.waves, self.run.deck.units
         result: list[Figure | FileWriter] = []
         if build.has_noise:
@@ -166,10 +166,11 @@ def complete_run(
     deck: Path | None = None,
     functions: Mapping[str, Any] | None = None,
 ) -> CompletedRun:
-    """Build, reduce, export and simulate ``scene`` in the directory ``work``.
+    """Build, reduce, export and simulate a scene, and return the completed run.
 
-    ``functions`` are the Python functions of controllers, keyed by part. ``out`` is the directory
-    of the result. The files of a failed run are kept in ``<out>.failed``.
+    The directory ``work`` contains the files of the run. ``functions`` are the Python functions of
+    controllers, keyed by part. ``out`` is the directory of the result. The files of a failed run
+    are kept in ``<out>.failed``.
 
     A key without a value in the scene, such as the number of contact rings, has an automatic value.
     If an automatic value is too small, the scene runs again with a larger value, and a warning
@@ -220,7 +221,10 @@ def complete_run(
 def write_run_files(
     done: CompletedRun, work: Path, clock: StageTimer, *, keep: bool = False, png: bool = False
 ) -> dict[str, Any]:
-    """Write all files of a run into ``work``; return the content of ``result.json``."""
+    """Write all files of a run, and return the content of ``result.json``.
+
+    ``work`` is the directory of the files.
+    """
     scene, deck, waves = done.run.build.scene, done.run.deck, done.run.waves
     with clock.time_stage("report", "metrics and page"):
         record = dict(done.record)

@@ -147,7 +147,7 @@ def simulate_deck(
     """
 
     def check_waves(waves: Waveforms) -> Verdict:
-        """Return the checks, energy balances and error limits of the waves."""
+        """Return the verdict on waves: checks, energy balances and error limits."""
         result = form_verdict(waves, build)
         result = replace(result, checks=(*result.checks, *point.checks))
         if deck.text is None:
@@ -191,7 +191,7 @@ def simulate_deck(
 
 
 def correct_waves(waves: Waveforms, build: BuiltScene) -> Waveforms:
-    """Return the waves, with corrections that parts apply to results after a run."""
+    """Return the waves, with the corrections that parts make after a run."""
     result = dict(waves.data)
     for part in build.scene.parts.values():
         result |= part.type.corrected_waves(part, build, waves)
@@ -205,9 +205,10 @@ def run_simulation(
     progress: ProgressCallback = None,
     timeout: float | None = None,
 ) -> Waveforms:
-    """Run ``deck`` in ngspice, in ``directory``.
+    """Run a deck in ngspice, and return the waveforms in SI units.
 
-    Raises the errors of :meth:`kc2spice.sim.engines.Engine.run`.
+    ``directory`` contains the files of the run. Raises the errors of
+    :meth:`kc2spice.sim.engines.Engine.run`.
     """
     return choose_engine(get_scene_laws(build), deck, directory, progress, timeout).run(deck)
 
@@ -219,11 +220,11 @@ def choose_engine(
     progress: ProgressCallback = None,
     timeout: float | None = None,
 ) -> Engine:
-    """Return the engine for a ``deck`` of the scene with the equations ``laws``.
+    """Choose the engine that runs a deck of a scene.
 
-    A small-signal analysis has further analyses near resonances. Each analysis is a separate run if
-    the operating point can depend on the previous analysis. If Python functions set sources during
-    the simulation, ngspice runs as a library.
+    ``laws`` are the equations of the scene. A small-signal analysis has further analyses near
+    resonances. Each analysis is a separate run if the operating point can depend on the previous
+    analysis. If Python functions set sources during the simulation, ngspice runs as a library.
     """
     if not laws.build.scene.analysis.is_small_signal:
         return Engine(directory, progress, timeout, sampled=laws.build.sampled_sources)
@@ -236,10 +237,11 @@ def choose_engine(
 
 
 def measure_simulator_cpu(*, shared: bool) -> float:
-    """Return the CPU time [s] of all child processes that have ended.
+    """Return the CPU time [s] that simulators have used so far.
 
-    If the simulator is a ``shared`` library, the result is the CPU time of this process. On systems
-    without CPU times of child processes, the result is the wall time.
+    By default, the result is the CPU time of all child processes that have ended. If the simulator
+    is a ``shared`` library, the result is the CPU time of this process. On systems without CPU
+    times of child processes, the result is the wall time.
     """
     try:
         import resource
@@ -275,7 +277,7 @@ def keep_failed_run(work: Path, out: Path | None, scene: str) -> Iterator[None]:
 
 
 def _choose_failure_folder(out: Path) -> Path:
-    """Return a new folder ``<out>.failed`` for the files of a failed run."""
+    """Return a folder ``<out>.failed`` that is free or contains an earlier failed run."""
     name = f"{out.name}.failed"
     for number in ("", *range(2, 100)):
         result = out.with_name(f"{name}{number}")

@@ -43,7 +43,7 @@ ENDS = 20  # the first and the last 1/20 of the samples determine the direction 
 
 @dataclass(frozen=True)
 class FittedTransient:
-    """Model of a transient, with the noise of the data, notes and warnings."""
+    """Heat model fitted to a transient, with the data noise, notes and warnings."""
 
     model: LinearModel
     noise: float
@@ -139,7 +139,7 @@ def fit_transient_network(
 
 
 def shape_heat_model(model: LinearModel, form: NetworkForm | None) -> LinearModel:
-    """Return a heat model as a network of the ``form``, or unchanged without a form.
+    """Convert a heat model to a network form; without a form, return it unchanged.
 
     Raises
     ------

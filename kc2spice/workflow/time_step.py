@@ -118,12 +118,16 @@ class LinearisedScene:
     build: BuiltScene
 
     def belongs_to(self, build: BuiltScene) -> bool:
-        """Return whether ``build`` has the same scene and the same models."""
+        """Return whether a build has the same scene and the same models."""
         return self.build.scene is build.scene and self.build.models is build.models
 
     @property
     def is_resolved_by_error_control(self) -> bool:
-        """Whether error control resolves all networks: all are linear or relax thermally."""
+        """Whether the simulator's error control suffices for all nonlinear networks.
+
+        Error control suffices if every network is linear, or conducts heat and does not oscillate.
+        The result is false if a part is in no network.
+        """
         for network, motion in zip(self.networks, self.exact_solutions, strict=True):
             if motion is None or not (
                 motion.linear.exact or _is_thermal_and_aperiodic(network, motion)
@@ -153,7 +157,7 @@ class LinearisedScene:
 
     @cached_property
     def exact_solutions(self) -> tuple[ExponentialSolution | None, ...]:
-        """Exact solution of each network; None if it is too large or has no solution."""
+        """Exact solution of each network; None if a network is too large or unsolvable."""
         return tuple(
             _solve_motion(network, self.build.scene.stop_time) for network in self.networks
         )
@@ -200,11 +204,11 @@ def _solve_motion(network: Network, stop: float) -> ExponentialSolution | None:
 
 
 class IntegrationRule(NamedTuple):
-    """Integration rule, described by its effect on exponentials at the step ``h``.
+    """Numerical integration rule, described by its effect on exponential functions.
 
-    ``rates`` returns, for an exponential ``e^(r t)``, the rate of the numerical solution. For a
-    source ``e^(j w t)``, ``axis`` returns the value s for which the numerical response of a mode
-    with the rate r is ``1 / (s - r)``.
+    The step of the rule is ``h``. ``rates`` returns, for an exponential ``e^(r t)``, the rate of
+    the numerical solution. For a source ``e^(j w t)``, ``axis`` returns the value s for which the
+    numerical response of a mode with the rate r is ``1 / (s - r)``.
     """
 
     rates: Callable[[np.ndarray, float], np.ndarray]
@@ -224,11 +228,11 @@ INTEGRATION_RULES = {
 
 
 def find_step(motion: ExponentialSolution, start: StepLimit, rule: IntegrationRule) -> StepLimit:
-    """Return the largest step up to ``start`` with which ``rule`` is accurate.
+    """Return the largest time step with which an integration rule is accurate.
 
-    The error of the rms value of a wave is at most :data:`RMS_ERROR_LIMIT`. The error of the wave
-    itself is at most :data:`SHAPE_ERROR_LIMIT`, unless this limit requires :data:`MAX_SHAPE_POINTS`
-    points or more.
+    The step is at most ``start``. The error of the rms value of a wave is at most
+    :data:`RMS_ERROR_LIMIT`. The error of the wave itself is at most :data:`SHAPE_ERROR_LIMIT`,
+    unless this limit requires :data:`MAX_SHAPE_POINTS` points or more.
     """
     peaks = motion.find_peak_amplitudes()
     t = motion.choose_sample_times(SAMPLE_COUNT)
@@ -242,10 +246,13 @@ def find_step(motion: ExponentialSolution, start: StepLimit, rule: IntegrationRu
     resonant = modes.q_factors > RESONANT_Q
 
     def is_accurate(h: float) -> bool:
-        """Return whether the rule is accurate with the step ``h``."""
+        """Return whether the integration rule is accurate with a time step.
+
+        ``h`` is the time step [s].
+        """
 
         def compute_discrete_rates(exact: np.ndarray) -> np.ndarray:
-            """Return the rates [1/s] of the numerical solution."""
+            """Convert exact exponential rates [1/s] to the rates of the numerical solution."""
             return np.where(resonant, rule.rates(exact, h), exact)
 
         tried = motion.evaluate_waves(
@@ -282,7 +289,7 @@ def _describe_resonance(rate: complex, quality: float) -> str:
 
 
 def find_largest_errors(t: np.ndarray, ours: np.ndarray, exact: np.ndarray) -> tuple[float, float]:
-    """Return the largest error of the rms values, and of the values, of all waves.
+    """Return the largest errors of rms values and of instantaneous values of waves.
 
     ``ours`` and ``exact`` are arrays of shape (times, waves). The rms values are computed in
     :data:`WINDOW_COUNT` time windows. Errors of rms values are relative to the largest rms value of
@@ -305,7 +312,7 @@ def find_largest_errors(t: np.ndarray, ours: np.ndarray, exact: np.ndarray) -> t
 def list_step_checks(
     build: BuiltScene, waves: Waveforms, balances: Mapping[str, RunEnergyBalance]
 ) -> Iterator[Check]:
-    """Check the effect of the time steps on the waves of a run.
+    """Yield checks of the effect of the time steps on the waves of a run.
 
     Waves of a linear circuit are compared with the exact motion of the circuit. The comparison with
     the exact motion is left out if a contact determines the steps, because such steps do not
@@ -353,7 +360,7 @@ def _compare_exact_motion(
 
 
 def _make_step_check(name: str, largest: tuple[float, float, str]) -> Check:
-    """Return the check of the deviation of a wave.
+    """Return the check of a wave's deviation due to the time steps.
 
     ``largest`` contains the deviation of the rms, the deviation of a value, and the wave's name.
     """
@@ -365,7 +372,7 @@ def _make_step_check(name: str, largest: tuple[float, float, str]) -> Check:
 
 
 def _has_unmodelled_neighbour(build: BuiltScene, network: Network, missing: Sequence[str]) -> bool:
-    """Return whether a part without equations is joined to the network."""
+    """Return whether a part without equations is joined to a network."""
     parts, scene = set(map(get_law_name, network.law_names)), build.scene
     for name, pin in scene.nets:
         if name in parts and not set(missing).isdisjoint(dict(scene.list_joined_pins(name, pin))):

@@ -212,7 +212,7 @@ def _read_matrix_terms(
 def _read_term(
     entry: TermEntry, path: Path, model: raw_matrices.RawMatrices, where: str
 ) -> Matrix | None:
-    """Read the matrix of a term from its file.
+    """Read the matrix of a parameter-dependent term from its file.
 
     Return None if the term has neither file nor matrix name. The factor of a term without file and
     matrix name multiplies the matrix of the model.
@@ -345,7 +345,7 @@ def locate_model(path: Path, sidecar: Path | None) -> tuple[Path, dict[str, Path
 
 
 def _find_matrix_files(path: Path) -> tuple[Path, dict[str, Path]]:
-    """Find the matrix files of a model, each of which contains one matrix.
+    """Find the files of a model that contain one matrix each.
 
     Return the path of the model without file extension, and the files keyed by letter.
     """

@@ -48,7 +48,7 @@ IMAGINARY_ROUNDING = 1e-12
 
 
 def assemble_model(rows: LabelledMatrices) -> LinearModel:
-    """Assemble the linear model of ``rows`` in SI units, with ports.
+    """Assemble a linear model with ports in SI units from labelled matrices.
 
     Raises
     ------
@@ -111,7 +111,7 @@ def _rename_damping_matrix(rows: LabelledMatrices) -> Mapping[str, Matrix]:
 
 
 def _complete_matrices(rows: LabelledMatrices) -> Mapping[str, Matrix]:
-    """Return all matrices of the model by letter, and check that the shapes match.
+    """Return all matrices by letter, with defaults for missing ones; check the shapes.
 
     A model without M is a first-order model, such as heat conduction ``E x' + K x = B u``. If a
     file contains only one triangle of a matrix, the TOML file must contain the key ``symmetric``.
@@ -164,12 +164,12 @@ def _complete_matrices(rows: LabelledMatrices) -> Mapping[str, Matrix]:
 
 
 def _select_square_matrices(matrices: Mapping[str, Matrix]) -> dict[str, Matrix]:
-    """Select the matrices that have a row and a column for each unknown."""
+    """Select the square matrices M, E, K and A, which have one row per unknown."""
     return {letter: matrices[letter] for letter in "MEKA" if letter in matrices}
 
 
 def _select_entries(matrix: Matrix, keep: np.ndarray) -> Matrix:
-    """Select the rows and columns of a sparse matrix with the indices ``keep``."""
+    """Select the rows and columns of a matrix that have the given indices."""
     return matrix if len(keep) == matrix.shape[0] else sparse.csc_array(matrix[keep][:, keep])
 
 
@@ -220,7 +220,7 @@ class LabelledMatrices:
         return dofs
 
     def find_rows(self, place: NodeSelection, kinds: tuple[int, ...]) -> list[np.ndarray]:
-        """Find the matrix rows of degrees of freedom at the nodes that ``place`` selects.
+        """Find the matrix rows of degrees of freedom at the selected nodes.
 
         Return an array of row numbers for each degree of freedom in ``kinds``. If ``kinds`` is
         empty, return one array with the rows of all degrees of freedom at the selected nodes.
@@ -298,7 +298,7 @@ class LabelledMatrices:
     # --- ports ------------------------------------------------------------------------------------
 
     def make_port_vector(self, entry: PortEntry) -> np.ndarray:
-        """Return the column of B of an input or port, or the row of C of an output.
+        """Make the vector of a port: a column of B, or a row of C for an output.
 
         The port is a conservative port. The returned vector has one value for each matrix row.
         """
@@ -327,7 +327,7 @@ class LabelledMatrices:
         return load
 
     def _select_load(self, entry: PortEntry) -> np.ndarray:
-        """Return the column of B or the row of C whose number is in the table of a port.
+        """Return the column of B or the row of C whose number a port table states.
 
         For a conservative port, the row of C with the same number must be equal to the column.
         """
@@ -353,7 +353,7 @@ class LabelledMatrices:
         return load
 
     def ports(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[Port, ...]]:
-        """Return the matrices B, C and D, and the ports in the sequence of the TOML file.
+        """Return the matrices B, C and D of all ports, and the ports in TOML order.
 
         B and C contain all matrix rows, including the rows of fixed degrees of freedom.
         """

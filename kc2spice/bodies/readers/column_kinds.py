@@ -80,7 +80,7 @@ RADIAN_LIMITS = 0.51 * np.pi, 0.5
 
 @dataclass(frozen=True)
 class ColumnKind:
-    """Kind of a column: its quantity, and the pattern of its title.
+    """Kind of a table column: its quantity, its units, and the pattern of its title.
 
     ``measures`` contains the keys in :data:`UNITS` of the units that the column may have; the first
     key is the default. ``names`` is a regular expression for the title in lower case, without sign,
@@ -101,7 +101,7 @@ _IMAGINARY = r"(im|img|imag|imaginary|imagpart)"
 
 
 def _make_affix_pattern(of: str, word: str) -> str:
-    """Return the regular expression of a word before or after a letter.
+    """Return a regular expression of a quantity letter with a word before or after.
 
     The letter is a quantity and the word is a part of the quantity, as in ``magz`` and ``zmag``.
     ``of`` is the letter and ``word`` is the regular expression of the word.
@@ -239,7 +239,7 @@ UNSTATED_QUANTITIES = {
 
 @dataclass(frozen=True)
 class ColumnCombination:
-    """Two columns that determine a complex ``quantity``.
+    """Combination of two columns that determines a complex quantity.
 
     The function ``value`` computes the quantity from both columns (angles in rad) and the angular
     frequency w [rad/s]. If ``shunt`` is true, the quantity is the gain from a source to a resistor

@@ -49,7 +49,7 @@ _TRAILING_UNIT = re.compile(
 
 @dataclass(frozen=True)
 class Unit:
-    """Unit of a column.
+    """Unit of a table column: spelling, measured quantity and factor to SI.
 
     ``text`` is the spelling of the unit in the file, and ``measures`` is the measured quantity. The
     factor ``value`` converts numbers with this unit to SI units.
@@ -62,7 +62,7 @@ class Unit:
 
 @dataclass(frozen=True)
 class ColumnTitle:
-    """Title of a column and its meaning.
+    """Title of a table column, with the quantity, sign and unit that it states.
 
     ``text`` is the title in the file. ``sign`` is -1 if a minus sign precedes the title, otherwise
     1. ``unit`` is None if the title contains no unit.
@@ -76,7 +76,7 @@ class ColumnTitle:
 
 @dataclass(frozen=True, eq=False)
 class Column(EqualByContent):
-    """Column of a table, converted to SI units.
+    """Column of a measurement table, converted to SI units.
 
     ``values`` has the shape (n,); angles are in rad. ``note`` describes an assumption about the
     unit, and ``unit`` is the name of the unit in the file.
@@ -95,7 +95,7 @@ class Column(EqualByContent):
 
 
 def parse_units(text: str) -> list[Unit]:
-    """Return all units that the string ``text`` may mean.
+    """Return all units that a text may mean, such as siemens and seconds for ``s``.
 
     For example, ``s`` may be siemens or seconds.
 
@@ -119,7 +119,7 @@ def parse_units(text: str) -> list[Unit]:
 
 
 def _find_prefix_factor(prefix: str, base: str, measures: str, text: str) -> float | None:
-    """Return the factor of an SI prefix before the unit ``base``.
+    """Return the factor of the SI prefix of a unit; None if it is no valid prefix.
 
     Return None if ``prefix`` is not an SI prefix that the unit ``base`` can have.
 
@@ -202,7 +202,7 @@ def _describe_quantity(meaning: ColumnKind) -> str:
 
 
 def is_frequency(text: str) -> bool:
-    """Return whether a column title, or the name of a variable, means the frequency.
+    """Return whether a column title or variable name denotes the frequency.
 
     The unit in the title may be ambiguous.
     """
@@ -214,7 +214,7 @@ def is_frequency(text: str) -> bool:
 
 
 def is_abscissa(text: str) -> bool:
-    """Return whether a column title means the frequency or the time.
+    """Return whether a column title denotes the frequency or the time.
 
     The other columns of a table depend on the column of frequencies or times.
     """
@@ -228,7 +228,7 @@ def is_abscissa(text: str) -> bool:
 
 
 def find_complex_quantity(text: str) -> tuple[Quantity, float] | None:
-    """Return the quantity and the SI value of the unit of a complex column.
+    """Return the quantity and the unit factor that a title of a complex column states.
 
     For example, the title ``Z (kOhm)`` means an impedance whose unit is 1000 Ohm. Return None if
     the title does not mean a complex quantity.
@@ -267,7 +267,7 @@ def _split_unit(title: str) -> Iterator[tuple[str, str | None]]:
 
 
 def _find_units_of_word(text: str) -> list[Unit]:
-    """Return the units that the last word of a title may mean.
+    """Return the possible units in the last word of a column title.
 
     The words ``-`` and ``1`` belong to a name and are not units.
     """
@@ -287,7 +287,7 @@ def _normalise_words(stem: str) -> str:
 
 
 def convert_column(title: ColumnTitle, values: np.ndarray) -> Column:
-    """Convert the ``values`` (n,) of the column with a ``title`` to SI units.
+    """Convert the values of a table column to SI units by its title.
 
     Raises
     ------
@@ -310,7 +310,7 @@ def convert_column(title: ColumnTitle, values: np.ndarray) -> Column:
 
 
 def _assume_unit(title: ColumnTitle, values: np.ndarray) -> Unit:
-    """Return the assumed unit of a column whose title contains no unit."""
+    """Return the unit that is assumed for a column whose title contains no unit."""
     measures = title.meaning.measures[0]
     if measures == "frequency" and re.search("ω|omega", title.text.lower()):
         return Unit("rad/s", measures, UNITS[measures]["rad/s"])

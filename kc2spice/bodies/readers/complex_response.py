@@ -63,7 +63,7 @@ ONE_PART_HINT = "delete the columns or lines of the other one"
 
 @dataclass(frozen=True, eq=False)
 class MeasuredResponse(EqualByContent):
-    """Measured frequency response of a part.
+    """Measured frequency response of a part: samples of S, Z or Y, and admittances.
 
     ``samples`` of shape (n, ports, ports) are values of the ``quantity`` S, Z or Y at the
     frequencies ``f`` (n,) [Hz]. ``Y`` contains the admittances [S] of the samples, an array of the
@@ -82,7 +82,7 @@ class MeasuredResponse(EqualByContent):
 
 
 def convert_to_admittance(quantity: Quantity, P: np.ndarray, z0: np.ndarray) -> np.ndarray:
-    """Convert samples ``P`` of S, Z or Y to admittances.
+    """Convert samples of S, Z or Y parameters to admittance matrices.
 
     ``P`` and the returned array have the shape (n, ports, ports). ``z0`` (ports,) [Ohm] contains
     the reference resistances of S parameters.
@@ -166,7 +166,7 @@ def _find_table_response(table: TextTable, shunt: float | None, suffix: str) -> 
 
 
 def _replace_titles(titles: Sequence[str], comments: Sequence[str]) -> tuple[str, ...]:
-    """Replace column titles by titles in comment lines for the same quantities.
+    """Replace the default titles of columns by titles that comment lines state.
 
     Raises
     ------
@@ -189,7 +189,7 @@ def _replace_titles(titles: Sequence[str], comments: Sequence[str]) -> tuple[str
 
 @dataclass(frozen=True, eq=False)
 class _ColumnPair(EqualByContent):
-    """Response from two columns: the columns, their combination, and the ``samples``."""
+    """Frequency response computed from a pair of columns."""
 
     combination: ColumnCombination
     columns: tuple[Column, ...]
@@ -201,7 +201,7 @@ class _ColumnPair(EqualByContent):
 
 @dataclass(frozen=True, eq=False)
 class ClassifiedColumns(EqualByContent):
-    """Columns of a table, sorted by the meaning of their titles.
+    """Columns of a table, classified by the meaning of their titles.
 
     ``by_quantity`` contains the real columns, keyed by quantity. ``complex_columns`` contains the
     title, quantity and values of each column of complex numbers. ``unknown`` are titles without a
@@ -220,7 +220,7 @@ def combine_response(
     shunt: float | None = None,
     notes: Sequence[str] = (),
 ) -> MeasuredResponse:
-    """Combine the columns of a table to a frequency response.
+    """Compute the frequency response of a table from its columns.
 
     ``numbers`` contains an array of shape (n,) for each of the ``titles``. ``shunt`` is the
     resistance [Ohm] through which a gain was measured, and ``notes`` are assumptions of the parser.
@@ -377,7 +377,7 @@ def _make_half_impedance_error(titles: Sequence[str], columns: ClassifiedColumns
 
 
 def _select_agreeing_column(quantity: str, candidates: Sequence[Column]) -> Column:
-    """Return the first of several columns of the same quantity.
+    """Return the first of several columns of one quantity, and check that all agree.
 
     Raises
     ------
@@ -395,7 +395,7 @@ def _select_agreeing_column(quantity: str, candidates: Sequence[Column]) -> Colu
 def _select_column_pair(
     combination: ColumnCombination, columns: ClassifiedColumns
 ) -> tuple[Column, Column]:
-    """Select the two columns of a combination.
+    """Select the two table columns of a combination, from the same measuring channel.
 
     If there are several candidates for the first column, the column of the same measuring channel
     as the second column is selected.
@@ -424,7 +424,7 @@ def _find_channel(column: Column) -> str:
 
 
 def _compute_relative_difference(a: np.ndarray, b: np.ndarray) -> float:
-    """Return the median relative difference between the arrays ``a`` and ``b``.
+    """Return the median relative difference between two arrays.
 
     The differences are relative to ``b``. Points at which a value is zero or not finite are
     omitted.
@@ -483,7 +483,7 @@ def _compute_admittance(reading: _ColumnPair) -> np.ndarray:
 
 
 def _convert_gain(gain: np.ndarray, shunt: float) -> tuple[np.ndarray, float, str]:
-    """Convert a gain that was measured through a shunt [Ohm] to a reflection.
+    """Convert a voltage gain through a shunt resistor to a reflection coefficient.
 
     Return the reflection, its reference resistance [Ohm], and a note about the gain.
     """
@@ -515,7 +515,7 @@ def _make_complex_response(
 
 
 def describe_unused(titles: Sequence[str], used: Iterable[str]) -> str:
-    """Return a list of the titles that are not ``used`` as a string, for messages.
+    """Return a list of the unused column titles as a string, for messages.
 
     The string is empty if all titles are used.
     """
@@ -532,7 +532,7 @@ def _make_response(
     notes: Sequence[str],
     summary: str,
 ) -> MeasuredResponse:
-    """Make the response of a part with one port from samples of shape (n,).
+    """Make the response of a one-port part from samples of S, Z or Y.
 
     Samples at frequency zero are omitted.
     """

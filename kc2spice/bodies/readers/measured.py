@@ -70,7 +70,7 @@ _MATRIX_NAME = re.compile(r".*[._][MEKABCD]", re.DOTALL)  # name of a matrix fil
 
 @dataclass(frozen=True, eq=False)
 class MeasuredAdmittance(EqualByContent):
-    """Measured admittance of a part, and the samples from which it was computed.
+    """Measured admittance of a part, and the samples from which Y was computed.
 
     ``Y`` is the admittance [S] at the frequencies ``f`` (n,) [Hz], an array of shape (n, ports,
     ports). ``samples`` are the values of the measured ``quantity`` ``"S"``, ``"Z"`` or ``"Y"``, an
@@ -91,13 +91,13 @@ class MeasuredAdmittance(EqualByContent):
 
     @property
     def description(self) -> str:
-        """Columns, number of points and frequency range of the file, for messages."""
+        """Description of the columns, point count and frequency range, for messages."""
         span = f"{len(self.f)} points from {self.f[0]:.6g} to {self.f[-1]:.6g} Hz"
         return f"{self.columns}; {span}" if self.columns else span
 
     @property
     def measured_noise(self) -> float:
-        """Standard deviation of the noise in the measured quantity.
+        """Estimated noise of the samples: absolute for S, relative for Z and Y.
 
         The noise is the noise in the real or imaginary part.
         """
@@ -109,7 +109,7 @@ class MeasuredAdmittance(EqualByContent):
 
     @cached_property
     def admittance_noise(self) -> np.ndarray:
-        """Standard deviation of the noise in each real or imaginary part of Y.
+        """Standard deviation [S] of the noise in the real and imaginary part of each Y_ij.
 
         The returned array of standard deviations [S] has the shape (n, ports, ports). The noise of
         Y is the first-order effect of independent noise in the measured entries::
@@ -132,7 +132,7 @@ class MeasuredAdmittance(EqualByContent):
 
     @property
     def noise(self) -> float:
-        """Median of the relative noise in the real or imaginary part of Y.
+        """Median of the noise in the entries of Y, relative to their magnitudes.
 
         The noise is a standard deviation relative to the magnitude of each entry of Y.
         """
@@ -140,7 +140,7 @@ class MeasuredAdmittance(EqualByContent):
         return float(np.median(self.admittance_noise[size > 0] / size[size > 0]))
 
     def compute_relative_noise(self, norm: Norm) -> float:
-        """Return the relative rms noise of Y in the ``norm`` of error estimates.
+        """Return the rms noise of Y, relative to its pointwise or peak magnitude.
 
         In the norm *pointwise*, the noise is relative to the magnitude of an entry of Y at each
         frequency. In the norm *peak*, the noise is relative to the largest magnitude of the entry
@@ -168,7 +168,7 @@ def is_measured(path: Path) -> bool:
 
 
 def is_table(path: Path) -> bool:
-    """Return whether a file name is the name of a table, and not of a matrix file."""
+    """Return whether a file name denotes a table of measured data, not a matrix file."""
     return path.suffix.lower() in TABLE_SUFFIXES and not _MATRIX_NAME.fullmatch(path.stem)
 
 
@@ -270,7 +270,7 @@ def parse_shunt_resistance(shunt: str | float | None) -> float | None:
 
 
 def load_tables(path: Path) -> Sequence[TextTable]:
-    """Read all tables in a file, and sort them from the longest to the shortest.
+    """Read all tables in a file of measured data, with the longest table first.
 
     Raises
     ------
@@ -283,6 +283,7 @@ def load_tables(path: Path) -> Sequence[TextTable]:
 # The tables of the last file are cached, because several readers parse the same text.
 @lru_cache(maxsize=1)
 def _parse_tables(text: str) -> Sequence[TextTable]:
+    """Parse the tables in the text of a file; only the latest result is cached."""
     return tuple(read_tables(text))
 
 
@@ -301,7 +302,7 @@ def _read_text(path: Path) -> str:
 
 
 def _reject_shunt(shunt: float | None, content: str) -> None:
-    """Reject a ``shunt`` resistance for a file that does not contain a gain.
+    """Reject the option ``--shunt`` for a file that contains no gain.
 
     ``content`` describes the file in the error message.
     """
@@ -342,7 +343,7 @@ def _reject_open_circuits(data: MeasuredAdmittance) -> None:
 
 
 def _reject_active_parts(data: MeasuredAdmittance) -> None:
-    """Reject a response of a part that delivers power.
+    """Reject the response of an active part, which delivers power.
 
     The conductance matrix of such a response has negative eigenvalues that exceed the noise. The
     conductance matrix is the Hermitian part of Y. Negative eigenvalues that exceed the noise are
@@ -420,7 +421,7 @@ def _read_matlab(variables: dict[str, np.ndarray], shunt: float | None) -> Measu
 
 
 def _has_quantity(name: str, quantity: Quantity) -> bool:
-    """Return whether ``name`` is a known name of a complex array of the ``quantity``."""
+    """Return whether an array name denotes a complex array of the given quantity."""
     kind = find_complex_quantity(name)
     return kind is not None and kind[0] == quantity
 

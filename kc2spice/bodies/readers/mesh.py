@@ -26,7 +26,7 @@ _EXPECTED = "an .inp, .cdb, .bdf, .dat, .nas, .pch or .csv file with the nodes"
 
 @dataclass(frozen=True, eq=False)
 class NodeMesh:
-    """Nodes and node sets of a mesh.
+    """Numbers and coordinates of the nodes of a mesh, and its node sets.
 
     ``node`` (n,) contains the numbers of the nodes, and ``at`` (n, 3) their coordinates in the unit
     of the file. ``sets`` contains the node numbers of each node set, keyed by the name of the set
@@ -95,6 +95,7 @@ def read_nodes(path: Path) -> NodeMesh:
         )
 
     def parse_nodes(data: bytes) -> NodeMesh:
+        """Parse the content of the mesh file, and check that all coordinates are finite."""
         nodes, sets = read(data)
         if not nodes:
             raise ValueError("the file contains no node")
@@ -123,21 +124,21 @@ def _split_cells(line: str) -> list[str]:
 
 
 def _parse_point(words: Iterable[str]) -> tuple[float, float, float]:
-    """Parse up to three coordinates of a node; missing coordinates are 0."""
+    """Parse the coordinates of a node; missing coordinates are 0."""
     values = [parse_fortran_number(word) if word.strip() else 0.0 for word in words][:3]
     x, y, z = values + [0.0] * (3 - len(values))
     return x, y, z
 
 
 class _NodeSets(dict[str, list[int]]):
-    """Node sets, keyed by name, with a limit of the total number of nodes.
+    """Mapping of node-set names to node numbers, with a limit of the total number.
 
     The limit is necessary, because a few characters in a mesh file may define a large range of
     nodes.
     """
 
     def add(self, name: str, members: Sequence[int]) -> None:
-        """Add the nodes ``members`` to the node set ``name``."""
+        """Add nodes to the node set ``name``; raise an error if the total is too large."""
         if len(members) + sum(map(len, self.values())) > MAX_ROWS:
             raise ValueError(f"the node sets have more than {MAX_ROWS} nodes")
         self.setdefault(name, []).extend(members)
@@ -182,7 +183,7 @@ def _parse_keywords(data: bytes) -> Content:
 
 
 def _parse_bulk_data(data: bytes) -> Content:
-    """Parse the nodes in bulk data of Nastran."""
+    """Parse the nodes on the GRID cards of Nastran bulk data."""
     nodes: Nodes = {}
     for cells in list_bulk_data_cards(data, "GRID"):
         number, system, *place = map(str.strip, cells[:5])
@@ -229,7 +230,7 @@ def _parse_blocks(data: bytes) -> Content:
 
 
 def _parse_table(data: bytes) -> Content:
-    """Parse lines that contain a node number and three coordinates.
+    """Parse a text table of node numbers and coordinates.
 
     Lines with other content may occur only before the first node.
     """

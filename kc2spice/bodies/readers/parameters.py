@@ -38,7 +38,7 @@ def make_model_parameter(settings: Sidecar, name: str) -> ModelParameter:
 
 
 def make_term(settings: Sidecar, number: int, matrix: Matrix) -> AffineTerm:
-    """Make a term of a matrix sum: a ``matrix`` times a factor.
+    """Make a parameter-dependent term of a model: a matrix times a factor.
 
     The factor depends on parameters. The factor is in the table ``[[terms]]`` with the ``number``,
     counted from 0.
@@ -64,14 +64,14 @@ def make_term(settings: Sidecar, number: int, matrix: Matrix) -> AffineTerm:
             raise wrong(where, "the model has no such parameter", node.text, expected)
 
     def evaluate_factor(values: Mapping[str, float]) -> float:
-        """Return the value of the factor for the parameter ``values``."""
+        """Return the value of the term's factor for the given parameter values."""
         return _evaluate_factor(tree, values, where)
 
     return AffineTerm(entry.matrix, matrix, evaluate_factor, where)
 
 
 def _evaluate_factor(tree: Tree, values: Mapping[str, float], where: str) -> float:
-    """Return the value of a factor for given parameter values.
+    """Evaluate the expression of a factor at the given parameter values.
 
     An error message begins with ``where``, the file and the key of the factor.
     """

@@ -53,7 +53,7 @@ SUFFIXES = (".sti", ".mas", ".dof")  # extensions of the stiffness, mass and row
 
 
 def find_abaqus_files(path: Path) -> dict[str, Path]:
-    """Return the Abaqus matrix files of the same job and step as ``path``.
+    """Return the Abaqus matrix files of one job and step, keyed by matrix letter.
 
     The returned files are keyed by matrix letter. Return no files if ``path`` is not the name of an
     Abaqus matrix file.
@@ -103,7 +103,7 @@ def read_abaqus(files: dict[str, Path]) -> raw_matrices.RawMatrices:
 
 
 def add_structural_loss(matrices: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the matrices with ``K + j H`` instead of K, if there is a matrix H.
+    """Replace K by ``K + j H`` if there is a structural damping matrix H.
 
     H is the structural damping matrix. The returned mapping does not contain the matrix H.
 
@@ -124,7 +124,7 @@ def add_structural_loss(matrices: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _parse_entries(data: bytes) -> tuple[bool, raw_matrices.Triple]:
-    """Parse the rows, columns and values of the entries in an Abaqus matrix file.
+    """Parse the entries of an Abaqus matrix file as rows, columns and values.
 
     Return a flag and the entries. The flag is true if the lines contain nodes and degrees of
     freedom. If the lines contain nodes, rows and columns are the keys of :func:`compute_row_keys`.
@@ -193,7 +193,7 @@ def _parse_dofs(data: bytes) -> raw_matrices.Dofs:
 
 
 def _parse_triangle(data: bytes, n: int) -> sparse.csc_array:
-    """Return the symmetric matrix with ``n`` rows in a CalculiX file.
+    """Parse a symmetric matrix, of which a CalculiX file contains one triangle.
 
     The file contains one triangle of the matrix.
     """
@@ -226,7 +226,7 @@ _ANSYS_ROTATION_NAMES = {"ROTX": "rx", "ROTY": "ry", "ROTZ": "rz"}
 
 
 def unpack_ansys_full(path: str, requested: dict[str, str]) -> dict[str, np.ndarray]:
-    """Return the matrices in a ``.full`` file of Ansys as named arrays.
+    """Return the matrices in an Ansys ``.full`` file as arrays for a ``.npz`` archive.
 
     The names of the arrays are the same as in an ``.npz`` archive. The array ``fixed`` contains the
     indices of the rows that Ansys constrains. The argument ``requested`` has no effect.
@@ -310,7 +310,7 @@ def read_harwell_boeing(
 
 
 def _parse_fixed_width(lines: list[bytes], repeat: int, width: int, number: int) -> np.ndarray:
-    """Parse ``number`` values from fields of fixed width.
+    """Parse numbers from lines that have fields of fixed width.
 
     Each field has ``width`` characters, and each line has ``repeat`` fields.
     """
@@ -328,7 +328,7 @@ def _parse_fixed_width(lines: list[bytes], repeat: int, width: int, number: int)
 
 
 def read_mapping(data: bytes, size: int) -> raw_matrices.Dofs:
-    """Parse the node and the degree of freedom of each row in an Ansys mapping file.
+    """Read the node and the degree of freedom of each row from an Ansys mapping file.
 
     ``size`` is the number of rows. A row is called an equation in the file.
 
@@ -366,7 +366,7 @@ _SYMMETRIC_FORM = 6
 
 
 def choose_matrices(names: list[str], requested: Mapping[str, str], path: Path) -> dict[str, str]:
-    """Assign the matrices in a Nastran file to matrix letters.
+    """Choose the matrix in a Nastran file that each matrix letter denotes.
 
     ``names`` are the names of the matrices in the file. ``requested`` maps letters to names. If
     ``requested`` is empty, the first letters of the names determine the matrix letter. Return a
@@ -434,7 +434,7 @@ def read_dmig(path: Path, requested: Mapping[str, str]) -> raw_matrices.RawMatri
 
 
 def _parse_dmig(data: bytes) -> tuple[dict[str, int], dict[str, raw_matrices.Triple]]:
-    """Parse the DMIG cards of a Nastran file.
+    """Parse all matrices on the DMIG cards of a Nastran file.
 
     Return the form number of each matrix, and the row keys, column keys and values of all entries.
     Both returned mappings are keyed by the name of the matrix.
@@ -489,7 +489,7 @@ def _make_value_converter(kind: int, polar: bool, name: str) -> Callable[[str, s
 
 
 def list_bulk_data_cards(data: bytes, name: str) -> Iterator[list[str]]:
-    """Yield the fields of each card with the ``name`` in Nastran bulk data.
+    """Yield the fields of each Nastran bulk data card that has the given name.
 
     The fields of a card include the fields of its continuation lines. The fields of a card may be
     small, large or free.
@@ -531,7 +531,7 @@ def parse_fortran_number(text: str) -> float:
 
 
 def unpack_op4(path: str, requested: Mapping[str, str]) -> dict[str, np.ndarray]:
-    """Return the matrices in an OUTPUT4 file as named arrays of an archive.
+    """Return the matrices in an OUTPUT4 file as arrays for a ``.npz`` archive.
 
     The OUTPUT4 file may be a text file or a binary file. ``requested`` maps letters to the names of
     matrices in the file.

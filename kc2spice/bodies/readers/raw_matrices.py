@@ -107,7 +107,7 @@ def is_file(path: Path) -> bool:
 
 
 def make_missing_error(path: Path, file_kind: str) -> UsageError:
-    """Make the error for a missing file; ``file_kind`` is the kind of file."""
+    """Make the error for a missing file, which names the expected kind of file."""
     where = str(path).replace("\0", "\\0")
     folder = "this folder" if path.parent == Path() else f"the folder {path.parent}"
     hint = suggest_file(path) or f"copy {path.name} into {folder}"
@@ -115,7 +115,7 @@ def make_missing_error(path: Path, file_kind: str) -> UsageError:
 
 
 def require_file(path: Path, what: str = "a model in this file") -> Path:
-    """Return ``path`` if it is an existing file that is not too large.
+    """Return the path of a model file; raise an error if it is missing or too large.
 
     ``what`` is the kind of file in the error message.
 
@@ -139,7 +139,7 @@ def limit_unpacked_bytes(path: Path) -> int:
 
 
 def parse_file(path: Path, expected: str, parse: Callable[[bytes], T]) -> T:
-    """Return the result of ``parse`` for the bytes in a text file.
+    """Parse the bytes in a text file, and convert exceptions to errors about the file.
 
     A UTF-8 byte order mark is removed from the bytes. Exceptions of ``parse`` are converted by
     :func:`call_reader`.
@@ -149,7 +149,7 @@ def parse_file(path: Path, expected: str, parse: Callable[[bytes], T]) -> T:
 
 
 def call_reader(path: Path, expected: str, read: Callable[[], T], advice: str = REDO_HINT) -> T:
-    """Return the result of ``read()``; convert exceptions to errors about the file.
+    """Call a reader of a file, and convert its exceptions to errors about the file.
 
     ``expected`` describes the accepted content of the file, and ``advice`` is the hint for a
     damaged file. If an error contains no location, the path of the file is added.
@@ -170,7 +170,7 @@ def call_reader(path: Path, expected: str, read: Callable[[], T], advice: str = 
 
 
 def _explain_parser_message(reason: str) -> str:
-    """Convert the message of a Python parser to a statement about the file."""
+    """Replace the error message of a Python parser by a statement about the file."""
     for pattern, text in _PARSER_MESSAGES.items():
         reason = re.sub(pattern, text, reason)
     return reason
@@ -249,7 +249,7 @@ def require_matrix(matrix: Any, letter: str, path: Path) -> Matrix:
 
 @dataclass(frozen=True, eq=False)
 class Dofs:
-    """Node and degree of freedom of each matrix row.
+    """Node number and degree of freedom of each matrix row.
 
     ``node`` and ``kind`` are arrays of integers of shape (n,). ``kind`` contains the numbers of
     degrees of freedom, which are keys of :data:`DOFS`.
@@ -278,13 +278,13 @@ class Dofs:
         return len(self.node)
 
     def encode_rows(self) -> np.ndarray:
-        """Return one integer per matrix row for its node and degree of freedom."""
+        """Return one integer per matrix row that encodes node and degree of freedom."""
         return np.asarray(self.node * _KIND_COUNT + self.kind)
 
 
 @dataclass(frozen=True, eq=False)
 class RawMatrices:
-    """Content of the matrix files of a model, before any conversion.
+    """Matrices of a model as read from its files, before any conversion.
 
     Parameters
     ----------
@@ -301,7 +301,7 @@ class RawMatrices:
 
 
 def compute_row_keys(table: np.ndarray) -> Triple:
-    """Compute the keys of the row and of the column of each matrix entry.
+    """Compute one integer key for the row and one for the column of each matrix entry.
 
     ``table`` contains a line (node, dof, node, dof, value) for each entry. A ``dof`` is the number
     of a degree of freedom. Return the row keys, the column keys and the values.
@@ -314,7 +314,7 @@ def compute_row_keys(table: np.ndarray) -> Triple:
 def make_matrices_by_letter(
     triples: Mapping[str, Triple],
 ) -> tuple[dict[str, sparse.csc_array], Dofs]:
-    """Make matrices that have the same rows from the keys and values of their entries.
+    """Make sparse matrices with common rows from the keys and values of their entries.
 
     ``triples`` contains results of :func:`compute_row_keys`, keyed by letter. Return the matrices,
     keyed by letter, and the node and degree of freedom of each row. Rows are sorted by node, then
@@ -331,7 +331,7 @@ def make_matrices_by_letter(
 
 
 def complete_triangles(matrix: sparse.csc_array) -> sparse.csc_array:
-    """Complete a symmetric matrix that contains only one entry of each symmetric pair.
+    """Mirror the entries of a symmetric matrix that stores one entry of each pair.
 
     The entry of a pair may be above or below the diagonal. A matrix that contains both entries of
     any pair is returned unchanged.
@@ -369,11 +369,11 @@ def read_matrix_archive(path: Path, requested: Mapping[str, str]) -> RawMatrices
     known = {*plain, *letters, *_ROW_LABELS}
 
     def is_known(name: str) -> bool:
-        """Return whether the archive entry ``name`` belongs to a known matrix."""
+        """Return whether an array in the archive belongs to a matrix with a known name."""
         return name.partition(".")[0] in known
 
     def get_size_limit(name: str) -> int:
-        """Return the largest permitted number of entries of an archive array."""
+        """Return the largest permitted number of values in an archive array."""
         return MAX_DENSE if name in known else MAX_ENTRIES
 
     arrays = untrusted_files.read_archive(
@@ -411,7 +411,7 @@ def _make_unknown_names_error(path: Path) -> UsageError:
 
 
 def _list_member_names(path: Path) -> list[str]:
-    """List the names of the matrices in an archive.
+    """Return the names of the matrices in an ``.npz`` archive.
 
     The arrays of a sparse matrix count as one matrix.
     """
@@ -423,7 +423,7 @@ def _list_member_names(path: Path) -> list[str]:
 def call_in_process(
     function: Callable[..., object], path: Path, **options: object
 ) -> dict[str, np.ndarray]:
-    """Return the arrays that ``function`` returns in a separate process.
+    """Call ``function`` in a process with limited memory and time; return its arrays.
 
     The call is ``function(path, **options)``. The permitted memory and CPU time of the separate
     process depend on the size of the file.
@@ -444,14 +444,14 @@ def call_in_process(
 def make_isolated_reader(
     function: Callable[..., object],
 ) -> Callable[[Path, Mapping[str, str]], RawMatrices]:
-    """Make a reader that calls ``function(path, requested)`` in a separate process."""
+    """Make a file reader that calls ``function`` in a separate process."""
     return lambda path, requested: _unpack_raw(
         call_in_process(function, path, requested=dict(requested)), path
     )
 
 
 def pack_matrix(name: str, matrix: Any) -> dict[str, np.ndarray]:
-    """Convert a matrix or an array of row labels to the named arrays of an archive."""
+    """Convert a matrix or an array of row labels to arrays for an ``.npz`` archive."""
     if not sparse.issparse(matrix):
         return {name: np.asarray(matrix)}
     csc = matrix.tocsc()
@@ -460,7 +460,7 @@ def pack_matrix(name: str, matrix: Any) -> dict[str, np.ndarray]:
 
 
 def _unpack_raw(arrays: Mapping[str, np.ndarray], path: Path) -> RawMatrices:
-    """Convert the named arrays of an archive to matrices and row labels."""
+    """Convert the arrays of an ``.npz`` archive to matrices and row labels."""
     parts: dict[str, dict[str, np.ndarray]] = defaultdict(dict)
     for key, array in arrays.items():
         name, _, part = key.partition(".")
@@ -490,7 +490,7 @@ def _unpack_sparse(path: Path, letter: str, parts: dict[str, np.ndarray]) -> spa
 
 
 def _unpack_dofs(arrays: Mapping[str, np.ndarray]) -> Dofs | None:
-    """Return the node and the degree of freedom of each row; None if not stated."""
+    """Return node and degree of freedom of each row; None if the archive has neither."""
     present_arrays = [np.asarray(arrays[name]).ravel() for name in _ROW_LABELS if name in arrays]
     if not present_arrays:
         return None
@@ -503,7 +503,7 @@ def _unpack_dofs(arrays: Mapping[str, np.ndarray]) -> Dofs | None:
 
 
 def unpack_matlab(path: str, requested: dict[str, str]) -> dict[str, np.ndarray]:
-    """Return the matrices in a MATLAB file as the named arrays of an archive.
+    """Return the matrices in a MATLAB file as arrays for an ``.npz`` archive.
 
     The argument ``requested`` has no effect.
 
@@ -575,7 +575,7 @@ def _load_variables(path: str, names: list[str], full: list[tuple[int, ...]]) ->
 
 
 def _convert_to_plain_array(name: str, matrix: Any) -> Any:
-    """Convert a MATLAB matrix to a sparse or a dense array."""
+    """Convert a MATLAB matrix to a sparse matrix or a dense array."""
     if sparse.issparse(matrix):
         return matrix.tocsc()
     matrix = drop_zero_imaginary(np.asarray(matrix))
@@ -587,19 +587,19 @@ def _convert_to_plain_array(name: str, matrix: Any) -> Any:
 
 
 def drop_zero_imaginary(matrix: Any) -> Any:
-    """Return the real part of a matrix without imaginary part; keep other matrices."""
+    """Drop the imaginary part of a matrix if all its imaginary parts are zero."""
     data = matrix.data if sparse.issparse(matrix) else matrix
     return matrix.real if np.iscomplexobj(data) and not data.imag.any() else matrix
 
 
 def _select_fields(value: Any, name: str) -> dict[str, Any]:
-    """Return the matrices in a struct of COMSOL, keyed by matrix letter."""
+    """Return the matrices in the fields of a COMSOL struct, keyed by matrix letter."""
     if value.shape != (1, 1) or value.dtype.names is None:
         raise ValueError(f"struct {name} is an array of structs, not one struct")
     fields = {key: value[0, 0][key] for key in value.dtype.names}
 
     def select_matrices(table: Mapping[str, tuple[str, ...]]) -> dict[str, Any]:
-        """Return the fields that ``table`` names, keyed by matrix letter."""
+        """Return the fields of the struct that a table of names assigns to matrix letters."""
         matrices = {}
         for letter, names in table.items():
             for first in filter(fields.__contains__, names):

@@ -133,7 +133,7 @@ def _require_word(value: str) -> str:
 
 
 def _resolve_beside_sidecar(value: Path, info: ValidationInfo) -> Path:
-    """Resolve a relative path in the folder of the TOML file.
+    """Resolve a file path relative to the folder of the TOML file.
 
     Files outside of the folder of the TOML file are rejected.
     """
@@ -158,7 +158,7 @@ def _parse_dof(value: object) -> int:
 
 
 def _parse_axis(value: object) -> object:
-    """Return the unit vector of an axis name; return other values unchanged."""
+    """Return the unit vector of an axis that is given by name, such as ``x``."""
     return _AXIS_VECTORS.get(value, value) if isinstance(value, str) else value
 
 
@@ -208,6 +208,7 @@ class NodeSelection(Section):
 
     @model_validator(mode="after")
     def _require_one_selector(self) -> NodeSelection:
+        """Require at most one key that selects nodes, and ``within`` only with ``at``."""
         selectors = [k for k in ("node", "nodes", "nodeset", "at") if getattr(self, k) is not None]
         if len(selectors) > 1:
             hint = f"delete {selectors[0]} or {selectors[1]}"
@@ -232,12 +233,13 @@ class NodeSelection(Section):
 
 
 class FixedNodes(NodeSelection):
-    """Degrees of freedom that are fixed at zero."""
+    """Nodes whose degrees of freedom are fixed at zero."""
 
     dof: Annotated[tuple[Dof, ...], BeforeValidator(_convert_to_list)] = ()
 
     @model_validator(mode="after")
     def _require_nodes(self) -> FixedNodes:
+        """Require that a table ``[[fixed]]`` selects nodes."""
         if not self.selects_nodes:
             expected = "one of node, nodes, nodeset and at"
             raise make_invalid_value_error(
@@ -264,6 +266,7 @@ class PortEntry(NodeSelection):
 
     @model_validator(mode="after")
     def _require_one_place(self) -> PortEntry:
+        """Require that a port has either nodes, a column or a row, as its kind needs."""
         if self.scale != 1 and self.kind in PORTS:
             problem = f"a port of kind {self.kind} has no scale"
             raise make_invalid_value_error(
@@ -326,12 +329,12 @@ class PortEntry(NodeSelection):
 
     @property
     def _directional_dofs(self) -> tuple[int, ...]:
-        """Degrees of freedom of the port: three rotations or three translations."""
+        """Three degrees of freedom along which the port's axis has components."""
         return ROTATIONS if self.kind == ROTATION.port else TRANSLATIONS
 
     @property
     def weights(self) -> dict[int, float]:
-        """Share of the port's force on each degree of freedom, keyed by number."""
+        """Fraction of the port's force on each degree of freedom, keyed by its number."""
         if self.dof is not None:
             return {self.dof: 1.0}
         if self.kind in SCALAR_DOFS:
@@ -341,12 +344,12 @@ class PortEntry(NodeSelection):
 
     @property
     def port(self) -> Port:
-        """Port of the linear model, with the name, kind, unit and pins of the table."""
+        """Port of the linear model that this table defines."""
         return Port(self.name, self.kind, across=self.unit, pins=self.pins)
 
 
 def _advise_damping(keys: set[str]) -> str:
-    """Return a hint that makes an incomplete or contradictory table ``damping`` valid.
+    """Return a hint that corrects an incomplete or contradictory damping table.
 
     ``keys`` are the keys in the table.
     """
@@ -357,10 +360,11 @@ def _advise_damping(keys: set[str]) -> str:
 
 
 class MatrixDamping(Section):
-    """Rayleigh damping ``E = alpha M + beta K``, or structural damping.
+    """Damping of a matrix model: Rayleigh damping or a structural loss factor.
 
-    A damping ``ratio`` that applies ``at`` a frequency [Hz] may replace alpha and beta.
-    ``loss_factor`` is the loss factor of structural damping, ``K (1 + j loss_factor)``.
+    Rayleigh damping is ``E = alpha M + beta K``. A damping ``ratio`` that applies ``at`` a
+    frequency [Hz] may replace alpha and beta. ``loss_factor`` is the loss factor of structural
+    damping, ``K (1 + j loss_factor)``.
     """
 
     alpha: Annotated[Finite, Field(ge=0)] = 0.0
@@ -371,7 +375,7 @@ class MatrixDamping(Section):
 
     @model_validator(mode="after")
     def _require_ratio_and_at(self) -> MatrixDamping:
-        """Check that ``ratio`` and ``at`` occur together, without ``alpha`` or ``beta``."""
+        """Require ``ratio`` and ``at`` together, without ``alpha`` or ``beta``."""
         keys = self.model_fields_set - {"loss_factor"}
         if keys & {"ratio", "at"} and keys != {"ratio", "at"}:
             expected = "alpha and beta, or ratio and at [Hz]"
@@ -384,14 +388,14 @@ class MatrixDamping(Section):
 
     @property
     def rayleigh_factors(self) -> Rayleigh:
-        """Factors alpha [1/s] and beta [s] of ``E = alpha M + beta K``."""
+        """Rayleigh damping factors alpha [1/s] and beta [s] of ``E = alpha M + beta K``."""
         if self.ratio is None or self.at is None:
             return self.alpha, self.beta
         return 0.0, self.ratio / (math.pi * self.at)
 
 
 class ParameterEntry(Section):
-    """Parameter of the subcircuit with its default value, its range and its unit."""
+    """Table of a model parameter: its default value, its range and its unit."""
 
     default: Finite = Field(examples=["1.0"])
     low: Finite = Field(examples=["0.5"])
@@ -401,7 +405,7 @@ class ParameterEntry(Section):
 
 
 class TermEntry(Section):
-    """Table ``[[terms]]``: a matrix that is added to the model, and its factor.
+    """Table ``[[terms]]``: a matrix times a factor that depends on parameters.
 
     ``file`` and ``name`` are the location of the matrix. If ``file`` and ``name`` are missing, the
     factor multiplies the matrix of the model.
@@ -414,7 +418,10 @@ class TermEntry(Section):
 
 
 class Sidecar(Section):
-    """Content of ``NAME.toml``. A model without a TOML file has the default values."""
+    """Content of the TOML file beside a matrix model, which defines its ports.
+
+    A model without a TOML file has the default values.
+    """
 
     help_command: ClassVar[str] = "docs/reference/matrices.md"
 
@@ -441,7 +448,7 @@ class Sidecar(Section):
         return self._where
 
     def locate_entry(self, entry: NodeSelection) -> str:
-        """Return the path of the TOML file and the name of the table ``entry``.
+        """Return the file path and name of a table, with which error messages begin.
 
         Error messages about the table ``entry`` begin with the returned string.
         """
@@ -454,6 +461,7 @@ class Sidecar(Section):
 
     @model_validator(mode="after")
     def _require_consistent_keys(self) -> Sidecar:
+        """Check that the keys of the TOML file are consistent with each other."""
         if self.band is not None and not self.band[0] < self.band[1]:
             hint = "write the lower frequency first, such as band = [0, 20000]"
             raise make_invalid_value_error(

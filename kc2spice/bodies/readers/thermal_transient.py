@@ -36,7 +36,7 @@ EXPECTED_TABLE = "a table with a time and a temperature or a thermal impedance Z
 
 @dataclass(frozen=True, eq=False)
 class ThermalTransient(EqualByContent):
-    """Measured thermal step response.
+    """Measured thermal step response: temperature or thermal impedance over time.
 
     ``quantity`` is ``"temperature"`` or ``"zth"``. ``value`` contains the temperatures [K] or the
     thermal impedances [K/W] at the increasing times ``time`` [s]; both arrays have the shape (n,).
@@ -54,13 +54,13 @@ class ThermalTransient(EqualByContent):
 
     @property
     def description(self) -> str:
-        """Columns, number of points and time range of the table, as a string for messages."""
+        """Description of the columns, point count and time range, for messages."""
         span = f"{len(self.time)} points from {self.time[0]:.6g} to {self.time[-1]:.6g} s"
         return f"{self.columns}; {span}"
 
 
 def is_transient(path: Path) -> bool:
-    """Return whether a file is a table with times and without frequencies."""
+    """Return whether a file contains a table with a time but no frequency column."""
     if not is_table(path) or not is_file(path):
         return False
     try:
@@ -72,7 +72,7 @@ def is_transient(path: Path) -> bool:
 
 
 def read_transient(path: Path) -> ThermalTransient:
-    """Read the thermal transient in a table.
+    """Read a thermal transient from a table file, and check its values.
 
     Raises
     ------
@@ -109,7 +109,7 @@ def _has_time_column(table: TextTable) -> bool:
 
 
 def _find_transient(table: TextTable, path: Path) -> ThermalTransient:
-    """Find the thermal transient in a table.
+    """Return the thermal transient that a table contains.
 
     The table contains a time column and a column of a temperature or thermal impedance.
     """

@@ -16,7 +16,7 @@ _QUANTITIES: dict[str, Quantity] = {"s": "S", "z": "Z", "y": "Y"}
 
 
 def _require_numbers(words: list[str], text: str) -> None:
-    """Raise an error if one of the ``words`` in a Touchstone file is not a number.
+    """Raise an error if a word in the data of a Touchstone file is not a number.
 
     The error contains the line number of the first word that is not a number.
     """
@@ -113,7 +113,7 @@ def parse_touchstone(text: str, ports: int) -> MeasuredResponse:
 
 
 def _fill_triangle(entries: np.ndarray, n: int, lower: bool) -> np.ndarray:
-    """Return symmetric matrices from the entries of one triangle of each matrix.
+    """Return symmetric matrices whose one triangle is filled with the given entries.
 
     ``entries`` contains the triangle of each of the m matrices, row by row: the lower triangle if
     ``lower`` is true, otherwise the upper triangle. The returned array of m matrices has the shape
@@ -151,7 +151,7 @@ def _reject_undriven_ports(S: np.ndarray) -> None:
 
 
 def _select_option(words: list[str], choices: tuple[str, ...], default: str) -> str:
-    """Return the word of an option line that is one of the ``choices``.
+    """Return the one word of a Touchstone option line that is among the choices.
 
     Return the ``default`` if the option line contains none of the choices.
 

@@ -127,18 +127,24 @@ class Dialect(Printer, ABC):
         return min(analyses, key=attrgetter("keyword"), default=transient)
 
     def symbols(self, part: Subcircuit, library: str) -> dict[str, str]:
-        """Return the symbols for a part in the file ``library``; none by default."""
+        """Return the files with the graphical symbols of a part; none by default.
+
+        ``library`` is the name of the library file.
+        """
         return {}
 
     # -- cards ------------------------------------------------------------------------------
 
     def format_file(self, circuit: Circuit) -> str:
-        """Return the text of a netlist file with the items of ``circuit``."""
+        """Return the text of a netlist file with all items of a circuit."""
         self.defined = {item.name.lower() for item in select_items(circuit.items, FunctionCard)}
         return super().format_file(circuit)
 
     def print_cards_as_lines(self, items: Sequence[Item]) -> Iterator[str]:
-        """Yield the text of cards; the cards of a command in ``joined`` are merged."""
+        """Yield the text of each card, with certain commands merged into one card.
+
+        The attribute ``joined`` contains the keywords of these commands.
+        """
         return super().print_cards_as_lines(_join_commands(items, self.joined))
 
     def card(self, item: Item) -> str:
@@ -304,7 +310,7 @@ class Dialect(Printer, ABC):
         return "\n".join([*lines, *comments])
 
     def save(self, vectors: list[str]) -> str:
-        """Return the card that saves the ``vectors``."""
+        """Return the ``.save`` card for a list of vectors."""
         return "\n+ ".join([".save", *vectors])
 
     @abstractmethod
@@ -327,11 +333,11 @@ class Dialect(Printer, ABC):
         return f"V({','.join(self.format_node(name.split('.')) for name in result.names)})"
 
     def format_node(self, path: list[str]) -> str:
-        """Return the name of a node inside the nested instances in ``path``."""
+        """Return the name of a node inside nested subcircuit instances."""
         return ":".join(path)
 
     def format_device(self, trace: Trace) -> str:
-        """Return the name of the device whose current is the saved vector ``trace``."""
+        """Return the name of the device whose current is a saved vector."""
         return ":".join([*trace.path, *trace.names])
 
     def format_numbers(self, text: str) -> str:
@@ -413,7 +419,7 @@ _COMPARISON_OPERATORS = ("<", "<=", ">", ">=")
 
 
 def _convert_condition(tree: Tree) -> Tree:
-    """Return an expression that is 1 if the condition ``tree`` is true, otherwise 0."""
+    """Return an expression that is 1 if a condition is true, otherwise 0."""
     match tree:
         case BinaryOperation(op) if op in _COMPARISON_OPERATORS:
             return ConditionalExpression(tree, _ONE, _ZERO)
@@ -433,7 +439,7 @@ def _convert_condition(tree: Tree) -> Tree:
 
 
 def _join_commands(items: Sequence[Item], joined: frozenset[str]) -> list[Item]:
-    """Return ``items`` with one merged card for each command in ``joined``.
+    """Merge all cards of a command into one card, for each command in ``joined``.
 
     The merged card replaces the first card of the command, and has the comments of all cards of the
     command.

@@ -84,7 +84,7 @@ class Symbol:
 
 
 def print_symbol_library(symbols: Iterable[Symbol]) -> str:
-    """Return the text of a KiCad symbol library with the ``symbols``."""
+    """Return the text of a KiCad symbol library with several symbols."""
     return render_template("kicad.j2", symbols=list(symbols), grid=GRID, sheet=None)
 
 
@@ -195,7 +195,7 @@ class _PlacedSymbol:
 
 
 def make_project(deck: Deck) -> dict[str, str]:
-    """Return the files of a KiCad project of ``deck`` as ``{file name: text}``.
+    """Return the files of a KiCad project for a deck as ``{file name: text}``.
 
     The user opens the file ``NAME.kicad_pro``. KiCad simulates the sheet with the analysis and the
     options of the deck. The netlist that KiCad exports has the same results as the deck.
@@ -243,7 +243,7 @@ def _list_simulation_commands(top: Scope) -> Iterator[str]:
 
 
 def _remove_repeated_symbols(symbols: Iterable[Symbol]) -> list[Symbol]:
-    """Return the symbols; of several symbols with the same name, only the last."""
+    """Remove each symbol that has the same name as a later symbol."""
     return list({symbol.name: symbol for symbol in symbols}.values())
 
 
@@ -304,7 +304,7 @@ def _shorten_value(value: str) -> str:
 
 
 def _reserve_room(symbol: Symbol, fields: dict[str, str], nets: tuple[str, ...]) -> _PlacedSymbol:
-    """Return the symbol on the sheet with space for its pins, labels and texts."""
+    """Return a symbol for the sheet with the space that its pins and texts need."""
     room = {"left": 1, "right": 1, "top": 1, "bottom": 1}
     for place, net in zip(symbol.places, nets, strict=True):
         label = _compute_label_length(net) + (len(nets) if place.side in ("left", "right") else 0)
@@ -323,7 +323,7 @@ def _compute_label_length(net: str) -> int:
 
 
 def _split_rows(items: Iterable[_PlacedSymbol], width: int) -> list[list[_PlacedSymbol]]:
-    """Split symbols into rows of ``width`` [grid units], and set their x positions."""
+    """Split symbols into rows of limited width, and set their x positions."""
     items = list(items)
     longest = max(map(_compute_label_length, chain.from_iterable(map(attrgetter("nets"), items))))
     start = max(SHEET_MARGIN, longest + SHEET_MARGIN // 2)
@@ -361,7 +361,7 @@ def _stack_rows(
 
 @dataclass(frozen=True)
 class _Track:
-    """Horizontal wire of a net at the height ``y``, which joins pin ends.
+    """Horizontal wire of a net in the schematic, which joins pin ends.
 
     Each pin end at ``(x, y)`` has a column: the x position of the vertical wire between pin end and
     track.
@@ -517,7 +517,7 @@ def _draw_grounds(
 def _make_ground_mark(
     symbol: Symbol, reference: str, x: int, y: int, turn: int = 0
 ) -> _PlacedSymbol:
-    """Return a ground symbol or flag at a position, rotated by ``turn`` [degrees]."""
+    """Return a ground symbol or flag at a position, rotated by an angle [degrees]."""
     fields = symbol.fields | {"Reference": reference}
     return _PlacedSymbol(symbol, fields, ("0",), x=x, y=y, turn=turn)
 

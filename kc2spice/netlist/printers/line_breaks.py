@@ -70,7 +70,7 @@ def _add_blanks(text: str, width: int) -> str:
 
 
 def _choose_end(breaks: Sequence[Sequence[int]], begin: int, width: int) -> int:
-    """Return the best end of the line that starts at ``begin``; 0 without an end.
+    """Choose the best position at which the next line may end; 0 if there is none.
 
     ``breaks`` contains groups of possible ends, in the order of preference.
     """
@@ -84,7 +84,7 @@ def _choose_end(breaks: Sequence[Sequence[int]], begin: int, width: int) -> int:
 
 
 def _find_last_between(places: Sequence[int], low: int, high: int) -> int:
-    """Return the largest of ``places`` between ``low`` and ``high``; 0 without one."""
+    """Return the largest position between two limits; 0 if there is none."""
     count = bisect_right(places, high)
     return places[count - 1] if count and places[count - 1] >= low else 0
 

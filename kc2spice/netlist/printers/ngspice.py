@@ -38,7 +38,7 @@ class Printer(ExpressionWriter):
         self.where = "netlist"
 
     def format_file(self, circuit: Circuit) -> str:
-        """Return the text of a file with the items of ``circuit``."""
+        """Return the text of a file with all items of a circuit."""
         lines = [*self.print_cards_as_lines(circuit.items), *_print_comments(circuit.closing)]
         return "\n".join(lines) + "\n"
 
@@ -51,7 +51,7 @@ class Printer(ExpressionWriter):
                 yield card if isinstance(item, Circuit) else _continue_card(card)
 
     def card(self, item: Item) -> str:
-        """Return the text of one item without its comments; it may be empty."""
+        """Return the text of one netlist item without its comments; it may be empty."""
         match item:
             case Element():
                 return self.format_element(item)
@@ -104,7 +104,7 @@ class Printer(ExpressionWriter):
         return _join_words(".model", model.name, model.type + (f"({inside})" if inside else ""))
 
     def directive(self, card: Directive) -> str:
-        """Return any other dot card; a control block has one command on each line."""
+        """Return the text of a dot card; a control block has one command on each line."""
         if card.keyword == ".control":
             return "\n".join([".control", *card.words, ".endc"])
         words = (
@@ -141,7 +141,7 @@ class Printer(ExpressionWriter):
 
 
 def _print_comments(notes: Iterable[str]) -> tuple[str, ...]:
-    """Return the text of comment lines."""
+    """Return the lines of comments, wrapped to the maximum line length."""
     return tuple(chain.from_iterable(map(wrap_comments, notes)))
 
 
@@ -163,7 +163,10 @@ def locate_cards(circuit: Circuit, file: str) -> Circuit:
 def _locate_items(
     items: Iterable[Item], printer: Printer, file: str, lines: Iterator[int]
 ) -> Iterator[Item]:
-    """Yield items with their positions in the file; ``lines`` counts the lines."""
+    """Yield items with their positions in the netlist file.
+
+    The iterator ``lines`` counts the lines.
+    """
     for item in items:
         _skip_lines(lines, len(_print_comments(item.notes)))
         if isinstance(item, Circuit):
@@ -181,6 +184,6 @@ def _locate_items(
 
 
 def _skip_lines(lines: Iterator[int], number: int) -> None:
-    """Advance the iterator ``lines`` by a number of entries."""
+    """Advance the line counter by a number of lines."""
     for _ in range(number):
         next(lines)

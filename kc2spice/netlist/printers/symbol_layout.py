@@ -32,7 +32,10 @@ class SymbolPin:
 
 @dataclass(frozen=True)
 class SymbolBox:
-    """Rectangle of a symbol with pins; ``width`` and ``height`` are half of its size."""
+    """Rectangular outline of a schematic symbol, with its pins.
+
+    ``width`` and ``height`` are half of the size.
+    """
 
     width: int
     height: int
@@ -40,7 +43,7 @@ class SymbolBox:
 
 
 def arrange_pins(part: Subcircuit) -> SymbolBox:
-    """Arrange the pins of ``part`` on a symbol, numbered as on ``.subckt``.
+    """Arrange the pins of a part on a symbol, numbered as on its ``.subckt`` card.
 
     On the symbol of an actuator, electrical pins are on the left and mechanical pins on the right.
     On the symbol of an electronic part, inputs are on the left and outputs on the right. On the

@@ -93,7 +93,7 @@ class Module:
     identifiers: set[str] = field(default_factory=set)
 
     def allocate_identifier(self, name: str) -> str:
-        """Return an unused identifier: ``name``, with ``_`` appended until it is unused."""
+        """Return an unused identifier, with ``_`` appended to the name if necessary."""
         while name in _RESERVED_NAMES or name in self.identifiers:
             name += "_"
         self.identifiers.add(name)
@@ -374,7 +374,7 @@ def _write_element_contribution(part: Element, names: VerilogWriter, across: str
 
 
 def _is_current_sensed(source: Element, scope: Scope) -> bool:
-    """Return whether a card of ``scope`` reads the current of a voltage source."""
+    """Return whether a card of the scope reads the current of a voltage source."""
     for item in scope.elements:
         if source.key in map(str.lower, item.sources):
             return True
@@ -459,7 +459,7 @@ def _write_table_function(name: str, x: list[float], f: list[float]) -> str:
 
 
 def make_testbench(deck: Deck, modules: Collection[Subcircuit]) -> dict[str, str]:
-    """Return the files of a deck with Verilog-A ``modules`` instead of subcircuits.
+    """Return the files of a deck with Verilog-A modules instead of subcircuits.
 
     To run the deck, the user first compiles each ``NAME.va`` to ``NAME.osdi`` with the command
     ``openvaf-r NAME.va``. Parts without a module remain subcircuits in library files. The deck

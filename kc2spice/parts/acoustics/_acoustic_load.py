@@ -30,7 +30,10 @@ ADMITTANCE_POWERS = {MASS: -1, COMPLIANCE: 1}
 
 @dataclass(frozen=True)
 class LoadBranch:
-    """Acoustic element with the admittance ``(j omega)^power * value`` [m3/(Pa s)]."""
+    """Branch of an acoustic load, with a frequency-dependent admittance [m3/(Pa s)].
+
+    The admittance is ``(j omega)^power * value``.
+    """
 
     plus: str
     minus: str
@@ -64,13 +67,13 @@ class AcousticLoad:
     complete: bool
 
     def make_record(self) -> dict[str, Any]:
-        """Return the data that determine the load, as a part of a cache key."""
+        """Return a JSON record of the load, for use in a cache key."""
         branches = [[b.plus, b.minus, b.power, b.value] for b in self.branches]
         sources = [[s.node, s.far_field.pressure, s.far_field.flow] for s in self.sources]
         return {"faces": list(self.faces), "branches": branches, "sources": sources}
 
     def respond(self, frequency: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return impedances and sound pressures per unit volume velocity [Pa s/m3].
+        """Compute impedances and sound pressures per unit volume velocity [Pa s/m3].
 
         The impedances are pressures at the faces, an array of shape (frequencies, faces, faces).
         Each sound pressure is the sum over all sources at the reference distance; the array has the
@@ -109,10 +112,11 @@ class AcousticLoad:
 def _solve_node_pressures(
     A: sparse.csc_array, admittances: np.ndarray, push: np.ndarray
 ) -> np.ndarray:
-    """Return the node pressures p of ``A diag(y) A' p = push`` for admittances y.
+    """Solve an acoustic network for the pressures at its nodes.
 
-    A is the incidence matrix of the network, ``push`` contains unit volume velocities, and each row
-    of ``admittances`` is one y.
+    The node pressures p solve ``A diag(y) A' p = push`` for each row y of ``admittances``. A is the
+    incidence matrix of the network, ``push`` contains unit volume velocities, and each row of
+    ``admittances`` is one y.
     """
     if A.shape[0] <= MAX_DENSE_NODES:
         dense = A.toarray()
@@ -125,7 +129,7 @@ def _solve_node_pressures(
 
 
 def collect_load(scene: Scene, body: str, pins: Sequence[str]) -> AcousticLoad:
-    """Return the load of all acoustic parts that are connected to a body.
+    """Collect the acoustic load of a body from all connected acoustic parts.
 
     The load includes parts that are connected to the ``pins`` only through other acoustic parts.
     """
@@ -159,7 +163,7 @@ def _list_pins_on_net(scene: Scene, net: str) -> Iterable[tuple[str, str]]:
 def _add_part(
     part: Part, scene: Scene, branches: list[LoadBranch], sources: list[SoundSource]
 ) -> None:
-    """Append the elements of a part to ``branches`` and its surface to ``sources``."""
+    """Add the elements and the radiating surface of a part to an acoustic load."""
     kind = part.type
     assert isinstance(kind, AcousticPart)
     network = kind.network(part, scene)

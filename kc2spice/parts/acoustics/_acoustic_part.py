@@ -57,7 +57,7 @@ METER = "Vflow"  # ammeter that measures the volume velocity into the first pin
 
 @dataclass(frozen=True)
 class AcousticElement:
-    """Element between two nodes of an acoustic network; ``value`` is an expression.
+    """Acoustic element between two network nodes, with an expression as its value.
 
     ``value`` is in SI units. With ``leak``, a compliance has a small parallel conductance, which
     defines the operating point of a floating net.
@@ -77,7 +77,7 @@ class AcousticElement:
 
     @cached_property
     def tree(self) -> Tree:
-        """Value of the element as an expression tree."""
+        """Expression tree of the element's value."""
         return parse_simplified(self.value, self.name)
 
 
@@ -100,7 +100,7 @@ class AcousticNetwork:
 
     @cached_property
     def values(self) -> dict[str, float]:
-        """Default values of the parameters and values of the constants, keyed by name."""
+        """Values of all parameters (by default) and constants, keyed by name."""
         result = {param.name: param.default for param in self.params}
         for name, text in self.constants.items():
             result[name] = float(evaluate_tree(parse_simplified(text, name), result))
@@ -126,11 +126,11 @@ class AcousticPart(PartType[FluidKeysT]):
         """Return the acoustic network of the part."""
 
     def list_end_pins(self, part: Part[FluidKeysT]) -> tuple[str, ...]:
-        """Return all pressure pins except ``ambient``; the first pin has an ammeter."""
+        """Return all pressure pins except ``ambient``, the pin with an ammeter first."""
         return ("a",)
 
     def steady_flow_paths(self, part: Part[FluidKeysT]) -> tuple[tuple[str, str], ...]:
-        """Return pairs of pins between which a constant volume velocity can flow."""
+        """Return the paths of steady volume velocity, as pairs of pins."""
         return ()
 
     def get_fluid_volume(self, part: Part[FluidKeysT]) -> float:
@@ -152,13 +152,13 @@ class AcousticPart(PartType[FluidKeysT]):
     def equilibrium_conditions(
         self, part: Part[FluidKeysT], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the pairs of pins between which a steady volume velocity can flow."""
+        """Return the equilibrium conditions: the paths of steady volume velocity."""
         return EquilibriumConditions(self.steady_flow_paths(part))
 
     def subcircuits(
         self, part: Part[FluidKeysT], build: BuiltScene, header: Header
     ) -> tuple[Subcircuit, ...]:
-        """Return the subcircuit of the part."""
+        """Return a tuple with the subcircuit of the part."""
         from kc2spice.synthesis.header import (
             format_parameter_defaults,
             write_part_header,

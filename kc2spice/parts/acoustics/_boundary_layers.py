@@ -47,10 +47,11 @@ STATIC_WEIGHT = 0.1  # weight of the value and the slope at q = 0 in the fit
 
 @dataclass(frozen=True)
 class RelaxationSum:
-    """Sum of relaxations ``w / (p + q)`` that approximates a boundary-layer function.
+    """Sum of relaxation terms that approximates a boundary-layer function.
 
-    ``terms`` contains pairs of corner p and weight w. ``value_error`` and ``loss_error`` are the
-    largest relative errors of the function and of its dissipation in the band.
+    Each term is ``w / (p + q)`` at the normalised complex frequency q. ``terms`` contains pairs of
+    corner p and weight w. ``value_error`` and ``loss_error`` are the largest relative errors of the
+    function and of its dissipation in the band.
     """
 
     terms: tuple[tuple[float, float], ...]
@@ -135,7 +136,10 @@ def fit_boundary_layer(
 
 
 def _choose_corners(layer: BoundaryLayer, low: float, high: float, per_decade: int) -> np.ndarray:
-    """Return the normalised corners, dense in the band and sparse below it."""
+    """Choose the normalised corner frequencies of the relaxation terms.
+
+    The corners are dense in the band and sparse below it.
+    """
     first, top = LOWEST_CORNERS[layer], RATIO_ABOVE_BAND * high
     dense = max(first, low / RATIO_BELOW_BAND)
     top = max(top, 10 * dense)
@@ -145,7 +149,7 @@ def _choose_corners(layer: BoundaryLayer, low: float, high: float, per_decade: i
 
 
 def _compute_dissipation(layer: BoundaryLayer, q: np.ndarray, value: np.ndarray) -> np.ndarray:
-    """Return the dissipative part of a boundary-layer function.
+    """Compute the dissipative part of a boundary-layer function.
 
     The dissipative part is a linear function of the weights.
 
@@ -156,10 +160,10 @@ def _compute_dissipation(layer: BoundaryLayer, q: np.ndarray, value: np.ndarray)
 
 
 def _compute_reactive_part(layer: BoundaryLayer, value: np.ndarray) -> np.ndarray:
-    """Return the reactive part of a boundary-layer function, the stored energy."""
+    """Compute the reactive part of a boundary-layer function."""
     return np.asarray(value.imag if layer == "flow" else value.real)
 
 
 def _compute_dissipated_power(layer: BoundaryLayer, q: np.ndarray, value: np.ndarray) -> np.ndarray:
-    """Return the normalised power loss at fixed volume velocity or fixed pressure."""
+    """Compute the normalised power loss at fixed volume velocity or fixed pressure."""
     return np.asarray((1 / value).real if layer == "flow" else (q * value).real)

@@ -20,7 +20,7 @@ PLACE_DIGITS = 4  # number of significant digits of a frequency in a title
 
 
 def integrate_flow(waves: Waveforms, flow: np.ndarray) -> np.ndarray:
-    """Return the displaced volume [m^3], the time integral of a volume velocity.
+    """Integrate a volume velocity over time to the displaced volume [m^3].
 
     A complex volume velocity versus frequency is divided by ``j omega``. A waveform versus time is
     integrated from its first point by the trapezoidal rule.
@@ -68,6 +68,6 @@ def plot_displacements(
 
 
 def _find_peak(x: np.ndarray, sizes: Mapping[str, np.ndarray]) -> float:
-    """Return the ``x`` of the largest value in ``sizes``, rounded for a title."""
+    """Return the time or frequency of the largest displacement, rounded for a title."""
     largest = np.nanmax(list(sizes.values()), axis=0)
     return float(f"{x[int(np.nanargmax(largest))]:.{PLACE_DIGITS}g}")

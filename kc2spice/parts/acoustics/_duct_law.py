@@ -63,7 +63,7 @@ class DuctLaw(Device):
 
     @cached_property
     def storing_flow_indices(self) -> tuple[int, ...]:
-        """Indices of the duct's ends with a compliance at their node."""
+        """Indices of the end flows that a compliance at the end stores."""
         return tuple(k for k, end in enumerate(self.ends) if self.nodes[end])
 
     @cached_property
@@ -95,7 +95,7 @@ class DuctLaw(Device):
 
     @cached_property
     def _pressure_drop_matrix(self) -> np.ndarray:
-        """Matrix of the pressure drops along channels and across relaxations.
+        """Matrix that maps end pressures and states to pressure drops.
 
         The matrix has a row for each pressure drop, and a column for each end pressure and each
         state.
@@ -113,7 +113,7 @@ class DuctLaw(Device):
 
     @cached_property
     def _flow_matrix(self) -> np.ndarray:
-        """Matrix of the volume velocities in channels and into relaxations.
+        """Matrix that maps end pressures and states to volume velocities.
 
         The matrix has a row for each volume velocity, and a column for each end pressure and each
         state.
@@ -149,7 +149,7 @@ class DuctLaw(Device):
 
     @cached_property
     def _storage_slope(self) -> np.ndarray:
-        """Jacobian matrix of the stored pressure impulses and volumes."""
+        """Jacobian matrix of the stored quantities: pressure impulses and volumes."""
         ends, count = len(self.ends), self._storage_coefficients.size
         result = np.zeros((count + len(self.storing_flow_indices), ends + count))
         result[:count, ends:] = np.diag(self._storage_coefficients)
@@ -158,7 +158,7 @@ class DuctLaw(Device):
         return result
 
     def evaluate_storage(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the stored pressure impulses and volumes, and their derivatives."""
+        """Return the stored pressure impulses and volumes, and their Jacobian matrix."""
         return self._storage_slope @ e, self._storage_slope
 
     @cached_property
@@ -175,7 +175,7 @@ class DuctLaw(Device):
         return stored, lost
 
     def noise(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the noise sources: pressures in channels, flows into relaxations."""
+        """Return the noise sources: pressures in channels, and flows into relaxations."""
         ends, channels = len(self.ends), len(self.channels)
         sources = channels + len(self.walls)
         out = np.zeros((ends + self._storage_coefficients.size, sources))

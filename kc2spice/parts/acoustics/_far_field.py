@@ -39,16 +39,16 @@ def get_baffled_radius(keys: RadiationKeys) -> float:
 
 
 def compute_edge_delay(keys: RadiationKeys, angle: float) -> float:
-    """Return the lead time w [s] of sound from the edge of a piston in a baffle.
+    """Return how much earlier [s] sound arrives from a piston's edge than its centre.
 
-    For a listener at ``angle`` degrees from the axis, sound from the nearest point of the edge
-    arrives w earlier than sound from the centre.
+    The lead time w applies to a piston in a baffle. For a listener at ``angle`` degrees from the
+    axis, sound from the nearest point of the edge arrives w earlier than sound from the centre.
     """
     return get_baffled_radius(keys) * math.sin(math.radians(angle)) / keys.fluid.sound_speed
 
 
 def find_first_null(surfaces: Iterable[RadiationKeys], angle: float) -> float:
-    """Return the lowest frequency [Hz] with zero directivity, rounded."""
+    """Return the lowest frequency [Hz] at which the directivity is zero, rounded."""
     delay = max(compute_edge_delay(keys, angle) for keys in surfaces)
     return float(f"{FIRST_NULL / (2 * math.pi * delay):.3g}")
 
@@ -66,10 +66,11 @@ def compute_travel_time(keys: RadiationKeys, distance: float) -> float:
 def propagate_response(
     keys: RadiationKeys, sound: np.ndarray, frequency: np.ndarray, distance: float, angle: float
 ) -> np.ndarray:
-    """Return the sound pressure [Pa] at a listener, times (distance / 1 m).
+    """Return the sound pressure [Pa] at a listener versus frequency, scaled to 1 m.
 
-    The listener is at the ``distance`` [m] and the ``angle`` [degrees] from the axis. ``sound`` is
-    the frequency response of the netlist including its low pass, an array of shape (frequencies,).
+    The pressure is multiplied by (distance / 1 m). The listener is at the ``distance`` [m] and the
+    ``angle`` [degrees] from the axis. ``sound`` is the frequency response of the netlist including
+    its low pass, an array of shape (frequencies,).
     """
     s = 2j * np.pi * frequency
     travel = np.exp(-s * compute_travel_time(keys, distance)) / compute_low_pass_response(
@@ -81,11 +82,12 @@ def propagate_response(
 def propagate_wave(
     keys: RadiationKeys, sound: np.ndarray, time: np.ndarray, distance: float, angle: float
 ) -> np.ndarray:
-    """Return the pressure [Pa] at a listener versus time, times (distance / 1 m).
+    """Return the sound pressure [Pa] at a listener versus time, scaled to 1 m.
 
-    The listener is at the ``distance`` [m] and the ``angle`` [degrees] from the axis. ``sound`` is
-    the waveform of the netlist, an array of shape (points,). The waveform is zero before its first
-    point. The travel time is reduced by the delay of the low pass.
+    The pressure is multiplied by (distance / 1 m). The listener is at the ``distance`` [m] and the
+    ``angle`` [degrees] from the axis. ``sound`` is the waveform of the netlist, an array of shape
+    (points,). The waveform is zero before its first point. The travel time is reduced by the delay
+    of the low pass.
     """
     first = compute_travel_time(keys, distance) - compute_low_pass_delay(keys.sound_corner)
     weights, offsets = _sample_delays(compute_edge_delay(keys, angle))
@@ -93,7 +95,7 @@ def propagate_wave(
 
 
 def _sample_delays(width: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return weights and delays [s] that sample the impulse response of a piston.
+    """Return weights and delays [s] that approximate a piston's impulse response.
 
     The weights and delays come from the Gauss-Chebyshev rule of the second kind.
     """

@@ -76,7 +76,7 @@ class FluidTable(Section):
 
     @model_validator(mode="after")
     def _require_thermal_constants(self) -> FluidTable:
-        """Reject too small constants, and a conductivity without ``specific_heat``."""
+        """Reject too small fluid constants, and a conductivity without specific heat."""
         if self.conductivity and self.specific_heat is None:
             raise make_invalid_value_error(
                 "conductivity needs the key `specific_heat`",
@@ -166,7 +166,7 @@ SMALLEST_AREA, LARGEST_AREA = 1e-18, 1e8  # areas [m2]
 
 
 class FluidKeys(Section):
-    """Keys common to all acoustic parts."""
+    """Keys of the fluid and the assumed face motion, common to all acoustic parts."""
 
     fluid: Fluid = Field(
         "air",

@@ -28,7 +28,7 @@ SPHERE = RadiationNetwork((NetworkSection(1.0, 1.0),), math.inf, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class Radiator:
-    """Properties of a radiator shape: network, area and solid angle of its sound.
+    """Shape of a radiator: its radiation network, area and solid angle of sound.
 
     ``network`` approximates the radiation impedance. ``area`` is the surface area divided by the
     squared radius. ``solid_angle`` is 2 pi if a baffle confines the sound to a half-space.
@@ -42,7 +42,7 @@ class Radiator:
 
     @property
     def error_text(self) -> str:
-        """Text with the largest product k a and the errors of the network."""
+        """Text with the errors of the radiation network, and their range of ``k a``."""
         if math.isinf(self.network.largest_ka):
             return "exact at all frequencies"
         return (

@@ -166,7 +166,7 @@ stop = "2 kHz"
         return fit_boundary_layer("layer", low, high, CORNERS_PER_DECADE)
 
     def network(self, part: Part[CavityKeys], scene: GovernedScene) -> AcousticNetwork:
-        """Return the network of the cavity: compliance, leak and heat exchange."""
+        """Return the acoustic network of the cavity: compliance, leak, heat exchange."""
         keys, walls = part.keys, self._fit_relaxations(part, scene)
         volume = AcousticElement(COMPLIANCE, "a", "in", AMBIENT, repr(keys.compliance), leak=True)
         elements = [volume]
@@ -215,7 +215,7 @@ def list_relaxations(
     time: float,
     suffix: str = "",
 ) -> Iterator[AcousticElement]:
-    """Yield a resistance and a compliance in series for each thermal relaxation.
+    """Yield each thermal relaxation as a resistance and a compliance in series.
 
     Each series connection has the frequency-dependent compliance ``C (w / p) / (1 + s t / p)``. The
     relaxation has the weight w and the corner p; C [m3/Pa] is ``compliance``, and t [s] is

@@ -196,7 +196,10 @@ class DuctPart(AcousticPart[DuctKeys]):
         return ("a",) if self.is_closed(part) else ("a", FAR_END)
 
     def steady_flow_paths(self, part: Part[DuctKeys]) -> tuple[tuple[str, str], ...]:
-        """Return the pins that a steady flow passes: both ends, or ``a`` and ``ambient``."""
+        """Return the path of a steady flow, from the end ``a`` to the far end or ambient.
+
+        In a closed duct, the flow passes from ``a`` to ``ambient``.
+        """
         return (("a", AMBIENT),) if self.is_closed(part) else (("a", FAR_END),)
 
     def pins(self, part: Part[DuctKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
@@ -245,7 +248,7 @@ class DuctPart(AcousticPart[DuctKeys]):
         return 1
 
     def make_duct_model(self, part: Part[DuctKeys], scene: GovernedScene) -> DuctModel:
-        """Return the model of a duct that is accurate in the frequency band of the scene."""
+        """Return a duct model that is accurate in the frequency band of the scene."""
         keys, fluid, band = part.keys, part.keys.fluid, choose_acoustic_band(scene)
         count = self.count_sections(part, scene)
         corners = CORNERS_PER_DECADE if count <= FEW_SECTIONS else CORNERS_OF_LONG_DUCTS
@@ -272,11 +275,11 @@ class DuctPart(AcousticPart[DuctKeys]):
         return AcousticNetwork((), {}, elements, words, exits=self._map_far_pin_to_node(part))
 
     def _map_far_pin_to_node(self, part: Part[DuctKeys]) -> dict[str, str]:
-        """Map the pin of the far end to the node behind its ammeter; empty if closed."""
+        """Map the far-end pin to the node behind its ammeter; empty for a closed duct."""
         return {} if self.is_closed(part) else {FAR_END: "out"}
 
     def _describe_duct(self, duct: DuctModel) -> str:
-        """Describe the sections and losses of a duct, with their errors in the band."""
+        """Describe the sections and losses of a duct, with their errors, as text."""
         losses = f"losses within {100 * duct.loss_error:.2g} %" if duct.viscous else "no losses"
         count = f"{duct.sections} section{'s' if duct.sections > 1 else ''}"
         return f"{count}, phase within {100 * duct.phase_error:.2g} % and {losses} in the band"
@@ -321,7 +324,7 @@ class DuctPart(AcousticPart[DuctKeys]):
         return result
 
     def law(self, part: Part[DuctKeys], build: BuiltScene) -> laws.Equations:
-        """Return the equations of the whole duct as a single device.
+        """Return the model equations of the whole duct as a single device.
 
         Separate devices for all elements of a duct would be hundreds of devices.
         """
@@ -351,7 +354,10 @@ class DuctPart(AcousticPart[DuctKeys]):
 
 
 def make_duct_law(name: str, network: AcousticNetwork, pins: Mapping[str, str]) -> DuctLaw:
-    """Derive the equations of a duct; ``pins`` maps nodes of its network to pins."""
+    """Derive the model equations of a duct from its acoustic network.
+
+    ``pins`` maps nodes of the network to pins.
+    """
     nodes = {pins.get(item.plus, item.plus): 0.0 for item in network.elements}
     middles: dict[str, AcousticElement] = {}
     channels, walls = list[tuple[str, str, float, float]](), list[tuple[str, float, float]]()
@@ -498,7 +504,7 @@ stop = "3 kHz"
         return max(2, math.ceil(SECTIONS_PER_WAVELENGTH * waves))
 
     def count_sections(self, part: Part[DuctKeys], scene: GovernedScene) -> int:
-        """Return the key ``sections``, by default the number that the band requires."""
+        """Return the number of duct sections that the scene or the band requires."""
         stated = part.with_schema(TubeKeys).keys.sections
         return stated or min(self._count_required_sections(part, scene), MOST_SECTIONS)
 

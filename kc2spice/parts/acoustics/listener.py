@@ -244,7 +244,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
     def subcircuits(
         self, part: Part[ListenerKeys], build: BuiltScene, header: Header
     ) -> tuple[Subcircuit, ...]:
-        """Return the subcircuit of the part."""
+        """Return a tuple with the subcircuit of the part."""
         from kc2spice.synthesis.header import (
             format_parameter_defaults,
             write_part_header,
@@ -292,7 +292,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
     def corrected_waves(
         self, part: Part[ListenerKeys], build: BuiltScene, waves: Waveforms
     ) -> Mapping[str, np.ndarray]:
-        """Return the sound pressure at the listener, versus frequency or time."""
+        """Return the sound pressure at the listener, with travel time and directivity."""
         sources, keys = self.list_radiating_surfaces(part, build.scene), part.keys
         scale = next(iter(waves))
         propagate = _PROPAGATIONS.get(scale)

@@ -97,7 +97,7 @@ class RadiationKeys(FluidKeys):
 
     @property
     def sound_corner(self) -> float:
-        """Corner frequency [rad/s] of the low pass of ``sound``; infinite for a sphere."""
+        """Corner frequency [rad/s] of the sound's low-pass filter; infinite for a sphere."""
         return 2 * math.pi * CORNER_RATIO * self.largest_frequency
 
     @property
@@ -215,7 +215,7 @@ stop = "20 kHz"
     def corrected_waves(
         self, part: Part[RadiationKeys], build: BuiltScene, waves: Waveforms
     ) -> Mapping[str, np.ndarray]:
-        """Return the sound pressure, corrected for the low pass of the netlist.
+        """Return the sound pressure, corrected for the low-pass filter of the netlist.
 
         A sound pressure versus frequency is divided by the response of the low pass. A sound
         pressure versus time is advanced by the delay of the low pass.
@@ -291,7 +291,7 @@ def find_far_field(keys: RadiationKeys) -> FarField:
 
 
 def _read_sound(part: Part[RadiationKeys], equations: laws.Equations) -> laws.WaveCombination:
-    """Return the sound pressure as a combination of the integrator's waveforms."""
+    """Express the sound pressure as a linear combination of integrator waveforms."""
     field, terms = find_far_field(part.keys), list[tuple[float, str]]()
     symbols = {
         ACOUSTIC.through_variable.symbol: field.flow, ACOUSTIC.across.symbol: field.pressure,

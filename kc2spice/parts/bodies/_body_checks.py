@@ -85,7 +85,7 @@ ZERO_LOAD = 1e-9
 
 
 class BodyChecks(BodyNetlist[LinearKeysT]):
-    """Linear part with checks of its reduced model, its rating and its energy balance."""
+    """Base class of linear parts that checks reduction, rating and energy balance."""
 
     def checks(
         self, part: Part[LinearKeysT], build: BuiltScene, waves: Waveforms
@@ -140,7 +140,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
                 yield Check(f"rating of {name}", largest, volts, "V", DEPOLING_ADVICE, "warn")
 
     def _check_leak(self, part: Part[LinearKeysT], build: BuiltScene) -> Iterator[Check]:
-        """Yield the check of the charge that leaks from a floating electrode.
+        """Yield the check of the charge that leaks from each floating electrode.
 
         In the netlist, the charge of a floating electrode decays at the rate :data:`LEAK_RATE`.
         """
@@ -195,7 +195,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
     def estimate_error_under_load(
         self, part: Part[LinearKeysT], build: BuiltScene, waves: Waveforms, model: LinearModel
     ) -> tuple[float, int] | None:
-        """Return the error of the reduced ``model`` under the recorded loads of a run.
+        """Estimate the error of the reduced ``model`` under the recorded loads of a run.
 
         The error is the largest one up to the last change of the loads. The second returned value
         is the number of states of the reference model. The result is None if a load was not
@@ -212,7 +212,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
         key = {**self.model_key(part, build.scene), "enriched": model.order}
 
         def build_larger_model() -> LinearModel | None:
-            """Build a model with more states; None if such a model does not exist."""
+            """Build a reduced model with more states; return None if no such model exists."""
             if self._has_constant_losses(part):
                 return None
             try:
@@ -239,7 +239,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
     def _check_band(
         self, part: Part[LinearKeysT], build: BuiltScene, waves: Waveforms, certificate: Certificate
     ) -> Iterator[Check]:
-        """Yield checks that the model's band contains the frequencies of the drives.
+        """Yield checks that the drive frequencies lie within the model's band.
 
         The frequency of a drive voltage v is ``max |v'| / (pi (max v - min v))``. For a sine, this
         formula gives the frequency of the sine. For an edge, this formula gives about a third of
@@ -291,7 +291,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
     def _balance_energy(
         self, part: Part[LinearKeysT], build: BuiltScene, waves: Waveforms
     ) -> RunEnergyBalance | None:
-        """Return the energy balance of the body: the run against the exact response.
+        """Compare the energy balance of a body in a run with the exact response.
 
         The exact response is the response of the reduced model to the recorded loads. The losses
         are the work of the loads on the exact response, minus the energy stored by the exact
@@ -346,6 +346,6 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
 
 
 def _make_reduction_check(name: str, error: float, unit: str, advice: str) -> Check:
-    """Return the check of a reduced model's error, a warning or a failure."""
+    """Return the check of a reduced model's error, which warns or fails."""
     limit, action = (FAILURE_ERROR, "fail") if error > FAILURE_ERROR else (WARNING_ERROR, "warn")
     return Check(f"reduction of {name}", error, limit, unit, advice, action)  # type: ignore[arg-type]

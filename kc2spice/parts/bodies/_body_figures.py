@@ -56,7 +56,7 @@ def plot_impedances(
 def plot_port_impedances(
     name: str, model: LinearModel, modal: Resonators | None
 ) -> Iterator[Figure]:
-    """Plot the impedance of each electrical port of a body without forces.
+    """Plot the impedance of each electrical port, with no forces on the body.
 
     All other electrodes are shorted. The plotted frequencies are dense around the resonances of
     ``modal``. At the resonance of an undamped mode, the impedance is not defined, so this frequency
@@ -135,7 +135,7 @@ def plot_port_waves(name: str, waves: Waveforms) -> Iterator[Figure]:
 def draw_deformed_body(
     device: FiniteElementModel, z: np.ndarray, voltages: np.ndarray
 ) -> tuple[Panel, float]:
-    """Return a picture of the deformed body and the scale factor of its deformation.
+    """Return a picture of the deformed body, and the scale factor of the deformation.
 
     The colour of the picture shows the largest principal stress; dotted lines show the edges at
     rest. ``z`` is the vector of displacements, of shape (n,), and ``voltages`` contains the
@@ -157,7 +157,7 @@ def draw_deformed_body(
 def draw_modes(
     device: FiniteElementModel, hertz: np.ndarray, columns: np.ndarray
 ) -> Iterator[Panel]:
-    """Yield a picture of each mode.
+    """Yield a picture of each vibration mode of a body.
 
     ``columns`` contains the mode shapes, an array of shape (n, modes).
     """
@@ -175,7 +175,7 @@ def draw_modes(
 
 
 def _scale_displacements(device: FiniteElementModel, moves: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return the element corners [m], moved by scaled displacements, and the scale.
+    """Return the element corners [m] with scaled displacements, and the scale factor.
 
     The corners are an array of shape (elements, vertices, 3).
     """
@@ -198,7 +198,7 @@ def element_corners(mesh: Any) -> np.ndarray:
 
 
 def map_surface(mesh: Any, corners: np.ndarray, values: np.ndarray, label: str) -> ColourMap:
-    """Return a coloured map of nodal ``values`` on the visible surface of a mesh.
+    """Return a colour map of nodal ``values`` on the visible surface of a mesh.
 
     ``corners`` contains the corners [m] of the elements, an array of shape (elements, vertices, 3).
     """
@@ -239,7 +239,7 @@ def map_surface(mesh: Any, corners: np.ndarray, values: np.ndarray, label: str) 
 
 
 def _find_visible_edges(mesh: Any, fine: int) -> np.ndarray:
-    """Return the vertices of each drawn edge, an array of shape (2, edges).
+    """Return the vertices of each visible mesh edge, an array of shape (2, edges).
 
     On a surface with more than ``fine`` mesh lines, only the edges at which the surface bends are
     drawn.

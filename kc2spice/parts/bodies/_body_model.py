@@ -66,7 +66,7 @@ MODEL_SOURCES = (
 
 
 class BodyModel(BodyPorts[LinearKeysT]):
-    """Part whose model is a :class:`kc2spice.rom.linear_model.LinearModel`.
+    """Part with a linear model, which is reduced and cached.
 
     A subclass builds the model of the whole device (:meth:`make_full_model`). The keys of the part
     or of the scene state the band of the reduction, and its order or tolerance.
@@ -83,7 +83,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
     def make_full_model(
         self, part: Part[LinearKeysT], scene: GovernedScene, clock: StageTimer
     ) -> LinearModel:
-        """Return the full, unreduced model of the whole device."""
+        """Return the unreduced model of the whole body."""
 
     def make_full_model_on_mesh(
         self,
@@ -92,7 +92,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         clock: StageTimer,
         like: Part[LinearKeysT],
     ) -> LinearModel:
-        """Return the full model of ``part`` on the moved mesh of the part ``like``.
+        """Return the full model of a changed part on the moved mesh of the original part.
 
         The nodes of the mesh are moved to the geometry of ``part``; ``like`` has other values of
         its keys.
@@ -102,7 +102,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
     def make_full_model_key(
         self, part: Part[LinearKeysT], scene: GovernedScene
     ) -> Mapping[str, Any]:
-        """Return the cache key of the full model, which contains all relevant data."""
+        """Return the cache key of the full model, with all data that determine the model."""
         return {"keys": part.keys.model_dump(mode="json", exclude=_IRRELEVANT_KEYS)}
 
     def problems(self, part: Part[LinearKeysT], scene: GovernedScene) -> Iterator[UsageError]:
@@ -120,7 +120,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         return scene.rom if "rom" in scene.frame.model_fields_set else None
 
     def choose_reduction(self, part: Part[LinearKeysT], scene: Scene) -> RomKeys:
-        """Return the reduction settings, stated in the scene or by default.
+        """Return the reduction settings that the scene states, or default settings.
 
         By default, the settings are a tolerance and a band. In an ``ac`` analysis, the band ends 20
         % above the last frequency. In a transient, the band contains the excited frequencies
@@ -143,7 +143,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         return result.model_copy(update={"parameters": specified.parameters})
 
     def find_least_band_end(self, part: Part[LinearKeysT], scene: Scene) -> float | None:
-        """Return the lower limit [Hz] for the upper end of a transient's band.
+        """Return the lowest permitted upper end [Hz] of a transient's default band.
 
         The result is None in other analyses, and with a band that the user states. The lower limit
         does not depend on the natural frequencies of the body.
@@ -157,11 +157,11 @@ class BodyModel(BodyPorts[LinearKeysT]):
         return max([self.get_default_band_end(scene), *content])
 
     def get_default_band_end(self, scene: Scene) -> float:
-        """Return the lower limit [Hz] for the upper end of every transient's band."""
+        """Return the lowest upper end [Hz] of a default band, for any drive."""
         return MIN_BAND_END
 
     def model_key(self, part: Part[LinearKeysT], scene: Scene) -> Mapping[str, Any]:
-        """Return the cache key of the reduced model, which contains all relevant data."""
+        """Return the cache key of the reduced model, with all data that determine it."""
         rom = get_reduction_settings(part, scene)
         settings = rom.model_dump(mode="json")
         result = {
@@ -359,7 +359,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         key: Mapping[str, Any],
         full: Callable[[], LinearModel],
     ) -> tuple[float, float]:
-        """Return ``band``, limited to the first natural frequencies of the full model."""
+        """Return ``band``, cut off above the first natural frequencies of the full model."""
         from kc2spice.rom.band import find_band_end
 
         (low, high), least_end = band, key.get("sure")
@@ -374,7 +374,10 @@ class BodyModel(BodyPorts[LinearKeysT]):
         model: LinearModel,
         aims: Mapping[str, Any],
     ) -> LinearModel:
-        """Reduce ``model``; ``aims`` contains order, tolerance, band and norm."""
+        """Reduce a full model to an order or a tolerance in a frequency band.
+
+        ``aims`` contains order, tolerance, band and norm.
+        """
         from kc2spice.rom.reduce import reduce_model
 
         if aims["order"] is not None and model is orders.model:
@@ -385,7 +388,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
     def get_fixed_order_reductions(
         self, part: Part[LinearKeysT], scene: Scene, clock: StageTimer
     ) -> ReductionsByOrder:
-        """Return an object that reduces the full model to prescribed orders.
+        """Return an object that reduces the full model to any prescribed order.
 
         The returned object reduces the model on request. The object remains in the workspace,
         because the next scene often needs another order of the same model.
@@ -398,7 +401,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         )
 
         def make_reductions() -> ReductionsByOrder:
-            """Return the reductions of the full model."""
+            """Make the object that reduces the full model to prescribed orders."""
             return ReductionsByOrder(self._make_mid_range_full_model(part, scene, clock))
 
         return scene.workspace.get_or_compute(f"orders {self.name}", key, make_reductions)
@@ -452,7 +455,7 @@ def make_complex_constants(part: Part, model: LinearModel) -> ComplexConstants:
 def _replace_by_least_damping(
     part: Part, model: LinearModel, band: tuple[float, float]
 ) -> LinearModel:
-    """Return ``model`` with viscous losses, which are below its constant losses.
+    """Replace constant losses in ``model`` by smaller, viscous losses.
 
     The viscous losses equal the constant losses of the complex material constants at the end of the
     band, and are smaller below. Because the actual constant losses are larger, the error of a
@@ -463,7 +466,7 @@ def _replace_by_least_damping(
 
 
 def find_full_model(part: Part, scene: Scene, clock: StageTimer) -> LinearModel | None:
-    """Return the full model in a scene; None if no full model has the body's losses."""
+    """Return a body's full model in a scene; None if its losses permit no full model."""
     kind = part.type
     assert isinstance(kind, BodyModel)
     return kind.build(part, scene, clock, full=True)
@@ -491,7 +494,7 @@ def full_model_without_scene(part: Part, scene: GovernedScene, clock: StageTimer
 
 
 def find_scene_band(part: Part, scene: Scene, full: LinearModel) -> tuple[float, float]:
-    """Return the band [Hz] over which a scene reduces the ``full`` model of a body."""
+    """Return the frequency band [Hz] in which a scene reduces a body's ``full`` model."""
     kind = part.type
     assert isinstance(kind, BodyModel)
     target, key = get_reduction_settings(part, scene), kind.model_key(part, scene)
@@ -499,7 +502,7 @@ def find_scene_band(part: Part, scene: Scene, full: LinearModel) -> tuple[float,
 
 
 def describe_target(rom: RomKeys) -> str:
-    """Return a text with order or tolerance and band of a reduction."""
+    """Describe the order or tolerance and the band of a reduction as text."""
     low, high = rom.band
     target = f"order {rom.order}"
     if rom.order is None:
@@ -515,7 +518,7 @@ def get_reduction_settings(part: Part, scene: Scene) -> RomKeys:
 
 
 def hash_file(path: Path) -> str:
-    """Return a hash of a file's content, which is equal for copies of the file."""
+    """Return a hash of a file's content, which does not depend on its path."""
     try:
         result = path.stat()
         if not stat.S_ISREG(result.st_mode):

@@ -35,7 +35,7 @@ _MAX_NAME_LENGTH = 47
 
 
 class BodyNetlist(BodyModel[LinearKeysT]):
-    """Linear part with its subcircuit, its result vectors and its equations."""
+    """Base class of linear parts with subcircuit, result vectors and equations."""
 
     noise = ("Rnoise",)
 
@@ -48,7 +48,7 @@ class BodyNetlist(BodyModel[LinearKeysT]):
         return COARSE_WEIGHTS if scene.solver.ringing == "coarse" else RINGING_WEIGHTS
 
     def subcircuit_name(self, part: Part[LinearKeysT], scene: Scene) -> str:
-        """Return the part number; without one, a name made of scene and part."""
+        """Return the name of the subcircuit: its part number, or scene and part name."""
         scene_name = self.make_library_name(part, scene)
         if not part.keys.number:
             return scene_name
@@ -56,7 +56,7 @@ class BodyNetlist(BodyModel[LinearKeysT]):
         return f"heated_{number}" if self.gives_off_heat(part, scene) else number
 
     def make_library_name(self, part: Part[LinearKeysT], scene: Scene) -> str:
-        """Return a library name that consists of the scene name and the part name.
+        """Return a library name that joins the scene name and the part name.
 
         The library name is unique in a folder with the libraries of several scenes.
         """
@@ -66,7 +66,7 @@ class BodyNetlist(BodyModel[LinearKeysT]):
     def subcircuits(
         self, part: Part[LinearKeysT], build: BuiltScene, header: Header
     ) -> tuple[Subcircuit, ...]:
-        """Return the subcircuit of the part."""
+        """Return a tuple with the subcircuit of the part."""
         name = build.libraries[part.name]
         volts = self.rated_voltage(part, build)
         rating = f"{volts:.4g} V between {RATING_TEXT}" if volts else UNRATED

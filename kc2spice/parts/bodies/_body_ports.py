@@ -47,7 +47,7 @@ ZERO_ENERGY = 1e-13
 
 
 class BodyPorts(TouchablePart[LinearKeysT]):
-    """Part with typed ports, of which a scene uses only the ports that it refers to.
+    """Part with typed ports; its model contains only the ports that the scene uses.
 
     A subclass derives its :meth:`ports` from the keys of the part.
     """
@@ -60,7 +60,7 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         """Return all ports of the body."""
 
     def headline(self, part: Part[LinearKeysT]) -> str:
-        """Return the first line of a library, which states the assumptions of the model."""
+        """Return the header line of a library, which states the model's assumptions."""
         return self.title
 
     def material_rating(self, part: Part[LinearKeysT]) -> float | None:
@@ -142,7 +142,7 @@ class BodyPorts(TouchablePart[LinearKeysT]):
     def equilibrium_conditions(
         self, part: Part[LinearKeysT], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the paths of steady flow: pairs of a pin and the reference pin."""
+        """Return the equilibrium conditions: paths of steady flow to the reference pin."""
         last = self.reference_terminal(part, scene)
         end = GROUND if last.name in (BASE, "ground") else last.name
         paths = super().equilibrium_conditions(part, scene).paths
@@ -153,7 +153,7 @@ class BodyPorts(TouchablePart[LinearKeysT]):
     def equilibrium_after_build(
         self, part: Part[LinearKeysT], build: BuiltScene
     ) -> EquilibriumConditions:
-        """Return the paths of steady flow for the built model of the body.
+        """Return the equilibrium conditions that the built model of the body implies.
 
         The pins of a supported body have paths to the reference pin. The pins of a free body have
         paths to each other. Only in a free body, a steady flow can pass an acoustic port.
@@ -177,7 +177,7 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         return EquilibriumConditions((*fixed, *product([first], others)), inertial_pins=inert)
 
     def pins_with_mass(self, part: Part[LinearKeysT], scene: JoinedScene) -> tuple[str, ...]:
-        """Return the pins of the used mechanical ports, each of which moves a mass."""
+        """Return the displacement pins of the used mechanical ports, which move a mass."""
         ports = mechanical_ports(self.used_ports(part, scene))
         return tuple(port.terminals[0] for port in ports)
 
@@ -202,13 +202,16 @@ class BodyPorts(TouchablePart[LinearKeysT]):
 def _reject_missing_ports(
     part: Part, missing: Sequence[str], known: Sequence[str], kind: str = ""
 ) -> None:
-    """Raise an error if the list ``missing`` of ports is not empty."""
+    """Raise an error that names a port which the part does not have.
+
+    If the list ``missing`` is empty, there is no error.
+    """
     for name in missing:
         raise unknown(f"{part.name} has no such {kind}port", name, known, part.name)
 
 
 def find_required_ports(part: Part, scene: JoinedScene) -> set[str]:
-    """Return the names of all ports and pins of ``part`` that the scene refers to.
+    """Return the names of all ports and pins of ``part`` that the scene uses.
 
     The references are in other parts, in probes, and in the key ``pins`` of the part.
     """
@@ -231,17 +234,17 @@ def find_required_ports(part: Part, scene: JoinedScene) -> set[str]:
 
 
 def mechanical_ports(ports: Iterable[Port]) -> list[Port]:
-    """Return those of the ``ports`` that have a displacement and a force."""
+    """Select the ``ports`` that have a displacement and a force."""
     return [port for port in ports if port.domain is TRANSLATION]
 
 
 def select_paired_ports(ports: Iterable[Port]) -> list[Port]:
-    """Return those of the ``ports`` that have two pins, such as electrodes."""
+    """Select the ``ports`` that have two pins, such as electrodes."""
     return [port for port in ports if port.is_paired]
 
 
 def _list_scene_names(port: Port) -> set[str]:
-    """Return the names of a port in scenes: the name of the port and of its pins."""
+    """Return all names of a port in scenes: its own name and the names of its pins."""
     return {port.name, *port.terminals}
 
 
@@ -286,7 +289,7 @@ def has_energy_free_mode(model: LinearModel) -> bool:
 
 
 def get_wave_name(name: str, ports: Sequence[Port], port: Port) -> str:
-    """Return the name of a port in the results.
+    """Return the name of a port's waveform in the results.
 
     For an electrical port, the returned name is the prefix of the result names ``.voltage`` and
     ``.current``. The first electrical port has the name of the part as its name in the results.

@@ -78,7 +78,7 @@ class FaceLevelEffects:
 
     @property
     def total_effect(self) -> float | None:
-        """Root sum square [dB] of all effects except ``unbaffled``; None if unknown."""
+        """Root sum square [dB] of all level effects except ``unbaffled``; None if unknown."""
         if self.detuned is None or self.halved is None:
             return None
         sizes = [self.power, self.near_field, self.halved, self.detuned]
@@ -101,7 +101,7 @@ def find_node_diameter(motion: FaceMotion, mode: int) -> float | None:
 
 
 def estimate_face_levels(face: LoadedFace) -> FaceLevelEffects | None:
-    """Return the effects of assumptions on the level of a face; None without modes."""
+    """Estimate how assumptions change a face's sound level; return None without modes."""
     hertz, motion = face.compute_mode_motions()
     select = np.abs(motion.displaced_volumes) > 0
     hertz = hertz[select]
@@ -140,7 +140,7 @@ def estimate_face_levels(face: LoadedFace) -> FaceLevelEffects | None:
 def _compare_with_piston(
     result: FaceLevelEffects, face: LoadedFace, motion: FaceMotion, hertz: np.ndarray, main: int
 ) -> FaceLevelEffects:
-    """Return ``result`` with the radiated power of the face relative to a piston."""
+    """Compare the radiated power of a face with the power of a piston."""
     facing = face.facing
     numbers = 2 * np.pi * hertz / facing.fluid.sound_speed
     if facing.radiation is None:
@@ -165,7 +165,7 @@ def _compare_with_piston(
 
 
 def describe_piston_difference(name: str, facing: FluidAtFace, levels: FaceLevelEffects) -> str:
-    """Return the warning that a face does not move like a piston; otherwise empty."""
+    """Return a warning if a face does not move like a piston; otherwise empty text."""
     share = levels.piston_ratio
     differences = (levels.worst, levels.near_field)
     if share >= MIN_PISTON_SHARE and max(map(abs, differences)) <= PISTON_TOLERANCE:
@@ -190,7 +190,7 @@ def describe_piston_difference(name: str, facing: FluidAtFace, levels: FaceLevel
 
 
 def _describe_near_field(levels: FaceLevelEffects) -> str:
-    """Return the text for the near field of a face in a closed volume."""
+    """Describe the near field of a face in a closed volume as text."""
     if math.isinf(levels.shift):
         return "is not estimated, because cross modes of the volume propagate"
     shift = f"lowers the resonance by at most {100 * levels.shift:.2g} %"
@@ -200,14 +200,14 @@ def _describe_near_field(levels: FaceLevelEffects) -> str:
 def list_level_effects(
     name: str, port: str, levels: FaceLevelEffects, *, direct: bool
 ) -> Iterator[NeglectedEffect]:
-    """Yield the assumptions about a face, each with its effect on the sound level.
+    """Yield each assumption about a face with its effect on the sound level.
 
     ``direct`` states whether a part of type ``radiation`` is on the face.
     """
     place, percent = format_quantity(float(f"{levels.resonance:.4g}"), "Hz"), 100 * TOLERANCE
 
     def make_neglected_effect(of: str, assumption: str, size: str) -> NeglectedEffect:
-        """Return a neglected effect that names an assumption about the face and its size."""
+        """Return a neglected effect for one assumption about the face."""
         return NeglectedEffect(f"{name}: {of}", assumption, size, summarised=True)
 
     if direct:

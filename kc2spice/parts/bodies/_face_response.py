@@ -47,7 +47,7 @@ MIN_PRESSURE = 1e-300
 
 @dataclass(frozen=True)
 class FluidAtFace:
-    """Fluid in front of a face, which belongs to the acoustic parts ``names``.
+    """Fluid in front of a face, with the names of the acoustic parts that contain it.
 
     ``radiation`` contains the keys of the part of type ``radiation`` on the face, or None if other
     acoustic parts are in front of the face. ``volume`` [m3] is the smallest closed volume in front
@@ -62,7 +62,7 @@ class FluidAtFace:
 
 @dataclass(frozen=True)
 class LoadedFace:
-    """Full model of a body, with an acoustic port and the acoustic load.
+    """Face of a body, with the full model of the body and its acoustic load.
 
     ``joined`` contains the names of all connected acoustic ports of the body, in the order of the
     load. At most ``count`` modes with natural frequencies below ``end`` [Hz] are compared with a
@@ -78,7 +78,10 @@ class LoadedFace:
     count: int = MAX_MODES
 
     def compute_mode_motions(self) -> tuple[np.ndarray, FaceMotion]:
-        """Return natural frequencies [Hz] and face motions of the compared modes."""
+        """Compute natural frequencies [Hz] and face motions of the lowest modes.
+
+        These modes are compared with a piston.
+        """
         hertz, z = compute_lowest_modes(self.device, self.count, self.end)
         return hertz, sample_face_motion(self.device, self.device.faces[self.port], z)
 
@@ -122,7 +125,7 @@ class LoadedFace:
         return np.asarray(20 * np.log10(np.maximum(pressure, MIN_PRESSURE)))
 
     def find_loudest(self, low: float, high: float, damping: float = 1.0) -> tuple[float, float]:
-        """Return the frequency [Hz] of the largest level in a range, and this level [dB]."""
+        """Return frequency [Hz] and level [dB] of the loudest sound in a frequency range."""
         near = self._resonance_frequencies[
             (self._resonance_frequencies > low / 2) & (self._resonance_frequencies < 2 * high)
         ]
@@ -143,7 +146,7 @@ class LoadedFace:
         return float(f[top]), float(levels[top])
 
     def find_largest_level(self, frequency: float, damping: float = 1.0) -> float:
-        """Return the largest level [dB] within half an octave of ``frequency`` [Hz]."""
+        """Return the largest sound level [dB] within half an octave of ``frequency`` [Hz]."""
         return self.find_loudest(frequency / HALF_OCTAVE, frequency * HALF_OCTAVE, damping)[1]
 
 

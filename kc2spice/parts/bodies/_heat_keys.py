@@ -19,7 +19,10 @@ InterfaceResistance = Annotated[float, si("m2 K/W")]
 
 
 class FilmKeys(Section):
-    """Heat transfer from faces to a fluid, proportional to the temperature difference."""
+    """Keys of a film, which transfers heat between faces and a fluid.
+
+    The heat flow is proportional to the temperature difference.
+    """
 
     group: str = Field(
         examples=['"top"'],
@@ -74,7 +77,7 @@ class InterfaceKeys(Section):
 
 
 class LayerKeys(Section):
-    """Keys of a layer; heat flows through the layer along the axis of the stack."""
+    """Keys of a layer of a heat-conducting stack, whose axis is the heat path."""
 
     material: str | dict[str, Any] = Field(
         examples=['"steel"'],
@@ -119,7 +122,7 @@ class HeatSourceKeys(Section):
 
     @model_validator(mode="after")
     def _require_place(self) -> HeatSourceKeys:
-        """Reject an entry with both or none of the keys ``group`` and ``at``."""
+        """Require exactly one of the keys ``group`` and ``at`` for a heat source."""
         if (self.group is None) == (self.at is None):
             raise make_invalid_value_error(
                 "this entry needs group or at",
@@ -186,6 +189,7 @@ class HeatBodyKeys(MeshKeys):
 
     @model_validator(mode="after")
     def _require_consistent_keys(self) -> HeatBodyKeys:
+        """Reject contradictory keys of a heat body."""
         if bool(self.layers) == bool(self.mesh):
             raise make_invalid_value_error(
                 "a heat_body needs either mesh or layers",

@@ -45,7 +45,7 @@ SENSITIVITY_STEP = 1e-2  # relative change of a key for the central difference o
 
 
 class LinearBody(BodyChecks[LinearKeysT]):
-    """Base class of linear parts, with metrics, figures and notes.
+    """Base class of linear bodies, with metrics, figures and notes.
 
     Each base class of ``LinearBody`` covers one subject: ports, models, netlist or checks. A
     subclass derives the :meth:`ports` from the keys of the part, and builds the model of the whole
@@ -103,7 +103,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
     def main_metrics(
         self, part: Part[LinearKeysT], build: BuiltScene
     ) -> Mapping[str, ProbeKeys | LargestRealPartFrequency]:
-        """Return the metric ``resonance_hz`` if a peak of the conductance defines it.
+        """Return the metric ``resonance_hz`` if a single source excites a resonance.
 
         At ``resonance_hz``, a voltage source at the first electrode delivers the largest current in
         phase with the voltage.
@@ -118,11 +118,11 @@ class LinearBody(BodyChecks[LinearKeysT]):
         )
 
     def lightly_loaded_pins(self, part: Part[LinearKeysT], scene: Scene) -> set[str]:
-        """Return the pins with loads so small that they hardly change the resonances."""
+        """Return the pins with loads that hardly change the resonances."""
         return set()
 
     def _has_single_resonant_drive(self, part: Part[LinearKeysT], build: BuiltScene) -> bool:
-        """Return whether a single source drives the body and excites a resonance."""
+        """Return whether a single source drives the body and can excite a resonance."""
         from kc2spice.bodies.impedance import analyse_impedance
 
         scene, model = build.scene, build.model(part, LinearModel)
@@ -200,7 +200,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
     def list_neglected_effects(
         self, part: Part[LinearKeysT], scene: Scene
     ) -> Iterator[NeglectedEffect]:
-        """Yield the free ringing as a neglected effect if the time steps neglect it."""
+        """Yield free ringing as a neglected effect if the time steps do not resolve it."""
         if self.weights(part, scene) == COARSE_WEIGHTS:
             why = "solver.ringing lets go of it once nothing presses on the body"
             yield NeglectedEffect(
@@ -215,13 +215,16 @@ class LinearBody(BodyChecks[LinearKeysT]):
         return ()
 
     def dimensions(self, part: Part[LinearKeysT]) -> int:
-        """Return the number of dimensions of the mesh."""
+        """Return the number of spatial dimensions of the mesh."""
         return 3
 
     def compare_with_finer_mesh(
         self, part: Part[LinearKeysT], build: BuiltScene, clock: StageTimer, most: float
     ) -> Iterator[Check | str]:
-        """Yield the changes of characteristic values on a mesh with half the element size."""
+        """Yield checks that resonances and other results hardly change on a finer mesh.
+
+        The finer mesh has half the element size.
+        """
         if not self.discretisations:
             return
         (key,), facts = self.discretisations, build.facts(part)
@@ -256,7 +259,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
 
 
 def _read_count(part: Part, key: str) -> int:
-    """Return the integer value of a dotted ``key`` of the part."""
+    """Return the integer value of a dotted key of the part, such as ``mesh.refine``."""
     value: Any = part.keys
     for name in key.split("."):
         value = getattr(value, name)
@@ -283,7 +286,7 @@ def compute_impedance_metrics(frequency: np.ndarray, impedance: np.ndarray) -> d
 
 
 def _convert_to_metrics(figures: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values of an impedance analyser as metrics with units."""
+    """Add units to the values of an impedance analysis, and return them as metrics."""
     from kc2spice.bodies.impedance import METRIC_UNITS
 
     result: dict[str, Any] = {}

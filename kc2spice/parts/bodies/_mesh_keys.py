@@ -90,6 +90,7 @@ class GroupKeys(Section):
 
     @model_validator(mode="after")
     def _require_one_selector(self) -> GroupKeys:
+        """Require exactly one key that selects the CAD entities of the group."""
         if len({key.removesuffix("_in") for key in self.model_fields_set}) != 1:
             raise make_invalid_value_error(
                 "a group needs exactly one of the keys solids, faces, curves and points",
@@ -99,7 +100,10 @@ class GroupKeys(Section):
         return self
 
     def make_selection(self, unit: float) -> dict[str, Any]:
-        """Return the selection of entities; coordinates are multiples of ``unit`` [m]."""
+        """Return the selection of CAD entities in the group, in the unit of the file.
+
+        The coordinates are multiples of ``unit`` [m].
+        """
         kind = next(iter(self.model_fields_set)).removesuffix("_in")
         dimension = ("points", "curves", "faces", "solids").index(kind)
         at = np.divide(getattr(self, kind), unit)
@@ -199,7 +203,7 @@ def read_groups(keys: MeshKeys, home: Path, splits: int) -> mesh_file.GroupedMes
 
 
 def assign_materials(names: Iterable[str], groups: mesh_file.GroupedMesh) -> np.ndarray:
-    """Return the index of each element's material in ``names``, as an array.
+    """Return the material of each element, as an index into the list ``names``.
 
     ``names`` are the names of the mesh groups that have a material.
 

@@ -70,18 +70,18 @@ _FIELD_DESCRIPTIONS = {
 
 @dataclass(frozen=True)
 class RecoveredFields:
-    """Motion of a body in a run, with the extremes of stress and electric field."""
+    """Motion of a body in a run, and the extremes of stress and electric field."""
 
     motion: NodalMotion
     extremes: tuple[Extreme, ...]
 
     def select_extremes(self, quantity: str) -> list[Extreme]:
-        """Return the extremes of ``quantity``, one for each material."""
+        """Return the extremes of one field quantity, one for each material."""
         return [item for item in self.extremes if item.quantity == quantity]
 
     @property
     def worst_stress(self) -> Extreme:
-        """Stress extreme that is closest to its limit; without limits, the largest."""
+        """Stress extreme closest to its limit; without limits, the largest stress."""
         stresses = self.select_extremes("principal_stress")
         limited = [item for item in stresses if item.limit]
         if not limited:
@@ -114,10 +114,10 @@ class MeshedBody(SoundingBody[FieldKeysT]):
 
     @abstractmethod
     def make_fe_model(self, part: Part[FieldKeysT], scene: GovernedScene) -> FiniteElementModel:
-        """Build the full finite-element model of the body with its mesh."""
+        """Build the finite-element model of the whole body, with its mesh."""
 
     def get_fe_model(self, part: Part[FieldKeysT], scene: GovernedScene) -> FiniteElementModel:
-        """Return the full finite-element model, from the workspace if possible.
+        """Return the finite-element model of the body, from the workspace if possible.
 
         The workspace contains the latest model of each part type, because consecutive scenes often
         reduce the same model differently.
@@ -130,7 +130,7 @@ class MeshedBody(SoundingBody[FieldKeysT]):
     def make_full_model(
         self, part: Part[FieldKeysT], scene: GovernedScene, clock: StageTimer
     ) -> LinearModel:
-        """Return the matrices of the full model with its ports."""
+        """Return the unreduced linear model of the body with its ports."""
         with clock.time_stage("assemble", f"mesh and matrices of {part.name}"):
             return self.get_fe_model(part, scene).model
 
@@ -211,7 +211,7 @@ class MeshedBody(SoundingBody[FieldKeysT]):
     def recover_inner_fields(
         self, part: Part[FieldKeysT], build: BuiltScene, waves: Waveforms
     ) -> RecoveredFields | None:
-        """Return the motion, stress and electric field inside the body during a transient.
+        """Return motion, stress and electric field inside the body during a transient.
 
         The result is None without the key ``fields``, and in analyses other than a transient.
 
@@ -280,16 +280,17 @@ def list_field_instants(part: Part[FieldKeys]) -> tuple[float, ...]:
 
 
 class BondedBody(MeshedBody[FieldKeysT]):
-    """Body of bonded blocks; ``structure`` derives the blocks from the keys.
+    """Base class of bodies that consist of bonded blocks.
 
-    A block is a box or ring of one material.
+    The function ``structure`` derives the blocks from the keys of the part. A block is a box or
+    ring of one material.
     """
 
     discretisations = ("mesh.refine",)
     structure: Callable[[Any, str], BondedBlocks]
 
     def is_clamped(self, part: Part[FieldKeysT]) -> bool:
-        """Return whether the rim of the body is clamped, so that no air flows around it."""
+        """Return whether the rim is clamped, so that no air flows around the body."""
         return False
 
     def make_bonded_blocks(self, part: Part[FieldKeysT]) -> BondedBlocks:
@@ -297,7 +298,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
         return _build_bonded_blocks(self, part.keys.model_dump_json(exclude={"rom"}), part.name)
 
     def select_used_faces(self, part: Part[FieldKeysT], scene: DeclaredScene) -> BondedBlocks:
-        """Return the blocks with those acoustic ports that the scene uses."""
+        """Return the bonded blocks with only those radiating faces that the scene uses."""
         bonded, named = self.make_bonded_blocks(part), {}
         for name, face in bonded.faces.items():
             if name in part.pins or scene.is_target(part.name, name):
@@ -307,7 +308,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
     def make_full_model_key(
         self, part: Part[FieldKeysT], scene: GovernedScene
     ) -> Mapping[str, Any]:
-        """Return the cache key of the full model with the acoustic ports that are used."""
+        """Return the cache key of the full model, including the used acoustic ports."""
         key, faces = (
             super().make_full_model_key(part, scene),
             [*self.select_used_faces(part, scene).faces],
@@ -315,13 +316,13 @@ class BondedBody(MeshedBody[FieldKeysT]):
         return {**key, "faces": faces} if faces else key
 
     def ports(self, part: Part[FieldKeysT], scene: DeclaredScene) -> tuple[Port, ...]:
-        """Return the ports of the model of the part."""
+        """Return the ports of the part's model."""
         return self.select_used_faces(part, scene).all_ports
 
     def pin_directions(
         self, part: Part[FieldKeysT], scene: DeclaredScene
     ) -> Mapping[str, tuple[float, ...]]:
-        """Return the upward unit vector of each mechanical port, keyed by pin."""
+        """Return the upward unit vector of each mechanical port, keyed by pin name."""
         result = {}
         for port in self.ports(part, scene):
             if port.domain in (TRANSLATION, ACCELERATION):
@@ -339,7 +340,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
         clock: StageTimer,
         like: Part[FieldKeysT],
     ) -> LinearModel:
-        """Return the full model of ``part`` on the moved mesh of ``like``."""
+        """Return the full model of a changed part on the moved mesh of the original part."""
         body = replace(self.select_used_faces(part, scene), like=self.make_bonded_blocks(like))
         return body.build_fe_model().model
 
@@ -348,7 +349,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
         return self.make_bonded_blocks(part).depoling_voltage
 
     def dimensions(self, part: Part[FieldKeysT]) -> int:
-        """Return the number of dimensions of the mesh."""
+        """Return the number of spatial dimensions of the mesh."""
         return len(self.make_bonded_blocks(part).blocks[0].box)
 
     def envelope(self, part: Part[FieldKeysT], scene: DeclaredScene) -> Envelope:
@@ -379,7 +380,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
         yield from check_layers(f"{part.name}.layers", result, plate=width is None)
 
     def outline(self, part: Part[FieldKeysT], scene: Scene) -> Iterator[Shape]:
-        """Yield the side view of the blocks, with the top at the height zero.
+        """Yield the side view of the bonded blocks; the top is at height zero.
 
         A block with a bore is drawn on both sides of the axis. The first block of each kind has an
         entry in the legend.
@@ -401,7 +402,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
 
 @lru_cache(maxsize=32)
 def _build_bonded_blocks(kind: BondedBody, keys: str, name: str) -> BondedBlocks:
-    """Return the blocks of a body of type ``kind`` from the JSON text of its keys."""
+    """Build the bonded blocks of a body from the JSON text of its keys."""
     return kind.structure(kind.schema.model_validate_json(keys), name)
 
 

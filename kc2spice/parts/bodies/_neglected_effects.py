@@ -38,7 +38,7 @@ NOT_ESTIMATED_TEXT = "not estimated"
 
 @dataclass(frozen=True)
 class Envelope:
-    """Outer size, mass and layers of a body, used to estimate neglected effects.
+    """Outer size, mass and layers of a body, for estimates of neglected effects.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ def compute_disc_air_mass(radius: float) -> float:
 
 
 def make_disc_envelope(blocks: Sequence[Block], baffled: bool, glued: bool) -> Envelope:
-    """Return the envelope of a body of revolution, with or without a ``baffled`` rim."""
+    """Return the envelope of a body of revolution, whose rim may be in a baffle."""
     boxes = np.array([block.box for block in blocks])
     radius = float(boxes[:, 0, 1].max())
     low, high = float(boxes[:, 1, 0].min()), float(boxes[:, 1, 1].max())
@@ -85,7 +85,7 @@ def make_disc_envelope(blocks: Sequence[Block], baffled: bool, glued: bool) -> E
 
 
 def make_beam_envelope(blocks: Sequence[Block]) -> Envelope:
-    """Return the envelope of a beam of width w and length l.
+    """Return the envelope of a beam with the width w and the length l.
 
     The beam moves an air mass of ``pi/4 rho w^2 l``. Source: J. N. Newman, Marine Hydrodynamics
     (1977), section 4.16, for the flow across a plate strip.
@@ -150,7 +150,7 @@ def estimate_neglected_effects(
 
 
 def _describe_air(envelope: Envelope) -> str:
-    """Return a text with the effect of the moved air on the first resonance.
+    """Describe how the moved air changes the first resonance.
 
     The added air mass m_a lowers the natural frequency of a body with the mass m by the fraction
     ``1 - (1 + m_a/m)^-1/2``.
@@ -164,6 +164,7 @@ def _describe_air(envelope: Envelope) -> str:
 
 
 def _estimate_glue_effect(name: str, envelope: Envelope) -> Iterator[NeglectedEffect]:
+    """Yield the neglected effect of glue between layers, with its estimated size."""
     glue = find_material("epoxy")
     layers = [b for b in envelope.layers if _compute_youngs_modulus(b) > 2 * glue.C[0, 0]]
     joints = [(a, b) for a, b in pairwise(layers) if a.box[-1][1] == b.box[-1][0]]
@@ -195,6 +196,7 @@ def _compute_youngs_modulus(block: Block) -> float:
 
 
 def _estimate_electrode_effect(name: str, envelope: Envelope) -> Iterator[NeglectedEffect]:
+    """Yield the neglected effect of the metal of electrodes, solder and wires."""
     what, why = f"{name}: metal of electrodes, solder, wires", "equipotentials without mass"
     active = [block for block in envelope.layers if block.material.is_piezoelectric]
     if not active or envelope.mass is None:

@@ -38,7 +38,7 @@ LEVEL_SOURCES = ("kc2spice.bodies", "kc2spice.fem", "kc2spice.linalg", "kc2spice
 
 
 class SoundingBody(LinearBody[FieldKeysT]):
-    """Body with a mesh and faces that can be connected to acoustic parts."""
+    """Meshed body with faces that can be connected to acoustic parts."""
 
     @abstractmethod
     def get_fe_model(self, part: Part[FieldKeysT], scene: GovernedScene) -> FiniteElementModel:
@@ -84,14 +84,14 @@ class SoundingBody(LinearBody[FieldKeysT]):
         return result
 
     def lightly_loaded_pins(self, part: Part[FieldKeysT], scene: Scene) -> set[str]:
-        """Return the pins of faces with a light load, which radiate directly into a gas."""
+        """Return the pins of faces with a light load: those that radiate into a gas."""
         facing = self.facing_fluids(part, scene)
         return {port for port, item in facing.items() if item.radiation and item.fluid.is_gas}
 
     def estimate_levels_by_port(
         self, part: Part[FieldKeysT], scene: Scene
     ) -> dict[str, FaceLevelEffects]:
-        """Return the effects of assumptions about each face, keyed by the port name."""
+        """Return how assumptions change each face's sound level, keyed by port name."""
         result = {}
         for port, facing in self.facing_fluids(part, scene).items():
             levels = self._load_or_estimate_levels(part, scene, port, facing)
@@ -102,7 +102,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
     def _load_or_estimate_levels(
         self, part: Part[FieldKeysT], scene: Scene, port: str, facing: FluidAtFace
     ) -> FaceLevelEffects | None:
-        """Return the effects of assumptions about a face, from the cache if possible."""
+        """Load or estimate how assumptions about a face change its sound level."""
         from kc2spice.parts.acoustics._acoustic_load import collect_load
         from kc2spice.parts.bodies._face_levels import FaceLevelEffects
         from kc2spice.parts.bodies._face_response import MAX_MODES, LoadedFace
@@ -129,14 +129,14 @@ class SoundingBody(LinearBody[FieldKeysT]):
         }
 
         def build() -> FaceLevelEffects | None:
-            """Compute the effects of the assumptions about the face with the full model."""
+            """Estimate with the full model how assumptions change a face's sound level."""
             face = LoadedFace(
                 self.get_fe_model(part, scene), port, facing, joined, load, end, count
             )
             return self._estimate_levels(part, scene, face)
 
         def load_or_estimate_effects() -> FaceLevelEffects | None:
-            """Return the effects of assumptions from the cache, or compute them."""
+            """Load the effects on the sound level from the cache, or estimate them."""
             sources = (*LEVEL_SOURCES, "kc2spice.parts.acoustics", "kc2spice.parts.bodies")
             return load_or_build("face", key, build, classes=(FaceLevelEffects,), sources=sources)
 
@@ -147,7 +147,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
     def _estimate_levels(
         self, part: Part[FieldKeysT], scene: Scene, face: LoadedFace
     ) -> FaceLevelEffects | None:
-        """Return the effects of assumptions about a face and its supporting ring."""
+        """Estimate how the assumptions about a face and its support ring affect its sound."""
         from kc2spice.parts.bodies._face_levels import TOLERANCE, estimate_face_levels
 
         result = estimate_face_levels(face)
@@ -183,6 +183,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
     def list_neglected_effects(
         self, part: Part[FieldKeysT], scene: Scene
     ) -> Iterator[NeglectedEffect]:
+        """Yield the neglected effects of the body and of assumptions about its faces."""
         yield from super().list_neglected_effects(part, scene)
         facing = self.facing_fluids(part, scene)
         if not facing:
@@ -199,7 +200,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
     def figures(
         self, part: Part[FieldKeysT], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Figure | FileWriter]:
-        """Return the figures of the report."""
+        """Return the figures of the part for the report."""
         faces = self._plot_face_displacements(part, build, waves)
         return chain(super().figures(part, build, waves), faces)
 
@@ -261,7 +262,7 @@ def _states_piston_motion(names: Iterable[str], scene: Scene) -> bool:
 def _describe_peak(
     port: str, levels: FaceLevelEffects, waves: Waveforms, displacement: np.ndarray
 ) -> str:
-    """Return a sentence about the largest displacement of a face at resonance.
+    """Return a sentence about the largest displacement of a face, at its resonance.
 
     The largest displacement is the product of the mean displacement and ``levels.peak``.
     """

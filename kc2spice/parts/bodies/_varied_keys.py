@@ -27,7 +27,7 @@ MIN_RELATIVE_WIDTH = 1e-3  # smallest relative width of a range
 
 @dataclass(frozen=True)
 class VariedKey:
-    """Numeric key of a part, such as ``layers[1].thickness``, with unit and range.
+    """Numeric key of a part that varies over a range, such as ``layers[1].thickness``.
 
     A range from zero is possible for some part types.
     """
@@ -40,7 +40,7 @@ class VariedKey:
 
     @property
     def parameter_axis(self) -> ParameterAxis:
-        """Parameter with a range that represents the key in the reduction of the model."""
+        """Parameter with its range, which represents the key in the model reduction."""
         return ParameterAxis(self.key, self.low, self.high, from_zero=self.low == 0)
 
     @property
@@ -52,7 +52,7 @@ class VariedKey:
 
 
 def list_varied_keys(part: Part[LinearKeysT]) -> tuple[VariedKey, ...]:
-    """Return the keys of the part that ``rom.parameters`` lists, with their ranges.
+    """Return the keys in ``rom.parameters`` of the part, with their ranges.
 
     Raises
     ------
@@ -79,12 +79,12 @@ def list_varied_keys(part: Part[LinearKeysT]) -> tuple[VariedKey, ...]:
 
 
 def read_key_values(keys: Iterable[VariedKey]) -> dict[str, float]:
-    """Return the value of each key in the part, by name of the key."""
+    """Return the part's value of each varied key, keyed by the name of the key."""
     return {item.key: item.value for item in keys}
 
 
 def get_middle_values(keys: Iterable[VariedKey]) -> dict[str, float]:
-    """Return the value in the middle of each key's range, by name of the key."""
+    """Return the middle of each varied key's range, keyed by the name of the key."""
     return {item.key: item.parameter_axis.middle_value for item in keys}
 
 
@@ -96,7 +96,7 @@ def make_varied_key(
     where: str | None = None,
     from_zero: bool = False,
 ) -> VariedKey:
-    """Return a key with its range; the two ``ends`` may have any order.
+    """Return a varied key with its range, whose ``ends`` may have any order.
 
     With ``from_zero``, the range may begin at zero.
 
@@ -121,7 +121,7 @@ def make_varied_key(
 
 
 def check_parameter_ranges(part: Part[LinearKeysT], scene: GovernedScene) -> Iterator[UsageError]:
-    """Yield the error of invalid parameter ranges, without building a full model."""
+    """Yield the errors of parameter ranges without building a full model."""
     try:
         keys = list_varied_keys(part)
         ranges = {item.key: (item.low, item.high) for item in keys}
@@ -133,7 +133,7 @@ def check_parameter_ranges(part: Part[LinearKeysT], scene: GovernedScene) -> Ite
 
 
 def with_values(part: Part[LinearKeysT], values: Mapping[str, Any]) -> Part[LinearKeysT]:
-    """Return a copy of the part with other values of some of its keys.
+    """Return a copy of the part in which some of its keys have other values.
 
     Raises
     ------

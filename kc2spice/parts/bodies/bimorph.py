@@ -147,7 +147,7 @@ class BimorphKeys(FieldKeys):
 def make_bimorph_blocks(
     keys: BimorphKeys | Mapping[str, Any], where: str = "bimorph"
 ) -> BondedBlocks:
-    """Return the layers of a bimorph with electrodes, support, ports and tip mass.
+    """Return the bonded layers of a bimorph with electrodes, support, ports, tip mass.
 
     ``mesh.refine`` divides the element size in the plane of the layers. The element size through
     the thickness is divided by only half of ``mesh.refine``, because a single quadratic element
@@ -266,7 +266,7 @@ def _make_grid(beam: BimorphKeys, heights: list[float]) -> tuple[np.ndarray, ...
 
 
 class Bimorph(BondedBody[BimorphKeys]):
-    """Part type ``bimorph``: layered bending beam, a reduced 3-D piezoelectric model."""
+    """Part type ``bimorph``: layered piezoelectric bending beam, reduced from 3-D FE."""
 
     name = "bimorph"
     title = "layered beam that bends (3-D piezoelectric FE, reduced)"

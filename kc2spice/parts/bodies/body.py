@@ -154,6 +154,7 @@ class PortKeys(Section):
 
     @model_validator(mode="after")
     def _require_consistent_keys(self) -> PortKeys:
+        """Reject contradictory keys of a port."""
         places = (self.group is not None) + (self.at is not None)
         of_group = self.kind in ("rigid", "face")
         if places != (0 if self.kind == "base" else 1) or (of_group and self.at):
@@ -189,12 +190,12 @@ class PortKeys(Section):
 
     @property
     def motions(self) -> tuple[str, ...]:
-        """Names of the motions of a rigid face that become ports."""
+        """Names of the rigid-face motions that become ports."""
         return _MOTION_NAMES if self.axis is None else (str(self.axis),)
 
     @property
     def ports(self) -> tuple[Port, ...]:
-        """Ports of the model that this entry of the key ``ports`` defines."""
+        """Ports of the model that an entry of the key ``ports`` defines."""
         if self.kind != "rigid":
             return (Port(self.name, _DOMAINS_OF_KINDS[self.kind].port),)
         result = []
@@ -214,7 +215,7 @@ class PortKeys(Section):
 
 
 class PolingKeys(Section):
-    """Keys of cylindrical poling, or of poling vectors in a CSV file.
+    """Keys of a poling: directions from an axis, or poling vectors in a CSV file.
 
     The columns of the file are ``element, px, py, pz`` with the element numbers of a mesh file, or
     ``x, y, z, px, py, pz`` in the unit of the mesh. In a file with points, the point nearest to an
@@ -248,7 +249,7 @@ class PolingKeys(Section):
 
     @property
     def contradiction(self) -> str:
-        """Reason why the keys define no valid poling; empty for a valid poling."""
+        """Reason why the poling keys are contradictory; empty for a valid poling."""
         if (self.direction is None) == (self.file is None):
             return "it needs exactly one of the keys direction and file"
         if self.file and self.model_fields_set != {"file"}:
@@ -301,6 +302,7 @@ class AxesKeys(Section):
 
     @model_validator(mode="after")
     def _require_valid_axes(self) -> AxesKeys:
+        """Reject material axes that are incomplete, zero or not perpendicular."""
         if not any(self.z):
             raise make_invalid_value_error(
                 "z has no length", None, hint="write for example  z = [0, 0, 1]"
@@ -341,7 +343,7 @@ class AxesKeys(Section):
         return np.stack([first, np.cross(third, first), third], axis=-1)
 
     def rotate_material(self, plain: Material) -> Material:
-        """Return the material with its tensors rotated to these axes."""
+        """Return the material with its tensors rotated to the stated axes."""
         if self.kind == "cartesian":
             return plain.rotate(self.rotation)
         return replace(plain, local_axes=CylindricalAxes(self.z, self.origin or (0.0, 0.0, 0.0)))
@@ -477,7 +479,7 @@ class BodyKeys(MeshKeys):
 
 
 def _write_terminal_example(keys: BodyKeys, info: ValidationInfo) -> str:
-    """Return example text for the keys ``electrodes`` or ``ports`` in an error hint.
+    """Write example text for the keys ``electrodes`` or ``ports`` in an error hint.
 
     The example has electrodes on a piezoelectric group of the mesh. Without such a group, the
     example has a port on a group of faces. Without any group of faces, the example has a port at a
@@ -532,7 +534,7 @@ def build_fe_model(
 def _read_polings(
     keys: BodyKeys, home: Path, groups: mesh_file.GroupedMesh
 ) -> dict[str, ElementAxes]:
-    """Return the poling axes of each element, read from a CSV file for each group."""
+    """Return the poling axes of each element, read from one CSV file per mesh group."""
     tables: dict[str, PolingTable] = {}
     for group, file in keys.poling_files.items():
         where = f"poling.{group}"
@@ -562,6 +564,7 @@ def _read_polings(
 def _make_solid(
     keys: BodyKeys, groups: mesh_file.GroupedMesh, element_axes: Mapping[str, ElementAxes]
 ) -> Solid:
+    """Return the meshed solid with the material of each mesh group."""
     owner = assign_materials(keys.materials, groups)
     materials = []
     for name, name_or_table in keys.materials.items():
@@ -616,7 +619,7 @@ def _require_mesh_axis(keys: BodyKeys, about: CylindricalAxes, where: str) -> No
 def _make_boundary_conditions(
     keys: BodyKeys, groups: mesh_file.GroupedMesh, solid: Solid
 ) -> fe.BoundaryConditions:
-    """Make the supports, electrodes, ports and added masses on the mesh ``solid``."""
+    """Return supports, electrodes, ports and added masses on the mesh ``solid``."""
     electrodes = {}
     for pin, stated in keys.electrodes.items():
         names = [stated] if isinstance(stated, str) else stated
@@ -649,6 +652,7 @@ def _make_boundary_conditions(
 
 
 def _make_rigid_face(port: PortKeys, groups: mesh_file.GroupedMesh, solid: Solid) -> fe.RigidFace:
+    """Return a rigid face of the mesh, with a port for each of its free motions."""
     where = f"ports.{port.name}"
     if solid.axisymmetric:
         problem = "an axisymmetric body cannot have rigid faces"
@@ -700,6 +704,7 @@ def _find_electrode_nodes(
 def _find_clamped_components(
     keys: BodyKeys, groups: mesh_file.GroupedMesh, solid: Solid
 ) -> np.ndarray:
+    """Return which displacement components are fixed, as a flat boolean array."""
     d, nodes = solid.component_count, solid.node_positions.shape[1]
     fixed = np.zeros((nodes, d), bool)
     letters = "xyz" if d == 3 else "xz"
@@ -748,7 +753,7 @@ class Body(MeshedBody[BodyKeys]):
     ports_of_files = True
 
     def ports(self, part: Part[BodyKeys], scene: DeclaredScene) -> tuple[Port, ...]:
-        """Return the ports of the model of the part."""
+        """Return the ports of the part's model."""
         result: tuple[Port, ...] = part.keys.all_ports
         return result
 
@@ -785,7 +790,7 @@ class Body(MeshedBody[BodyKeys]):
         yield from find_mesh_problems(part, scene)
 
     def notes(self, part: Part[BodyKeys], scene: Scene) -> Iterator[str | NeglectedEffect]:
-        """Yield notes for the report: the size of the mesh and the notes of linear bodies."""
+        """Yield the size of the mesh and the notes of linear bodies, for the report."""
         sides = self.compute_side_lengths(part, scene)
         yield " x ".join(map("{:.4g}".format, np.multiply(1e3, sides))) + " mm"
         yield from super().notes(part, scene)
@@ -813,7 +818,7 @@ class Body(MeshedBody[BodyKeys]):
         return estimate_box_envelope(sides)
 
     def dimensions(self, part: Part[BodyKeys]) -> int:
-        """Return the number of dimensions of the mesh."""
+        """Return the number of spatial dimensions of the mesh."""
         return 2 if part.keys.axisymmetric else 3
 
     def describe_support(self, part: Part[BodyKeys]) -> str:

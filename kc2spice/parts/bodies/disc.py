@@ -227,7 +227,7 @@ def _make_ring(inner: float, outer: float, height: float) -> Box:
 
 
 def _make_blocks(disc: DiscKeys, where: str) -> list[Block]:
-    """Return one block for each layer, with its poled material, from the bottom up."""
+    """Return one bonded block for each layer, with its poled material, bottom to top."""
     result = []
     ends = pairwise(accumulate((layer.thickness for layer in disc.layers), initial=0.0))
     for i, (layer, span) in enumerate(zip(disc.layers, ends, strict=True)):
@@ -254,7 +254,7 @@ def _make_blocks(disc: DiscKeys, where: str) -> list[Block]:
 
 
 def _list_electrodes(disc: DiscKeys, pieces: list[Block], where: str) -> list[list[Box]]:
-    """Return the faces of each electrode, lowest electrode first.
+    """Return the faces of each electrode, from the lowest electrode to the highest.
 
     All faces that touch the same metal layer form one electrode.
     """
@@ -284,7 +284,7 @@ def _list_electrodes(disc: DiscKeys, pieces: list[Block], where: str) -> list[li
 def _list_electrode_faces(
     disc: DiscKeys, ceramic: list[int], height: float, below: int, where: str
 ) -> list[Box]:
-    """Return the faces of an electrode that touches no metal layer.
+    """Return the layer faces of an electrode that touches no metal layer.
 
     The feedback electrode and its gap are cut out of the electrode.
     """
@@ -359,7 +359,7 @@ class Disc(BondedBody[DiscKeys]):
         return devices
 
     def is_clamped(self, part: Part[DiscKeys]) -> bool:
-        """Return whether the rim of the disc counts as clamped."""
+        """Return whether the rim is clamped; every support except ``free`` counts."""
         return part.keys.support != "free"
 
 

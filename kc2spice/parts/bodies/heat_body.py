@@ -104,7 +104,7 @@ ModelT = TypeVar("ModelT", LinearModel, HeatOverRanges)
 
 
 class HeatGeometry:
-    """Meshed solid of a heat body, with methods that find mesh groups by name."""
+    """Meshed solid of a heat body, with functions that find mesh groups by name."""
 
     def __init__(self, solid: HeatSolid, group: Callable[..., mesh_file.Group]) -> None:
         self.solid = solid
@@ -115,7 +115,7 @@ class HeatGeometry:
         return self._group(name, where, 1).members
 
     def compute_heat_shares(self, source: str | HeatSourceKeys, where: str) -> np.ndarray:
-        """Return the fraction of a source's heat that enters each node."""
+        """Return the fraction of a heat source's power that enters each mesh node."""
         if isinstance(source, str):
             source = HeatSourceKeys(group=source)
         if source.at is not None:
@@ -129,7 +129,7 @@ class HeatGeometry:
 
 
 def make_heat_device(keys: HeatBodyKeys, home: Path, where: str = "heat_body") -> HeatModel:
-    """Read or create the mesh of a heat body, and assemble the full model.
+    """Mesh a heat body from its keys, and assemble the full heat model.
 
     Raises
     ------
@@ -262,7 +262,7 @@ def _stack_layers(keys: HeatBodyKeys) -> tuple[HeatGeometry, list[tuple[np.ndarr
         groups[f"layer{number + 1}"] = mesh_file.Group(0, cells)
 
     def find_group(name: str, where: str, *codimensions: int) -> mesh_file.Group:
-        """Return a group of the layers; reject unknown and unsuitable groups."""
+        """Return a mesh group of the layer stack; reject unknown and unsuitable groups."""
         if name not in groups:
             raise unknown("the layers have no such group", name, list(groups), where)
         result = groups[name]
@@ -306,7 +306,7 @@ dc = "1 W"
 """
 
     def ports(self, part: Part[HeatBodyKeys], scene: DeclaredScene) -> tuple[Port, ...]:
-        """Return the ports of the model of the part."""
+        """Return the ports of the part's model."""
         return part.keys.all_ports
 
     def files(self, part: Part[HeatBodyKeys], scene: DeclaredScene) -> tuple[str, ...]:
@@ -326,7 +326,7 @@ dc = "1 W"
     def equilibrium_conditions(
         self, part: Part[HeatBodyKeys], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the pairs of pins between which heat flows in steady state.
+        """Return the equilibrium conditions: the pin pairs with a steady heat flow.
 
         If no path inside the body leads to the pin ``ambient``, heat flows between the other pins.
         """
@@ -339,11 +339,11 @@ dc = "1 W"
     def equilibrium_after_build(
         self, part: Part[HeatBodyKeys], build: BuiltScene
     ) -> EquilibriumConditions:
-        """Return the paths of steady heat flow, which are known before the build."""
+        """Return the paths of steady heat flow, which do not depend on the built model."""
         return build.scene.records[part.name].rest
 
     def get_default_band_end(self, scene: Scene) -> float:
-        """Return the upper end [Hz] of the default band of a transient.
+        """Return the lowest upper end [Hz] of a transient's default band.
 
         The upper end is :data:`RUN_POINTS` divided by the duration of the run; a heat body has no
         resonances that could define the band.
@@ -356,7 +356,7 @@ dc = "1 W"
         key: Mapping[str, Any],
         full: Callable[[], LinearModel],
     ) -> tuple[float, float]:
-        """Return the band; a default band ends where the mesh becomes too coarse."""
+        """Return ``band``; a default band ends where the mesh becomes too coarse."""
         low, high = band
         if key["limited"]:
             high = min(high, full().facts[MESH_LIMIT_NAME])
@@ -398,7 +398,7 @@ dc = "1 W"
     def make_full_model(
         self, part: Part[HeatBodyKeys], scene: GovernedScene, clock: StageTimer
     ) -> LinearModel:
-        """Return the matrices of the full heat model with its ports."""
+        """Return the unreduced linear model of the heat body with its ports."""
         with clock.time_stage("assemble", f"mesh and matrices of {part.name}"):
             return self.get_fe_model(part, scene).model
 
@@ -409,7 +409,7 @@ dc = "1 W"
         model: LinearModel,
         aims: Mapping[str, Any],
     ) -> LinearModel:
-        """Reduce the model, with prescribed temperatures in the error estimate.
+        """Reduce the heat model; the error estimate covers prescribed temperatures.
 
         Isothermal faces and the fluids of films have prescribed temperatures. At high frequencies,
         the temperature of a pin behind thick insulation is so small that rounding errors exceed the
@@ -420,7 +420,10 @@ dc = "1 W"
         tolerance = aims["tolerance"]
 
         def reduce(norm: Norm, share: float) -> LinearModel:
-            """Reduce the model to ``share`` times the tolerance, with the error norm ``norm``."""
+            """Reduce the heat model to a fraction of the tolerance, in one error norm.
+
+            ``share`` is the fraction.
+            """
             changed = {**aims, "norm": norm, "tolerance": tolerance and share * tolerance}
             return reduce_with_interfaces(model, prescribed_ports, **changed)
 
@@ -432,7 +435,7 @@ dc = "1 W"
         return [*filter(known.__contains__, list_names(model.ports))]
 
     def reduce_over_key_ranges(self, part: Part[HeatBodyKeys], task: RangeTask) -> HeatOverRanges:
-        """Return a model reduced over the ranges of film coefficients and other keys.
+        """Reduce the heat model over the ranges of film coefficients and other keys.
 
         Prescribed temperatures and the error norm have the same effect as in :meth:`reduce_body`.
         """
@@ -441,7 +444,10 @@ dc = "1 W"
         reduction = HeatReduction(task.full, task.axes, _list_prescribed_names(part))
 
         def reduce(norm: Norm, share: float) -> HeatOverRanges:
-            """Reduce over the ranges to ``share`` times the tolerance, with the norm ``norm``."""
+            """Reduce over the ranges to a fraction of the tolerance, in one error norm.
+
+            ``share`` is the fraction.
+            """
             return reduction.reduce(replace(task, norm=norm, tolerance=share * task.tolerance))
 
         return _reduce_with_peak_fallback(part, task.norm, reduce)
@@ -449,7 +455,7 @@ dc = "1 W"
     def build(
         self, part: Part[HeatBodyKeys], scene: Scene, clock: StageTimer, full: bool = False
     ) -> LinearModel | None:
-        """Return the model with its thermal resistances at the key values of the part.
+        """Build the heat model; compute the thermal resistances at the part's key values.
 
         With parameter ranges, the model is valid for all values in the ranges, so its thermal
         resistances are computed again.
@@ -465,7 +471,7 @@ dc = "1 W"
         return replace(model, facts={**model.facts, **exact})
 
     def vectors(self, part: Part[HeatBodyKeys], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice vectors of the results of the ports, keyed by result name.
+        """Return the ngspice vectors of the port results, keyed by result name.
 
         If a port is connected to only one part, the heat flow into the port is also a result.
         """
@@ -479,7 +485,7 @@ dc = "1 W"
     def metrics(
         self, part: Part[HeatBodyKeys], build: BuiltScene, waves: Waveforms
     ) -> Mapping[str, object]:
-        """Return thermal resistances of ports and peak temperatures of materials."""
+        """Return the metrics: port thermal resistances and peak material temperatures."""
         result: dict[str, object] = dict(super().metrics(part, build, waves))
         for name, value in build.facts(part).items():
             if name.startswith(RESISTANCE_PREFIX):
@@ -553,7 +559,7 @@ dc = "1 W"
     def list_neglected_effects(
         self, part: Part[HeatBodyKeys], scene: Scene
     ) -> Iterator[NeglectedEffect]:
-        """Yield the neglected effects, such as the dependence of materials on temperature."""
+        """Yield neglected effects, such as temperature-dependent material constants."""
         yield from super().list_neglected_effects(part, scene)
         what = f"{part.name}: conductivity and specific heat that change with temperature"
         yield NeglectedEffect(
@@ -566,14 +572,14 @@ dc = "1 W"
 
 
 def _list_prescribed_names(part: Part[HeatBodyKeys]) -> set[str]:
-    """Return the names of the pins of isothermal faces and of the fluids behind films."""
+    """Return the pin names of isothermal faces and of the fluids behind films."""
     return {*part.keys.isothermal, *part.keys.film_pins}
 
 
 def _reduce_with_peak_fallback(
     part: Part[HeatBodyKeys], norm: Norm, reduce: Callable[[Norm, float], ModelT]
 ) -> ModelT:
-    """Return a model reduced with the error norm ``norm``, or otherwise ``peak``.
+    """Reduce a heat model in an error norm, or in the norm ``peak`` if this fails.
 
     If the reduction with ``norm`` fails, the norm ``peak`` is used instead. With the norm ``peak``,
     the error is relative to the largest temperature of each pin. ``reduce(norm, share)`` reduces
@@ -593,6 +599,7 @@ def _reduce_with_peak_fallback(
 
 
 def _plot_temperatures(name: str, waves: Waveforms) -> Iterator[Figure]:
+    """Yield the plot of temperature rises [K] over ambient versus time."""
     prefix = f"{name}.temperature"
     rises = {key: values for key, values in waves.data.items() if key.startswith(prefix)}
     if "time" not in waves or not rises:
@@ -630,7 +637,7 @@ def _plot_thermal_impedance(name: str, model: LinearModel) -> Iterator[Figure]:
 def _draw_field(
     figure: str, name: str, heat: HeatModel, instant: float, rises: np.ndarray
 ) -> Iterator[Figure]:
-    """Yield a picture of the temperature rises [K] at the nodes.
+    """Yield a picture of the body with its nodal temperature rises [K].
 
     ``rises`` has the shape (nodes,). The picture shows the surface of a mesh; for a stack of
     layers, it shows the temperature rise versus the height.

@@ -73,7 +73,10 @@ class CylinderKeys(PieceKeys):
 
 
 class RingStackKeys(PieceKeys):
-    """Keys of equal ceramic rings; their even number puts both masses on the cathode."""
+    """Keys of a stack of equal ceramic rings with an even number of rings.
+
+    The even number connects both masses to the cathode.
+    """
 
     outer: Width = Field(gt=0, description="Outer diameter of the ceramic rings")
     inner: Length = Field(gt=0, description="Diameter of the bore of the ceramic rings")
@@ -87,6 +90,7 @@ class RingStackKeys(PieceKeys):
 
     @model_validator(mode="after")
     def _require_valid_rings(self) -> RingStackKeys:
+        """Reject an odd number of rings, and an inner diameter above the outer diameter."""
         if self.count % 2:
             raise make_invalid_value_error(
                 "the number of rings is odd, so that the bolt connects the anode to the cathode",
@@ -127,6 +131,7 @@ class BoltKeys(PieceKeys):
 
     @model_validator(mode="after")
     def _require_complete_head(self) -> BoltKeys:
+        """Reject a bolt head with only one of the keys for diameter and length."""
         if (self.head_diameter is None) != (self.head_length is None):
             raise make_invalid_value_error(
                 "head_diameter and head_length must be used together",
@@ -137,7 +142,7 @@ class BoltKeys(PieceKeys):
 
 
 class LangevinKeys(FieldKeys):
-    """Keys of a bolted transducer; ``front`` and ``back`` start at the rings."""
+    """Keys of a bolted transducer; lists ``front`` and ``back`` start at the rings."""
 
     front: tuple[CylinderKeys, ...] = Field(
         examples=['[{ material = "aluminium", diameter = "20 mm", length = "20 mm" }]'],
@@ -157,6 +162,7 @@ class LangevinKeys(FieldKeys):
 
     @model_validator(mode="after")
     def _require_fitting_pieces(self) -> LangevinKeys:
+        """Reject pieces of a bolted transducer that do not fit together."""
         bolt, inner, masses = self.bolt, self.rings.inner, (*self.front, *self.back)
         depth, head = bolt.depth or self.front[0].length, bolt.head_diameter or math.inf
         wrong = {
@@ -187,7 +193,7 @@ class LangevinKeys(FieldKeys):
 def make_langevin_blocks(
     keys: LangevinKeys | Mapping[str, Any], where: str = "langevin"
 ) -> BondedBlocks:
-    """Return the blocks of a transducer with electrodes, support and ports.
+    """Return the blocks of a bolted transducer with electrodes, support and ports.
 
     Raises
     ------
@@ -220,13 +226,16 @@ def make_langevin_blocks(
 
 
 def _make_blocks(body: LangevinKeys, where: str) -> list[Block]:
-    """Return the blocks of the rings, of the front and back mass, and of the bolt."""
+    """Return the blocks of a bolted transducer: rings, front mass, back mass and bolt."""
     result: list[Block] = []
 
     def add(
         piece: PieceKeys, key: str, radii: tuple[float, float], low: float, high: float, up: int = 1
     ) -> None:
-        """Add a block from height ``low`` to ``high``; ``up`` is the sign of its poling."""
+        """Add a block between two heights, with a poling direction.
+
+        ``up`` is the sign of the poling along z.
+        """
         one = find_material(piece.material, f"{where}.{key}.material")
         quality = piece.quality or one.quality
         poled = replace(one.rotate_z_axis((0, 0, up)), name=f"{key} ({one.name})", quality=quality)

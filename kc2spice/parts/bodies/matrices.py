@@ -28,7 +28,7 @@ LINE_HEIGHT = 0.02  # smallest height of a mesh in a drawing, divided by its wid
 
 
 class MatricesKeys(LinearKeys):
-    """Keys of a model from matrix files; a TOML file describes the ports."""
+    """Keys of a model from matrix files; a TOML file describes its ports."""
 
     file: FileName = Field(
         examples=['"FILE"'],
@@ -52,7 +52,7 @@ class Matrices(LinearBody[MatricesKeys]):
     ports_of_files = True
 
     def ports(self, part: Part[MatricesKeys], scene: DeclaredScene) -> tuple[Port, ...]:
-        """Return the ports of the model of the part."""
+        """Return the ports of the part's model."""
         return self._read_model(part, scene).ports
 
     def pin_directions(
@@ -88,7 +88,7 @@ class Matrices(LinearBody[MatricesKeys]):
     def make_full_model(
         self, part: Part[MatricesKeys], scene: GovernedScene, clock: StageTimer
     ) -> LinearModel:
-        """Return the full model, which the matrix files contain."""
+        """Return the full model from the matrix files."""
         return self._read_model(part, scene)
 
     def outline(self, part: Part[MatricesKeys], scene: Scene) -> Iterator[Shape]:
@@ -107,7 +107,7 @@ class Matrices(LinearBody[MatricesKeys]):
     def _find_paths(
         self, part: Part[MatricesKeys], scene: DeclaredScene
     ) -> tuple[Path, Path | None]:
-        """Return the path of the matrix file, and the path of its TOML file or None."""
+        """Return the paths of the matrix file and of its TOML file (or None)."""
         name, home, keys = part.name, scene.home, part.keys
         sidecar = (
             None
@@ -119,7 +119,7 @@ class Matrices(LinearBody[MatricesKeys]):
 
 @lru_cache(maxsize=4)
 def _read_model_files(path: Path, sidecar: Path | None, stamps: str) -> LinearModel:
-    """Read a model from its files, cached by path and by the hashes ``stamps``."""
+    """Read a linear model from its files, cached by path and by content hashes."""
     return read_model(path, sidecar)
 
 

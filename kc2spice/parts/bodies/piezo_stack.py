@@ -92,9 +92,10 @@ KEYS_IGNORED_FOR_PAPER_CHIP = {"mesh", "damping", "mounting", "preload_spring", 
 
 
 class KickPulse(Section):
-    """Pulse that begins to rise at ``start`` and has the edge time ``edge``.
+    """Keys of the drive pulse at the anode of a piezo stack.
 
-    ``width`` is the width of the pulse at half its height.
+    The pulse begins to rise at ``start`` and has the edge time ``edge``. ``width`` is the width of
+    the pulse at half its height.
     """
 
     voltage: Voltage = Field(100.0, description="Peak voltage of the drive pulse")
@@ -118,6 +119,7 @@ class KickPulse(Section):
 
     @model_validator(mode="after")
     def _require_edges_within_width(self) -> KickPulse:
+        """Reject a pulse whose edges are longer than its width."""
         if self.edge > self.width:
             raise make_invalid_value_error(
                 "the pulse has an edge that is longer than its width",
@@ -158,7 +160,7 @@ class PiezoStackKeys(StackKeys, FieldKeys):
     @model_validator(mode="before")
     @classmethod
     def _set_drive(cls, data: Any, info: ValidationInfo) -> Any:
-        """Add the default kick pulse to a driven chip without the key ``part``.
+        """Add the default kick pulse to a driven stack whose table has no key ``part``.
 
         In a scene with a table ``harmonic``, the chip gets no pulse, because unit loads drive it.
         """
@@ -169,6 +171,7 @@ class PiezoStackKeys(StackKeys, FieldKeys):
 
     @model_validator(mode="after")
     def _require_compatible_keys(self) -> PiezoStackKeys:
+        """Reject fields on a coarse mesh, and a driver for an undriven stack."""
         if self.fields and (self.mesh.order != 1 or self.mesh.layers_per_element != 1):
             raise make_invalid_value_error(
                 (
@@ -199,7 +202,7 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
     def generate_tables(
         self, part: Part[PiezoStackKeys], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
-        """Return the tables of source and driver that the keys of the stack imply."""
+        """Return the scene tables of the source and driver that the stack's keys imply."""
         keys: PiezoStackKeys = part.keys
         anode = f"{part.name}.anode"
         if keys.electrical == "short":
@@ -222,7 +225,7 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
         return {f"{part.name}_drive": source, name: {**table, "pins": pins}}
 
     def ports(self, part: Part[PiezoStackKeys], scene: DeclaredScene) -> tuple[Port, ...]:
-        """Return the ports of the model of the part."""
+        """Return the ports of the part's model."""
         names = list_ring_names(part.keys.mesh.rings + 1)
         if find_pressure_basis(part, scene) is not None:
             names = [PATCH_PORT]
@@ -230,7 +233,7 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
         return (*ring_ports, Port("anode", ELECTRICAL.port, pins=("anode", "cathode")))
 
     def used_ports(self, part: Part[PiezoStackKeys], scene: JoinedScene) -> tuple[Port, ...]:
-        """Return the anode port, and the ports of all rings up to the last required ring."""
+        """Return the anode port and the ring ports, up to the last ring that is required."""
         if find_pressure_basis(part, scene) is not None:
             return super().used_ports(part, scene)
         *ring_ports, anode = self.ports(part, scene)
@@ -306,7 +309,7 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
     def numerics(
         self, part: Part[PiezoStackKeys], scene: WiredScene
     ) -> Iterator[NumericalRequirements]:
-        """Yield the solver tolerances that ringing chips and low kicks require.
+        """Yield the solver tolerances that a ringing chip or a low kick requires.
 
         Ringing increases the phase error of the trapezoidal rule. A kick with a low voltage
         closes fewer contact rings, so its launch velocity depends more on each time step. At 40 to
@@ -333,7 +336,7 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
         )
 
     def weights(self, part: Part[PiezoStackKeys], scene: DeclaredScene) -> StepWeights:
-        """Return the weights of the modes in the control of time steps.
+        """Return the weights of the chip's modes in the control of time steps.
 
         After a downward kick, the chip rings until it hits the sphere.
         """
@@ -342,7 +345,7 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
     def largest_indentations(
         self, part: Part[PiezoStackKeys], scene: GovernedScene
     ) -> Iterator[LargestIndentation]:
-        """Yield the chip's largest dynamic stroke, an upper bound of the indentation."""
+        """Yield an upper bound [m] of the indentation, from the chip's dynamic stroke."""
         voltage = find_highest_voltage(part, scene)
         if voltage:
             stroke = compute_free_stroke(part.keys, voltage)
@@ -357,7 +360,7 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
         yield Shape(0.0, -keys.height / 2, keys.side, keys.height, "ceramic", label, keys.layers)
 
     def headline(self, part: Part[PiezoStackKeys]) -> str:
-        """Return the first line of the chip's library, which names its mounting."""
+        """Return the header line of the chip's library, which names its mounting."""
         return f"{self.title}; {describe_mounting(part.keys)}"
 
     def material_rating(self, part: Part[PiezoStackKeys]) -> float:
@@ -523,7 +526,7 @@ def _moves_down_first(part: Part[PiezoStackKeys]) -> bool:
 
 
 def describe_mounting(keys: StackKeys) -> str:
-    """Return a description of the support and of additions such as caps."""
+    """Describe the support of the chip, and additions such as caps."""
     words = [MOUNTING_TEXTS.get(str(keys.mounting), "")]
     if isinstance(keys.mounting, float):
         words = [f"bottom face on springs of {keys.mounting:g} N/m per m2 along each axis"]
@@ -540,7 +543,7 @@ def describe_mounting(keys: StackKeys) -> str:
 
 
 def find_pressure_basis(part: Part[PiezoStackKeys], scene: DeclaredScene) -> PressureBasis | None:
-    """Return the basis functions of the contact pressure on the top face.
+    """Return the basis functions of the contact pressure on the chip's top face.
 
     Return None if no contact has ``shape = "pressure"``. The basis functions cover the radius of
     the largest contact ring.

@@ -80,7 +80,7 @@ class Stretch(PatchedPart[StretchKeys]):
     """Part type ``stretch``: stretching force of a beam or plate with fixed edges."""
 
     def make_declaration(self, part: Part[StretchKeys], scene: GovernedScene) -> Declaration:
-        """Return the declaration for the keys of the part."""
+        """Return the declaration of the part for the values of its keys."""
         return _declare_stretching(len(list_patch_ports(part, scene)), part.keys.rows)
 
     def problems(self, part: Part[StretchKeys], scene: GovernedScene) -> Iterator[UsageError]:
@@ -106,11 +106,11 @@ class Stretch(PatchedPart[StretchKeys]):
 
 @lru_cache(maxsize=32)
 def _declare_stretching(count: int, rows: int) -> Declaration:
-    """Return the declaration of the stretching energy of ``count`` patches."""
+    """Return the declaration of a beam's stretching energy on ``count`` patches."""
     along, across = range(1, count // rows + 1), range(1, rows + 1)
 
     def mirror_index(k: int, count: int) -> int:
-        """Return a patch index; an index beyond a clamp is mirrored at the clamp."""
+        """Return a patch index, mirrored at the clamp if it lies beyond the clamp."""
         if k < 1:
             return 1 - k
         return 2 * count + 1 - k if k > count else k
@@ -121,7 +121,10 @@ def _declare_stretching(count: int, rows: int) -> Declaration:
         return f"x{(j - 1) * len(along) + i}"
 
     def write_squared_slope(i: int, j: int, di: int, dj: int) -> str:
-        """Return the squared slope between two neighbouring patches, times ``(12 d)^2``."""
+        """Write the squared slope between two neighbouring patches as an expression.
+
+        The slope is multiplied by ``12 d``, where d is the distance of the patches.
+        """
         before, low, high, after = (
             deflection_symbol(i + k * di, j + k * dj) for k in (-1, 0, 1, 2)
         )

@@ -138,7 +138,7 @@ wiring = "parallel"
             )
 
     def cards(self, part: Part[ControllerKeys], build: BuiltScene) -> tuple[Item, ...]:
-        """Return the cards of the part in the deck."""
+        """Return the netlist cards of the part in the deck."""
         out, ret = build.get_net(part, "out"), build.get_net(part, "ret")
         if part.keys.output == "voltage":
             return (Element.from_words(f"V{part.name}", out, ret, "EXTERNAL"),)
@@ -167,7 +167,7 @@ wiring = "parallel"
     def settable_quantities(
         self, part: Part[ControllerKeys], build: BuiltScene
     ) -> Mapping[str, SampledSource]:
-        """Return the source that the Python function sets during the simulation."""
+        """Return the settable source, whose value the Python function computes."""
         keys = part.keys
         sources = {}
         for name in keys.inputs:

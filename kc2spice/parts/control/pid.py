@@ -75,7 +75,7 @@ def _list_pins(output: bool) -> tuple[Terminal, ...]:
 
 
 def declare_control(control: PidKeys, *, output: bool = True) -> Declaration:
-    """Return the declaration of the ideal controller.
+    """Return the declaration of the ideal PID controller.
 
     The output current is ``i = clip(kp e + ki integral(e) + kd de/dt / (1 + rolloff s),
     +-current_limit)`` between ``drive`` and ``sense``, where ``e = setpoint - y`` is a sensor
@@ -147,7 +147,7 @@ def make_pid_subcircuit(
     load: float = 0.0,
     name: str = "pid",
 ) -> Subcircuit:
-    """Return the subcircuit of a controller for coils between ``drive`` and ``sense``.
+    """Return the subcircuit of a PID controller that drives coils.
 
     The inputs of the subcircuit are ``y``, the height of the sphere, and ``enable``. The output
     stage measures the coil current with a resistor of at most 100 Ohm. At the current limit, this
@@ -202,7 +202,7 @@ class Pid(PartType[PidKeys]):
     def generate_tables(
         self, part: Part[PidKeys], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
-        """Return the source that enables the controller at its switching times."""
+        """Return the table of the source that switches the controller on and off."""
         switching, pins = part.keys.switching_times, {"out": f"{part.name}.enable"}
         if len(switching) == 1:
             wave = {"high": 1.0, "width": 1e3, "edge": ENABLE_EDGE, "start": switching[0][0]}
@@ -266,7 +266,7 @@ class Pid(PartType[PidKeys]):
     def subcircuits(
         self, part: Part[PidKeys], build: BuiltScene, header: Header
     ) -> tuple[Subcircuit, ...]:
-        """Return the subcircuit of the part."""
+        """Return a tuple with the subcircuit of the part."""
         local = not _drives_external_circuit(part, build.scene)
         load = float(
             build.model(_find_driven_coils(part, build.scene), MagnetostaticTable).resistance.sum()
@@ -351,21 +351,22 @@ def _find_driven_coils(part: Part[PidKeys], scene: DeclaredScene) -> Part[RingMa
 
 
 def _drives_external_circuit(part: Part[PidKeys], scene: DeclaredScene) -> bool:
-    """Return whether another circuit, controlled by ``command``, drives the coils."""
+    """Return whether the output ``command`` controls another circuit for the coils."""
     joined = scene.is_target(part.name, "command") or "command" in part.pins
     return joined or bool(_find_driven_coils(part, scene).keys.driver)
 
 
 def compute_final_mean(t: np.ndarray, values: np.ndarray) -> float:
-    """Return the time average of ``values`` over the last twentieth of the run."""
+    """Return the mean of a waveform over the last twentieth of the run."""
     tail = t >= t[-1] - 0.05 * (t[-1] - t[0])
     return float(np.trapezoid(values[tail], t[tail]) / np.ptp(t[tail]))
 
 
 def compute_settling_time(t: np.ndarray, y: np.ndarray, target: float, band: float) -> float | None:
-    """Return the time of the last entry of ``y`` into the band ``target`` ± ``band``.
+    """Return the time [s] from which a signal stays in a band around its target.
 
-    The result is None if the last value of ``y`` is outside the band.
+    The band is ``target`` ± ``band``. The result is None if the last value of ``y`` is outside the
+    band.
     """
     outside = np.abs(y - target) > band
     if outside[-1]:

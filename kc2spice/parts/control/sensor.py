@@ -131,7 +131,7 @@ dc = "1 um"
     def subcircuits(
         self, part: Part[SensorKeys], build: BuiltScene, header: Header
     ) -> tuple[Subcircuit, ...]:
-        """Return the subcircuit of the part."""
+        """Return a tuple with the subcircuit of the part."""
         d, keys = declare_sensor(part.keys), part.keys
         cards: tuple[Item, ...] = ()
         size = DISPLACEMENT.pin_value_per_si_unit * keys.noise
@@ -154,7 +154,7 @@ dc = "1 um"
         return (make_declared_subcircuit(header, name, d, d.values(Section()), more=cards),)
 
     def settable_quantities(self, part: Part[SensorKeys], build: BuiltScene) -> Mapping[str, float]:
-        """Return the initial state of the sensor: the height of the measured sphere."""
+        """Return the settable initial state of the sensor: the measured sphere's height."""
         start = sphere.find_initial_height(part, "of", build.scene)
         if start is None:
             return {}

@@ -46,7 +46,7 @@ _CREEP_AT_FS = complex(0.5 * math.log(2), -math.pi / 4)
 
 
 def compute_baffle_air_mass(area: float) -> float:
-    """Return the mass [kg] of air that a piston in a baffle moves on one side.
+    """Return the mass [kg] of air that moves with one side of a piston in a baffle.
 
     The mass at low frequencies is ``8/3 rho a^3`` with the radius a and the density rho (L. E.
     Kinsler et al., Fundamentals of Acoustics, 2000, section 7.5).
@@ -55,7 +55,7 @@ def compute_baffle_air_mass(area: float) -> float:
 
 
 class SemiInductance(NamedTuple):
-    """Circuit elements of a voice coil with eddy currents; missing elements are 0.
+    """Elements of a voice coil with eddy currents; missing elements are 0.
 
     The elements are the inductances ``leb`` and ``le`` [H], the semi-inductance ``ke`` [H s^-1/2]
     and the resistance ``rss`` [Ohm] of shorted turns.
@@ -103,7 +103,7 @@ class SpeakerParameters:
 
 @dataclass
 class _DeclarationTerms:
-    """Terms that optional effects add to the declaration of a driver."""
+    """Terms that optional effects add to the declaration of a loudspeaker driver."""
 
     branches: list[Branch] = field(default_factory=list)
     energy: list[str] = field(default_factory=list)
@@ -126,13 +126,14 @@ class _DeclarationTerms:
 
 
 def _join_terms(*terms: str) -> str:
+    """Join terms of an expression with plus signs."""
     return " + ".join(terms)
 
 
 def _add_semi_inductance(
     terms: _DeclarationTerms, semi: SemiInductance, ladder: RelaxationLadder
 ) -> None:
-    """Add branches for eddy currents to the declaration.
+    """Add the branches for eddy currents to the declaration of a driver.
 
     The branches are ``le``, ``rss``, and a ladder for ``1/(ke sqrt(s))``.
     """
@@ -169,7 +170,7 @@ def _add_semi_inductance(
 
 
 def _add_creep(terms: _DeclarationTerms, creep: float, ladder: RelaxationLadder) -> None:
-    """Add the suspension with creep to the declaration.
+    """Add a suspension with creep to the declaration of a driver.
 
     The compliance c0 is in series with the elements of creep. Each element of creep is a spring in
     parallel with a damper. The displacement of each inner node is the elongation of one element of
@@ -202,7 +203,7 @@ def _add_creep(terms: _DeclarationTerms, creep: float, ladder: RelaxationLadder)
 
 
 def _add_sound(terms: _DeclarationTerms, sides: tuple[str, ...], area: float) -> None:
-    """Add acoustic pins, to which the cone is coupled as an ideal transformer.
+    """Add acoustic pins, which an ideal transformer couples to the cone.
 
     The ratio of the transformer is the area ``sd``. The pressure p behind the cone contributes the
     coenergy ``sd x p``. In front of the cone, which presses air out, the coenergy is ``-sd x p``.
@@ -220,7 +221,7 @@ def _add_sound(terms: _DeclarationTerms, sides: tuple[str, ...], area: float) ->
 def declare_motor(
     params: tuple[Param, ...], driver: SpeakerParameters, sides: tuple[str, ...] = ()
 ) -> Declaration:
-    """Declare a driver without the mass of its cone."""
+    """Return the declaration of a loudspeaker driver without its moving mass."""
     more, semi, creeps = _DeclarationTerms(), driver.semi, driver.creep > 0
     if semi:
         _add_semi_inductance(more, semi, make_semi_inductance_ladder())
@@ -264,7 +265,7 @@ def declare_motor(
 
 
 def declare_moving_mass(mass: float, air: float = 0.0, added: float = 0.0) -> Declaration:
-    """Return the declaration of the moving mass of a driver.
+    """Return the declaration of the moving mass of a loudspeaker driver.
 
     The moving mass has separate nodes in the netlist. ``air`` [kg] is the part of ``mass`` that
     connected parts of type ``radiation`` already model. ``added`` [kg] is an additional mass on the

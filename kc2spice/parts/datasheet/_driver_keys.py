@@ -187,7 +187,7 @@ DRIVER_PARAMETERS = {
 
 
 def compute_thiele_small(driver: Mapping[str, float]) -> dict[str, float]:
-    """Return all data-sheet values of a loudspeaker, computed from six values.
+    """Compute all data-sheet values of a loudspeaker from six values.
 
     ``driver`` contains ``re``, ``bl``, ``mms``, ``cms``, ``rms`` and ``sd`` in SI units.
     """
@@ -206,7 +206,10 @@ def compute_thiele_small(driver: Mapping[str, float]) -> dict[str, float]:
 
 
 def make_relation(key: str, names: tuple[str, ...]) -> Relation:
-    """Return the function that computes ``key`` from the values of ``names``."""
+    """Return a function that computes one data-sheet value from other values.
+
+    The function computes ``key`` from the values of ``names``.
+    """
     area = {"sd": EXAMPLE_WOOFER["sd"]}
     return lambda values: compute_thiele_small(
         area | dict(zip(names, values.tolist(), strict=True))

@@ -13,7 +13,7 @@ STEADY_SHARE = 0.5  # last fraction of a transient that counts as periodic
 
 
 def compute_efficiency(part: Part, scene: Scene, waves: Waveforms) -> np.ndarray | None:
-    """Return the efficiency of a loudspeaker.
+    """Return the efficiency of a loudspeaker: radiated power over electrical power.
 
     The efficiency is the radiated power divided by the electrical power. For frequency responses,
     the returned array (n,) contains a value for each frequency. For transients, the returned array
@@ -58,7 +58,7 @@ def _compute_efficiency(
     period: float | None,
     delay: float,
 ) -> np.ndarray | None:
-    """Return an array (1,) with the efficiency over the last complete periods.
+    """Return the mean efficiency over the last complete periods, an array (1,).
 
     The efficiency is the ratio of the mean radiated power and the mean electrical power.
     ``radiated`` and ``electrical`` are the powers versus time, arrays of shape (n,). The radiated

@@ -34,7 +34,7 @@ CREEP_ELEMENTS = 6
 
 @dataclass(frozen=True)
 class RelaxationLadder:
-    """Coefficients of a ladder, and its largest relative error in its frequency band."""
+    """Coefficients of a relaxation ladder, and its largest relative error in a band."""
 
     corners: tuple[float, ...]
     weights: tuple[float, ...]
@@ -55,7 +55,7 @@ def fit_ladder(
     count: int,
     ends: bool,
 ) -> RelaxationLadder:
-    """Return a ladder that is fitted to a response by least squares.
+    """Fit a relaxation ladder to a frequency response by least squares.
 
     The fit minimises the relative error of the response. The unknowns of the fit are the logarithms
     of the coefficients. Therefore, all coefficients are positive. The start values of the corners
@@ -93,7 +93,7 @@ def fit_ladder(
         start.append(np.log([high / 3, low * band[0] / 3]))
 
     def evaluate_terms(x: np.ndarray) -> np.ndarray:
-        """Return the terms of the ladder, divided by the response to be fitted.
+        """Return the terms of the ladder, divided by the response that it approximates.
 
         ``x`` contains the logarithms of the coefficients.
         """
@@ -110,7 +110,7 @@ def fit_ladder(
         return np.concatenate([error.real, error.imag])
 
     def slopes(x: np.ndarray) -> np.ndarray:
-        """Return the derivatives of the residuals with respect to ``x``."""
+        """Return the derivatives of the residuals with respect to the unknowns ``x``."""
         columns, corner = evaluate_terms(x), np.exp(x[count : 2 * count])
         moved = columns[:, :count] * s[:, None] / (s[:, None] + corner)
         by_all = np.hstack([columns[:, :count], moved, columns[:, count:]])
@@ -129,7 +129,7 @@ def fit_ladder(
 
 @cache
 def make_semi_inductance_ladder() -> RelaxationLadder:
-    """Return the ladder for ``1/sqrt(s)``.
+    """Return the relaxation ladder of a coil's eddy currents, ``1/sqrt(s)``.
 
     The function ``1/sqrt(s)`` is the admittance of a semi-inductance of 1 H s^(-1/2).
     """
@@ -138,7 +138,7 @@ def make_semi_inductance_ladder() -> RelaxationLadder:
 
 @cache
 def fit_creep_ladder() -> RelaxationLadder:
-    """Return the ladder for ``ln(1 + 1/s)``.
+    """Return the relaxation ladder of a suspension's creep, ``ln(1 + 1/s)``.
 
     The function ``ln(1 + 1/s)`` is the relative increase of a compliance by creep. Here ``s`` is
     the complex frequency, divided by the creep frequency.

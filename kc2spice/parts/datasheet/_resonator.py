@@ -99,7 +99,7 @@ class Resonator:
 
     @classmethod
     def from_unknowns(cls, values: np.ndarray) -> Resonator:
-        """Return a resonator from the unknowns of a fit.
+        """Make a resonator from the unknowns of a fit.
 
         The unknowns are ``(c0, fs_1, …, cm_1, …, rm_1, …)``.
         """
@@ -128,7 +128,7 @@ class Resonator:
         return tuple(map(float, result))
 
     def admittance(self, frequency: np.ndarray) -> np.ndarray:
-        """Return the complex admittance [S] at each frequency [Hz] as an array (n,)."""
+        """Return the complex admittance [S] at each frequency [Hz], an array (n,)."""
         s = 2j * np.pi * np.asarray(frequency, float)
         result = s * self.c0
         for cm, lm, rm in zip(self.cm, self.lm, self.rm, strict=True):
@@ -154,7 +154,7 @@ class Resonator:
 
 @dataclass(frozen=True)
 class ResonatorNetlist:
-    """Netlist parameters of a resonator, and its circuit elements as expressions.
+    """Netlist parameters of a resonator, and expressions of its circuit elements.
 
     The expressions of the circuit elements contain the netlist parameters. ``modes`` contains the
     suffix of the element names for each mode.
@@ -166,10 +166,10 @@ class ResonatorNetlist:
 
 
 class NumberedPart(PartType[KeysT]):
-    """Part whose library has the part number as its name."""
+    """Base class of parts whose library is named after the part number."""
 
     def subcircuit_name(self, part: Part[KeysT], scene: Scene) -> str:
-        """Return the name of the subcircuit: the part number, if the part has a number."""
+        """Return the name of the subcircuit, which is the part number if there is one."""
         number = getattr(part.keys, "number", None)
         if not number:
             return super().subcircuit_name(part, scene)
@@ -178,7 +178,7 @@ class NumberedPart(PartType[KeysT]):
 
 
 class ResonatorPart(NumberedPart[KeysT]):
-    """Part whose subcircuit is a Butterworth-Van Dyke circuit between two pins."""
+    """Base class of parts with a Butterworth-Van Dyke circuit between two pins."""
 
     source = "data sheet"
     noise = ("Rm*",)
@@ -187,7 +187,7 @@ class ResonatorPart(NumberedPart[KeysT]):
 
     @abstractmethod
     def resonator(self, part: Part[KeysT]) -> Resonator:
-        """Return the circuit elements that the keys of the part determine.
+        """Return the resonator circuit that the keys of the part determine.
 
         Raise a UsageError if the keys do not determine the elements.
         """
@@ -197,11 +197,11 @@ class ResonatorPart(NumberedPart[KeysT]):
         """Return the netlist parameters, and the expressions of the circuit elements."""
 
     def shared_data(self, part: Part[KeysT], scene: GovernedScene) -> Resonator:
-        """Return the circuit elements of the resonator for use by other parts."""
+        """Return the data that other parts use: the elements of the resonator circuit."""
         return self.resonator(part)
 
     def circuit(self, part: Part[KeysT], scene: GovernedScene) -> Resonator:
-        """Return the circuit elements, from the record of the scene if available."""
+        """Return the resonator circuit, from the record of the scene if available."""
         record = scene.get_record(part)
         if record is None or not isinstance(record.shared_data, Resonator):
             return self.resonator(part)
@@ -219,7 +219,7 @@ class ResonatorPart(NumberedPart[KeysT]):
         )
 
     def equilibrium_conditions(self, part: Part[KeysT], scene: WiredScene) -> EquilibriumConditions:
-        """Return the paths for steady flow in equilibrium.
+        """Return the equilibrium conditions: the paths of steady flow.
 
         No path includes the pin ``heat``.
         """
@@ -229,7 +229,7 @@ class ResonatorPart(NumberedPart[KeysT]):
     def subcircuits(
         self, part: Part[KeysT], build: BuiltScene, header: Header
     ) -> tuple[Subcircuit, ...]:
-        """Return the subcircuit of the part."""
+        """Return a tuple with the subcircuit of the part."""
         from kc2spice.synthesis.header import (
             format_parameter_defaults,
             write_part_header,
@@ -336,12 +336,12 @@ class ResonatorPart(NumberedPart[KeysT]):
 
 
 def make_unknowns_relation(value: Callable[[Resonator], float]) -> Relation:
-    """Return a function of the unknowns that computes a ``value`` of the resonator."""
+    """Return a function that computes a ``value`` of the resonator from the unknowns."""
     return lambda unknowns: value(Resonator.from_unknowns(unknowns))
 
 
 def _list_cards(content: ResonatorNetlist, plus: str, minus: str) -> Iterator[Item]:
-    """Yield the cards of the circuit between two pins, with a leak for floating nets.
+    """Yield the netlist cards of the circuit, with a leak for floating nets.
 
     The leakage current is proportional to the stored charge. Therefore, the sum of floating charges
     is conserved.
@@ -364,7 +364,7 @@ def _list_cards(content: ResonatorNetlist, plus: str, minus: str) -> Iterator[It
 
 
 def _list_heat_cards(content: ResonatorNetlist) -> Iterator[Item]:
-    """Yield the cards of the heat pin.
+    """Yield the netlist cards of the pin ``heat``.
 
     The heat pin has an ammeter, and a heat source for each motional resistance.
     """
@@ -375,7 +375,7 @@ def _list_heat_cards(content: ResonatorNetlist) -> Iterator[Item]:
 
 
 def write_tolerance_note(value: float, tolerance: float | None) -> str:
-    """Return the tolerance range of a parameter as text for the library header.
+    """Write the tolerance range of a parameter as text for the library header.
 
     Without a tolerance, the text is empty.
     """
@@ -386,5 +386,5 @@ def write_tolerance_note(value: float, tolerance: float | None) -> str:
 
 
 def list_mode_suffixes(modes: int) -> Sequence[str]:
-    """Return the suffix of the element names for each mode; empty for a single mode."""
+    """Return the suffix of element names for each mode; empty for a single mode."""
     return ("",) if modes == 1 else [str(n + 1) for n in range(modes)]

@@ -41,7 +41,7 @@ Relation = Callable[[np.ndarray], float]
 
 @dataclass(frozen=True, eq=False)
 class StatedValues:
-    """Stated values of a data sheet, and each value as a function of the unknowns.
+    """Values that a data sheet states, each also as a function of the unknowns.
 
     ``stated`` contains the stated values, keyed by name. ``relations`` contains a function for each
     value that a data sheet can state. The argument of each function is the vector of unknowns in SI
@@ -59,7 +59,7 @@ class StatedValues:
     rounding: Mapping[str, float]
 
     def solve(self) -> np.ndarray:
-        """Return the unknowns that match the stated values, in SI units.
+        """Solve the stated values for the unknowns, in SI units.
 
         Raises
         ------
@@ -74,17 +74,17 @@ class StatedValues:
         return np.exp(result)
 
     def get_log_tolerance(self, key: str) -> float:
-        """Return the tolerance of the value ``key``, as a difference of logarithms."""
+        """Return the tolerance of one stated value, as a difference of logarithms."""
         return math.log1p(self.tolerance.get(key, self.rounding.get(key, VALUE_ROUNDING)))
 
     def text(self, key: str, value: float) -> str:
-        """Return a value of the data sheet as the string ``key = value unit``."""
+        """Return a data-sheet value as the text ``key = value unit``."""
         return f"{key} = {value:.5g} {self.units[key.partition('[')[0]]}".rstrip()
 
     # --- equations --------------------------------------------------------------------------------
 
     def _compute_logarithm(self, key: str, x: np.ndarray) -> float:
-        """Return the logarithm of the value ``key``.
+        """Compute the logarithm of one data-sheet value from the unknowns.
 
         ``x`` contains the logarithms of the unknowns.
         """
@@ -93,7 +93,7 @@ class StatedValues:
         return math.log(value) if 0 < value < math.inf else -LARGEST_LOGARITHM
 
     def _compute_gradient(self, key: str, x: np.ndarray) -> np.ndarray:
-        """Return the derivatives of the logarithm of the value ``key``.
+        """Compute the gradient of the logarithm of one data-sheet value.
 
         The derivatives are taken with respect to the logarithms of the unknowns; their array has
         the shape (unknowns,).
@@ -105,7 +105,7 @@ class StatedValues:
         return np.array(rows) / (2 * DIFFERENCE_STEP)
 
     def _compute_residual(self, key: str, x: np.ndarray) -> float:
-        """Return ``ln(value / stated value)`` for the logarithms ``x`` of the unknowns."""
+        """Return the log ratio of a computed value to its stated value."""
         return self._compute_logarithm(key, x) - math.log(self.stated[key])
 
     @cached_property
@@ -128,7 +128,7 @@ class StatedValues:
             return weights * [self._compute_residual(key, x) for key in self.stated]
 
         def slopes(x: np.ndarray) -> np.ndarray:
-            """Return the derivatives of the residuals with respect to ``x``."""
+            """Return the derivatives of the residuals with respect to the unknowns ``x``."""
             return weights[:, None] * [self._compute_gradient(key, x) for key in self.stated]
 
         close = {"xtol": 1e-15, "ftol": 1e-15, "gtol": 1e-15}
@@ -136,12 +136,12 @@ class StatedValues:
         return np.asarray(result.x)
 
     def _drop_value(self, key: str) -> StatedValues:
-        """Return a copy of the stated values without the value ``key``."""
+        """Return a copy of the stated values without one value."""
         stated = {other: value for other, value in self.stated.items() if other != key}
         return replace(self, stated=stated)
 
     def _count_determined_unknowns(self, x: np.ndarray, *more: str) -> int:
-        """Return the number of unknowns that the values determine.
+        """Return the number of unknowns that the named values determine.
 
         The stated values and the values ``more`` are considered.
         """
@@ -151,6 +151,7 @@ class StatedValues:
     # --- faults -----------------------------------------------------------------------------------
 
     def _require_plausible_values(self) -> None:
+        """Raise an error if a stated value is far too small or far too large."""
         for key, value in self.stated.items():
             if not SMALLEST_VALUE < value < 1 / SMALLEST_VALUE:
                 unit = self.units[key.partition("[")[0]]
@@ -163,6 +164,7 @@ class StatedValues:
                 )
 
     def _require_enough_values(self) -> None:
+        """Raise an error if the stated values do not determine all unknowns."""
         x, rank = np.log(self.start), self._count_determined_unknowns(np.log(self.start))
         if rank == x.size:
             return
@@ -182,7 +184,7 @@ class StatedValues:
         )
 
     def _require_solution(self, x: np.ndarray) -> None:
-        """Raise an error if there are no redundant values and no circuit matches."""
+        """Raise an error if no circuit matches stated values without redundancy."""
         if len(self.stated) > x.size:
             return
         misses = {key: abs(self._compute_residual(key, x)) for key in self.stated}
@@ -227,20 +229,20 @@ class StatedValues:
         raise self._make_contradiction_error(key, other)
 
     def _is_contradicted(self, key: str, shares: Mapping[str, float], x: np.ndarray) -> bool:
-        """Return whether all other values together contradict the value ``key``."""
+        """Return whether one stated value contradicts all the others together."""
         implied = sum(share * self._compute_residual(name, x) for name, share in shares.items())
         allowed = sum(abs(share) * self.get_log_tolerance(name) for name, share in shares.items())
         return abs(implied - self._compute_residual(key, x)) > allowed + self.get_log_tolerance(key)
 
     def _compute_deviation(self, key: str) -> float:
-        """Return the deviation of the value ``key`` from the value that the others imply.
+        """Return how far a stated value deviates from the value that the others imply.
 
         The deviation is the absolute value of the logarithm of the ratio of both values.
         """
         return abs(self._compute_residual(key, self._drop_value(key)._fitted_logarithms))
 
     def _require_unique_circuit(self, x: np.ndarray) -> None:
-        """Raise an error if two circuits have the same stated values.
+        """Raise an error if two different circuits have the same stated values.
 
         For each unknown, the search for a second circuit starts with this unknown multiplied and
         divided by :data:`RESTART_FACTOR`.
@@ -267,11 +269,11 @@ class StatedValues:
                 )
 
     def _compare_circuits(self, key: str, x: np.ndarray, y: np.ndarray) -> float:
-        """Return the logarithm of the ratio of the values ``key`` of two circuits."""
+        """Return the log ratio of one data-sheet value between two circuits."""
         return self._compute_logarithm(key, x) - self._compute_logarithm(key, y)
 
     def _compute_sensitivities(self, key: str, x: np.ndarray) -> dict[str, float]:
-        """Return derivatives of the implied value of ``key`` for all stated values."""
+        """Return how the implied value of ``key`` changes with each stated value."""
         weights = np.array([1 / self.get_log_tolerance(name) for name in self.stated])
         slopes = np.array([self._compute_gradient(name, x) for name in self.stated])
         solution = np.linalg.pinv(weights[:, None] * slopes) * weights
@@ -303,5 +305,5 @@ class StatedValues:
 
 
 def _join_words(words: list[str]) -> str:
-    """Join words with commas, and join the last word with ``and``."""
+    """Join words with commas, and with ``and`` before the last word."""
     return " and ".join(filter(None, (", ".join(words[:-1]), words[-1])))

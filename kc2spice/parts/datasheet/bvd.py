@@ -52,7 +52,7 @@ START_CAPACITANCE = 1e-9
 
 
 def _convert_to_sequence(value: object) -> object:
-    """Return a single value as a tuple, and a list unchanged."""
+    """Return a single value as a tuple; return a list unchanged."""
     if isinstance(value, (list, tuple)):
         if value == []:  # the default is an empty tuple
             raise make_invalid_value_error(
@@ -189,7 +189,7 @@ stop = "10 kHz"
 """
 
     def problems(self, part: Part[BvdKeys], scene: GovernedScene) -> Iterator[UsageError]:
-        """Yield an error if the frequency of the low-frequency capacitance is too high."""
+        """Yield an error if ``c_low_at`` is not below the lowest resonance frequency."""
         circuit = self.circuit(part, scene)
         if part.keys.c_low is not None and part.keys.c_low_at >= min(circuit.fs):
             yield part.wrong(
@@ -225,7 +225,7 @@ stop = "10 kHz"
         return Resonator.from_unknowns(values.solve())
 
     def _count_modes(self, part: Part[BvdKeys]) -> int:
-        """Return the number of modes; raise a UsageError if lists have different lengths."""
+        """Return the number of modes; raise an error if key lists differ in length."""
         counts = {name: len(v) for name in MODE_VALUES if (v := getattr(part.keys, name))}
         most = max(counts.values(), default=1)
         short = [name for name, count in counts.items() if count < most]
@@ -318,9 +318,9 @@ def _find_impossible_pairs(part: Part[BvdKeys], start: np.ndarray) -> Iterator[U
 
 
 def _list_mode_labels(name: str, modes: int) -> list[str]:
-    """Return the label of the value ``name`` for each mode.
+    """Return the labels of a data-sheet value, one for each mode.
 
-    For a single mode, the label is ``name`` itself.
+    The labels are ``name[0]``, ``name[1]``, …. For a single mode, the label is ``name`` itself.
     """
     return [name] if modes == 1 else [f"{name}[{n}]" for n in range(modes)]
 
@@ -337,7 +337,7 @@ def _list_relations(modes: int, low: float) -> dict[str, Relation]:
 
 
 def _choose_initial_unknowns(keys: BvdKeys, modes: int) -> np.ndarray:
-    """Return the start values of the unknowns for the fit.
+    """Choose the start values of the unknowns for the fit.
 
     The start values are stated values, or values of a typical ceramic.
     """
@@ -364,27 +364,27 @@ def _choose_initial_unknowns(keys: BvdKeys, modes: int) -> np.ndarray:
 
 
 def _choose_ratio_key(keys: BvdKeys, modes: int) -> str:
-    """Return the netlist parameter that determines the motional capacitances."""
+    """Choose the netlist parameter that determines the motional capacitances."""
     if keys.cm:
         return "cm"
     return "fp" if keys.fp and not keys.keff and modes == 1 else "keff"
 
 
 def _choose_loss_key(keys: BvdKeys, modes: int) -> str:
-    """Return the netlist parameter that determines the motional resistances."""
+    """Choose the netlist parameter that determines the motional resistances."""
     if keys.qm or keys.rm:
         return "rm" if keys.rm else "qm"
     return "zs" if modes == 1 else "rm"
 
 
 def _describe_key(keys: BvdKeys, key: str, value: float) -> str:
-    """Return the description of a netlist parameter, with its tolerance."""
+    """Describe a netlist parameter and its tolerance as text."""
     words = f"capacitance at {keys.c_low_at:g} Hz" if key == "c_low" else VALUE_NAMES[key]
     return words + write_tolerance_note(value, keys.tolerance.get(key))
 
 
 def _make_mode_parameter(keys: BvdKeys, circuit: Resonator, key: str, mode: int, end: str) -> Param:
-    """Return the netlist parameter ``key`` of a mode.
+    """Return a netlist parameter of one mode.
 
     The coupling coefficient is that of a resonator with this mode only, because the clamped
     capacitance ``c0`` is also a parameter.
@@ -397,7 +397,7 @@ def _make_mode_parameter(keys: BvdKeys, circuit: Resonator, key: str, mode: int,
 
 
 def _write_element_equations(end: str, ratio: str, loss: str) -> dict[str, str]:
-    """Return equations of the circuit elements of a mode, keyed by element.
+    """Write the equations of the circuit elements of a mode, keyed by element.
 
     Elements that are netlist parameters have no equation.
     """

@@ -72,14 +72,14 @@ INDUCTANCE_TIME = 1e-6
 
 
 def _list_joined_sides(part: Part, scene: DeclaredScene) -> tuple[str, ...]:
-    """Return the acoustic pins that the scene connects."""
+    """Return the acoustic pins of the loudspeaker that the scene connects."""
     return tuple(
         side for side in (FRONT, REAR) if side in part.pins or scene.is_target(part.name, side)
     )
 
 
 def _read_semi_inductance(part: Part[LoudspeakerKeys]) -> SemiInductance | None:
-    """Return the elements of the semi-inductance from the keys.
+    """Return the elements of the voice coil's semi-inductance from the keys.
 
     Return None if the keys describe a constant inductance.
 
@@ -163,11 +163,11 @@ stop = "1 kHz"
 """
 
     def shared_data(self, part: Part[LoudspeakerKeys], scene: GovernedScene) -> SpeakerParameters:
-        """Return the parameters of the loudspeaker for use by other parts."""
+        """Return the data that other parts use: the parameters of the loudspeaker."""
         return self.solve(part)
 
     def solve(self, part: Part[LoudspeakerKeys]) -> SpeakerParameters:
-        """Return the driver parameters; raise an error if the keys do not determine them."""
+        """Compute the driver parameters from the data-sheet keys of the part."""
         keys = part.keys
         stated = {key: value for key in DRIVER_UNITS if (value := getattr(keys, key)) is not None}
         for name in keys.tolerance:
@@ -213,14 +213,14 @@ stop = "1 kHz"
     def _find_parameters(
         self, part: Part[LoudspeakerKeys], scene: GovernedScene
     ) -> SpeakerParameters:
-        """Return the parameters of the part, from the record of the scene if available."""
+        """Return the driver parameters, from the record of the scene if available."""
         record = scene.get_record(part)
         if record is None or not isinstance(record.shared_data, SpeakerParameters):
             return self.solve(part)
         return record.shared_data
 
     def make_declaration(self, part: Part[LoudspeakerKeys], scene: GovernedScene) -> Declaration:
-        """Return the declaration for the keys of the part."""
+        """Return the declaration of the part for the values of its keys."""
         driver, tolerance = self._find_parameters(part, scene), part.keys.tolerance
         params = []
         for key, (unit, words) in DRIVER_PARAMETERS.items():
@@ -242,7 +242,7 @@ stop = "1 kHz"
         return tuple(replace(pin, required=False) if pin.name == "cone" else pin for pin in pins)
 
     def declare_mass(self, part: Part[LoudspeakerKeys], scene: WiredScene) -> Declaration:
-        """Return the declaration of the moving mass.
+        """Return the declaration of the moving mass of the loudspeaker.
 
         The declared mass excludes the air mass that connected parts of type ``radiation`` model.
         """
@@ -258,7 +258,7 @@ stop = "1 kHz"
     def equilibrium_conditions(
         self, part: Part[LoudspeakerKeys], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the path of a steady force: the suspension between cone and frame."""
+        """Return the equilibrium condition: the suspension carries a steady force."""
         return EquilibriumConditions((self.moving_pins,), inertial_pins=self.moving_pins[:1])
 
     def vectors(self, part: Part[LoudspeakerKeys], build: BuiltScene) -> Mapping[str, PartResult]:
@@ -341,7 +341,7 @@ stop = "1 kHz"
     def _describe_air(
         self, part: Part[LoudspeakerKeys], scene: Scene, area: float, sides: tuple[str, ...]
     ) -> Iterator[str | NeglectedEffect]:
-        """Yield a note on each side of the cone.
+        """Yield a note on the air mass at each side of the cone.
 
         The note states which part contains the mass of the air.
         """
@@ -388,7 +388,7 @@ stop = "1 kHz"
 def _describe_ladder(
     key: str, ladder: RelaxationLadder, band: tuple[float, float], unit: float
 ) -> str:
-    """Return the number of elements, the band and the error of a ladder, in words.
+    """Describe the elements, the band and the error of a relaxation ladder as text.
 
     ``unit`` [Hz] is the unit of ``band``.
     """

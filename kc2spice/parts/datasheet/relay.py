@@ -72,14 +72,14 @@ class RelayKeys(ConductorKeys, NumberedKeys):
 
 @dataclass(frozen=True)
 class RelayTiming:
-    """Inductance of the coil [H] and time constant of the armature [s]."""
+    """Coil inductance [H] and armature time constant [s] of a relay."""
 
     inductance: float
     armature: float
 
 
 def solve_timing(part: Part[RelayKeys]) -> RelayTiming:
-    """Return coil inductance and armature time constant from the operate time.
+    """Compute coil inductance and armature time constant from the operate time.
 
     Inductance and time constant together give the operate time in the data sheet. At the rated
     voltage V, the current reaches the pick-up current after the time ``L/R ln(V / (V - Vp))``. L
@@ -194,7 +194,7 @@ pins = { a = "relay.com", b = "gnd" }
 """
 
     def shared_data(self, part: Part[RelayKeys], scene: GovernedScene) -> RelayTiming:
-        """Return inductance and time constant of the relay for use by other parts."""
+        """Return the data that other parts use: coil inductance and time constant."""
         return solve_timing(part)
 
     def problems(self, part: Part[RelayKeys], scene: GovernedScene) -> Iterator[UsageError]:
@@ -211,7 +211,7 @@ pins = { a = "relay.com", b = "gnd" }
             )
 
     def make_declaration(self, part: Part[RelayKeys], scene: GovernedScene) -> Declaration:
-        """Return the declaration for the keys of the part."""
+        """Return the declaration of the part for the values of its keys."""
         keys, record = part.keys, scene.get_record(part)
         detail = record.shared_data if record is not None else None
         times = detail if isinstance(detail, RelayTiming) else solve_timing(part)

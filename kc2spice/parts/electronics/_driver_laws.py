@@ -62,7 +62,7 @@ def declare_amplifier(parameters: Iterable[Param], sink: float) -> Declaration:
 
 
 def declare_charge_drive(parameters: Iterable[Param]) -> Declaration:
-    """Return the declaration of a charge drive.
+    """Return the declaration of a charge drive for a capacitive load.
 
     The charge drive controls the voltage of ``cathode``. The chip and the sense capacitor have leak
     conductances, whose value in siemens equals the capacitance in farads.
@@ -87,7 +87,7 @@ def declare_charge_drive(parameters: Iterable[Param]) -> Declaration:
 
 
 def declare_linear_drive(parameters: Iterable[Param], sense: float) -> Declaration:
-    """Return the declaration of a linear current source.
+    """Return the declaration of a linear current source for coils.
 
     A sense resistor ``sense`` [Ohm] connects ``ret`` to ``ref``. R1 = 1 kOhm connects ``ret`` to
     ``inverting``, and R2 = ``ratio`` R1 connects ``inverting`` to ``middle``. A capacitor connects
@@ -151,7 +151,7 @@ def declare_half_bridge(parameters: Iterable[Param]) -> Declaration:
 def declare_pwm_drive(
     parameters: Iterable[Param], carrier: float, headroom: float, shunt: float, sense: float
 ) -> Declaration:
-    """Return the declaration of an H-bridge with modulator and PI controller.
+    """Return the declaration of a switched coil driver: H-bridge and PI controller.
 
     A comparator compares the output of the controller with a triangle between plus and minus
     ``carrier`` [V]. The triangle is the arcsine of the sine on the pin ``sine``. ``shunt`` [Ohm] is
@@ -195,7 +195,7 @@ def declare_pwm_drive(
 
 
 def _write_transistor_current(gate: str, drain: str, source: str) -> str:
-    """Return the expression of the current [A] from ``drain`` to ``source``.
+    """Write the current [A] from ``drain`` to ``source`` as an expression.
 
     The current of a transistor includes the current of its diode between source and drain.
     """
@@ -205,7 +205,7 @@ def _write_transistor_current(gate: str, drain: str, source: str) -> str:
 
 
 def _declare_nodes(*names: str) -> tuple[Branch, ...]:
-    """Return branches to ``ref`` from each node and from ``command``.
+    """Return one branch to ``ref`` from each node and one from ``command``.
 
     From every node, two branches lead to ``ref``. The branch ``NAME`` carries the current
     ``i_NAME``, and the branch ``v_NAME`` only measures the voltage.
@@ -216,7 +216,7 @@ def _declare_nodes(*names: str) -> tuple[Branch, ...]:
 
 
 def _write_output_current(node: str) -> str:
-    """Return the expression of an amplifier's limited output current [A].
+    """Write the limited output current [A] of an amplifier as an expression.
 
     The current flows into ``node``.
     """
@@ -224,7 +224,7 @@ def _write_output_current(node: str) -> str:
 
 
 def _write_compensation_rate(difference: str, low: str, high: str) -> str:
-    """Return the expression of the rate [V/s] of an amplifier's internal voltage c.
+    """Write the rate [V/s] of an amplifier's internal voltage as an expression.
 
     The voltage c is measured before the output resistance. ``difference`` [V] is the difference of
     the input voltages, and ``low`` and ``high`` [V] are the rails. ``unity`` is the angular
@@ -240,7 +240,7 @@ def _write_compensation_rate(difference: str, low: str, high: str) -> str:
 
 
 def _write_rail_excess(low: str, high: str) -> str:
-    """Return the expression of the voltage [V] of an amplifier beyond its rails.
+    """Write the voltage [V] of an amplifier beyond its rails as an expression.
 
     The voltage of the amplifier is measured before the output resistance.
     """
@@ -250,7 +250,7 @@ def _write_rail_excess(low: str, high: str) -> str:
 def build_driver_equations(
     name: str, declared: Declaration, inner_node: str, terminals: Iterable[str]
 ) -> laws.Equations:
-    """Return the model equations of the driver ``name``.
+    """Build the model equations of a coil or piezo driver from its declaration.
 
     The results are the voltages of ``command`` and ``terminals``, and the output current
     ``NAME.i``. The output current flows through the last resistor, from ``inner_node`` to the first
@@ -267,5 +267,5 @@ def build_driver_equations(
 
 
 def make_parameters(values: Mapping[str, float]) -> tuple[Param, ...]:
-    """Return the numeric values of a template as parameters of a declaration."""
+    """Convert the numeric values of a netlist template to declaration parameters."""
     return tuple(Param(name, value, "-", "") for name, value in values.items())

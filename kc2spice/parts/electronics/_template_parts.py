@@ -78,7 +78,7 @@ class InputNoise(Section):
 
 
 class TemplatePart(PartType[KeysT]):
-    """Part with a netlist template in ``templates/``.
+    """Base class of parts with a netlist template in ``templates/``.
 
     The attribute ``template`` is the name of the netlist template. ``heading`` describes the part
     in the first line of its library file. ``fixed`` contains the pins. ``constants`` contains
@@ -101,13 +101,13 @@ class TemplatePart(PartType[KeysT]):
     def template_values(
         self, part: Part[KeysT], build: BuiltScene
     ) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
-        """Return the netlist parameters, and further values for the template."""
+        """Return the netlist parameters, and other values that the template needs."""
         return parameters(part.keys), _NOTHING
 
     def subcircuits(
         self, part: Part[KeysT], build: BuiltScene, header: Header
     ) -> tuple[Subcircuit, ...]:
-        """Return the subcircuit of the part."""
+        """Return a tuple with the subcircuit of the part."""
         params, values = self.template_values(part, build)
         if build.has_noise and isinstance(part.keys, InputNoise):
             values = {**values, "input_noise": part.keys}
@@ -120,7 +120,7 @@ class TemplatePart(PartType[KeysT]):
         params: tuple[Param, ...],
         values: Mapping[str, Any] = _NOTHING,
     ) -> Subcircuit:
-        """Return the subcircuit ``name``, rendered from the template of the part."""
+        """Render the subcircuit ``name`` from the template of the part."""
         limits = {"rating": self.rating, "validity": self.validity}
         words: dict[str, Any] = {**limits, **self.constants, **values}
         result = render_library(
@@ -134,7 +134,10 @@ class TemplatePart(PartType[KeysT]):
 
 
 def parameters(keys: Section, *names: str) -> tuple[Param, ...]:
-    """Return the keys ``names`` as positive netlist parameters; by default all keys."""
+    """Return keys of the part as positive netlist parameters; by default all keys.
+
+    ``names`` selects the keys.
+    """
     return tuple(
         make_positive_parameter(key.name, getattr(keys, key.name), key.unit or "-", key.doc)
         for key in list_schema_keys(type(keys))
@@ -187,7 +190,7 @@ OVERDRIVE_ADVICE = (
 
 
 class CoilLoad(NamedTuple):
-    """Load of a coil driver between its pins ``drive`` and ``ret``.
+    """Electrical load of a coil driver between its pins ``drive`` and ``ret``.
 
     The load is a series connection of both coils, with the lower coil reversed.
     """
@@ -198,7 +201,7 @@ class CoilLoad(NamedTuple):
 
 
 def list_pin_voltages(part: Part, build: BuiltScene, pins: Iterable[str]) -> dict[str, PartResult]:
-    """Return the vectors of the results ``PART.PIN``, which are pin voltages.
+    """Return the results ``PART.PIN`` of a part, which are its pin voltages.
 
     The voltages are relative to the pin ``ref`` if the part has such a pin, otherwise to node 0.
     """
@@ -219,7 +222,7 @@ def make_driver_pins(*terminals: str) -> tuple[Terminal, ...]:
 
 
 class Driver(TemplatePart[KeysT]):
-    """Base class of drivers with the pin ``command`` and output terminals.
+    """Base class of drivers, which have the pin ``command`` and output terminals.
 
     The last resistor of the netlist is ``Rout``, which connects ``inner_node`` to the first
     terminal.
@@ -237,7 +240,7 @@ class Driver(TemplatePart[KeysT]):
 
     @abstractmethod
     def declare_circuit(self, parameters: tuple[Param, ...]) -> Declaration:
-        """Return the declaration of the driver's circuit with the netlist ``parameters``."""
+        """Return the declaration of the driver's circuit for its netlist parameters."""
 
     def law(self, part: Part[KeysT], build: BuiltScene) -> laws.Equations | laws.MissingEquations:
         """Return the model equations of the part."""
@@ -250,7 +253,7 @@ class Driver(TemplatePart[KeysT]):
         return build_driver_equations(part.name, declared, self.inner_node, self.terminals)
 
     def subcircuit_name(self, part: Part[KeysT], scene: Scene) -> str:
-        """Return the name of the template without ``driver_``.
+        """Return the name of the subcircuit: the template name without ``driver_``.
 
         If the scene has several such drivers, return the name of the part.
         """
@@ -269,7 +272,7 @@ class Driver(TemplatePart[KeysT]):
         return result | {f"{part.name}.i": PartResult(read, 1.0, "A", self.terminals[:1])}
 
     def checks(self, part: Part[KeysT], build: BuiltScene, waves: Waveforms) -> Iterator[Check]:
-        """Yield the check that the amplifier's output stays between its rails.
+        """Yield the check that the amplifier's output voltage stays between its rails.
 
         A load could drive the output beyond the rails. The checked voltage is the voltage before
         the output resistances. A bridge is not checked, because its diodes keep the voltage within
@@ -303,17 +306,17 @@ class CoilDriver(Driver[KeysT]):
     def template_values(
         self, part: Part[KeysT], build: BuiltScene
     ) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
-        """Return netlist parameters and template values, adapted to the connected coils."""
+        """Return netlist parameters and template values that suit the connected coils."""
         return self.adapt_to_load(part.keys, self.compute_coil_load(part, build))
 
     @abstractmethod
     def adapt_to_load(
         self, keys: Any, load: CoilLoad
     ) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
-        """Return netlist parameters and template values for the coils ``load``."""
+        """Return netlist parameters and template values that suit the coils ``load``."""
 
     def default_joins(self, part: Part[KeysT], scene: GovernedScene) -> Mapping[str, str]:
-        """Return the default connection of the pin ``command``.
+        """Return the default connection of the pin ``command`` to a controller output.
 
         The pin ``command`` is connected to the only controller of the scene.
         """
@@ -321,7 +324,7 @@ class CoilDriver(Driver[KeysT]):
         return {} if control is None else {"command": f"{control.name}.command"}
 
     def compute_coil_load(self, part: Part[KeysT], build: BuiltScene) -> CoilLoad:
-        """Return the load of the driver: the coils at its terminals.
+        """Compute the load of the driver: the coils at its terminals.
 
         The inductance of the coils is computed for a sphere at the set point.
         """
@@ -344,7 +347,7 @@ class CoilDriver(Driver[KeysT]):
 
 
 def _find_joined_part(part: Part, pin: str, scene: WiredScene, kind: str) -> Part | None:
-    """Return the part of type ``kind`` that is connected to ``pin``.
+    """Return the part of type ``kind`` that is connected to the pin ``pin``.
 
     Return None if no part of this type is connected.
     """

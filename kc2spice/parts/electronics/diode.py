@@ -66,7 +66,7 @@ class Diode(TemplatePart[DiodeKeys]):
     def template_values(
         self, part: Part[DiodeKeys], build: BuiltScene
     ) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
-        """Return the parameters of the diode model; the template needs no other values."""
+        """Return the netlist parameters of the diode; the template needs no other values."""
         keys = part.keys
         params = (
             Param("is", keys.saturation_current, "A", "saturation current"),
@@ -92,7 +92,7 @@ class Diode(TemplatePart[DiodeKeys]):
         return {f"{part.name}.i": PartResult(read, 1.0, "A", *ends)}
 
     def numerics(self, part: Part[DiodeKeys], scene: WiredScene) -> Iterator[NumericalRequirements]:
-        """Yield a tighter tolerance for all analyses except transients.
+        """Yield a tighter solver tolerance for all analyses except transients.
 
         Newton's method needs a tighter tolerance, because the equation of the diode is exponential.
         """

@@ -85,12 +85,12 @@ class Amplifier(Driver[AmplifierKeys]):
         return declare_amplifier(parameters, self.constants["sink"])
 
     def rails(self, part: Part[AmplifierKeys]) -> tuple[float, float]:
-        """Return the lower and the upper rail [V] of the amplifier."""
+        """Return the lowest and highest output voltage [V] of the amplifier."""
         return self.constants["sink"], part.keys.rail
 
 
 class ChargeDriveKeys(InputNoise):
-    """Keys of an amplifier that controls the charge of a chip.
+    """Keys of an amplifier that controls the charge of a piezoelectric chip.
 
     The charge is ``capacitance`` times the command voltage.
     """
@@ -222,7 +222,7 @@ class LinearDriverKeys(InputNoise):
 
 
 class LinearDrive(CoilDriver[LinearDriverKeys]):
-    """Part type ``linear_drive``: current source for coils with a linear amplifier."""
+    """Part type ``linear_drive``: linear amplifier as a current source for coils."""
 
     name, title = "linear_drive", "current source for coils, linear amplifier between two rails"
     schema = LinearDriverKeys
@@ -232,7 +232,7 @@ class LinearDrive(CoilDriver[LinearDriverKeys]):
     inner_node = "power"
 
     def declare_circuit(self, parameters: tuple[Param, ...]) -> Declaration:
-        """Return the declaration of the current source's circuit."""
+        """Return the declaration of the linear current source's circuit."""
         return declare_linear_drive(parameters, self.constants["sense"])
 
     def rails(self, part: Part[LinearDriverKeys]) -> tuple[float, float]:
@@ -242,7 +242,7 @@ class LinearDrive(CoilDriver[LinearDriverKeys]):
     def adapt_to_load(
         self, keys: LinearDriverKeys, load: CoilLoad
     ) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
-        """Return parameters and values of the control loop for the coils ``load``.
+        """Return netlist parameters and template values that suit the coils ``load``.
 
         The output voltage is ``drive = command + (command - V(ret)) ratio (1 + 1 / (s L / R))``
         with ``ratio = 2 pi f L / 100 Ohm``. f is the bandwidth of the loop, and L and R are the
@@ -291,7 +291,7 @@ class PwmKeys(Section):
 
 
 class PwmDrive(CoilDriver[PwmKeys]):
-    """Part type ``pwm_drive``: current source for coils with a switched H-bridge."""
+    """Part type ``pwm_drive``: switched H-bridge as a current source for coils."""
 
     name, title = "pwm_drive", "current source for coils, pulse-width modulated H-bridge"
     schema = PwmKeys
@@ -305,10 +305,11 @@ class PwmDrive(CoilDriver[PwmKeys]):
     constants: ClassVar = {"carrier": 10.0, "headroom": 1.2, "shunt": 1, "sense": SENSE_RESISTANCE}
 
     def declare_circuit(self, parameters: tuple[Param, ...]) -> Declaration:
+        """Return the declaration of the switched current source's circuit."""
         return declare_pwm_drive(parameters, **self.constants)
 
     def law(self, part: Part[PwmKeys], build: BuiltScene) -> laws.Equations | laws.MissingEquations:
-        """Return the model equations of the circuit and of the carrier.
+        """Return the model equations of the circuit and of the carrier waveform.
 
         A sine generates the triangular carrier.
         """
@@ -333,7 +334,7 @@ class PwmDrive(CoilDriver[PwmKeys]):
     def adapt_to_load(
         self, keys: PwmKeys, load: CoilLoad
     ) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
-        """Return parameters and values of the control loop for the coils ``load``.
+        """Return netlist parameters and template values that suit the coils ``load``.
 
         The output of the controller is ``u = command + (command - 100 Ohm i) ratio (1 + 1 / (s L /
         R))`` with ``ratio = 2 pi f L carrier / (100 Ohm rail)``. A comparator compares the output
@@ -359,7 +360,7 @@ class PwmDrive(CoilDriver[PwmKeys]):
         }
 
     def numerics(self, part: Part[PwmKeys], scene: WiredScene) -> Iterable[NumericalRequirements]:
-        """Return the longest time step and highest frequency that the carrier requires."""
+        """Return the longest time step and highest frequency for the PWM carrier."""
         f, edge = part.keys.frequency, part.keys.edge
         what = f"a tenth of a period of the carrier of {part.name}"
         return (NumericalRequirements(what, 0.1 / f, 1 / edge),)
@@ -367,7 +368,7 @@ class PwmDrive(CoilDriver[PwmKeys]):
     def make_frequency_estimator(
         self, part: Part[PwmKeys], scene: DeclaredScene
     ) -> HighestFrequency:
-        """Return a function that computes the highest frequency [Hz] of the ripple."""
+        """Return a function that computes the highest relevant ripple frequency [Hz]."""
         return partial(_compute_ripple_frequency, float(part.keys.frequency))
 
 

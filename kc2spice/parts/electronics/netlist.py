@@ -67,7 +67,7 @@ RATING_ADVICE = (
 
 
 class PinRating(Section):
-    """Limits of the voltage and slew rate at a pin of a user's subcircuit.
+    """Voltage and slew-rate limits at a pin of a user's subcircuit.
 
     The voltages are relative to the pin ``ref`` if the circuit has such a pin.
     """
@@ -137,7 +137,7 @@ _UNITS_OF_PINS = {
 
 
 class Netlist(PartType[NetlistKeys]):
-    """Part type ``netlist``: subcircuit of the user."""
+    """Part type ``netlist``: subcircuit from a netlist file of the user."""
 
     name = "netlist"
     noise = "that of its own cards"
@@ -157,7 +157,7 @@ class Netlist(PartType[NetlistKeys]):
         return tuple(result)
 
     def default_joins(self, part: Part[NetlistKeys], scene: GovernedScene) -> Mapping[str, str]:
-        """Return the default connection of a driver.
+        """Return the default connection of a user's driver circuit to a controller.
 
         The pin ``command`` is connected to the output of the controller.
         """
@@ -228,7 +228,7 @@ class Netlist(PartType[NetlistKeys]):
     def subcircuits(
         self, part: Part[NetlistKeys], build: BuiltScene, header: Header
     ) -> tuple[Subcircuit, ...]:
-        """Return the subcircuit of the part."""
+        """Return a tuple with the subcircuit of the part."""
         result = read_included_netlist(part.keys.file, build.scene.home, trust=build.trust)
         pins = tuple(Pin(t.name, t.unit, t.flow) for t in build.scene.pins(part.name))
         text, file = result.text, result.file
@@ -296,7 +296,7 @@ def make_driver_table(
     known: Mapping[str, str],
     data: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """Return the part table of the driver that the key ``driver`` describes.
+    """Return the scene table of the part that the key ``driver`` describes.
 
     ``known`` maps the names of drivers to their part types. A driver of type ``netlist`` without a
     file uses the first file of the scene's key ``include``.
@@ -381,7 +381,7 @@ def _read_pins(part: Part[NetlistKeys], scene: DeclaredScene) -> tuple[str, ...]
 
 
 def _list_probed_nodes(part: Part[NetlistKeys], scene: DeclaredScene) -> Iterator[tuple[str, str]]:
-    """Yield each probe of this part and the measured pin, node or ``i(ELEMENT)``.
+    """Yield each probe of this part with its pin, node or element current.
 
     Probes of the current or power at a pin are omitted.
     """
@@ -392,7 +392,7 @@ def _list_probed_nodes(part: Part[NetlistKeys], scene: DeclaredScene) -> Iterato
 
 
 def _write_inner_vector(node: str, part: str = "") -> str:
-    """Return the ngspice vector of a node or of an element current in a subcircuit.
+    """Return the ngspice vector of a node or element current inside a subcircuit.
 
     ``node`` is the name of a node, or a current ``i(ELEMENT)`` or ``i(x1.ELEMENT)``. With ``part``,
     the vector belongs to the instance of the part in the deck.
@@ -425,7 +425,7 @@ def _read_modification_time(part: Part[NetlistKeys], scene: DeclaredScene) -> in
 
 @dataclass(frozen=True)
 class _NetlistFile:
-    """Pins of each subcircuit in a netlist file, and the presence of an ``ac`` source."""
+    """Subcircuit pins in a netlist file, and whether the file has an ``ac`` source."""
 
     pins: dict[str, tuple[str, ...]]
     excites: bool

@@ -47,7 +47,7 @@ from kc2spice.scene.parttype import register_part_type
 
 
 class SourceKind(NamedTuple):
-    """Kind of a source: the domain and the side of the prescribed quantity.
+    """Kind of a source: physical domain and side of the prescribed quantity.
 
     The side is ``across`` (such as a voltage) or ``through`` (such as a current).
     """
@@ -62,22 +62,22 @@ class SourceKind(NamedTuple):
 
     @property
     def unit(self) -> str:
-        """SI unit of the source's values."""
+        """SI unit of the quantity that the source prescribes."""
         return self.quantity.unit
 
     @property
     def netlist_factor(self) -> float:
-        """Number of volts or amperes that represent one SI unit in the netlist."""
+        """Volts or amperes in the netlist that represent one SI unit of the source."""
         return self.quantity.pin_value_per_si_unit
 
     @property
     def letter(self) -> str:
-        """First letter of the source's name in the netlist, V or I."""
+        """First letter of the source's name in the netlist: V or I."""
         return "V" if self.side == "across" else "I"
 
     @property
     def value_unit(self) -> str:
-        """Unit of the values in the netlist card; empty for the default unit of the card."""
+        """Unit of the value in the netlist card; empty for the default unit of the card."""
         return self.domain.value_unit(self.letter)
 
     @property
@@ -142,7 +142,7 @@ class SourceKeys(Section):
     @field_validator("pwl", mode="before")
     @classmethod
     def _require_corners(cls, rows: object) -> object:
-        """Require that ``pwl`` is a list of corners, each a time and a value."""
+        """Require that ``pwl`` is a list of waveform corners, each a time and a value."""
         expected = "a list of corners, [[TIME, VALUE], [TIME, VALUE], …]"
         hint = 'write for example  pwl = [[0, 0], ["1 ms", 1]]'
         if rows is None:
@@ -184,7 +184,7 @@ class SourceKeys(Section):
 
     @property
     def waveform_key(self) -> str:
-        """Name of the key that defines the waveform of the source; by default ``dc``."""
+        """Name of the key that defines the source's waveform; by default ``dc``."""
         return next(iter(self._stated_waveform_keys), "dc")
 
     @property
@@ -194,7 +194,7 @@ class SourceKeys(Section):
 
     @property
     def _stated_waveform_keys(self) -> list[str]:
-        """Names of the stated waveform keys."""
+        """Names of the waveform keys that the source states."""
         return [name for name in WAVEFORM_KEYS if getattr(self, name) is not None]
 
     @property
@@ -262,7 +262,7 @@ class SourceKeys(Section):
 
 
 class Source(PartType[SourceKeys]):
-    """Part type ``source``: independent source of a quantity of any domain."""
+    """Part type ``source``: independent source of a voltage, force or other quantity."""
 
     name = "source"
     title = "independent source: voltage, current, force, displacement or acceleration"
@@ -278,7 +278,7 @@ class Source(PartType[SourceKeys]):
         )
 
     def problems(self, part: Part[SourceKeys], scene: GovernedScene) -> Iterator[UsageError]:
-        """Warn about a source that is zero in the default analysis.
+        """Yield key errors; warn about a source that is zero in the default analysis.
 
         The default analysis is a transient, in which the key ``ac`` has no effect.
         """
@@ -294,7 +294,7 @@ class Source(PartType[SourceKeys]):
     def numerics(
         self, part: Part[SourceKeys], scene: WiredScene
     ) -> Iterator[NumericalRequirements]:
-        """Yield the numerical requirements of the waveform: edges, time step and period."""
+        """Yield the time step, edges and period that the waveform requires."""
         yield from list_waveform_numerics(part.name, part.keys.waveform)
         pulse = part.keys.pulse
         if pulse is not None and pulse.count is None and pulse.period:
@@ -336,7 +336,7 @@ class Source(PartType[SourceKeys]):
         return EquilibriumConditions(loaded_pins=("out", "ret") if constant else ())
 
     def cards(self, part: Part[SourceKeys], build: BuiltScene) -> tuple[Item, ...]:
-        """Return the cards of the part in the deck."""
+        """Return the netlist cards of the part in the deck."""
         kind = SOURCE_TYPES[part.keys.kind]
         ends = [build.get_net(part, "out"), build.get_net(part, "ret")]
         if kind.letter == "I":  # the source pushes current out of "out" and back into "ret"
@@ -353,7 +353,7 @@ class Source(PartType[SourceKeys]):
     def list_inner_names(
         self, part: Part[SourceKeys], scene: WiredScene
     ) -> Iterator[tuple[str, ...]]:
-        """Yield the inner nodes of a dc sweep that runs back to its first value."""
+        """Yield the names of inner nodes for a dc sweep that returns to its first value."""
         if _sweeps_back(part, scene):
             yield part.name, "swept"
             yield part.name, "folded"
@@ -361,7 +361,7 @@ class Source(PartType[SourceKeys]):
     def settable_quantities(
         self, part: Part[SourceKeys], build: BuiltScene
     ) -> Mapping[str, SweptSource]:
-        """Return the source in the netlist that a dc sweep of the key ``dc`` varies."""
+        """Return the settable source, which a dc sweep of the key ``dc`` varies."""
         kind = SOURCE_TYPES[part.keys.kind]
         if _sweeps_back(part, build.scene):
             return {
@@ -391,7 +391,7 @@ class Source(PartType[SourceKeys]):
     def checks(
         self, part: Part[SourceKeys], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Check]:
-        """Yield the check that the simulated source equals its definition.
+        """Yield the check that the simulated source matches its definition.
 
         The simulated values and the defined values are compared at all time points.
         """
@@ -427,7 +427,7 @@ class Source(PartType[SourceKeys]):
 
 
 def _find_filtered_frequency(wave: Waveform, stop: float, share: float, constant: float) -> float:
-    """Return the highest relevant frequency [Hz] of a low-pass filtered waveform.
+    """Return the highest relevant frequency [Hz] of a waveform behind a low pass.
 
     The waveform is filtered by a first-order low-pass filter. The time constant of the filter is
     ``constant`` [s] times ``share``.
@@ -436,7 +436,7 @@ def _find_filtered_frequency(wave: Waveform, stop: float, share: float, constant
 
 
 def _sweeps_back(part: Part[SourceKeys], scene: DeclaredScene) -> bool:
-    """Return whether a dc sweep of this source also runs back to its first value."""
+    """Return whether a dc sweep of this source returns to its first value."""
     selected = scene.analysis
     moved = selected.type == "dc" and selected.sweep == f"{part.name}.dc"
     return moved and bool(selected.back)
@@ -445,7 +445,7 @@ def _sweeps_back(part: Part[SourceKeys], scene: DeclaredScene) -> bool:
 def _write_sweep_cards(
     part: Part[SourceKeys], build: BuiltScene, kind: SourceKind, ends: list[str]
 ) -> Iterator[Element]:
-    """Yield the cards of a source for a dc sweep to ``to`` and back.
+    """Yield the netlist cards of a source for a dc sweep up and back down.
 
     The simulator sweeps an auxiliary voltage from the first value to beyond ``to``. Beyond ``to``,
     the value of the source is the mirror image of the auxiliary voltage. The sweep to ``to`` and
@@ -467,7 +467,7 @@ def _write_sweep_cards(
 
 
 def list_waveform_numerics(name: str, wave: Waveform) -> Iterator[NumericalRequirements]:
-    """Yield the longest time step and the highest frequency of a waveform.
+    """Yield the longest time step and highest frequency that a waveform requires.
 
     Sines and edges determine both values.
     """
@@ -518,7 +518,7 @@ def _make_waveform(points: np.ndarray, data_name: str) -> Waveform:
 
 
 def _read_table(home: Path, name: str) -> np.ndarray:
-    """Return the rows ``time, value`` of a CSV file in the folder of the scene."""
+    """Read the rows ``time, value`` of a CSV file in the folder of the scene."""
     path = locate_file_in_folder(home, name, "file")
     try:
         data = read_bounded(path, 40 * MAX_ROWS)

@@ -52,7 +52,7 @@ from kc2spice.scene.parttype import register_part_type
 
 
 class ElementRow(NamedTuple):
-    """Table row that defines a linear element.
+    """Row of a table that defines one linear element type, such as a spring.
 
     ``key`` is the only key of the element, with ``unit`` and the example ``value``. ``stated``
     contains the energy or power terms of the element. ``drive`` contains the keys of the source in
@@ -125,7 +125,7 @@ _KEY_DESCRIPTIONS = {
 
 
 def declare_element(row: ElementRow) -> Declaration:
-    """Return the declaration of the element in a table row, with key and example."""
+    """Return the declaration of the linear element that a table row defines."""
     value = Field(gt=0, description=_KEY_DESCRIPTIONS[row.name])
     number = _TYPES_OF_UNITS.get(row.unit, Annotated[float, si(row.unit)])
     fields: dict[str, Any] = {row.key: (number, value)}
@@ -148,7 +148,7 @@ part = "source"
 
 
 class LinearElement(DeclaredPart[KeysT]):
-    """Linear element that is a single netlist card.
+    """Linear element that is a single netlist card, such as a resistor.
 
     The equation of an element is ``through = admittance d^order/dt^order across``. An element whose
     pin ``heat`` is connected is a subcircuit instead.
@@ -161,12 +161,12 @@ class LinearElement(DeclaredPart[KeysT]):
 
     @cached_property
     def branch(self) -> Branch:
-        """Branch of the element."""
+        """Branch of the element between its two pins."""
         return self.declaration.branches[0]
 
     @cached_property
     def admittance_term(self) -> tuple[int, Tree]:
-        """Order of the time derivative in the equation, and admittance as an expression."""
+        """Order of the time derivative in the element's equation, and its admittance."""
         d, b = self.declaration, self.branch
         flow = d.derive_direct_flow(b)
         stiff, slow = differentiate_tree(flow, b.name), differentiate_tree(flow, b.rate)
@@ -189,21 +189,21 @@ class LinearElement(DeclaredPart[KeysT]):
         return ONE if value == 1 else Number(f"{value:g}")
 
     def _evaluate(self, part: Part[KeysT], tree: Tree) -> float:
-        """Return the value of an expression for the keys of the part."""
+        """Return the value of an expression at the part's key values."""
         return float(evaluate_tree(tree, self.declaration.values(part.keys)))
 
     def is_subcircuit(self, part: Part[KeysT], scene: DeclaredScene) -> bool:
-        """Return whether the element has a connected pin ``heat`` and is a subcircuit."""
+        """Return whether the element is a subcircuit, which its pin ``heat`` requires."""
         return is_heated(part, scene)
 
     def subcircuits(
         self, part: Part[KeysT], build: BuiltScene, header: Header
     ) -> tuple[Subcircuit, ...]:
-        """Return the subcircuit of the part."""
+        """Return the subcircuit of an element with a connected pin ``heat``, or nothing."""
         return super().subcircuits(part, build, header) if is_heated(part, build.scene) else ()
 
     def list_inner_names(self, part: Part[KeysT], scene: WiredScene) -> Iterator[tuple[str, ...]]:
-        """Yield the names of the inner nodes, the ammeter, the leak and the noise sources."""
+        """Yield the netlist names of inner nodes, ammeter, leak and noise sources."""
         if is_heated(part, scene):
             return
         n = part.name
@@ -211,7 +211,7 @@ class LinearElement(DeclaredPart[KeysT]):
         yield from ((f"R{n}", "noise"), (f"G{n}", "noise"), (n.lower(), "noise"))
 
     def cards(self, part: Part[KeysT], build: BuiltScene) -> tuple[Item, ...]:
-        """Return the cards of the part in the deck."""
+        """Return the netlist cards of the part in the deck."""
         if is_heated(part, build.scene):
             return super().cards(part, build)
         a, b = build.get_net(part, "a"), build.get_net(part, "b")
@@ -259,7 +259,7 @@ class LinearElement(DeclaredPart[KeysT]):
 
     @cached_property
     def _has_si_units(self) -> bool:
-        """Whether the pins have SI units.
+        """Whether the pins of the element have SI units.
 
         With SI units, a resistor card also has the thermal noise of the loss.
         """
@@ -268,7 +268,7 @@ class LinearElement(DeclaredPart[KeysT]):
     def _write_noise_cards(
         self, part: Part[KeysT], build: BuiltScene, a: str, b: str
     ) -> tuple[Element, ...]:
-        """Return the cards of the thermal noise of a loss.
+        """Return the netlist cards of the thermal noise of a lossy element.
 
         An example is the force noise of a damper. For the damping c, the force noise has the
         spectral density ``4 k T c`` [N^2/Hz]. A resistor of c ohms has a voltage noise density with
@@ -322,7 +322,7 @@ DECLARED = {row.name: declare_element(row) for row in TABLE}
 
 
 def make_element_law(name: str, kind: str, value: float) -> DeclaredLaw:
-    """Return the equations of an element of type ``kind`` with ``value`` in SI units.
+    """Return the model equations of a two-terminal element with a value in SI units.
 
     ``kind`` is the name of a table row, such as ``spring``.
     """

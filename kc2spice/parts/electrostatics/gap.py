@@ -189,7 +189,7 @@ class GapKeys(_stop.StopKeys):
 
 
 class PatchedPart(DeclaredPart[KeysT]):
-    """Part with a pin for each surface patch that its key ``a`` names.
+    """Base class of parts with a pin for each surface patch in the key ``a``.
 
     The pins are ``p1``, ``p2``, ….
     """
@@ -200,7 +200,7 @@ class PatchedPart(DeclaredPart[KeysT]):
         return tuple(replace(pin, required=pin.name in ("plus", HEAT)) for pin in pins)
 
     def default_joins(self, part: Part[KeysT], scene: GovernedScene) -> Mapping[str, str]:
-        """Return the port of the body to which each patch pin is connected by default."""
+        """Return the body port to which each patch pin is connected by default."""
         return {f"p{k}": port for k, port in enumerate(list_patch_ports(part, scene), 1)}
 
 
@@ -210,11 +210,11 @@ class Gap(PatchedPart[GapKeys]):
     discretisations = ("film.branches",)
 
     def make_declaration(self, part: Part[GapKeys], scene: GovernedScene) -> Declaration:
-        """Return the declaration for the keys of the part."""
+        """Return the declaration of the part for the values of its keys."""
         return self._declare_branches(part, scene, count_film_branches(part, scene))
 
     def declare_after_build(self, part: Part[GapKeys], build: BuiltScene) -> Declaration:
-        """Return the declaration with the number of film branches of the built model."""
+        """Return the declaration with the gas-film branches of the built model."""
         finer = build.models.get(part.name)
         if not isinstance(finer, int):
             return self.make_declaration(part, build.scene)
@@ -223,7 +223,7 @@ class Gap(PatchedPart[GapKeys]):
     def build(
         self, part: Part[GapKeys], scene: Scene, clock: StageTimer, full: bool = False
     ) -> int | None:
-        """Return the number of film branches of the more accurate reference model.
+        """Return the number of gas-film branches in the more accurate reference model.
 
         Return None for the model of the netlist. With ``full``, the gas film has
         :data:`REFINEMENT_RATIO` times as many branches as in the netlist.
@@ -231,7 +231,7 @@ class Gap(PatchedPart[GapKeys]):
         return REFINEMENT_RATIO * count_film_branches(part, scene) or None if full else None
 
     def law(self, part: Part[GapKeys], build: BuiltScene) -> laws.Equations:
-        """Return the model equations with the pins that the netlist also has.
+        """Return the model equations, with the same pins as the netlist.
 
         A reference model with more film branches has additional pins, which are omitted.
         """
@@ -241,7 +241,7 @@ class Gap(PatchedPart[GapKeys]):
     def _declare_branches(
         self, part: Part[GapKeys], scene: GovernedScene, branches: int
     ) -> Declaration:
-        """Return the declaration of a gap with the given number of film branches."""
+        """Return the declaration of a gap with a given number of gas-film branches."""
         keys, top = part.keys, highest_frequency(scene) if part.keys.film else 0.0
         return _declare_gap(
             keys.model_dump_json(), len(list_patch_ports(part, scene)), branches, top
@@ -334,7 +334,7 @@ class Gap(PatchedPart[GapKeys]):
 
 
 def list_patch_ports(part: Part, scene: DeclaredScene) -> tuple[str, ...]:
-    """Return the ports of the body on which a part acts, in the order of the patches."""
+    """Return the body's ports on which a part acts, in the order of the patches."""
     name = getattr(part.keys, "a", "")
     if not isinstance(name, str):
         return tuple(name)
@@ -353,7 +353,7 @@ def list_patch_ports(part: Part, scene: DeclaredScene) -> tuple[str, ...]:
 
 
 def count_film_branches(part: Part[GapKeys], scene: GovernedScene) -> int:
-    """Return the number of terms of the film series with a spring; 0 without a film."""
+    """Return the number of gas-film terms that have a spring; 0 without a film."""
     keys = part.keys
     if keys.film is None:
         return 0
@@ -370,7 +370,7 @@ def count_film_branches(part: Part[GapKeys], scene: GovernedScene) -> int:
 def compute_truncation_error(
     film: SqueezeFilmKeys, gap: float, branches: int, frequency: float
 ) -> float:
-    """Return the error of the film series if ``branches`` terms have a spring.
+    """Return the error of the gas-film series if only ``branches`` terms have springs.
 
     The result is the larger of the relative errors of damping and force at ``frequency`` [Hz]. For
     each term of the film series, force divided by displacement is ``z = j w c / (1 + j w c / k)``,
@@ -387,7 +387,7 @@ def compute_truncation_error(
 
 
 def _list_patch_waves(part: Part[GapKeys], word: str, waves: Waveforms) -> list[np.ndarray]:
-    """Return the recorded waveforms of the quantity ``word`` for all patches.
+    """Return the recorded displacements or forces of all patches.
 
     ``word`` is ``x`` or ``force``.
     """
@@ -396,7 +396,7 @@ def _list_patch_waves(part: Part[GapKeys], word: str, waves: Waveforms) -> list[
 
 
 def _check_film(part: Part[GapKeys], build: BuiltScene, waves: Waveforms) -> Iterator[Check | Gate]:
-    """Yield checks of the error of the gas film at the highest frequency of a run.
+    """Yield checks of the gas film's error at the highest frequency of a run.
 
     In a transient, frequencies below the highest frequency contain 99.9 % of the energy of the
     patch velocities.
@@ -425,7 +425,7 @@ def _check_film(part: Part[GapKeys], build: BuiltScene, waves: Waveforms) -> Ite
 
 @lru_cache(maxsize=32)
 def _declare_gap(text: str, count: int, film_branches: int, top: float) -> Declaration:
-    """Return the declaration of a gap with ``count`` patches.
+    """Return the declaration of an electrostatic gap with ``count`` patches.
 
     The series of the gas film has ``film_branches`` terms with a spring. ``text`` contains the keys
     of the gap as a JSON string. The terms with a spring resolve frequencies up to ``top`` [Hz].
@@ -494,7 +494,7 @@ def _declare_gap(text: str, count: int, film_branches: int, top: float) -> Decla
 def _list_neglected_effects(
     keys: GapKeys, branches: int, top: float
 ) -> Iterator[tuple[str, str, str]]:
-    """Yield the effects that the model of a gap neglects: name, reason and size."""
+    """Yield the neglected effects of a gap model, each with its reason and size."""
     if keys.fringing is None:
         yield "fringing field", "no key fringing", "of the order of gap / width"
     if keys.film is None:
@@ -518,7 +518,7 @@ def _list_neglected_effects(
 
 
 def _compute_series_terms(film: SqueezeFilmKeys) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return dampers, springs and indices m of all terms of the film series.
+    """Return dampers, springs and indices m of all terms in the gas-film series.
 
     Each returned array has the shape (n,) and begins with the term of the largest damper. The
     dampers are multiplied by gap^3, and the springs are multiplied by gap, so that both do not
@@ -536,7 +536,7 @@ def _compute_series_terms(film: SqueezeFilmKeys) -> tuple[np.ndarray, np.ndarray
 def _split_series(
     film: SqueezeFilmKeys, count: int, branches: int
 ) -> tuple[list[tuple[float, float, np.ndarray]], float]:
-    """Return the terms of the film series with a spring, and the damper of the rest.
+    """Return the gas-film terms with springs, and one damper for the other terms.
 
     The second value is the sum of the dampers of all other terms. Each term contains the damper
     times gap^3, the spring times gap, and the contribution of each patch to the displacement of the

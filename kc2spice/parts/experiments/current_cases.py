@@ -42,7 +42,7 @@ LOOKUP_HEIGHTS = 2001
 
 
 class CurrentCasesKeys(Section):
-    """Keys of the experiment: the currents in each coil.
+    """Keys of a force experiment: the currents in each coil.
 
     A dc sweep moves the sphere through all heights of the force table.
     """
@@ -72,7 +72,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
     def generate_tables(
         self, part: Part[CurrentCasesKeys], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
-        """Return the analysis: a dc sweep of the height of the sphere."""
+        """Return the table of the analysis: a dc sweep of the sphere's height."""
         sweep = {"type": "dc", "sweep": f"{part.name}.height", "points": LOOKUP_HEIGHTS}
         return {"analysis": sweep}
 
@@ -84,11 +84,11 @@ class CurrentCases(PartType[CurrentCasesKeys]):
     def governed_parts(
         self, part: Part[CurrentCasesKeys], scene: DeclaredScene
     ) -> Mapping[str, Governed]:
-        """Return the sphere that this part moves, and the coils that this part copies."""
+        """Return the parts that this part controls: a moved sphere and copied coils."""
         return {_find_sphere(part, scene): "moved", _find_coils(part, scene).name: "copied"}
 
     def cards(self, part: Part[CurrentCasesKeys], build: BuiltScene) -> tuple[Item, ...]:
-        """Return the cards of the part in the deck."""
+        """Return the netlist cards of the part in the deck."""
         library, y = build.libraries[_find_coils(part, build.scene).name], build.get_net(part, "y")
         height = Element.from_words(build.get_inner_name(part, "Vheight"), y, "0", "0")
         cards: list[Line] = [height.with_unit(DISPLACEMENT.pin_unit)]
@@ -110,7 +110,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
     def list_inner_names(
         self, part: Part[CurrentCasesKeys], scene: WiredScene
     ) -> Iterator[tuple[str, ...]]:
-        """Yield the names of the inner nodes and elements for each pair of currents."""
+        """Yield the netlist names of inner nodes and elements for each current pair."""
         yield ("Vheight",)
         words = "lower", "upper", "force", "Xcatch", "Ilower", "Iupper", "Vforce"
         for k, word in product(range(len(list_current_pairs(part))), words):
@@ -119,7 +119,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
     def settable_quantities(
         self, part: Part[CurrentCasesKeys], build: BuiltScene
     ) -> Mapping[str, SweptSource]:
-        """Return the source of the sphere's height, which the dc sweep varies."""
+        """Return the settable height of the sphere, which the dc sweep varies."""
         keys = _find_coils(part, build.scene).keys
         heights = keys.y_min + keys.shift, keys.y_max + keys.shift
         return {
@@ -150,7 +150,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
         }
 
     def law(self, part: Part[CurrentCasesKeys], build: BuiltScene) -> laws.Equations:
-        """Return the model equations of all copies of the coils.
+        """Return the model equations of the coils, copied for each current pair.
 
         A source prescribes the height of the sphere on which the coils act.
         """
@@ -171,7 +171,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
     def checks(
         self, part: Part[CurrentCasesKeys], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Check | Gate]:
-        """Yield the check of the force table's slope, and the permitted force errors.
+        """Yield the check of the force table's slope, and the limits of force errors.
 
         The check limits the jumps of the slope between segments of the table. The sweep has several
         heights in each segment, so that the forces contain each jump in full.
@@ -199,7 +199,7 @@ def list_current_pairs(part: Part[CurrentCasesKeys]) -> list[tuple[float, float]
 
 
 def _list_force_names(part: Part[CurrentCasesKeys], build: BuiltScene) -> list[str]:
-    """Return the result names of the forces, one for each pair of currents."""
+    """Return the result names of the forces, one for each current pair."""
     name = _find_coils(part, build.scene).name
     return [f"{name}.force.{k}" for k in range(len(list_current_pairs(part)))]
 

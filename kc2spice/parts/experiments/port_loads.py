@@ -45,7 +45,7 @@ CHARGE_CAPACITANCE = 1e-24
 
 
 class PortLoadsKeys(Section):
-    """Keys of the experiment: the body, and the frequencies of the unit loads."""
+    """Keys of a load experiment: the body, and the frequencies of the unit loads."""
 
     start: Frequency = Field(
         0.0,
@@ -83,13 +83,13 @@ class PortLoads(PartType[PortLoadsKeys]):
     def generate_tables(
         self, part: Part[PortLoadsKeys], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
-        """Return the analysis: a linear frequency sweep of the unit loads."""
+        """Return the table of the analysis: a linear frequency sweep of the unit loads."""
         start, stop, points = part.keys.start, part.keys.stop, part.keys.steps
         linear = {"scale": "linear", "points": points, "stop": stop}
         return {"analysis": {"type": "ac", "start": start + (stop - start) / points, **linear}}
 
     def has_ac_source(self, part: Part[PortLoadsKeys], scene: DeclaredScene) -> bool:
-        """Return True, because the unit loads are the small signals of the analysis."""
+        """Return True, because the unit loads are ac sources."""
         return True
 
     def problems(self, part: Part[PortLoadsKeys], scene: GovernedScene) -> Iterator[UsageError]:
@@ -112,7 +112,7 @@ class PortLoads(PartType[PortLoadsKeys]):
         return {find_loaded_body(part, scene).name: "copied"}
 
     def cards(self, part: Part[PortLoadsKeys], build: BuiltScene) -> tuple[Item, ...]:
-        """Return the cards of the part in the deck."""
+        """Return the netlist cards of the part in the deck."""
         body, name = find_loaded_body(part, build.scene), partial(build.get_inner_name, part)
         rings, library = _list_loaded_rings(body, build.scene), build.libraries[body.name]
         is_open = body.keys.electrical == "open"
@@ -144,7 +144,7 @@ class PortLoads(PartType[PortLoadsKeys]):
     def list_inner_names(
         self, part: Part[PortLoadsKeys], scene: WiredScene
     ) -> Iterator[tuple[str, ...]]:
-        """Yield the names of the copies of the body and of their loads."""
+        """Yield the names of the copies of the body and of their unit loads."""
         rings = _list_loaded_rings(find_loaded_body(part, scene), scene)
         for load in (*rings, "anode"):
             yield (f"X{load}",)
@@ -154,7 +154,7 @@ class PortLoads(PartType[PortLoadsKeys]):
         yield from zip(("Vload", "load", "Cload", "Fload"))
 
     def vectors(self, part: Part[PortLoadsKeys], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice vectors of the responses, with keys ``INPUT>OUTPUT``.
+        """Return the ngspice vectors of the responses, keyed by ``INPUT>OUTPUT``.
 
         The response of a contact ring is its displacement [m]. The response of the anode is its
         charge [C], or its voltage [V] if the anode is open.
@@ -177,7 +177,7 @@ class PortLoads(PartType[PortLoadsKeys]):
     def metrics(
         self, part: Part[PortLoadsKeys], build: BuiltScene, waves: Waveforms
     ) -> Mapping[str, object]:
-        """Return the response amplitudes to a unit load, at all frequencies.
+        """Return the response amplitudes at all frequencies for each unit load.
 
         The metric ``amplitude[input][output]`` contains the amplitude of an output for a unit load
         on an input.
@@ -194,7 +194,7 @@ class PortLoads(PartType[PortLoadsKeys]):
     def checks(
         self, part: Part[PortLoadsKeys], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Gate]:
-        """Yield the permitted errors of the responses to the unit loads.
+        """Yield the error limits of the responses to the unit loads.
 
         The permitted errors include the tolerance of the model reduction.
         """

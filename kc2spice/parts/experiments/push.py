@@ -60,7 +60,7 @@ class PushKeys(Section):
 
 
 class Push(TouchablePart[PushKeys]):
-    """Part type ``push``: sphere that is pushed down in equal steps.
+    """Part type ``push``: prescribed motion that pushes a sphere down in equal steps.
 
     Each step is an operating point.
     """
@@ -73,7 +73,7 @@ class Push(TouchablePart[PushKeys]):
     def generate_tables(
         self, part: Part[PushKeys], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
-        """Return the analysis: a dc sweep of the depth."""
+        """Return additional scene tables: the analysis, which is a dc sweep of the depth."""
         points = part.keys.steps + 1
         return {"analysis": {"type": "dc", "sweep": f"{part.name}.depth", "points": points}}
 
@@ -83,7 +83,7 @@ class Push(TouchablePart[PushKeys]):
         return bottom, Terminal.make_rate_pin("v", TRANSLATION, GROUND)
 
     def governed_parts(self, part: Part[PushKeys], scene: DeclaredScene) -> Mapping[str, Governed]:
-        """Return the sphere, whose position this part prescribes."""
+        """Return the only governed part: the sphere, whose position this part prescribes."""
         return {find_sphere(part, scene).name: "moved"}
 
     def problems(self, part: Part[PushKeys], scene: GovernedScene) -> Iterator[UsageError]:
@@ -96,14 +96,14 @@ class Push(TouchablePart[PushKeys]):
             yield part.wrong("depth", problem, f"{part.keys.depth:g} m", expected)
 
     def cards(self, part: Part[PushKeys], build: BuiltScene) -> tuple[Item, ...]:
-        """Return the cards of the part in the deck."""
+        """Return the netlist cards of the part in the deck."""
         drive = Element.from_words(f"V{part.name}", build.get_net(part, "bottom"), "0", "0")
         return (drive.with_unit(DISPLACEMENT.pin_unit),)
 
     def settable_quantities(
         self, part: Part[PushKeys], build: BuiltScene
     ) -> Mapping[str, SweptSource]:
-        """Return the source of the depth, which the dc sweep varies."""
+        """Return the depth as the quantity that the dc sweep varies."""
         return {
             "depth": SweptSource(
                 f"V{part.name}", -DISPLACEMENT.pin_value_per_si_unit, (0.0, part.keys.depth)
@@ -113,7 +113,7 @@ class Push(TouchablePart[PushKeys]):
     def largest_indentations(
         self, part: Part[PushKeys], scene: GovernedScene
     ) -> Iterator[LargestIndentation]:
-        """Yield the prescribed depth, which is the largest indentation of the contact."""
+        """Yield the largest indentation of the contact: the depth in the last step."""
         yield LargestIndentation(part.keys.depth, f"{part.name}.depth")
 
     def vectors(self, part: Part[PushKeys], build: BuiltScene) -> Mapping[str, PartResult]:

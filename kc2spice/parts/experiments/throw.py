@@ -57,7 +57,7 @@ class Throw(_contact_surfaces.TouchablePart[ThrowKeys]):
     source = "initial state"
 
     def cards(self, part: Part[ThrowKeys], build: BuiltScene) -> tuple[Item, ...]:
-        """Return the cards of the part in the deck."""
+        """Return the netlist cards of the part in the deck."""
         return ()
 
     def problems(self, part: Part[ThrowKeys], scene: GovernedScene) -> Iterator[UsageError]:
@@ -76,11 +76,11 @@ class Throw(_contact_surfaces.TouchablePart[ThrowKeys]):
     def governed_parts(
         self, part: Part[ThrowKeys], scene: DeclaredScene
     ) -> Mapping[str, InitialState]:
-        """Return the initial velocity and gap that this part sets for the sphere."""
+        """Return the sphere as a governed part, with its initial velocity and gap."""
         return {find_sphere(part, scene).name: InitialState(part.keys.velocity, part.keys.gap)}
 
     def numerics(self, part: Part[ThrowKeys], scene: WiredScene) -> Iterator[NumericalRequirements]:
-        """Yield a tighter ``chgtol`` for slow impacts.
+        """Yield a tighter charge tolerance (``chgtol``) for slow impacts.
 
         The tolerance ``chgtol`` is proportional to the impact speed.
         """

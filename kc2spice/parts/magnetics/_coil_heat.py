@@ -33,7 +33,7 @@ def get_wire_coefficients(keys: ConductorKeys) -> tuple[float, float]:
 
 
 def compute_resistance_ratio(keys: ConductorKeys, temperature: np.ndarray) -> np.ndarray:
-    """Return the resistance of the wire, divided by the stated resistance.
+    """Return the wire's resistance, divided by its value at the reference temperature.
 
     ``temperature`` [K] is the temperature above the ambient temperature.
     """

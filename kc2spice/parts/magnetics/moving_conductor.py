@@ -210,7 +210,7 @@ def _list_loop_currents(count: int) -> list[str]:
 
 
 def _list_branches(keys: MovingBodyKeys, loops: int) -> tuple[Branch, ...]:
-    """Return the branches of the coils, of the motion, and of the current loops."""
+    """Return the branches for the coils, the motion, and the current loops of a body."""
     coils = (current(_name_coil_current(n), f"{n}_p", f"{n}_n") for n in keys.coils)
     return (*coils, displacement("y", "a", "b"), *map(loop, _list_loop_currents(loops)))
 
@@ -224,7 +224,7 @@ def _declare_body(
     reach: str = "",
     **physics: Any,
 ) -> Declaration:
-    """Return the declaration of a moving body with its ``branches``.
+    """Return the declaration of a moving body from its branches and expressions.
 
     ``low`` and ``high`` are expressions that are positive within the range of heights, and
     ``reach`` describes the validity of the currents.
@@ -247,7 +247,7 @@ def _declare_body(
 
 
 def declare_moving_body(part: Part[MovingBodyKeys], model: LoopModel) -> Declaration:
-    """Return the declaration of a moving body from its built ``model``.
+    """Return the declaration of a moving body, with its computed current loops.
 
     The coenergy is ``i' L i / 2`` with the currents i of coils and loops. The couplings in the
     inductance matrix L are power series of the height. A magnet has no current loops. The couplings
@@ -296,7 +296,7 @@ class MovingBody(DeclaredPart[MovingT]):
         return list_newton_numerics(part, scene)
 
     def make_declaration(self, part: Part[MovingT], scene: GovernedScene) -> Declaration:
-        """Return the declaration for the keys of the part."""
+        """Return the declaration of the part for the values of its keys."""
         return _declare_body(self, _list_branches(part.keys, 0))
 
     def declare_after_build(self, part: Part[MovingT], build: BuiltScene) -> Declaration:
@@ -373,7 +373,7 @@ class MovingBody(DeclaredPart[MovingT]):
     def build(
         self, part: Part[MovingT], scene: Scene, clock: StageTimer, full: bool = False
     ) -> LoopModel:
-        """Return the current loops of the body and their couplings to the coils.
+        """Build or load the current loops of the body and their couplings to the coils.
 
         The ``full`` model has more loops and rings, and resolves twice the highest frequency. The
         couplings of the full model are also more accurate.
@@ -387,7 +387,7 @@ class MovingBody(DeclaredPart[MovingT]):
             )
 
         def build() -> LoopModel:
-            """Compute the current loops and their couplings."""
+            """Compute the current loops of the body and their couplings to the coils."""
             fixed = []
             for magnet in keys.magnets.values():
                 fixed += compute_surface_currents(magnet, magnet.remanence)
@@ -496,7 +496,7 @@ class MovingBody(DeclaredPart[MovingT]):
 
 
 class MovingConductor(MovingBody[MovingConductorKeys]):
-    """Part type ``moving_conductor``: conductor that moves along coils and magnets."""
+    """Part type ``moving_conductor``: conductor that moves on the axis of coils."""
 
     name = "moving_conductor"
     title = "conducting body that moves along coils and magnets (eddy currents)"

@@ -125,7 +125,7 @@ sine = { amplitude = "1 V", frequency = "50 Hz" }
         rings: int,
         frequency: float,
     ) -> LoopModel:
-        """Return the couplings of the magnet with the coils and the ``fixed`` currents.
+        """Return a loop model that contains only the magnet's couplings to other currents.
 
         The ``fixed`` currents represent fixed magnets.
         """

@@ -95,7 +95,7 @@ TABLE_SOURCES = ("kc2spice.linalg", "kc2spice.fem", "kc2spice.core.gmsh_session"
 
 
 class RingMagnetCoilsKeys(ConductorKeys, CatchKeys):
-    """Keys of an electromagnetic catch actuator, with an optional driver circuit."""
+    """Keys of a ring magnet with two coils that catch a sphere, and of their driver."""
 
     driver: dict[str, dict[str, Any]] | None = Field(
         None,
@@ -139,7 +139,7 @@ SERIES_PINS = (Terminal("drive", "V", "A"), Terminal("ret", "V", "A"), *POSITION
 
 
 def compute_rated_heating(keys: RingMagnetCoilsKeys) -> float:
-    """Return the permitted integral of the squared current [A^2 s] of a coil.
+    """Return the integral of the squared coil current [A^2 s] that the rating permits.
 
     The permitted integral heats the wire by the rated temperature rise. Without cooling, the
     integral is ``rise c A^2 / resistivity`` for any number of turns. c is the volumetric heat
@@ -150,9 +150,10 @@ def compute_rated_heating(keys: RingMagnetCoilsKeys) -> float:
 
 
 def _compute_force_contributions(values: np.ndarray, current: float) -> np.ndarray:
-    """Return the contribution of each of :data:`SERIES_COEFFICIENTS` to the force [N].
+    """Return the force contributions [N] of the powers 0, 1 and 2 of the current.
 
-    The returned array has the shape (3, heights). ``current`` [A] flows through both coils in
+    The returned array has the shape (3, heights), with a row for each of
+    :data:`SERIES_COEFFICIENTS`. ``current`` [A] flows through both coils in
     series. ``values`` contains the coefficients of the force table, an array of shape (heights, 6).
     """
     weights = np.array(list(SERIES_COEFFICIENTS.values()), dtype=float)
@@ -222,7 +223,7 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
     def generate_tables(
         self, part: Part[RingMagnetCoilsKeys], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
-        """Return the part table of the driver that the key ``driver`` describes."""
+        """Return additional scene tables: the driver that the key ``driver`` describes."""
         if part.keys.driver is None:
             return {}
         known = {"linear": "linear_drive", "pwm": "pwm_drive", "user": "netlist"}
@@ -248,7 +249,7 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
     def equilibrium_conditions(
         self, part: Part[RingMagnetCoilsKeys], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the paths in equilibrium.
+        """Return the equilibrium conditions of the coils: paths to ground.
 
         Every pin except ``heat`` has a path to ground.
         """
@@ -333,7 +334,7 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
     def largest_indentations(
         self, part: Part[RingMagnetCoilsKeys], scene: GovernedScene
     ) -> Iterator[LargestIndentation]:
-        """Yield the indentation by a sphere that falls from the upper end of the table."""
+        """Yield the indentation by a sphere that falls from the upper table end."""
         sphere = find_sphere(part, scene)
         drop = 2 * scene.gravity * (part.keys.y_max - sphere.keys.radius)
         speed = math.sqrt(max(0.0, drop))
@@ -356,7 +357,7 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
                 yield Shape(x, ring.y + keys.shift, wide, ring.height, kind, label)
 
     def _make_unit_remanence_keys(self, part: Part[RingMagnetCoilsKeys], count: int) -> CatchKeys:
-        """Return the keys for a force table of unit remanence with ``count`` heights."""
+        """Return the keys of a force table with ``count`` heights and a remanence of 1 T."""
         alone = {"remanence": 1.0, "shift": 0.0, "points": LOOKUP_POINTS, "positions": count}
         return CatchKeys(
             **{name: getattr(part.keys, name) for name in CatchKeys.model_fields} | alone
@@ -370,7 +371,7 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
     def build(
         self, part: Part[RingMagnetCoilsKeys], scene: Scene, clock: StageTimer, full: bool = False
     ) -> MagnetostaticTable:
-        """Return the force table of the actuator.
+        """Build or load the table of the magnetic force on the sphere.
 
         The table is computed for unit remanence. Scaling by the remanence and shifting by the key
         ``shift`` are exact. A ``full`` table has more heights, so that the interpolation error of
@@ -382,7 +383,7 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
         key = {**self.model_key(part, scene), "positions": count}
 
         def build() -> MagnetostaticTable:
-            """Compute the force table for unit remanence."""
+            """Compute the force table for a remanence of 1 T."""
             from kc2spice.fem.magnet_field import compute_catch_table
 
             with clock.time_stage("magnetics", "field of the catch actuator") as share:
@@ -402,7 +403,7 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
     def subcircuits(
         self, part: Part[RingMagnetCoilsKeys], build: BuiltScene, header: Header
     ) -> tuple[Subcircuit, ...]:
-        """Return the subcircuit of the part."""
+        """Return a tuple with the subcircuit of the part."""
         keys, name, apart = (
             part.keys,
             build.libraries[part.name],
@@ -700,7 +701,7 @@ def get_result_prefix(part: Part[RingMagnetCoilsKeys]) -> str:
 
 
 def has_real_coils(part: Part[RingMagnetCoilsKeys], scene: DeclaredScene) -> bool:
-    """Return whether a circuit drives the coils.
+    """Return whether a drive circuit is connected to the coils.
 
     Coils with a drive circuit have inductance and back-EMF in the model.
     """
@@ -714,7 +715,7 @@ def _has_coil_terminals(part: Part[RingMagnetCoilsKeys], scene: DeclaredScene) -
 
 
 def _format_end(height: float) -> str:
-    """Return an end of the force table in mm that includes a height [m] of the sphere."""
+    """Suggest an end of the force table in mm, 5 % or more beyond a height [m]."""
     return f"{math.ceil(abs(1.05e3 * height)) * (1 if height > 0 else -1)} mm"
 
 
@@ -729,7 +730,7 @@ def _format_height(height: float) -> str:
 
 
 def _advise_less_energy(scene: Scene, y: np.ndarray, table: MagnetostaticTable) -> str:
-    """Return advice on how to reduce a kick that moves the sphere out of the table.
+    """Return advice to reduce the energy of a sphere that leaves the force table.
 
     ``y`` contains the heights [m] of the sphere.
 
@@ -753,7 +754,7 @@ def _advise_less_energy(scene: Scene, y: np.ndarray, table: MagnetostaticTable) 
 
 
 def _list_coil_currents(part: Part[RingMagnetCoilsKeys], waves: Waveforms) -> dict[str, np.ndarray]:
-    """Return the recorded currents [A] of the coils, keyed by coil name.
+    """Return the recorded waveforms of the coil currents [A], keyed by coil name.
 
     The upper coil is first.
     """
@@ -810,7 +811,7 @@ def estimate_interpolation_error(table: MagnetostaticTable, current: float) -> f
 
 
 def compute_distance_outside(table: MagnetostaticTable, y: np.ndarray) -> float:
-    """Return how far [m] the heights ``y`` [m] are outside of the table.
+    """Return the distance [m] by which heights exceed the range of the force table.
 
     Return 0 if the table contains all heights.
     """

@@ -27,7 +27,7 @@ MAX_STIFFNESS = 1e15
 
 
 class ContactKeys(Section):
-    """Keys of a penalty contact, with one spring at each port of its side ``a``."""
+    """Keys of a contact with penalty springs, one at each port of the lower side."""
 
     penalty: Stiffness = Field(
         1e8,

@@ -41,7 +41,7 @@ _INDENTATION_MARGIN = 1.25
 
 @dataclass(frozen=True)
 class ContactSurface:
-    """Surface of a part in a contact.
+    """Surface of a part that can be in contact with another surface.
 
     ``distance`` [m] contains the distances of the ports from the axis. The voltages of the pins
     ``ports`` are positions in um, and the contact force acts on these pins. For a rigid part, the
@@ -105,7 +105,7 @@ class LargestIndentation:
 
 
 class TouchablePart(PartType[KeysT]):
-    """Base class of part types with a contact surface or with influence on a contact.
+    """Base class of part types that have a contact surface or press surfaces together.
 
     A part without a contact surface can press two surfaces together.
     """
@@ -119,7 +119,7 @@ class TouchablePart(PartType[KeysT]):
     def largest_indentations(
         self, part: Part[KeysT], scene: GovernedScene
     ) -> Iterable[LargestIndentation]:
-        """Return the largest indentation in contacts that the part can cause."""
+        """Return the largest indentations that the part can cause in contacts."""
         return ()
 
 
@@ -138,7 +138,7 @@ def find_surface(
 
 
 def compute_ring_gaps(distance: np.ndarray, sphere_radius: float) -> np.ndarray:
-    """Return the gap [m] between a sphere and a plane at each ``distance``.
+    """Return the gap [m] between a sphere and a plane at each distance from the axis.
 
     ``distance`` [m] is the distance from the axis. The sphere touches the plane on the axis. At the
     distance r from the axis, the gap between a plane and a sphere of radius R is ``R - sqrt(R^2 -
@@ -351,11 +351,11 @@ class ContactPair:
 
     @cached_property
     def basis_compliance(self) -> tuple[LocalCompliance, float]:
-        """Compliance of both sides for the pressure basis, and response time [s]."""
+        """Compliance of both sides to the pressure basis, and mean response time [s]."""
         return self._combine_compliances(self.pressure_basis)
 
     def _combine_compliances(self, shape: PressureBasis) -> tuple[LocalCompliance, float]:
-        """Return the sum of the compliances of both sides, and the response time [s].
+        """Return the summed compliance of both sides, and their mean response time [s].
 
         The response time is the mean of the response times of both sides, weighted by their
         compliances.
@@ -439,7 +439,7 @@ class ContactPair:
 
 
 def make_pair(contact: Part, scene: GovernedScene) -> ContactPair:
-    """Return both surfaces of a contact, from the record of the scene if available."""
+    """Return the pair of contact surfaces, if possible from the records of the scene."""
     record = scene.get_record(contact)
     if record is None or not isinstance(record.shared_data, ContactPair):
         return ContactPair(contact.with_schema(ContactKeys), scene)
@@ -506,7 +506,7 @@ def estimate_impact_indentation(
 def find_separation(
     t: np.ndarray, force: np.ndarray, v: np.ndarray, busy: float = math.inf, power: float = 1.0
 ) -> tuple[float, float] | None:
-    """Return the time [s] and the velocity [m/s] at which a flight begins.
+    """Return the time [s] and velocity [m/s] at which the contact opens for a flight.
 
     Return None without a flight. In contact, the force is proportional to ``overlap**power``.
 

@@ -56,7 +56,7 @@ STOP_NEGLECTED = (
 
 
 def write_stop_energy(indentation: str, share: str = "") -> str:
-    """Return the expression of the energy of a stop, times ``share``.
+    """Return the expression of a stop's energy, multiplied by the factor ``share``.
 
     The expression ``indentation`` is negative as long as the stop is not reached.
     """
@@ -64,7 +64,7 @@ def write_stop_energy(indentation: str, share: str = "") -> str:
 
 
 def write_stop_loss(indentation: str, rate: str, share: str = "") -> str:
-    """Return the expression of the dissipative force of a stop, times ``share``.
+    """Return the expression of a stop's dissipative force, times the factor ``share``.
 
     ``rate`` is the velocity of the coordinate on which the force acts.
     """

@@ -100,11 +100,11 @@ class Contact(DeclaredPart[ContactKeys]):
     schema = ContactKeys
 
     def shared_data(self, part: Part[ContactKeys], scene: GovernedScene) -> ContactPair:
-        """Return both sides of the contact for use by other parts."""
+        """Return the pair of contact surfaces for use by other parts."""
         return ContactPair(part, scene)
 
     def make_declaration(self, part: Part[ContactKeys], scene: GovernedScene) -> Declaration:
-        """Return the declaration for the keys of the part."""
+        """Return the declaration of the part for the values of its keys."""
         pair = make_pair(part, scene)
         radius, distance = pair.upper_surface.radius, pair.lower_surface.distance
         under = None if radius is None else (radius, tuple(map(float, distance)))
@@ -138,7 +138,7 @@ class Contact(DeclaredPart[ContactKeys]):
     def equilibrium_conditions(
         self, part: Part[ContactKeys], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the paths to ground, and the paths between surfaces that touch at rest."""
+        """Return the equilibrium conditions: paths to ground, and between touching sides."""
         pair = make_pair(part, scene)
         pins = ("base", *["va"] * pair.lower_surface.is_rigid, *["v"] * pair.upper_surface.is_rigid)
         clamps = [*product(pins, (GROUND,))]
@@ -375,7 +375,7 @@ def _list_result_factors(pair: ContactPair) -> dict[str, float]:
 
 
 def _check_pressure(pair: ContactPair) -> Iterator[UsageError]:
-    """Yield an error for each key that a contact with pressure basis cannot have."""
+    """Yield an error for each key that contradicts a contact with a pressure basis."""
     part, a, b = pair.part, pair.lower_surface, pair.upper_surface
     hint = 'delete this key, or write  shape = "rings"'
     if a.compliance is None:
@@ -412,7 +412,7 @@ def _find_loaded_interval(force: np.ndarray) -> slice:
 def _balance_energy(
     pair: ContactPair, waves: Waveforms, place: np.ndarray
 ) -> Iterator[RunEnergyBalance]:
-    """Yield the energy balance of the contact springs.
+    """Yield the check of the energy balance of the contact springs.
 
     The balance contains work, stored energy and damping losses. The springs must release all of
     their stored energy. If the springs released more energy than they stored, the rebound would be
@@ -466,7 +466,7 @@ def _check_start(pair: ContactPair, waves: Waveforms, place: np.ndarray) -> Iter
 
 
 def _check_events(pair: ContactPair, waves: Waveforms) -> Iterator[Check]:
-    """Yield checks of the penetration, and of the number of contacts during a kick."""
+    """Yield checks of the penetration, and of the contact events during a drive pulse."""
     n, scene, forces = pair.part.name, pair.scene, pair.forces(waves)
     if pair.upper_surface.radius is not None and pair.gaps.size > 1:
         depth = float(forces.max()) / pair.contact_force.stiffness
@@ -491,7 +491,7 @@ def _check_events(pair: ContactPair, waves: Waveforms) -> Iterator[Check]:
 def _check_open_ports(
     pair: ContactPair, build: BuiltScene, waves: Waveforms, place: np.ndarray
 ) -> Iterator[Check]:
-    """Yield the check that the contact stays inside the modelled contact rings.
+    """Yield the check that the contact does not extend beyond the modelled rings.
 
     The name of the check is *ring_left_out*, or *outer_ring* if all rings have contact springs.
 

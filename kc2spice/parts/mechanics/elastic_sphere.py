@@ -76,11 +76,11 @@ elastic = true
 """
 
     def dimensions(self, part: Part[ElasticSphereKeys]) -> int:
-        """Return the number of dimensions of the mesh."""
+        """Return the number of spatial dimensions of the mesh."""
         return 2
 
     def ports(self, part: Part[ElasticSphereKeys], scene: DeclaredScene) -> tuple[Port, ...]:
-        """Return the ports of the model of the part."""
+        """Return the ports of the part's model."""
         return (Port(SPHERE_PATCH, TRANSLATION.port),)
 
     def problems(self, part: Part[ElasticSphereKeys], scene: GovernedScene) -> Iterator[UsageError]:
@@ -120,7 +120,7 @@ elastic = true
     def contact_surface(
         self, part: Part[ElasticSphereKeys], scene: GovernedScene, ports: tuple[str, ...] = ()
     ) -> ContactSurface | None:
-        """Return the patch of the elastic sphere if ``ports`` contains only the patch.
+        """Return the elastic patch as contact surface if ``ports`` contains only it.
 
         Otherwise, return None. All other contact surfaces belong to the part ``sphere``.
         """
@@ -136,7 +136,7 @@ elastic = true
     def make_full_model_key(
         self, part: Part[ElasticSphereKeys], scene: GovernedScene
     ) -> Mapping[str, Any]:
-        """Return the cache key of the full model: sphere, mesh and pressure nodes."""
+        """Return the cache key of the full-order model: sphere, mesh and pressure nodes."""
         body, mesh = (
             _make_elastic_sphere(part, scene),
             part.keys.model_dump(mode="json", include={"mesh"}),
@@ -155,7 +155,7 @@ elastic = true
     def make_full_model(
         self, part: Part[ElasticSphereKeys], scene: GovernedScene, clock: StageTimer
     ) -> LinearModel:
-        """Build the matrices of the full model of the elastic sphere."""
+        """Build the full-order finite-element model of the elastic sphere."""
         from kc2spice.bodies.pressure import make_sphere_model
 
         shape = make_pair(_find_contact(part, scene), scene).pressure_basis
@@ -183,7 +183,7 @@ elastic = true
         )
 
     def weights(self, part: Part[ElasticSphereKeys], scene: DeclaredScene) -> StepWeights:
-        """Return step weights that do not resolve the ringing in free flight.
+        """Return weights for the step-size control that ignore ringing in free flight.
 
         Time steps that resolve the ringing in free flight would be eight times as many, at a
         damping ratio of 0.01 %.
@@ -213,7 +213,7 @@ elastic = true
     def _find_compliance(
         self, part: Part[ElasticSphereKeys], scene: GovernedScene, shape: PressureBasis
     ) -> LocalCompliance:
-        """Return the local compliance of the sphere for the pressure basis ``shape``."""
+        """Return the local compliance of the sphere for a pressure basis."""
         from kc2spice.bodies.pressure import LocalCompliance, compute_sphere_compliance
 
         key = {**self.make_full_model_key(part, scene), "pressure_basis": shape.nodes.tolist()}
@@ -233,7 +233,7 @@ elastic = true
 def _make_elastic_sphere(
     part: Part[ElasticSphereKeys], scene: DeclaredScene
 ) -> TransverselyIsotropicSphere:
-    """Return the elastic sphere of the finite-element model, with its losses."""
+    """Return the sphere's radius, material and losses for the finite-element model."""
     from kc2spice.bodies.pressure import TransverselyIsotropicSphere
 
     owner = scene.parts[part.keys.of].with_schema(SphereKeys)

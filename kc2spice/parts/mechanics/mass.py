@@ -119,7 +119,7 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
     name, title, schema = "mass", "point mass at a displacement pin", MassKeys
 
     def make_declaration(self, part: Part[MassKeys], scene: GovernedScene) -> Declaration:
-        """Return the declaration for the keys of the part."""
+        """Return the declaration of the part for the values of its keys."""
         keys, gravity = part.keys, scene.gravity if part.keys.weight else 0.0
         shares = tuple(
             float(shake.along or 0.0) for shake in _list_frame_accelerations(part, scene)
@@ -210,7 +210,7 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
         return state if next(masses) == part.name else None
 
     def checks(self, part: Part[MassKeys], build: BuiltScene, waves: Waveforms) -> Iterator[Any]:
-        """Return no checks.
+        """Return no checks, because the energy of a mass near rest is too small to check.
 
         The energy balance is not checked. The energy of a mass near rest is smaller than the errors
         of the time steps.
@@ -243,12 +243,13 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
 def _list_frame_accelerations(
     part: Part[MassKeys], scene: GovernedScene
 ) -> tuple[FrameAcceleration, ...]:
-    """Return the accelerations of the mass's frame; none for a fixed frame."""
+    """Return the accelerations of the frame of a mass; none for a fixed frame."""
     frame = scene.frames.get((part.name, "a"))
     return () if frame is None else frame.shakes
 
 
 def _has_initial_state(part: Part[MassKeys]) -> bool:
+    """Return whether the keys set an initial position or velocity of the mass."""
     return bool({"position", "velocity"} & part.keys.model_fields_set)
 
 

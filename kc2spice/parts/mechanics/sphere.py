@@ -135,7 +135,7 @@ class SphereKeys(Section):
     def _normalise_elastic(
         cls, elastic: bool | dict[str, Any] | None
     ) -> bool | dict[str, Any] | None:
-        """Return the key ``elastic``, with None in place of false."""
+        """Return the value of the key ``elastic``, with None in place of false."""
         return None if elastic is False else elastic
 
     @property
@@ -179,14 +179,14 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
     schema = SphereKeys
 
     def make_declaration(self, part: Part[SphereKeys], scene: GovernedScene) -> Declaration:
-        """Return the declaration for the keys of the part."""
+        """Return the declaration of the part for the values of its keys."""
         keys, begin = part.keys, scene.initial_states.get(part.name, REST_STATE)
         return declare_sphere(keys.mass, keys.radius, scene.gravity, begin.velocity, begin.height)
 
     def generate_tables(
         self, part: Part[SphereKeys], data: Mapping[str, object]
     ) -> Mapping[str, Mapping[str, object]]:
-        """Return the table of the part that models the elasticity of the sphere.
+        """Return additional scene tables: the part for the sphere's elasticity, if any.
 
         Return no table for a rigid sphere.
         """
@@ -243,7 +243,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
     def governed_parts(
         self, part: Part[SphereKeys], scene: DeclaredScene
     ) -> Mapping[str, InitialState]:
-        """Return the initial velocity and height from the keys of the sphere."""
+        """Return the sphere as a governed part if its keys set a velocity or a height."""
         keys = part.keys
         moving = keys.velocity or keys.height
         return {part.name: InitialState(keys.velocity, keys.height)} if moving else {}

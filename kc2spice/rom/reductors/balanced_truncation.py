@@ -73,7 +73,7 @@ class BalancedTruncation(Reductor):
         return explain_too_large(task.first_order_response.pencil.size, MAX_UNSCALED_STATES)
 
     def basis(self, task: ReductionTask) -> ReducedBasis | None:
-        """Return the balanced model, or None if the model is not strictly stable."""
+        """Return the balanced basis, or None if the model is not strictly stable."""
         return task.get_shared_value(self.name, lambda: self._balance(task))
 
     def _balance(self, task: ReductionTask) -> ReducedBasis | None:
@@ -102,7 +102,7 @@ def compute_hankel_singular_values(task: ReductionTask) -> np.ndarray | None:
 def _compute_gramian_roots(
     model: Pencil, rows: np.ndarray, columns: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Compute square roots of both Gramians of a model with scaled outputs and inputs.
+    """Compute square roots of the controllability and observability Gramians.
 
     Outputs are divided by ``rows``, and inputs by ``columns``. Return None if the model is not
     strictly stable.
@@ -142,7 +142,7 @@ def explain_too_large(states: int, largest: int) -> str:
 def balance_model(
     task: ReductionTask, model: Pencil, controllable: np.ndarray, observable: np.ndarray
 ) -> ReducedBasis | None:
-    """Balance a model ``x' = A x + B u`` with square roots of both Gramians.
+    """Balance a first-order model by square roots of its two Gramians.
 
     The result is None if the product of the square roots overflows, as for a model with poles at
     1e21 1/s.
@@ -166,7 +166,7 @@ def balance_model(
 
 
 def compute_balancing_factors(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return row and column factors with products close to the entries of ``size``.
+    """Return row and column factors whose products approximate a positive matrix.
 
     ``size`` has the shape (..., rows, columns). The factors minimise the sum of the squared
     differences between the logarithms of products and entries.

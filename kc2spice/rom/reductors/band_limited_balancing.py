@@ -58,11 +58,11 @@ class BandLimitedBalancing(Reductor):
         return "the eigenvectors of the model are too close to each other for fast samples"
 
     def basis(self, task: ReductionTask) -> ReducedBasis | None:
-        """Return the model balanced over the band."""
+        """Return the basis that balances the model over the band."""
         return task.get_shared_value(self.name, lambda: self._balance(task))
 
     def _balance(self, task: ReductionTask) -> ReducedBasis | None:
-        """Return the balanced basis from samples of the response."""
+        """Compute the balanced basis from samples of the response."""
         estimator, response = task.estimator, task.first_order_response
         step = 1 if task.norm == "pointwise" else PEAK_NORM_STEP
         frequency, (H, entries) = estimator.frequency[::step], estimator.exact_response_and_scales
@@ -76,7 +76,7 @@ class BandLimitedBalancing(Reductor):
 
 
 def _compute_weights(frequency: np.ndarray, base: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the weights of inputs and outputs at each frequency.
+    """Return the weights of inputs and outputs in the sums over frequencies.
 
     With these weights, a sum over the frequencies approximates an integral over the band. The
     integrand is an error relative to ``base``, an array of shape (frequencies, outputs, inputs).
@@ -87,7 +87,7 @@ def _compute_weights(frequency: np.ndarray, base: np.ndarray) -> tuple[np.ndarra
 
 
 def _compute_sum_root(x: np.ndarray) -> np.ndarray:
-    """Return a real matrix R with ``R R'`` equal to the real part of sum ``x x*``."""
+    """Return a real square root R of the real part of ``sum x x*``."""
     columns = np.moveaxis(x, 0, 1).reshape(x.shape[1], -1)
     both = np.hstack([columns.real, columns.imag])
     return np.asarray(

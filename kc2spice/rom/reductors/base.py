@@ -79,7 +79,7 @@ class Reductor(ABC):
 
 
 def require_basis(reductor: Reductor, result: Any) -> ReducedBasis | None:
-    """Return the ``result`` of :meth:`Reductor.basis`, which must be a basis or None.
+    """Check the ``result`` of :meth:`Reductor.basis`: a valid basis or None.
 
     Raises
     ------

@@ -72,12 +72,12 @@ def require_vectors(value: Any, where: str, shape: tuple[int, int | None]) -> np
 
 
 def scale_to_unit_norm(V: np.ndarray) -> np.ndarray:
-    """Scale vectors so that their norms are between 0.7 and 1.5.
+    """Scale vectors by powers of two, so that their norms are close to one.
 
-    The scale factors are powers of two, so scaling causes no rounding errors. Orthonormal vectors
-    do not change. The scale of a basis vector has no effect on the response of the reduced model.
-    Without scaling, however, a reduced model could contain a mass of 1e-22 and another mass of 1.
-    The small mass would then count as zero.
+    The norms are then between 0.7 and 1.5. Scaling by powers of two causes no rounding errors.
+    Orthonormal vectors do not change. The scale of a basis vector has no effect on the response of
+    the reduced model. Without scaling, however, a reduced model could contain a mass of 1e-22 and
+    another mass of 1. The small mass would then count as zero.
 
     >>> scale_to_unit_norm(np.array([[0.6, 3e-11], [0.8, 4e-11]])).round(2)
     array([[0.6 , 0.52],
@@ -89,7 +89,7 @@ def scale_to_unit_norm(V: np.ndarray) -> np.ndarray:
 
 
 def improve_conditioning(V: np.ndarray) -> np.ndarray:
-    """Return well-conditioned basis vectors that span the same spaces as V.
+    """Return a well-conditioned basis of the same nested spaces as V.
 
     The columns of V may be almost linearly dependent. For example, a static response is nearly a
     sum of many modes. If the condition number of V exceeds a thousand, the result is the matrix Q
@@ -140,5 +140,5 @@ def _find_dependent_column(V: np.ndarray) -> int | None:
 
 
 def _describe_size(V: np.ndarray) -> str:
-    """Return a description of the numbers of rows and columns, for error messages."""
+    """Describe the numbers of rows and columns of a matrix, for error messages."""
     return f"{V.shape[0]} rows and {V.shape[1]} columns"

@@ -94,7 +94,7 @@ def compute_krylov_vectors(pencil: Pencil, count: int) -> np.ndarray:
 def make_nested_model(
     pencil: Pencil, order: int, space: BlockArnoldi | None = None
 ) -> IntermediateModel:
-    """Return the projection on ``order`` Krylov vectors and two additional blocks.
+    """Project a model on ``order`` Krylov vectors and two further blocks of vectors.
 
     The projection serves as a reference for error estimates. ``space`` is the Krylov subspace of
     the model, if already known.
@@ -108,21 +108,21 @@ def make_nested_model(
 def compute_block_krylov_basis(
     stiffness: Operator, solve: Operator, mass: Operator, B: np.ndarray, order: int
 ) -> np.ndarray:
-    """Compute a basis V of ``span{X, AX, A^2 X, ...}`` with ``V'KV = 1``.
+    """Compute a K-orthonormal block Krylov basis of ``span{X, AX, A^2 X, ...}``.
 
-    Here ``X = K^-1 B`` and ``A = K^-1 M``. The basis V has the shape (n, order). See
-    :class:`BlockArnoldi`.
+    Here ``X = K^-1 B`` and ``A = K^-1 M``. The basis V has the shape (n, order), and
+    ``V'KV = 1``. See :class:`BlockArnoldi`.
     """
     return BlockArnoldi(stiffness, solve, mass, B).vectors(order)
 
 
 class BlockArnoldi:
-    """Nested bases V of ``span{X, AX, A^2 X, ...}`` with ``V'KV = 1``.
+    """Nested K-orthonormal block Krylov bases of ``span{X, AX, A^2 X, ...}``.
 
-    Here ``X = K^-1 B`` and ``A = K^-1 M``. The first q columns of V are the basis of order q. The
-    columns of a block are in the order of the ports. The last block may be incomplete. The first
-    block contains the static responses to all ports. A one-sided projection matches two moments per
-    block.
+    Here ``X = K^-1 B`` and ``A = K^-1 M``. All bases satisfy ``V'KV = 1``. The first q columns of
+    V are the basis of order q. The columns of a block are in the order of the ports. The last block
+    may be incomplete. The first block contains the static responses to all ports. A one-sided
+    projection matches two moments per block.
     """
 
     def __init__(self, stiffness: Operator, solve: Operator, mass: Operator, B: np.ndarray) -> None:
@@ -159,12 +159,12 @@ class OrthonormalBasis:
 
     @property
     def vectors(self) -> np.ndarray:
-        """Basis V (n, k)."""
+        """Basis vectors V (n, k), orthonormal with ``V'KV = 1``."""
         return self._vectors[:, : self._count]
 
     @property
     def stiffness_products(self) -> np.ndarray:
-        """Products K V (n, k)."""
+        """Products ``K V`` (n, k) of the stiffness matrix and the basis vectors."""
         return self._images[:, : self._count]
 
     def extend(self, candidates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -58,11 +58,11 @@ class CongruentBalancing(Reductor):
         return explain_no_gramians(task)
 
     def basis(self, task: ReductionTask) -> ReducedBasis | None:
-        """Return the balanced model, or None if the model is not strictly stable."""
+        """Return the balanced basis, or None if the model is not strictly stable."""
         return task.get_shared_value(self.name, lambda: self._balance(task))
 
     def _balance(self, task: ReductionTask) -> ReducedBasis | None:
-        """Return the basis of static responses and of eigenvectors of the Gramian."""
+        """Return a basis of static responses and of eigenvectors of the Gramian."""
         core = task.pencil_without_rigid_modes
         try:
             rates, X = scipy.linalg.eigh(*core.coefficients)

@@ -40,12 +40,12 @@ NOISE_LIMITS = 10.0 ** -np.arange(13, 6, -1)
 
 
 def split_real_parts(x: np.ndarray) -> list[np.ndarray]:
-    """Return the real parts of complex vectors, and the nonzero imaginary parts."""
+    """Split complex vectors into real parts and, if nonzero, imaginary parts."""
     return [x.real, x.imag] if np.iscomplexobj(x) and x.imag.any() else [x.real]
 
 
 class ExactSamples:
-    """Solutions of the full model at sample frequencies, and projections on them."""
+    """Exact solutions of a full model at sample frequencies, as projection basis."""
 
     def __init__(self, pencil: Pencil) -> None:
         self.pencil = pencil
@@ -58,7 +58,7 @@ class ExactSamples:
         self._left = np.empty((n, 0))
 
     def add(self, frequency: float) -> None:
-        """Solve the full model at ``frequency`` [Hz].
+        """Solve the full model at ``frequency`` [Hz], and add the solutions as samples.
 
         Raises
         ------
@@ -75,7 +75,7 @@ class ExactSamples:
         self._left = np.hstack([self._left, *split_real_parts(y / np.linalg.norm(y, axis=0))])
 
     def model(self) -> tuple[Pencil, float]:
-        """Return the oblique projection with the smallest error, and this error.
+        """Return the most accurate oblique projection, and its error at the samples.
 
         The error is the largest relative error at the samples.
         """
@@ -98,7 +98,7 @@ class ExactSamples:
         return best, float(error)
 
     def compute_relative_errors(self, difference: np.ndarray, H: np.ndarray) -> np.ndarray:
-        """Return the magnitude of ``difference`` relative to ``H``.
+        """Return the relative errors of a response ``difference``, compared with ``H``.
 
         The divisor of an entry is its magnitude in ``H``, but at least a share of its peak in all
         samples.
@@ -109,7 +109,7 @@ class ExactSamples:
 def reduce_by_samples(
     full: Pencil, band: tuple[float, float], target: float, limit: float
 ) -> IntermediateModel:
-    """Return an accurate reduced model of an ill-conditioned first-order model.
+    """Reduce an ill-conditioned first-order model by exact solutions at samples.
 
     Raises
     ------

@@ -35,7 +35,7 @@ CANDIDATE_FREQUENCIES = 101
 
 
 class GreedyBasis:
-    """Rational Krylov basis, and projections for the estimates of residuals.
+    """Growing rational Krylov basis, with sketches that estimate residuals.
 
     If ``static`` is true, the basis begins with the static responses.
     """
@@ -59,7 +59,7 @@ class GreedyBasis:
         self.static = static and self._add_static()
 
     def add_checked_point(self, s: complex) -> tuple[float, bool]:
-        """Return the relative error of the projected model at ``s``, and extend the basis.
+        """Return the projected model's error at ``s``, and add the solution to the basis.
 
         The solution of the full model at ``s`` is added to the basis. The second result states
         whether the basis then has more vectors than before.
@@ -78,7 +78,7 @@ class GreedyBasis:
         return float(error.max()), self.basis.shape[1] > before
 
     def choose_next_point(self) -> complex:
-        """Choose the next expansion point.
+        """Choose the Laplace variable s [1/s] of the next expansion point.
 
         Candidates are chosen alternately by the largest residual, and by the largest change of the
         response that the last point caused.
@@ -108,7 +108,7 @@ class GreedyBasis:
         return complex(s[np.argmax(np.where(fresh, measure, -1.0))])
 
     def _list_candidate_frequencies(self) -> np.ndarray:
-        """Return frequencies [Hz] from which the next expansion point is chosen."""
+        """Return candidate frequencies [Hz] for the next expansion point."""
         return sample_band(self.response, self.band, CANDIDATE_FREQUENCIES, self.static)
 
     def _add_static(self) -> bool:
@@ -125,7 +125,7 @@ class GreedyBasis:
         return True
 
     def solve(self, s: complex) -> tuple[np.ndarray, ...]:
-        """Solve for ``x = P(s)^-1 B`` and ``-x'(s)``.
+        """Compute the solution ``x = P(s)^-1 B`` and the derivative ``-x'(s)``.
 
         If the model is not symmetric or C differs from B', also return ``y = P(s)^-T C'`` and
         ``-y'(s)``.
@@ -141,7 +141,7 @@ class GreedyBasis:
         return tuple(answers)
 
     def extend(self, s: complex, *answers: np.ndarray) -> None:
-        """Add the solutions at ``s`` to the basis."""
+        """Add the solutions at the expansion point ``s`` to the basis."""
         self._used.append(s)
         new = np.column_stack([*chain.from_iterable(map(split_real_parts, answers))])
         fresh = _find_independent_directions(self.basis, new)
@@ -161,7 +161,7 @@ class GreedyBasis:
         )
 
     def _split_rigid_body(self, small: Pencil) -> tuple[Pencil, np.ndarray]:
-        """Separate the rigid-body motion of the projected model.
+        """Separate rigid-body motions from the other unknowns of a projected model.
 
         A motion is a rigid-body motion if its energy is within the rounding errors of the entries
         of the full model. If the model has a static response, no input excites a rigid-body motion,
@@ -197,7 +197,7 @@ class GreedyBasis:
 
 
 class _Sketch:
-    """Estimate of residuals of ``P(s) V x(s) = b`` by random sums of equations."""
+    """Estimator of residuals ``b - P(s) V x(s)`` from random sums of the equations."""
 
     def __init__(self, sketch: np.ndarray, coefficients: tuple[Any, ...], b: np.ndarray) -> None:
         self._rows = [np.asarray((P.T @ sketch.T).T) for P in coefficients]
@@ -205,7 +205,7 @@ class _Sketch:
         self._b = sketch @ b
 
     def extend(self, columns: np.ndarray) -> None:
-        """Add the basis vectors ``columns`` (n, k) to the sketched products."""
+        """Update the sketched products for new basis vectors ``columns`` (n, k)."""
         self._images = [
             np.hstack([image, rows @ columns])
             for image, rows in zip(self._images, self._rows, strict=True)

@@ -25,7 +25,7 @@ MAX_START_ERROR = 10.0
 
 
 class Irka(Reductor):
-    """Tangential interpolation at the mirrored poles of the reduced model.
+    """Iterative rational Krylov algorithm (IRKA): interpolation at mirrored poles.
 
     A model of order q with poles ``l_i`` and residues ``c_i b_i'`` gives the projection ``V =
     [(-l_i - A)^-1 B b_i]`` and ``W = [(-l_i - A)^-T C' c_i]``. The iteration begins with a model of
@@ -68,7 +68,7 @@ class Irka(Reductor):
         return explain_no_gramians(task)
 
     def basis(self, task: ReductionTask) -> ReducedBasis | None:
-        """Return the models of all orders; a model is computed at its first use.
+        """Return the locally optimal models of all orders, computed at their first use.
 
         Return None if the full model is not strictly stable.
         """
@@ -80,7 +80,7 @@ class Irka(Reductor):
 
 @dataclass(frozen=True)
 class OptimalModels(ReducedBasis):
-    """Models that are locally optimal in the H2 norm.
+    """Reduced models of all orders that are locally optimal in the H2 norm.
 
     ``pencil`` is the balanced model. The iteration for an order starts from the balanced model that
     is truncated to the order.
@@ -104,7 +104,7 @@ class OptimalModels(ReducedBasis):
 
     @cached_property
     def balanced_models(self) -> ReducedBasis:
-        """Models of all orders by balanced truncation."""
+        """Reduced models of all orders by balanced truncation, the start of IRKA."""
         return ReducedBasis(self.task, self.pencil, self.fixed, congruence=False)
 
     def expand_basis(self, order: int) -> np.ndarray | None:
@@ -112,7 +112,7 @@ class OptimalModels(ReducedBasis):
         return None
 
     def _compute_optimal_model(self, order: int) -> Pencil:
-        """Return the optimal model of a given order, computed from the balanced model."""
+        """Compute the H2-optimal model of a given order from the balanced model."""
         count = order - self.pencil.free
         if count <= 0:
             return self.pencil.truncate_to_order(order)
@@ -148,7 +148,7 @@ def compute_residues(pencil: Pencil) -> tuple[np.ndarray, np.ndarray, np.ndarray
 
 
 def mirror_poles(poles: np.ndarray) -> np.ndarray:
-    """Return the mirror images ``-l`` of stable poles l, and all unstable poles."""
+    """Mirror stable poles l to ``-l``, and conjugate unstable poles."""
     return np.asarray(np.abs(poles.real) - 1j * poles.imag)
 
 

@@ -97,7 +97,7 @@ def _require_reductor(value: object, where: str) -> Reductor:
 
 @cache
 def _load_installed_reductors() -> None:
-    """Register the reduction methods of installed packages with unused names."""
+    """Register reduction methods of installed packages, except names already in use."""
     for name in list_entry_points(ENTRY_POINT_GROUP):
         where = f"entry point {name} of {ENTRY_POINT_GROUP}"
         reductor = _require_reductor(load_plugin(ENTRY_POINT_GROUP, name), where)
@@ -122,7 +122,7 @@ def require_method_name(name: str, where: str, advice: str) -> None:
 
 
 def find_reductor(method: str | Reductor) -> Reductor:
-    """Return the reductor that ``method`` names, or ``method`` if it is a reductor.
+    """Return the reductor with the name ``method``, or ``method`` itself.
 
     Raises
     ------

@@ -168,7 +168,7 @@ def _compute_static_responses(task: ReductionTask, response: Response) -> np.nda
 def _compute_weighted_states(
     task: ReductionTask, response: Response, s: np.ndarray, weight: np.ndarray, two_sided: bool
 ) -> list[np.ndarray]:
-    """Return the weighted states of the model, and of its dual if ``two_sided``."""
+    """Return weighted snapshots of the states, and of the dual if ``two_sided``."""
     H = task.response.transfer(s)
     result = [weight_states(response, s, weight, H, task.norm)]
     if two_sided:
@@ -178,7 +178,7 @@ def _compute_weighted_states(
 
 
 def _scale_states(states: np.ndarray, factors: np.ndarray) -> np.ndarray:
-    """Multiply the states at each frequency by a factor for the frequency.
+    """Scale the state vectors of each frequency by one factor per frequency.
 
     ``states`` and the result have the shape (n, 2 frequencies inputs), with the real parts before
     the imaginary parts.

@@ -61,7 +61,7 @@ class SnapshotFrequencies(NamedTuple):
 
 
 def choose_tail_weight(model: LinearModel, tolerance: float | None) -> float | None:
-    """Return the weight of the snapshots just above the band.
+    """Return the weight of snapshots just above the band (the tail), or None.
 
     The result is None for a model without mechanical ports, which needs no snapshots above the
     band.
@@ -74,7 +74,7 @@ def choose_tail_weight(model: LinearModel, tolerance: float | None) -> float | N
 def choose_snapshots(
     estimator: ErrorEstimator, response: Response, tail: float | None = None
 ) -> SnapshotFrequencies:
-    """Choose snapshots over the band, at resonances in the band, and above the band.
+    """Choose snapshot frequencies in the band, at its resonances and above the band.
 
     ``tail`` is the weight of the snapshots just above the end of the band. If ``tail`` is None,
     there are no snapshots above the band.

@@ -90,7 +90,7 @@ class Sweep:
 
     @cached_property
     def digest(self) -> str:
-        """Return a hash of all inputs that affect the results."""
+        """Return a hash of all inputs that affect the results of the sweep."""
         files = {
             n: hashlib.sha256(data).hexdigest() for n, data in read_scene_files(self.scene).items()
         }
@@ -128,7 +128,7 @@ def make_sweep(
     metrics: Sequence[str] = (),
     timeout: float | None = None,
 ) -> Sweep:
-    """Return the sweep that strings ``KEY=RANGE`` describe.
+    """Make a sweep from strings ``KEY=RANGE``.
 
     The sweep is checked as far as possible without building a model.
 
@@ -172,7 +172,9 @@ def make_sweep(
 def make_sweep_of_plan(
     job: SweepSettings, plan: SweepPoints, units: Mapping[str, str], metrics: tuple[str, ...] = ()
 ) -> Sweep:
-    """Return the sweep over the points of ``plan``.
+    """Make a sweep from its points and its settings.
+
+    ``plan`` contains the points.
 
     Raises
     ------
@@ -204,10 +206,10 @@ def list_studies() -> dict[str, Traversable]:
 
 
 def load_named_sweep(name: str, sets: Sequence[str] = (), **asked: Any) -> Sweep:
-    """Return the sweep of a scene or of a study, with further ranges ``sets``.
+    """Load the sweep of a scene or of a study, and add further ranges.
 
-    A range in ``sets`` replaces the study's range of the same key. ``asked`` are options of
-    :func:`make_sweep`, which replace options of the study.
+    ``sets`` are the further ranges. A range in ``sets`` replaces the study's range of the same key.
+    ``asked`` are options of :func:`make_sweep`, which replace options of the study.
 
     Raises
     ------
@@ -230,7 +232,7 @@ def load_named_sweep(name: str, sets: Sequence[str] = (), **asked: Any) -> Sweep
 
 
 def _find_study(name: str) -> _SweepFile | None:
-    """Return the study ``name``: a built-in study, or a file with a key ``scene``.
+    """Find a built-in study, or a study file, which is a file with a key ``scene``.
 
     The result is None if ``name`` is a scene.
     """
@@ -258,7 +260,7 @@ def _find_study(name: str) -> _SweepFile | None:
 def run_points(
     definition: Sweep, points: Iterable[int], workers: Workers
 ) -> Iterator[tuple[int, PointResult]]:
-    """Run ``points``, and yield each point with its outcome as soon as the point ends.
+    """Run points of a sweep, and yield each point with its result when the point ends.
 
     The first worker that needs a model builds the model and stores it in the cache; all other
     workers wait for the model. A point that was interrupted, by a lost worker or another fault of
@@ -292,7 +294,7 @@ def run_points(
 def _complete_points(
     definition: Sweep, points: Iterable[int], workers: Workers, at_once: int | None = None
 ) -> Iterator[tuple[int, PointResult]]:
-    """Yield each of the ``points`` with its outcome, as soon as the point ends.
+    """Yield each point of a sweep with its result, as soon as the point ends.
 
     Each worker runs one point at a time.
 
@@ -322,7 +324,7 @@ def _complete_points(
 def _submit_point(
     submit: Any, job: SweepSettings, values: Mapping[str, Any]
 ) -> Future[PointResult]:
-    """Submit a point to the workers, and return the future of its outcome."""
+    """Submit a point to the workers, and return the future of its result."""
     try:
         future: Future[PointResult] = submit(run_point, job, values)
     except Exception as error:  # an executor without workers raises an error
@@ -332,7 +334,7 @@ def _submit_point(
 
 
 def _collect_result(future: Future[PointResult]) -> PointResult:
-    """Return the outcome of a point; ``LOST_POINT`` if the point's worker was lost."""
+    """Return the result of a point; ``LOST_POINT`` if the point's worker was lost."""
     try:
         return future.result()
     except Exception as error:

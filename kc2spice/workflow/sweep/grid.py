@@ -41,7 +41,10 @@ class RandomSample:
     n: int
 
     def compute_quantiles(self, share: np.ndarray) -> Values:
-        """Return the quantile of the distribution at each of the probabilities ``share``."""
+        """Return the quantiles of the distribution at given probabilities.
+
+        ``share`` contains the probabilities.
+        """
         if self.kind == "uniform":
             return tuple((self.a + (self.b - self.a) * share).tolist())
         from scipy.special import ndtri
@@ -142,7 +145,9 @@ def find_swept_key(name: str, keys: Mapping[str, KeyDescription]) -> KeyDescript
 
 
 def parse_range(name: str, text: str, keys: Mapping[str, KeyDescription]) -> Values | RandomSample:
-    """Return the values of the range ``text`` for the key ``name``.
+    """Parse the range of a key, and return its values.
+
+    ``text`` is the range, and ``name`` the name of the key.
 
     Raises
     ------
@@ -232,7 +237,7 @@ def _parse_word(where: str, key: KeyDescription, text: str) -> Any:
 
 
 def parse_value(text: str, unit: str, where: str) -> float:
-    """Return the value of ``text`` in the SI ``unit``; plain numbers have this unit."""
+    """Convert text to a value in an SI unit; a plain number already has this unit."""
     try:
         return convert_quantity(float(text), unit, where=where)
     except ValueError:
@@ -256,7 +261,7 @@ class SweepPoints:
 
     @property
     def block_sizes(self) -> tuple[int, ...]:
-        """Number of steps of each block."""
+        """Number of values in each block of keys that vary together."""
         return tuple(len(next(iter(block.values()))) for block in self.blocks)
 
     @property
@@ -265,7 +270,10 @@ class SweepPoints:
         return prod(self.block_sizes)
 
     def values(self, index: int) -> dict[str, Any]:
-        """Return the values of all keys at point ``index``, 0 … size - 1."""
+        """Return the values of all keys at one point of the sweep.
+
+        ``index`` is a number from 0 to size - 1.
+        """
         result = dict[str, Any].fromkeys(self.keys)
         for block, step in zip(self.blocks, np.unravel_index(index, self.block_sizes), strict=True):
             for key, values in block.items():
@@ -273,10 +281,10 @@ class SweepPoints:
         return result
 
     def list_end_points(self) -> list[dict[str, Any]]:
-        """Return the first point, and end points that differ from it in one block.
+        """Return the first point, and points at the ends of single ranges.
 
-        At an end point, a number has its smallest or largest value, or a string of a block occurs
-        for the first time.
+        Each of these points differs from the first point in one block. At an end point, a number
+        has its smallest or largest value, or a string of a block occurs for the first time.
         """
         indices = [0]
         for k, block in enumerate(self.blocks):
@@ -289,7 +297,10 @@ class SweepPoints:
         return list(map(self.values, dict.fromkeys(indices)))
 
     def count_distinct(self, keys: Sequence[str]) -> int:
-        """Return the number of different combinations of values of ``keys`` in all points."""
+        """Return the number of different combinations of the values of some keys.
+
+        ``keys`` are the compared keys. The combinations occur in the points of the sweep.
+        """
         count = 1
         for block in self.blocks:
             values = [map(repr, block[key]) for key in block if key in keys]
@@ -304,7 +315,7 @@ def make_plan(
     latin: bool = False,
     seed: int = 0,
 ) -> SweepPoints:
-    """Return the points of a sweep: by default, all combinations of the ``ranges``.
+    """Plan the points of a sweep: by default, all combinations of the ranges.
 
     With ``zipped``, all keys vary together. A random sample contains a value of every random key,
     so that these keys form one block. With ``latin``, each of n equally likely intervals of a key
@@ -359,7 +370,7 @@ def make_plan(
 
 
 def _require_common_length(lengths: Mapping[str, int], where: str) -> int:
-    """Return the common number of values of all keys.
+    """Return the number of values that all keys have; reject different numbers.
 
     Raises
     ------

@@ -55,14 +55,14 @@ Number = float | bool | None
 
 @dataclass(frozen=True)
 class SceneInput:
-    """Name of a built-in scene, or a name with the TOML text and the files of a scene."""
+    """Source of a scene: a built-in name, or TOML text with the files of the scene."""
 
     name: str
     text: str | None
     files: tuple[tuple[str, bytes], ...] = ()
 
     def load(self, overrides: Sequence[str]) -> Scene:
-        """Return the scene with ``overrides`` of its keys.
+        """Load the scene with overrides of its keys.
 
         Raises the errors of :func:`kc2spice.scene.load.load_scene`.
         """
@@ -103,7 +103,7 @@ def read_scene_text(name_or_path: str) -> SceneInput:
 
 
 def read_scene_files(scene: Scene) -> dict[str, bytes]:
-    """Return the files that the scene reads, by name, with expanded netlist includes.
+    """Return the files that a scene reads, keyed by name; expand netlist includes.
 
     Raises
     ------
@@ -148,7 +148,7 @@ class SweepSettings:
     workspace: Workspace = field(default_factory=Workspace, compare=False)
 
     def load(self, values: Mapping[str, Any]) -> Scene:
-        """Return the scene with ``values`` of the swept keys.
+        """Load the scene with the values of the swept keys.
 
         Raises the errors of :func:`kc2spice.scene.load.load_scene`.
         """
@@ -190,7 +190,9 @@ def list_subcircuit_parameters(values: Mapping[str, Any]) -> Parameters:
 
 
 def run_point(job: SweepSettings, values: Mapping[str, Any]) -> PointResult:
-    """Run one point; a failure is returned as its outcome, and does not end the sweep.
+    """Run one point of a sweep, and return its result or its failure.
+
+    A failure does not end the sweep.
 
     Raises
     ------
@@ -224,7 +226,7 @@ def run_point(job: SweepSettings, values: Mapping[str, Any]) -> PointResult:
 def with_changed_parameters(
     build: BuiltScene, deck: Deck, values: Iterable[tuple[str, float]]
 ) -> BuiltScene:
-    """Return ``build`` for metrics and checks with other parameter values.
+    """Return the build with changed parameter values, for metrics and checks.
 
     If a key of a part has the name and the value of the parameter, the key receives the new value.
     Otherwise, the keys of the part no longer describe the deck, and the part has neither checks nor
@@ -274,12 +276,12 @@ def build_sweep_point(job: SweepSettings, values: Mapping[str, Any]) -> tuple[Bu
 
 @lru_cache(maxsize=_CACHED_DECKS)
 def _build_testbench(job: SweepSettings) -> tuple[BuiltScene, Deck]:
-    """Return the models and the deck for the overrides of a job."""
+    """Return the built scene and the deck of a sweep, without swept keys."""
     return prepare_deck(job.load({}), StageTimer())
 
 
 def _make_point_result(run: Run) -> PointResult:
-    """Return all single numbers of a run, such as metrics, as the result of a point."""
+    """Return the numbers of a run, such as metrics, as the result of a point."""
     checks = {check.name: check.value for check in run.verdict.checks}
     facts = run.result_record
     units = {f"model.{part}": find_value_units(row) for part, row in facts["model"].items()}

@@ -91,7 +91,7 @@ class RowStore:
             )
 
     def write_row(self, point: int, outcome: PointResult) -> None:
-        """Write one row, and replace an earlier row of the same point.
+        """Write the result of one point, in place of an earlier result of the point.
 
         Raises
         ------
@@ -107,12 +107,12 @@ class RowStore:
         self._store_outcome(point, outcome)
 
     def _store_outcome(self, point: int, outcome: PointResult) -> None:
-        """Store the outcome of a point in memory, and update the set of failed points."""
+        """Store the result of a point in memory, and update the set of failed points."""
         self.outcomes[point] = outcome
         (self.failed.discard if outcome.failure is None else self.failed.add)(point)
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the SQLite file of the store."""
         self._rows.close()
 
     @contextmanager
@@ -131,7 +131,7 @@ class RowStore:
 
 
 def require_columns(outcome: PointResult, names: Sequence[str], scene: str) -> None:
-    """Raise an error if a run has no number for the table of a sweep.
+    """Raise an error if a run lacks the numbers for the columns of a sweep table.
 
     Each of the metrics ``names`` must exist; without ``names``, at least one metric must exist.
     """
@@ -151,7 +151,7 @@ def require_columns(outcome: PointResult, names: Sequence[str], scene: str) -> N
 def columns(
     outcomes: Mapping[int, PointResult], plan: SweepPoints, metrics: Sequence[str] = ()
 ) -> dict[str, list[Any]]:
-    """Return the columns of a sweep table: swept keys, ``metrics`` and ``status``.
+    """Return the columns of a sweep table: swept keys, metrics and status.
 
     By default, the table contains all metrics of the runs. A missing number is None.
     """

@@ -53,7 +53,10 @@ def is_lost_worker(error: BaseException) -> bool:
 
 
 def make_local_worker_pool(count: int) -> Workers:
-    """Return a function that opens a pool of ``count`` worker processes."""
+    """Return a function that opens a pool of worker processes on this machine.
+
+    The pool has ``count`` processes.
+    """
     from multiprocessing import get_context
 
     @contextmanager
@@ -73,7 +76,7 @@ def make_local_worker_pool(count: int) -> Workers:
 
 
 def _end_orphaned_simulators(scratch: Path) -> None:
-    """Kill orphaned ngspice processes, whose workers were killed.
+    """Kill ngspice processes whose worker processes were killed.
 
     Orphaned ngspice processes would still write to ``scratch``.
     """

@@ -65,7 +65,7 @@ def verify_body(
     thorough: bool,
     findings: VerificationResult,
 ) -> None:
-    """Add comparisons of a body's full and reduced models and netlist to ``findings``.
+    """Compare a body's full model, reduced model and netlist, and add the findings.
 
     ``libraries`` are the tested subcircuits, from an exported deck or from this run. The largest
     accepted error of the reduced model is the error estimate in its certificate, which is within
@@ -115,10 +115,11 @@ def _check_against_full_model(
     given: Sequence[int],
     findings: VerificationResult,
 ) -> float:
-    """Check the error of a reduced model at frequencies ``at`` [Hz], and return it.
+    """Check the error of a reduced model against its full model; return the error.
 
-    ``exact`` is the response of the full model. Frequencies at which the rounding errors of
-    ``exact`` exceed the limit are omitted with a note, unless no frequency would remain.
+    ``at`` [Hz] are the frequencies of the comparison. ``exact`` is the response of the full model.
+    Frequencies at which the rounding errors of ``exact`` exceed the limit are omitted with a note,
+    unless no frequency would remain.
     """
     estimate = rom.certificate.error_estimate if rom.certificate else 0.0
     limit = max(estimate, SOLVER_ROUNDING)
@@ -149,7 +150,7 @@ def list_netlist_checks(
     gate: float,
     given: Sequence[int] = (),
 ) -> list[Check]:
-    """Return checks of the response ``emitted`` of a body's netlist.
+    """Return checks of the frequency response of a body's netlist.
 
     ``emitted`` is an array of shape (frequencies, outputs, inputs). ``emitted`` is compared with
     the response of the reduced model, for all ports together. For each electrical port, the
@@ -186,7 +187,7 @@ def list_netlist_checks(
 
 
 def solve_reduced(rom: LinearModel, frequency: np.ndarray) -> np.ndarray:
-    """Return the response of a reduced model at each ``frequency`` [Hz].
+    """Return the response of a reduced model at each frequency [Hz].
 
     For a heat model, a linear system is solved at each frequency. For distant ports, whose
     temperatures are small, a sum of modes would have larger rounding errors.
@@ -224,7 +225,7 @@ def compare_responses(
 
 
 def _compute_storage_flow(rom: LinearModel, frequency: np.ndarray) -> np.ndarray:
-    """Return the heat flow [W/K] that changes the temperature of a whole body by 1 K.
+    """Return the alternating heat flow [W/K] that heats and cools a whole body by 1 K.
 
     For the angular frequency w and the heat capacity C of the body, the result is ``w C``.
     """
@@ -234,11 +235,12 @@ def _compute_storage_flow(rom: LinearModel, frequency: np.ndarray) -> np.ndarray
 def _convert_to_hybrid_parameters(
     H: np.ndarray, given: Sequence[int]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the three hybrid matrices of the responses H with ``given`` temperatures.
+    """Convert thermal responses to hybrid parameters, for given port temperatures.
 
-    The first matrix contains the responses of the other ports to their heat flows. The second
-    matrix contains the responses of the other ports to the given temperatures. The third matrix,
-    ``H_cc^-1``, contains the heat flows at the given temperatures (ports c).
+    The result consists of three matrices. The first matrix contains the responses of the other
+    ports to their heat flows. The second matrix contains the responses of the other ports to the
+    given temperatures. The third matrix, ``H_cc^-1``, contains the heat flows at the given
+    temperatures (ports c).
     """
     others = [k for k in range(H.shape[1]) if k not in given]
     admittance = np.linalg.inv(H[:, given][:, :, given])
@@ -283,15 +285,16 @@ def list_rom_checks(name: str, rom: LinearModel, band: tuple[float, float]) -> l
 def list_structure_checks(
     name: str, frequency: np.ndarray, H: np.ndarray, limit: float, *, rates: bool = True
 ) -> list[Check]:
-    """Return checks that ``Re (s H)`` is positive semi-definite and H is symmetric.
+    """Return checks that a frequency response is passive and reciprocal.
 
-    For heat models (without ``rates``), ``Re H`` is checked instead. ``s H`` maps forces and
-    voltages to velocities and currents, and H of heat models maps heat flows to temperatures. A
-    network is passive if the Hermitian part of ``s H`` (of H for heat models) has no negative
-    eigenvalue at any frequency. Eigenvalues are relative to the largest entry of the balanced
-    response, in which all ports have the same scale. Reciprocity is checked for each pair of ports,
-    relative to the response between these ports. In heat models, deviations from reciprocity are
-    relative to the balanced response, because responses between distant ports decay exponentially.
+    ``Re (s H)`` must be positive semi-definite, and H must be symmetric. For heat models (without
+    ``rates``), ``Re H`` is checked instead. ``s H`` maps forces and voltages to velocities and
+    currents, and H of heat models maps heat flows to temperatures. A network is passive if the
+    Hermitian part of ``s H`` (of H for heat models) has no negative eigenvalue at any frequency.
+    Eigenvalues are relative to the largest entry of the balanced response, in which all ports have
+    the same scale. Reciprocity is checked for each pair of ports, relative to the response between
+    these ports. In heat models, deviations from reciprocity are relative to the balanced response,
+    because responses between distant ports decay exponentially.
     """
     balance = np.sqrt(np.abs(np.diagonal(H, axis1=1, axis2=2)).max(axis=0))
     H = H / np.outer(balance, balance)
@@ -382,7 +385,7 @@ def _make_response_deck(
 def _solve_full_response(
     part: Part, build: BuiltScene, full: LinearModel, at: np.ndarray
 ) -> np.ndarray:
-    """Return the response of the full model at the frequencies ``at`` [Hz].
+    """Return the response of the full model at given frequencies [Hz].
 
     Scenes with the same body share an entry of the cache.
     """
@@ -403,7 +406,7 @@ def _solve_full_response(
 def _find_accurate_solutions(
     full: LinearModel, at: np.ndarray, exact: np.ndarray, limit: float
 ) -> np.ndarray:
-    """Return a mask of the frequencies at which ``exact`` is accurate to ``limit``.
+    """Return a mask of the frequencies at which the full model's response is accurate.
 
     Rounding errors are estimated from solutions in other units of the unknowns, which change only
     the rounding errors of the response. At low frequencies, the inertia of an unsupported body is a
@@ -432,7 +435,7 @@ def _list_error_frequencies(rom: LinearModel, band: tuple[float, float]) -> np.n
 
 
 def _select_frequencies(rom: LinearModel, at: np.ndarray, count: int) -> np.ndarray:
-    """Return at most ``count`` of the frequencies ``at``.
+    """Select a limited number of frequencies, half of them at large responses.
 
     Half of the result are the frequencies with the largest responses. The other half of the result
     is spread over all frequencies.
@@ -449,7 +452,7 @@ def _select_frequencies(rom: LinearModel, at: np.ndarray, count: int) -> np.ndar
 
 
 def _label_waves(frequency: np.ndarray, H: np.ndarray, rom: LinearModel) -> Waveforms:
-    """Return the responses ``H`` as waves that are named after input and output port."""
+    """Return frequency responses as waves, named after input and output port."""
     data = {"frequency": frequency}
     for o, output in enumerate(rom.outputs):
         for i, source in enumerate(rom.inputs):

@@ -30,7 +30,7 @@ MIN_METRIC_SHARE = 1e-3
 
 @dataclass(frozen=True)
 class Solution:
-    """Waves of one solution, with metrics and units."""
+    """Solution of a scene: waves, metrics and units."""
 
     waves: Waveforms
     metrics: Mapping[str, Any]
@@ -60,7 +60,7 @@ def complete_solution(waves: Waveforms, build: BuiltScene) -> Solution:
 def list_gate_checks(
     gates: Iterable[tuple[str, Gate]], pair: str, ours: Solution, exact: Solution
 ) -> tuple[list[Check], float | None]:
-    """Return a check of each gate for two solutions, and the largest main difference.
+    """Check two solutions against each gate; return checks and the largest difference.
 
     A gate is a pass limit. In the record of a verification, the error of a pair of solutions is the
     largest difference of a main gate.
@@ -86,7 +86,7 @@ def list_gate_checks(
 
 
 def compute_gate_difference(gate: Gate, ours: Solution, exact: Solution) -> float | None:
-    """Return the difference of both solutions in the value that a gate limits.
+    """Return the difference between two solutions in the value that a gate limits.
 
     A solution can lack the value, such as the launch velocity of a body that is not launched. If
     both solutions lack the value, the result is None. If one solution lacks the value, the result
@@ -106,9 +106,10 @@ def compute_gate_difference(gate: Gate, ours: Solution, exact: Solution) -> floa
 def _compute_wave_difference(
     gate: Gate, waves: Waveforms, exact: Waveforms, names: Sequence[str]
 ) -> float:
-    """Return the difference of the waves ``names`` between two solutions.
+    """Return the difference of waves between two solutions, as the gate measures it.
 
-    The key ``measure`` of the gate defines how the difference is measured.
+    ``names`` are the compared waves. The key ``measure`` of the gate defines how the difference is
+    measured.
     """
     early = exact.scale <= gate.share * exact.scale[-1] if gate.share < 1.0 else slice(None)
     pairs = []
@@ -135,7 +136,10 @@ def _compute_wave_difference(
 
 
 def _find_largest_relative_change(a: np.ndarray, b: np.ndarray) -> float:
-    """Return the largest difference of values, relative to the magnitudes in ``b``."""
+    """Return the largest relative difference between the values of two waves.
+
+    The difference is relative to the magnitudes in ``b``.
+    """
     size = np.abs(b)
     loaded = size > MIN_REFERENCE_SHARE * size.max()
     return float((np.abs(a - b)[loaded] / size[loaded]).max(initial=0.0))
@@ -144,7 +148,7 @@ def _find_largest_relative_change(a: np.ndarray, b: np.ndarray) -> float:
 def align_wave(
     waves: Waveforms, exact: Waveforms, name: str
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return common points of two solutions, and a wave of both at these points.
+    """Return the common points of two solutions, and one wave of both at these points.
 
     The points are the points of the coarser solution, within the times that both solutions contain.
     """
@@ -157,7 +161,7 @@ def align_wave(
 
 
 def _interpolate_wave(times: np.ndarray, waves: Waveforms, name: str) -> np.ndarray:
-    """Interpolate a wave at ``times``.
+    """Interpolate a wave at other time points.
 
     A displacement with a known velocity is interpolated by cubic polynomials, and any other wave
     linearly.
@@ -196,7 +200,7 @@ def compute_output_errors(pair: str, waves: Waveforms, exact: Waveforms) -> list
 
 
 def _integrate_square(values: np.ndarray, points: np.ndarray) -> float:
-    """Integrate the squared magnitude of ``values``.
+    """Integrate the squared magnitude of a wave.
 
     For a single point, the result is the squared magnitude.
     """
@@ -246,7 +250,7 @@ def list_metric_errors(
 
 
 def _find_largest_with_unit(unit: str, waves: Waveforms, units: Mapping[str, str]) -> float:
-    """Return the largest value of all waves with a ``unit``.
+    """Return the largest value of all waves that have a given unit.
 
     For seconds, the result is the simulated time. Without a unit, the result is 0, because no wave
     is comparable with a number such as a coupling factor.

@@ -33,7 +33,7 @@ MAX_DIRECT_UNKNOWNS = 3000  # number of unknowns up to which every frequency is 
 
 
 def with_full_models(build: BuiltScene, clock: StageTimer) -> BuiltScene | None:
-    """Return ``build`` with full instead of reduced models, or None.
+    """Return the build with full instead of reduced models; None without full models.
 
     The result is None if no part has a full model. In a transient, only bodies have full models.
     The integrator solves the equations of a full model at its ports.
@@ -53,7 +53,7 @@ def with_full_models(build: BuiltScene, clock: StageTimer) -> BuiltScene | None:
 def with_finer_models(
     build: BuiltScene, parts: Iterable[str], clock: StageTimer
 ) -> BuiltScene | None:
-    """Return ``build`` with a finer discretisation of ``parts``, or None.
+    """Return the build with a finer discretisation of some parts; None without any.
 
     The result is None if no part has a finer discretisation. Examples are a squeezed gas film with
     more branches and a conductor with more current loops.
@@ -67,7 +67,7 @@ def with_finer_models(
 
 
 def _with_models(build: BuiltScene, models: Mapping[str, Any]) -> BuiltScene:
-    """Return a build in which ``models`` replace the models of parts."""
+    """Return a build in which the models of some parts are replaced."""
     return store_laws(replace(build, models={**build.models, **models}))
 
 
@@ -128,14 +128,14 @@ def solve_full_models(
 
 
 def _with_surrogates(networks: list[Network], stop: float, clock: StageTimer) -> list[Network]:
-    """Replace large full models by small surrogate models with a checked error.
+    """Replace large full models of networks by small surrogates with a checked error.
 
     All copies of a body have the same surrogate.
     """
     bodies: dict[int, PortBody] = {}
 
     def replace_by_surrogate(law: Law) -> Law:
-        """Return the law with a surrogate model in place of a large full model."""
+        """Return a part's equations with a surrogate in place of a large full model."""
         if not isinstance(law, PortBody) or law.model.order <= MAX_DIRECT_UNKNOWNS:
             return law
         if id(law.model) not in bodies:

@@ -60,7 +60,7 @@ class FullSolution:
 def add_differences(
     exact: LawSolution, differences: Sequence[FullModelDifference], end: float
 ) -> Waveforms:
-    """Add the ``differences`` of full models to the solution with reduced models.
+    """Add the differences of full models to the solution with reduced models.
 
     Points around events that the steps do not resolve are left out.
     """
@@ -91,7 +91,7 @@ class FullModelDifference:
     events: tuple[float, ...]
 
     def mask_equal_modes(self, time: np.ndarray) -> np.ndarray:
-        """Return a mask that is true where both solutions are in the same mode.
+        """Return a mask of the times at which both solutions are in the same mode.
 
         The mask has one entry for each ``time``. The mask is false within the step that contains an
         event. The mask is also false next to a step at whose end only one model has changed its
@@ -118,7 +118,7 @@ def list_port_bodies(network: Network) -> list[PortBody]:
 def solve_full_differences(
     network: Network, build: BuiltScene, exact: LawSolution, clock: StageTimer, thorough: bool
 ) -> tuple[FullModelDifference, FullModelDifference, str]:
-    """Solve a network with full and with reduced models, with steps ``h`` and ``2 h``.
+    """Return the differences of full and reduced models, with steps ``h`` and ``2 h``.
 
     Returns the difference of the models with steps ``h``, the difference with steps ``2 h``, and a
     text that describes the steps.
@@ -140,7 +140,7 @@ def solve_full_differences(
     )
 
     def choose_step(begin: float) -> float:
-        """Return the time step [s] of a comparison from ``begin`` on."""
+        """Return the time step [s] for a comparison that starts at a given time."""
         resolved = max((stop - begin) / most, 1 / (MAX_STEPS_PER_PERIOD * top))
         return min(resolved, 1 / (STEPS_PER_PERIOD * top))
 
@@ -153,7 +153,7 @@ def solve_full_differences(
     systems = [assemble_system(item.laws, item.joins) for item in (network, reduced)]
 
     def compute_difference(times: int, label: str) -> FullModelDifference:
-        """Return the difference of full and reduced models."""
+        """Integrate both models, and return the difference of full and reduced models."""
         with clock.time_stage("full model", f"{names}: {label}") as share:
             first, second = (
                 integrate_steps(
@@ -180,17 +180,18 @@ def solve_full_differences(
 def find_last_rest(
     bodies: list[PortBody], run: Trajectory, span: float
 ) -> tuple[float, Callable[[System, np.ndarray], np.ndarray] | None]:
-    """Return the last time [s] before a load changes, and a function for the state.
+    """Find the last time [s] at rest, and a function that computes the state then.
 
-    Until the returned time, the full and the reduced models agree. The time is 0 and the function
-    None if a load changes at once, or if no load changes. If possible, the time is so late that a
-    load reaches half of its range within ``span`` [s].
+    The returned time precedes the first change of a load. Until the returned time, the full and the
+    reduced models agree. The time is 0 and the function None if a load changes at once, or if no
+    load changes. If possible, the time is so late that a load reaches half of its range within
+    ``span`` [s].
     """
     waves, time = run.waves, run.time
     names = list(chain.from_iterable(map(_list_port_wave_names, bodies)))
 
     def find_first_load_change(share: float) -> int:
-        """Return the index of the first time at which a load has changed by a ``share``.
+        """Return the first time index at which a load has changed by a share of its range.
 
         The share is relative to the range of the load. The index is the number of times if no load
         changes.

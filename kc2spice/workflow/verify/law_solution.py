@@ -81,7 +81,10 @@ def solve_laws(
 def solve_without_transient(
     networks: Iterable[Network], build: BuiltScene, waves: Waveforms
 ) -> Waveforms:
-    """Solve networks for all analyses except transients, at the points of ``waves``."""
+    """Solve networks for all analyses except transients.
+
+    The solutions have the points of ``waves``.
+    """
     scale, points = next(iter(waves.data.items()))
     points = points.real
     data = {scale: points}

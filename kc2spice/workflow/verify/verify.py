@@ -151,7 +151,7 @@ def _list_included_subcircuits(flat: FlatCircuit) -> tuple[Subcircuit, ...]:
 
 
 def _with_exported_ports(scene: Scene, libraries: Sequence[Subcircuit]) -> Scene:
-    """Return ``scene`` with the ports of its bodies that the ``libraries`` contain.
+    """Return the scene with the ports of bodies that exported libraries contain.
 
     The library of an export has all declared ports of a body, including unconnected ports.
     """
@@ -235,7 +235,7 @@ class _Verification:
         return result
 
     def _explain_missing_law(self, name: str) -> str:
-        """Return the name of a part without equations, with the reason if there is one."""
+        """Return the name of a part without equations, with the reason if it is known."""
         reason = get_scene_laws(self.build).reasons_without_law[name]
         return f"{name} ({reason})" if reason else name
 
@@ -247,7 +247,7 @@ class _Verification:
         return waves
 
     def _compare_solutions(self, deck: Deck) -> None:
-        """Compare the solutions of ngspice, of the laws, and of the full models.
+        """Compare the solutions of ngspice, of the equations, and of the full models.
 
         The solution with full models may end before the end of the run.
         """
@@ -296,7 +296,7 @@ class _Verification:
     def _compare_with_finer_laws(
         self, waves: Waveforms, solutions: Mapping[str, Solution], seconds: float
     ) -> None:
-        """Compare the solution of the laws with a solution with finer discretisations.
+        """Compare the solution of the equations with one of finer discretisations.
 
         Only parts with an error limit for their discretisation get a finer discretisation. The
         integration takes at most ``seconds`` [s], unless the verification is thorough.
@@ -338,7 +338,7 @@ class _Verification:
         ]
 
     def _list_model_gates(self) -> list[tuple[str, Gate]]:
-        """Return the error limits for comparisons of ngspice, laws and full models.
+        """Return the error limits for comparisons of ngspice, equations and full models.
 
         In a transient, error limits of discretisations are left out, because they apply only to the
         comparison with a finer discretisation.
@@ -369,7 +369,7 @@ class _Verification:
         return outputs
 
     def _get_general_error_limits(self) -> tuple[float, float]:
-        """Return the largest accepted relative errors of metrics and waves of ngspice."""
+        """Return the largest accepted relative errors of ngspice's metrics and waves."""
         gates, reltol = self.build.scene.gates, self.build.scene.solver.reltol
         if self.has_transient:
             metric, wave = (
@@ -386,7 +386,7 @@ class _Verification:
     def _list_general_checks(
         self, solutions: Mapping[str, Solution], outputs: Sequence[OutputDeviation]
     ) -> Iterator[Check]:
-        """Yield checks of the metric and of the wave of ngspice with the largest errors."""
+        """Yield checks of the metric and of the wave that have ngspice's largest errors."""
         metric, wave = self._get_general_error_limits()
         known: dict[str, float] = {}
         missed: list[str] = []
@@ -416,7 +416,7 @@ class _Verification:
         return any(owner == p.name or owner.startswith(f"{p.name}_") for p in scene.bodies)
 
     def _note_uncompared_probes(self, solutions: Mapping[str, Solution]) -> Iterator[str]:
-        """Yield a note on the probes whose results the laws do not contain."""
+        """Yield a note on probes whose results the equations do not contain."""
         simulated, exact = solutions["ngspice"].metrics, solutions["rom"].metrics
         missing = []
         for name, probe in self.build.scene.probes.items():
@@ -495,9 +495,10 @@ class _IntegrationTimeoutError(Exception):
 
 
 def _limit_time(progress: Callable[[float], None], seconds: float) -> Callable[[float], None]:
-    """Return a function that calls ``progress`` and enforces a time limit.
+    """Return a progress function that also enforces a time limit.
 
-    A call after ``seconds`` [s] raises an error, which ends the integration.
+    The returned function calls ``progress``. A call after ``seconds`` [s] raises an error, which
+    ends the integration.
     """
     begin = time.monotonic()
 
@@ -511,7 +512,7 @@ def _limit_time(progress: Callable[[float], None], seconds: float) -> Callable[[
 
 
 def _truncate_waves(waves: Waveforms, end: float | None) -> Waveforms:
-    """Return the waves up to the time ``end`` [s]; all of them if ``end`` is None."""
+    """Return the waves up to an end time [s]; all waves if the end time is None."""
     if end is None:
         return waves
     early = waves["time"] <= end * (1 + 1e-12)

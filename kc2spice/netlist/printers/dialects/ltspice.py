@@ -34,7 +34,10 @@ class LTspice(Dialect):
     omits_braces = True  # whether names of parameters are written without braces
 
     def format_name(self, text: str) -> str:
-        """Return a name; a parameter is enclosed, so that its value may have a sign."""
+        """Return a name; enclose a parameter in parentheses and braces if necessary.
+
+        Without parentheses, the value of the parameter could not have a sign.
+        """
         word = super().format_name(text)
         plain = self.omits_braces or word != text or text.lower() in ("time", "pi", "temp")
         return word if plain else f"({{{word}}})"
@@ -92,7 +95,7 @@ def _strip_instance_letters(path: Iterable[str]) -> list[str]:
 
 
 def _draw_symbol(part: Subcircuit, library: str) -> str:
-    """Return the symbol of a part; a schematic with the symbol includes ``library``."""
+    """Draw the symbol of a part; a schematic with the symbol includes the library."""
     box = arrange_pins(part)
     x, y = GRID * box.width, GRID * box.height
     lines = [

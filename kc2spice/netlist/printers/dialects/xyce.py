@@ -65,7 +65,7 @@ class Xyce(Dialect):
         return super().format_element(part)
 
     def directive(self, card: Directive) -> str:
-        """Return an analysis card with which Xyce has the same results as ngspice.
+        """Return a dot card with which Xyce has the same results as ngspice.
 
         A logarithmic frequency range ends at the first frequency point at or above its end, because
         Xyce would stop one point earlier. If a controller may close a loop, the card limits the
@@ -96,7 +96,7 @@ class Xyce(Dialect):
         return super().format_options([*map(_tighten_reltol, words)] if timed else words)
 
     def _limit_steps(self, card: Directive) -> str:
-        """Return a transient card, with limited steps if a controller closes a loop."""
+        """Return a transient card; limit its time steps if a controller may close a loop."""
         if self.deck and not self.deck.may_have_loop:
             return card.text
         words = [w for w in card.words if w.lower() == "uic"]
@@ -135,7 +135,7 @@ class Xyce(Dialect):
         return (extreme, vector, f"OUTPUT={_SCALE_NAMES[kind]}") if kind in _SCALE_NAMES else ()
 
     def save(self, vectors: list[str]) -> str:
-        """Return the ``.print`` card that writes the ``vectors`` to the raw file."""
+        """Return the ``.print`` card that writes the saved vectors to the raw file."""
         kind = self.analysis.keyword.removeprefix(".").upper()
         return "\n+ ".join([f".print {kind} format=raw", *vectors])
 
