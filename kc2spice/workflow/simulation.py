@@ -11,6 +11,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
+from itertools import chain, count, filterfalse
 from pathlib import Path
 from typing import Any
 
@@ -57,7 +58,7 @@ class Run(RunOutcome):
 
     @cached_property
     def values(self) -> dict[str, np.ndarray]:
-        """Metrics that are numbers or arrays, by dotted name; missing values are NaN."""
+        """Numeric metrics and arrays, keyed by dotted name; missing values are NaN."""
         result = {}
         for name, item in flatten_mapping(self.metrics):
             value = np.asarray(np.nan if item is None else item)
@@ -149,7 +150,7 @@ def simulate_deck(
     def check_waves(waves: Waveforms) -> Verdict:
         """Return the verdict on waves: checks, energy balances and error limits."""
         result = form_verdict(waves, build)
-        result = replace(result, checks=(*result.checks, *point.checks))
+        result = replace(result, checks=(*result.checks, *point.list_checks(build, waves)))
         if deck.text is None:
             return result
         checks = (replace(c, action="warn") if c.wiring else c for c in result.checks)
@@ -232,7 +233,7 @@ def choose_engine(
     from kc2spice.workflow.resonances import list_refined_analyses
 
     refinements = list_refined_analyses(deck.command, laws)
-    from_rest = deck.text is not None or not laws.linear
+    from_rest = deck.text is not None or not laws.is_linear
     return Engine(directory, progress, timeout, refinements=refinements, from_rest=from_rest)
 
 
@@ -279,13 +280,15 @@ def keep_failed_run(work: Path, out: Path | None, scene: str) -> Iterator[None]:
 def _choose_failure_folder(out: Path) -> Path:
     """Return a folder ``<out>.failed`` that is free or contains an earlier failed run."""
     name = f"{out.name}.failed"
-    for number in ("", *range(2, 100)):
-        result = out.with_name(f"{name}{number}")
-        if not os.path.lexists(result) or (
-            (result / FAILURE_FILE).is_file() and not result.is_symlink()
-        ):
-            return result
-    return result
+    numbers = chain([""], count(2))  # folders with other content are never replaced
+    folders = (out.with_name(f"{name}{number}") for number in numbers)
+    return next(filterfalse(_has_other_content, folders))
+
+
+def _has_other_content(folder: Path) -> bool:
+    """Return whether a path exists that is not the folder of an earlier failed run."""
+    is_failed_run = (folder / FAILURE_FILE).is_file() and not folder.is_symlink()
+    return os.path.lexists(folder) and not is_failed_run
 
 
 def _write_failure(error: SimulationError, folder: Path, scene: str) -> None:
