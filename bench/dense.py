@@ -30,7 +30,7 @@ def dense(setup):
         model, found = synthetic(modes, PORTS), {}
         step, rings = 1e6 / frequencies, [port.name for port in model.ports[:-1]]
         frequency = np.linspace(step, 1e6, frequencies)
-        exact = 1e6 * model.linear().transfer(frequency)[:, :-1, -1]
+        exact = 1e6 * model.to_linear_model().transfer(frequency)[:, :-1, -1]
         cards = ["V1 anode 0 DC 0 AC 1", f"Xkick anode 0 {' '.join(rings)} 0 kick",
                  *(f"G{ring} {ring} 0 {ring} 0 1e-12" for ring in rings),
                  f".ac lin {frequencies} {step!r} 1e6"]  # fmt: skip
@@ -86,7 +86,7 @@ def written(model, form):
     *first order* mixes all states, which is what a rational fit or a general reduction gives.
     """
     if form == "resonators":
-        return model.linear()
+        return model.to_linear_model()
     omega, q = model.omega, model.omega.size
     stiff, damp, drive, zero = np.diag(omega**2), np.diag(model.damp), model.gain, np.zeros((q, q))
     if form == "second order":

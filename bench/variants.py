@@ -4,8 +4,8 @@ import re
 from dataclasses import dataclass, replace
 
 from bench.setup import changed
+from kc2spice.netlist.card_parser import read_cards
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.read import read_cards
 from kc2spice.netlist.spelling import format_number
 from kc2spice.workflow.decks import make_deck
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from bench.dense import ran, rotation, sources, synthetic
 from bench.points import Outcome, Plane, Point, speed_up
+from kc2spice.netlist.card_parser import read_cards
 from kc2spice.netlist.library import Subcircuit
-from kc2spice.netlist.read import read_cards
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.multiport import _convert_to_charges, _realise_state_space
 from kc2spice.synthesis.realize import subcircuit
@@ -139,10 +139,11 @@ def _first_order(setup, ratios):
     mixed = np.linalg.solve(inside, B[:, :1].astype(complex)[None])
     exact = {
         "states": (C[:1] @ mixed)[:, 0, 0],
-        "resonators": 1e6 * model.linear().transfer(f)[:, 0, -1],
+        "resonators": 1e6 * model.to_linear_model().transfer(f)[:, 0, -1],
     }
     for name, part in (
-        ("resonators", subcircuit(model.linear(), "dut")), ("states", subcircuit(states, "dut"))
+        ("resonators", subcircuit(model.to_linear_model(), "dut")),
+        ("states", subcircuit(states, "dut")),
     ):  # fmt: skip
         for analysis in (".ac", ".tran"):
             driven = "u0" if name == "states" else "anode"

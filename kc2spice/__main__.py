@@ -4,7 +4,7 @@ The signal handlers are installed before the slow import of the command-line mod
 also works during this import.
 """
 
-from kc2spice.core.interrupt import end_on_signals
+from kc2spice.core.signal_handlers import end_on_signals
 
 
 def main() -> None:

@@ -21,9 +21,9 @@ import numpy as np
 from kc2spice.core import __version__
 from kc2spice.core.argument_names import naming_arguments
 from kc2spice.core.errors import NamedValues, UsageError, unknown
-from kc2spice.core.extras import import_optional
 from kc2spice.core.figure import Figure
 from kc2spice.core.files import stage_directory
+from kc2spice.core.optional_libraries import import_optional
 from kc2spice.core.progress import StageTimer
 from kc2spice.core.waveforms import SCALES, Waveforms, write_record, write_waveforms
 from kc2spice.netlist.deck import Deck
@@ -371,7 +371,7 @@ def verify(
     True
     """
     # ``verify_scenes`` is imported here, because ``run`` does not need this module
-    from kc2spice.workflow.verify.verify import verify_scenes
+    from kc2spice.workflow.verify.scene_verification import verify_scenes
 
     loaded = load_scene(scene)
     with tempfile.TemporaryDirectory(prefix="kc2spice-") as work:
@@ -753,10 +753,10 @@ def sweep(
               3 Ohm          4      ok
               6 Ohm          2      ok
     """
-    from kc2spice.workflow.sweep.engine import make_sweep_of_plan, run_points
     from kc2spice.workflow.sweep.grid import make_plan
     from kc2spice.workflow.sweep.point import SweepSettings, read_scene_text
-    from kc2spice.workflow.sweep.row_store import columns
+    from kc2spice.workflow.sweep.row_store import collect_columns
+    from kc2spice.workflow.sweep.sweeps import make_sweep_of_plan, run_points
     from kc2spice.workflow.sweep.workers import count_available_cores
 
     _require_lists(values)
@@ -778,5 +778,5 @@ def sweep(
             result[index] = outcome
             if progress is not None:
                 progress(len(result), plan.size)
-    table = columns(result, plan)
+    table = collect_columns(result, plan)
     return Table(dict(zip(table, row, strict=True)) for row in zip(*table.values(), strict=True))

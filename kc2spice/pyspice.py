@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 from typing import Any, Literal
 
-from kc2spice.core.extras import import_optional
+from kc2spice.core.optional_libraries import import_optional
 from kc2spice.netlist.library import Subcircuit
 
 Package = Literal["PySpice", "InSpice"]

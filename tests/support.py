@@ -8,30 +8,31 @@ from importlib import import_module
 
 NAMES_BY_MODULE = {
     "kc2spice": "api pyspice",
-    "kc2spice.bodies.device": (
-        "Block BondedBlocks BoundaryConditions PortLoad list_outer_faces make_device spread_force"
+    "kc2spice.bodies.contact_pressure": (
+        "PressureBasis TransverselyIsotropicSphere choose_pressure_basis "
+        "compute_local_compliance compute_sphere_compliance compute_stresses_under_force "
+        "compute_surface_compliance fit_indentation_law make_sphere_model solve_contact_forces"
     ),
     "kc2spice.bodies.enriched_model": "correct_responses enrich_model",
     "kc2spice.bodies.face_motion": "FaceMotion sample_face_motion",
     "kc2spice.bodies.fields": (
         "FieldProbe compute_largest_principal_stress compute_lowest_modes evaluate_at_nodes "
-        "find_extremes recover_motion write_vtu"
+        "find_extremes recover_motion recover_vibration write_vtu"
     ),
     "kc2spice.bodies.heat_field": "recover_temperatures write_temperatures",
     "kc2spice.bodies.heat_model": "HeatBoundaryConditions make_heat_model",
     "kc2spice.bodies.impedance": "analyse_impedance",
-    "kc2spice.bodies.pressure": (
-        "PressureBasis TransverselyIsotropicSphere choose_pressure_basis "
-        "compute_local_compliance compute_sphere_compliance compute_stresses_under_force "
-        "compute_surface_compliance fit_indentation_law make_sphere_model solve_contact_forces"
-    ),
     "kc2spice.bodies.readers": "measure_mesh_extent read_model sidecar",
     "kc2spice.bodies.readers.column_titles": "read_title",
-    "kc2spice.bodies.readers.measured": (
+    "kc2spice.bodies.readers.measured_admittance": (
         "MeasuredAdmittance is_measured parse_shunt_resistance read_measured"
     ),
     "kc2spice.bodies.readers.sidecar": "read_sidecar",
     "kc2spice.bodies.readers.thermal_transient": "is_transient read_transient",
+    "kc2spice.bodies.solid_models": (
+        "Block BondedBlocks BoundaryConditions PortLoad list_outer_faces make_damped_model "
+        "spread_force"
+    ),
     "kc2spice.bodies.stack": "choose_level_spans make_stack make_stack_setup",
     "kc2spice.bodies.stack_keys": "Cap ChipMesh StackKeys",
     "kc2spice.bodies.undamped_models": "compute_undamped_responses",
@@ -39,7 +40,7 @@ NAMES_BY_MODULE = {
     "kc2spice.cli.doctor": "_PYTHON_PACKAGES",
     "kc2spice.cli.main": "EXAMPLES app",
     "kc2spice.cli.terminal_output": "OutputRecipient print_result",
-    "kc2spice.core": "cache laws packages progress quantities",
+    "kc2spice.core": "cache install_commands laws progress quantities",
     "kc2spice.core.argument_names": "name_arguments name_options",
     "kc2spice.core.cache": "load_or_build",
     "kc2spice.core.domains": (
@@ -49,7 +50,6 @@ NAMES_BY_MODULE = {
     "kc2spice.core.errors": (
         "GateMissedError Kc2spiceError MissingToolError SimulationError UsageError did_you_mean"
     ),
-    "kc2spice.core.extras": "OPTIONAL_LIBRARIES import_optional",
     "kc2spice.core.figure": "ColourMap Curve Figure Panel",
     "kc2spice.core.files": "stage_directory",
     "kc2spice.core.key_errors": "validate_table",
@@ -59,6 +59,7 @@ NAMES_BY_MODULE = {
     "kc2spice.core.memory": "find_available_bytes",
     "kc2spice.core.memory_store": "Workspace",
     "kc2spice.core.mesh_error": "MESH_ERROR_PREFIX MESH_QUANTITIES list_mesh_errors",
+    "kc2spice.core.optional_libraries": "OPTIONAL_LIBRARIES import_optional",
     "kc2spice.core.plugins": "list_entry_points load_plugin",
     "kc2spice.core.probe_values": "compute_mean_frequency",
     "kc2spice.core.progress": (
@@ -85,6 +86,7 @@ NAMES_BY_MODULE = {
     "kc2spice.fem.body_keys": "DampingKeys",
     "kc2spice.fem.element_poling": "find_coarse_elements",
     "kc2spice.fem.enrichment": "assemble_enrichment evaluate_shape_functions make_enrichment",
+    "kc2spice.fem.field_recovery": "compute_energy_products",
     "kc2spice.fem.heat_conduction": (
         "HeatSolid assemble_faces assemble_heat duplicate_face_nodes "
         "evaluate_functions_at_point find_common_faces find_face_nodes"
@@ -100,7 +102,6 @@ NAMES_BY_MODULE = {
     "kc2spice.fem.materials": "Material find_material",
     "kc2spice.fem.mesh_cells": "CellBlock make_quadratic_mesh reject_folded_elements",
     "kc2spice.fem.mesh_file": "measure_extent read_mesh",
-    "kc2spice.fem.recovery": "compute_energy_products",
     "kc2spice.fem.solid": "Solid assemble_solid compute_node_shares",
     "kc2spice.fem.thermal_materials": (
         "find_resistance_coefficient find_thermal_material load_thermal_library"
@@ -109,12 +110,14 @@ NAMES_BY_MODULE = {
     "kc2spice.linalg.factor": "factorise_quasi_definite",
     "kc2spice.linalg.quasidefinite": "QuasiDefiniteFactor find_supernodes",
     "kc2spice.netlist": "deck",
+    "kc2spice.netlist.card_parser": "read_cards",
     "kc2spice.netlist.circuit": "Circuit Element Param Pin make_positive_parameter",
     "kc2spice.netlist.deck": "AnalysisCommand Deck make_ac_command",
+    "kc2spice.netlist.deck_translation": "translate_deck write_dialect_files write_symbol_files",
     "kc2spice.netlist.edited_deck": "normalise_element read_edited_deck",
     "kc2spice.netlist.expression": (
         "BinaryOperation ConditionalExpression ExpressionWriter Number UnaryOperation "
-        "evaluate_parameter literal_value parse_expression"
+        "evaluate_parameter parse_expression parse_literal"
     ),
     "kc2spice.netlist.importer": "translate_circuit",
     "kc2spice.netlist.include_scan": "read_checked_circuit read_included_netlist",
@@ -131,15 +134,13 @@ NAMES_BY_MODULE = {
     "kc2spice.netlist.printers.line_breaks": "wrap_card wrap_comments",
     "kc2spice.netlist.printers.ngspice": "Printer",
     "kc2spice.netlist.printers.plot_script": "format_plot_script",
-    "kc2spice.netlist.printers.verilog_a": "print_module",
-    "kc2spice.netlist.read": "read_cards",
+    "kc2spice.netlist.printers.verilog_a": "format_module",
     "kc2spice.netlist.transforms": "make_array_deck with_parameters",
-    "kc2spice.netlist.translate": "translate_deck write_dialect_files write_symbol_files",
     "kc2spice.parts.acoustics._acoustic_load": "collect_load",
     "kc2spice.parts.acoustics._radiation_impedance": "RADIATORS",
     "kc2spice.parts.bodies": "_body_model _neglected_effects bimorph disc langevin",
     "kc2spice.parts.bodies._body_figures": "OBLIQUE_SHIFT draw_deformed_body draw_modes",
-    "kc2spice.parts.bodies._body_model": "describe_target find_scene_band",
+    "kc2spice.parts.bodies._body_model": "describe_reduction_target find_scene_band",
     "kc2spice.parts.bodies._body_ports": "list_inertial_pins",
     "kc2spice.parts.bodies._face_levels": "find_node_diameter",
     "kc2spice.parts.bodies._heat_keys": "HeatBodyKeys",
@@ -147,9 +148,11 @@ NAMES_BY_MODULE = {
     "kc2spice.parts.bodies._varied_keys": "list_varied_keys read_number_key with_values",
     "kc2spice.parts.bodies.bimorph": "BimorphKeys make_bimorph_blocks",
     "kc2spice.parts.bodies.body": "BodyKeys build_fe_model",
-    "kc2spice.parts.bodies.heat_body": "make_heat_device",
+    "kc2spice.parts.bodies.heat_body": "assemble_heat_model",
     "kc2spice.parts.control.pid": "PidKeys compute_settling_time make_pid_subcircuit",
-    "kc2spice.parts.electronics._template_parts": "CoilLoad make_opamp_subcircuit parameters",
+    "kc2spice.parts.electronics._template_parts": (
+        "CoilLoad make_key_parameters make_opamp_subcircuit"
+    ),
     "kc2spice.parts.electronics.driver_types": (
         "Amplifier AmplifierKeys ChargeDrive ChargeDriveKeys HalfBridge HalfBridgeKeys "
         "LinearDrive LinearDriverKeys PwmDrive PwmKeys"
@@ -165,19 +168,19 @@ NAMES_BY_MODULE = {
     "kc2spice.parts.mechanics.mass": "declare_point_mass",
     "kc2spice.parts.mechanics.sphere": "SphereKeys declare_sphere",
     "kc2spice.physics": "DeclaredPart branch coils contact law",
-    "kc2spice.physics.cards": "write_subcircuit_items",
     "kc2spice.physics.contact": "ContactForce SPACING_NOTE declare_contact",
     "kc2spice.physics.declaration": "COORDINATES Declaration current displacement measured voltage",
+    "kc2spice.physics.declaration_cards": "write_subcircuit_items",
     "kc2spice.physics.junction": "Junction",
     "kc2spice.physics.law": "DeclaredLaw",
     "kc2spice.physics.lookups": "TableFunction",
     "kc2spice.physics.part": "make_declared_subcircuit",
-    "kc2spice.physics.symbolic": "evaluate_tree multiply_trees",
+    "kc2spice.physics.symbolic_algebra": "evaluate_tree multiply_trees",
     "kc2spice.pyspice": "pyspice_subcircuit",
     "kc2spice.reference.equilibrium": "solve_operating_point",
-    "kc2spice.reference.fixed_step": "integrate_steps",
-    "kc2spice.reference.integrate": "Trajectory solve_transient",
-    "kc2spice.reference.small_signal": "LinearisedSystem solve_ac",
+    "kc2spice.reference.fixed_step_integrator": "integrate_steps",
+    "kc2spice.reference.radau_integrator": "Trajectory solve_transient",
+    "kc2spice.reference.small_signal_analysis": "LinearisedSystem solve_ac",
     "kc2spice.reference.system": "assemble_system",
     "kc2spice.report.charts": "render_figure",
     "kc2spice.report.drawings": "write_side_view_caption",
@@ -210,7 +213,7 @@ NAMES_BY_MODULE = {
         "simulate_resonators tabulate_modes"
     ),
     "kc2spice.rom.multiport": "fit_multiport",
-    "kc2spice.rom.network": "CircuitBranch ParallelBranches recognise_parallel_branches",
+    "kc2spice.rom.one_port_network": "CircuitBranch ParallelBranches recognise_parallel_branches",
     "kc2spice.rom.parametric_model_files": "read_parametric_model",
     "kc2spice.rom.parametric_models": (
         "ParameterAxis compute_modal_transfer evaluate_polynomials reduce_over_parameters"
@@ -219,7 +222,7 @@ NAMES_BY_MODULE = {
     "kc2spice.rom.range_reduction": "RangeTask",
     "kc2spice.rom.reduce": "reduce_model",
     "kc2spice.rom.reduced_basis": "ReductionTask",
-    "kc2spice.rom.reductors": "registry",
+    "kc2spice.rom.reductors": "balanced_truncation band_limited_balancing registry",
     "kc2spice.rom.reductors.balanced_truncation": "BalancedTruncation _compute_gramian_root",
     "kc2spice.rom.reductors.block_krylov": "BlockKrylov",
     "kc2spice.rom.reductors.rational_krylov": "RationalKrylov",
@@ -233,13 +236,13 @@ NAMES_BY_MODULE = {
     ),
     "kc2spice.rom.surrogate": "make_surrogate",
     "kc2spice.rom.time_domain_errors": (
-        "ReductionsByOrder compute_time_errors find_last_change response"
+        "ReductionsByOrder compute_time_errors compute_time_response find_last_change"
     ),
     "kc2spice.rom.transient_fit": "StepSamples fit_transient",
     "kc2spice.scene": "noise_analysis parttype resolve",
     "kc2spice.scene.catalogue": "find_part read_catalogue search_parts",
     "kc2spice.scene.checks": "Check Gate RunEnergyBalance Verdict require_passed",
-    "kc2spice.scene.highest_frequency": "highest_frequency",
+    "kc2spice.scene.highest_frequency": "find_highest_frequency",
     "kc2spice.scene.keys": "list_all_keys list_schema_keys",
     "kc2spice.scene.load": "_make_scene load_scene",
     "kc2spice.scene.metrics": "compute_metrics",
@@ -257,15 +260,15 @@ NAMES_BY_MODULE = {
     "kc2spice.scene.scene_file": "SceneFile list_gallery",
     "kc2spice.scene.settings": "ProbeKeys RomKeys",
     "kc2spice.sim": "ngspice",
+    "kc2spice.sim.libngspice": "run_in_libngspice",
     "kc2spice.sim.ngspice": "RetriesFailedError find_ngspice run_deck run_with_retries write_files",
     "kc2spice.sim.output": "find_failure list_changed_cards read_raw",
-    "kc2spice.sim.shared": "run_in_libngspice",
     "kc2spice.synthesis": "parameter_ranges ringing_time terminals",
     "kc2spice.synthesis.circuit_error": "estimate_circuit_error require_circuit_tolerance",
     "kc2spice.synthesis.header": "write_part_header write_rom_comments",
     "kc2spice.synthesis.parametric_resonators": "parametric_subcircuit",
     "kc2spice.synthesis.realize": "subcircuit",
-    "kc2spice.workflow": "bench decks reduce_files refine",
+    "kc2spice.workflow": "bench decks reduce_files refine simulation",
     "kc2spice.workflow.decks": "make_deck prepare_deck",
     "kc2spice.workflow.export": "export_scene",
     "kc2spice.workflow.larger_orders": "suggest_keys",
@@ -275,24 +278,24 @@ NAMES_BY_MODULE = {
     "kc2spice.workflow.reduce_files": "_load_scene_body export_rom make_example_deck reduce_file",
     "kc2spice.workflow.refine": "repeat_timing",
     "kc2spice.workflow.run": "complete_run run_scene",
-    "kc2spice.workflow.simulate": "run_simulation simulate_deck",
-    "kc2spice.workflow.sweep": "engine",
-    "kc2spice.workflow.sweep.engine": "load_named_sweep make_sweep",
+    "kc2spice.workflow.simulation": "run_simulation simulate_deck",
+    "kc2spice.workflow.sweep": "sweeps",
     "kc2spice.workflow.sweep.grid": "make_plan",
     "kc2spice.workflow.sweep.point": "PointResult SceneInput read_scene_text",
-    "kc2spice.workflow.sweep.row_store": "RowStore columns write_csv",
-    "kc2spice.workflow.sweep.workers": "make_dask_connector make_local_worker_pool",
+    "kc2spice.workflow.sweep.row_store": "RowStore collect_columns write_csv",
+    "kc2spice.workflow.sweep.sweeps": "load_named_sweep make_sweep",
+    "kc2spice.workflow.sweep.workers": "make_dask_connector make_local_pool_opener",
     "kc2spice.workflow.time_step": "choose_largest_step",
     "kc2spice.workflow.verdict": "add_undecided_warnings form_verdict",
-    "kc2spice.workflow.verify": "bodies",
-    "kc2spice.workflow.verify.bodies": "compare_responses",
+    "kc2spice.workflow.verify": "body_verification",
+    "kc2spice.workflow.verify.body_verification": "compare_responses",
     "kc2spice.workflow.verify.differences": (
         "Solution compute_gate_difference compute_output_errors list_gate_checks list_metric_errors"
     ),
     "kc2spice.workflow.verify.full_models": "solve_full_models",
     "kc2spice.workflow.verify.full_transient": "FullModelDifference find_last_rest",
     "kc2spice.workflow.verify.law_solution": "solve_laws",
-    "kc2spice.workflow.verify.verify": "verify_scenes",
+    "kc2spice.workflow.verify.scene_verification": "verify_scenes",
 }
 
 

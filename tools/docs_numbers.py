@@ -21,7 +21,7 @@ follows ``output`` says what is shown: ``markdown`` inserts the output as it is,
 commit.
 
 ``--check`` compares words literally, and numbers to 0.5 % or to one unit of their last digit. It
-skips what a machine's speed decides: table columns and lines that mention wall time or CPU.
+skips what the machine decides: table columns and lines that mention wall time, CPU or memory.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _BLOCK = re.compile(
     re.DOTALL,
 )
 _NUMBER = re.compile(r"[-+]?\d+(?:[ ]\d{3})*(?:\.\d+)?(?:[eE][-+]?\d+)?")
-_SPEED = re.compile(r"\bwall\b|\bCPU\b|\btime\b|\belapsed\b", re.IGNORECASE)
+_SPEED = re.compile(r"\b(wall|CPU|time|elapsed|memory)\b", re.IGNORECASE)
 
 
 @dataclass(frozen=True)

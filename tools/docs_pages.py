@@ -75,6 +75,9 @@ def _select_unknowns(doc: Any) -> Iterator[str]:
         yield "Its pins follow from its keys.\n"
     if doc.keys:
         yield _keys(doc.keys)
+    if doc.results:
+        names = ", ".join(f"`PART.{name}`" for name in doc.results)
+        yield f"Results of the example, for a part with the name PART: {names}.\n"
     if doc.example:
         yield f"```toml\n{doc.example}\n```\n"
 

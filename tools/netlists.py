@@ -28,14 +28,14 @@ from typing import Any
 
 import kc2spice
 from kc2spice.netlist import read_lib
+from kc2spice.netlist.card_parser import split_statements
 from kc2spice.netlist.printers.dialect_registry import NGSPICE, list_dialect_names
 from kc2spice.netlist.printers.kicad import (
     Symbol,
     draw_part_symbol,
+    format_symbol_library,
     make_element_symbols,
-    print_symbol_library,
 )
-from kc2spice.netlist.read import split_statements
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Part, Scene
 from kc2spice.scene.scene_file import list_gallery
@@ -173,7 +173,7 @@ def symbols() -> Iterator[Symbol]:
 def all_symbols() -> str:
     """All designs and what stands on a sheet besides."""
     plain = {symbol.name: symbol for symbol in make_element_symbols().values()}
-    return print_symbol_library([*symbols(), *plain.values()])
+    return format_symbol_library([*symbols(), *plain.values()])
 
 
 def page() -> str:

@@ -31,7 +31,7 @@ from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
 from kc2spice.workflow.models import build_models
 from kc2spice.workflow.run import run_scene
-from kc2spice.workflow.verify.verify import verify_scenes
+from kc2spice.workflow.verify.scene_verification import verify_scenes
 
 ROOT = Path(__file__).parents[1]
 CASES = ROOT / "docs" / "published"
@@ -76,30 +76,30 @@ PICTURES = {
 EDGES = (0.1, 1.0, 5.0, 10.0, 20.0)  # us, of the kick's drive
 HEAD = """# Devices with published numbers
 
-The tables compare results of kc2spice with published values of devices. The models have textbook
-materials and the dimensions of the data sheet or paper. No property is fitted to the published
-values. If a property is fitted to another measurement of the same device, the row states this
-measurement. `kc2spice run NAME` runs a built-in scene. Scenes that are not built in are files in
-`docs/published`. `kc2spice explain NAME` prints the error estimate of the mesh.
+The tables compare results of kc2spice with published values of devices. The models use material
+constants from textbooks, and dimensions from the data sheet or paper. No property is fitted to the
+published values. If a property is fitted to another measurement of the same device, the row states
+this measurement. `kc2spice run NAME` runs a built-in scene. Scenes that are not built in are files
+in `docs/published`. `kc2spice explain NAME` prints the error estimate of the mesh.
 
 The words in italics are columns of the tables, or marks in the tables:
 
 - *full*: value of the finite-element model.
 - *reduced*: value of the reduced model, which becomes the subcircuit.
 - *ngspice*: value of the netlist in ngspice.
-- *difference*: relative difference between the ngspice value and the published value. If there is
-  no ngspice value, the difference between the value of the full model and the published value.
+- *difference*: relative difference between the ngspice value and the published value. In rows
+  without an ngspice value, the difference is that of the full model.
 - *within*: "yes" if the difference is at most the tolerance of the published value.
 - A dash marks a value that does not apply.
 - *measured*: the published value was measured on one device. Published values without this mark
   come from data sheets, closed-form solutions, or finite-element results of other programs.
-- *assumed*: the computed value depends on an assumption about a value that the source does not
-  state.
+- *assumed*: the source does not state an input of the model, so the computed value depends on an
+  assumption.
 
 The models of the discs have no supports. The discs of the data sheets are supported at a nodal
-circle, and the support changes the resonance by 0.1 %. If the source states all inputs, the
-values *full* and *reduced* come from independent time integrations.
-`python tools/published_table.py` writes this page from `docs/published.toml`.
+circle, and the support changes the resonance by 0.1 %. In transient scenes, the values *full* and
+*reduced* come from independent time integrations. `python tools/published_table.py` writes this
+page from `docs/published.toml`.
 
 {origin}
 
@@ -123,15 +123,15 @@ TABLES = {
 }
 ASSUMPTIONS = (
     "For the scenes in the next list, the sources do not state every input of the model. The list "
-    "states the assumed values. Rows that depend on an assumed value do not test the model."
+    "states the assumed values. Table rows that depend on an assumed value do not test the model."
 )
 KICKS = """\
-The next table shows the scene `kick_slew` with different rise times (edges) of the drive voltage.
-With an edge of about 20 µs, the computed speed of the sphere is close to the measured speed of
-0.243 m/s. The scene `kick_and_catch` has a sphere of 2 mm diameter and an edge of 0.1 µs. In the
-scene `kick_and_catch`, a launch velocity of 1.02 m/s requires a driver current of 35 A. A driver
-with a smaller current charges the capacitance of the chip more slowly, and the launch velocity is
-lower."""
+The next table shows results of the scene `kick_slew` for different rise times (edges) of the drive
+voltage. With an edge of about 20 µs, the computed speed of the sphere is close to the measured
+speed of 0.243 m/s. The scene `kick_and_catch` has a sphere of 2 mm diameter and an edge of 0.1 µs.
+In the scene `kick_and_catch`, a launch velocity of 1.02 m/s requires a driver current of 35 A. A
+driver with a smaller current charges the capacitance of the chip more slowly, and the launch
+velocity is lower."""
 SOURCES = """\
 The column *numbers from* states the file or text from which the published numbers were copied. The
 files `vmNNN.dat` (verification manual of Ansys) are in `src/ansys/mapdl/core/examples/verif` of

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 import kc2spice as kc
-from kc2spice.report.drawings import draw_circuit, draw_devices
+from kc2spice.report.drawings import draw_circuit, draw_side_view
 
 SCENE = "buzzer_7bb_20_6"
 FIGURES = Path(__file__).resolve().parents[1] / "docs" / "figures"
@@ -25,7 +25,7 @@ def main() -> None:
     import matplotlib.pyplot as plt
 
     scene = kc.load_scene(SCENE)
-    for name, drawing in (("device", draw_devices(scene)), ("circuit", draw_circuit(scene))):
+    for name, drawing in (("device", draw_side_view(scene)), ("circuit", draw_circuit(scene))):
         (FIGURES / f"buzzer_{name}.svg").write_text(drawing.strip() + "\n", encoding="utf-8")
     metrics = kc.run(scene).metrics
     frequency, impedance = (np.array(metrics[n]) for n in ("frequency_hz", "impedance_ohm"))

@@ -55,9 +55,9 @@ from scipy import sparse
 from skfem import LinearForm
 from skfem.mesh import MeshQuad, MeshQuad2
 
-from kc2spice.bodies.device import BoundaryConditions, PortLoad, make_undamped_model
 from kc2spice.bodies.fields import FieldProbe, compute_largest_principal_stress
 from kc2spice.bodies.mesh_estimate import estimate_mesh_errors
+from kc2spice.bodies.solid_models import BoundaryConditions, PortLoad, make_undamped_model
 from kc2spice.bodies.stack import make_layer_materials, make_stack_setup
 from kc2spice.bodies.stack_keys import PATCH_PORT, StackKeys
 from kc2spice.bodies.undamped_models import FiniteElementModel, compute_undamped_responses
@@ -107,10 +107,11 @@ class PressureBasis(EqualByContent):
 
     @property
     def mean_gap_radii(self) -> np.ndarray:
-        """Radii [m] at which a paraboloid has the mean gap of each basis function.
+        """Root-mean-square radius [m] of each pressure basis function.
 
-        The mean gap is weighted with the basis function. The square of the returned radius is the
-        weighted mean of ``r^2``.
+        The basis function is the weight of ``r^2`` in the mean. The gap below a paraboloid is
+        proportional to ``r^2``. Therefore, the gap at the returned radius is the mean gap, weighted
+        with the basis function.
         """
         return np.asarray(np.sqrt(self._integrate_powers(2) / self._integrate_powers(0)))
 
@@ -256,10 +257,11 @@ def compute_stresses_under_force(
 
 
 def _model_stack(chip: StackKeys, shape: PressureBasis, cells: int) -> FiniteElementModel:
-    """Model the layers as a round stack on a frictionless support, with basis ports.
+    """Model the layers as a round stack with one port for each pressure function.
 
-    Every basis function has a port. The quadrilaterals of the mesh grow with the distance from the
-    basis functions. Every face of a layer is a line of the mesh.
+    Each pressure basis function acts on one port. The support below the stack is frictionless. The
+    quadrilaterals of the mesh grow with the distance from the basis functions. Every face of a
+    layer is a line of the mesh.
     """
     ends = [cap.thickness if cap else 0.0 for cap in (chip.bottom_cap, chip.top_cap)]
     caps = [int(end > 0) for end in ends]
@@ -435,7 +437,8 @@ def make_sphere_model(
 
     The port ``patch`` is directed upwards. ``shares`` (n,) are the shares of the port's force on
     the basis functions. ``refine`` is the number of parts into which every cell is divided along
-    each axis. The docstring of :mod:`kc2spice.bodies.pressure` describes the model of the sphere.
+    each axis. The docstring of :mod:`kc2spice.bodies.contact_pressure` describes the model of the
+    sphere.
     """
     device, port = _make_free_sphere_model(body, shape, refine), Port(PATCH_PORT, TRANSLATION.port)
     facet_load = device.model.B @ shares[:, None]

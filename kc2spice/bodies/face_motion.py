@@ -11,11 +11,29 @@ the distribution of v. Therefore, the radiated power ``int |F|^2 dOmega`` also d
 distribution of v. A piston of radius a has ``F = 2 J1(x) / x int v dS`` with ``x = k a
 sin(angle)``.
 
-Without a baffle, the sound of the back of a thin disc cancels the sound of the front. The disc of
-radius a then radiates as a dipole. At small k a, the field of the disc on the axis, relative to the
-field in a baffle, is ``k / 2 int v g dS / int v dS``. The function ``g = (4 / pi) (a^2 - r^2)^1/2``
-is the difference in velocity potential across a rigid disc that moves at a velocity of 1 (H. Lamb,
-Hydrodynamics, 6th ed., section 102).
+Without a baffle, the sound of the back of a thin plate cancels the sound of the front. The plate
+then radiates as a dipole. At small k a, the field of the plate on the axis, relative to the field
+in a baffle, is ``k / 2 int v g dS / int v dS``. The function g is the difference in velocity
+potential across a rigid plate that moves at a velocity of 1. For an ellipse with the half-axes a
+and b,
+
+    g = 2 b / E(1 - b^2 / a^2) (1 - x^2 / a^2 - y^2 / b^2)^1/2
+
+with the complete elliptic integral E of the second kind, which is pi / 2 for a disc (H. Lamb,
+Hydrodynamics, 6th ed., sections 102 and 108). For a long strip, g is ``2 (b^2 - y^2)^1/2``. A
+rectangle with the sides 2 a and 2 b has approximately the g of a strip divided by E. Its mean g is
+then 4 % to 10 % too large.
+
+The back of a thick body can move otherwise than its front. The whole surface of a body, with the
+outward normal velocity v_s, displaces the volume velocity ``Q_s = int v_s dS``. At low frequencies,
+the field without a baffle is the sum of the fields of a monopole and a dipole, whose phases differ
+by 90 degrees. Relative to the field of the volume velocity ``Q = int v dS`` in a baffle, their sum
+is
+
+    |Q_s + j k (int z v_s dS + (1 - Q_s / (2 Q)) int v g dS)| / (2 |Q|)
+
+with the coordinate z along the axis of the face. A rigid body has ``Q_s = 0``. A body whose face
+alone moves has ``Q_s = Q``, and loses 6 dB.
 
 In a closed volume, the mean of v over the face compresses the fluid. The difference of v from its
 mean is a sum of the volume's cross modes psi_n with the amplitudes v_n. The cross modes do not
@@ -30,12 +48,12 @@ of the body with unit amplitude.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from scipy import sparse
-from scipy.special import j0, j1
+from scipy.special import ellipe, j0, j1
 
 from kc2spice.bodies.undamped_models import FiniteElementModel
 
@@ -47,6 +65,10 @@ CROSS_MODES = {False: 1.841183781340659, True: 3.831705970207512}
 # Numbers of directions at which the far field in a half-space is sampled.
 # At k a = 20, 30 polar angles would be sufficient.
 POLAR_ANGLES, AZIMUTHS = 48, 32
+# Smallest area of a rectangle, relative to the rectangle around its integration points.
+# For an ellipse, this ratio is pi / 4 = 0.79. Between both values, a face counts as an ellipse.
+MIN_RECTANGLE_SHARE = 0.9
+BOX_ANGLES = 90  # number of angles in a quarter turn among which the smallest rectangle is searched
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +90,10 @@ class FaceMotion:
     normal: np.ndarray
     axis: np.ndarray
     axisymmetric: bool
+
+    def select_motions(self, select: np.ndarray) -> FaceMotion:
+        """Return the face with only some of its motions."""
+        return replace(self, normal=self.normal[:, select])
 
     @property
     def area(self) -> float:
@@ -152,17 +178,50 @@ class FaceMotion:
         decay = np.sqrt(cross)
         return np.asarray(self.areas @ np.abs(uneven) ** 2 / (decay * np.tanh(decay * depth)))
 
-    def compute_unbaffled_ratios(self, wave_number: float) -> np.ndarray:
+    def compute_potential_differences(self) -> np.ndarray:
+        """Return the difference g [m] in velocity potential across a rigid plate.
+
+        The plate has the shape of the face, and moves at a velocity of 1. The docstring of this
+        module contains the formulas. The returned array has the shape (points,).
+        """
+        if self.axisymmetric:
+            square = self.area / np.pi - self.places[0] ** 2
+            return np.asarray(4 / np.pi * np.sqrt(np.maximum(square, 0.0)))
+        boxes = []
+        for angle in np.arange(BOX_ANGLES) * np.pi / (2 * BOX_ANGLES):
+            cosine, sine = np.cos(angle), np.sin(angle)
+            x = np.array([[cosine, sine], [-sine, cosine]]) @ self._in_plane_coordinates
+            boxes.append(x - (x.max(axis=1) + x.min(axis=1))[:, None] / 2)
+        x = min(boxes, key=lambda box: np.prod(box.max(axis=1)))
+        x = x[np.argsort(-x.max(axis=1))]
+        a, b = x.max(axis=1)
+        share = self.area / (4 * a * b)
+        rectangular = share > MIN_RECTANGLE_SHARE
+        # The integration points do not reach the edge, so both half-axes follow from the area.
+        factor = np.sqrt(share if rectangular else 4 * share / np.pi)
+        a, b = factor * a, factor * b
+        square = 1 - (x[1] / b) ** 2 - (0.0 if rectangular else (x[0] / a) ** 2)
+        return np.asarray(2 * b / ellipe(1 - (b / a) ** 2) * np.sqrt(np.maximum(square, 0.0)))
+
+    def compute_unbaffled_ratios(
+        self, wave_number: float, surface: FaceMotion | None = None
+    ) -> np.ndarray:
         """Return the ratio of the far fields without and with a baffle, for each motion.
 
-        The returned ratio is for the sound pressure on the axis of a thin body of revolution, for
-        small k a. The docstring of this module contains the formula. The returned array has the
-        shape (motions,).
+        The returned ratio is for the sound pressure on the axis of the face, for small k a. The
+        docstring of this module contains the formula. ``surface`` is the whole surface of the body
+        in the same motions; without ``surface``, the body is a thin plate. The returned array has
+        the shape (motions,).
         """
-        square = self.area / np.pi - self.places[0] ** 2
-        potential = 4 / np.pi * np.sqrt(np.maximum(square, 0.0))
-        moment = (self.areas * potential) @ self.normal
-        return np.asarray(wave_number / 2 * np.abs(moment / self.displaced_volumes))
+        face_volume, volume = self.displaced_volumes, np.zeros(self.normal.shape[1])
+        moment = (self.areas * self.compute_potential_differences()) @ self.normal
+        if surface is not None:
+            volume = surface.displaced_volumes
+            height = self.axis @ surface.places
+            height -= surface.areas @ height / surface.area
+            moment = (1 - volume / (2 * face_volume)) * moment
+            moment += (surface.areas * height) @ surface.normal
+        return np.asarray(np.hypot(volume, wave_number * moment) / (2 * np.abs(face_volume)))
 
 
 def sample_face_motion(device: FiniteElementModel, facets: np.ndarray, z: np.ndarray) -> FaceMotion:

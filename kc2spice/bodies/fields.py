@@ -3,7 +3,10 @@
 A run in any simulator yields the waveforms at the ports. For the waveforms at the ports, the motion
 of the body is computed with a projection of the full model on a Krylov basis V. The modes of the
 projected model are integrated exactly for inputs that are linear between samples. The unknowns z of
-the full model are ``z = V x`` for the unknowns x of the projected model.
+the full model are ``z = V x`` for the unknowns x of the projected model. In an ac analysis, the
+complex amplitudes x follow from the amplitudes u at the ports, for ``w = 2 pi f``:
+
+    (V' K V - w^2 V' M V + j w V' E V) x = V' B u
 
 In each element, strain S, electric field E and stress T are computed from the displacement u and
 the potential phi. The stress may jump between materials, because the constants C and e differ:
@@ -44,6 +47,11 @@ MIN_PHASE = 1e-4
 MIN_INSTANTS = 200
 MAX_WORK = 2_000_000
 CHUNK_SIZE = 20  # number of instants at which fields are evaluated at once
+# Number of frequencies of an ac analysis at which extremes are searched: the largest resonances.
+MAX_PEAKS = 6
+# Number of instants of each period at which extremes are searched.
+# An amplitude between two instants is too small by at most 1 - cos(pi / 64) = 0.12 %.
+INSTANTS_PER_PERIOD = 64
 # meshio cell type of each element
 _VTK_CELLS = {
     "ElementHex1": "hexahedron", "ElementHex2": "hexahedron27", "ElementTetP2": "tetra10",
@@ -55,11 +63,12 @@ _VTK_CELLS = {
 class NodalMotion:
     """Motion of all nodes of a body, computed from the waveforms at its ports.
 
-    The unknowns of the full model are ``basis @ states[k]`` at the sample ``time[k]``.
+    The unknowns of the full model are ``basis @ states[k]`` at the sample k. The value ``scale[k]``
+    is the time [s] of the sample or, in an ac analysis, its frequency [Hz].
     """
 
     device: FiniteElementModel
-    time: np.ndarray
+    scale: np.ndarray
     inputs: np.ndarray
     basis: np.ndarray
     states: np.ndarray
@@ -70,13 +79,16 @@ class NodalMotion:
         ports = self.device.model.ports
         return self.inputs[:, [port.electrical for port in ports]]
 
-    def find_nearest_sample(self, instant: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return the unknowns and voltages at the sample nearest to ``instant`` [s].
+    def get_sample(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the unknowns and voltages at the sample ``k``.
 
         The unknowns z of the full model have the shape (n,), and the voltages the shape (e,).
         """
-        k = int(np.argmin(np.abs(self.time - instant)))
         return self.basis @ self.states[k], self.voltages[k]
+
+    def find_nearest_sample(self, instant: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return the unknowns and voltages at the sample nearest to ``instant`` [s]."""
+        return self.get_sample(int(np.argmin(np.abs(self.scale - instant))))
 
 
 def recover_motion(
@@ -92,18 +104,69 @@ def recover_motion(
     ------
     UsageError : the body does not have one of the ports, or waveforms differ in length.
     """
-    names = [port.name for port in device.model.ports]
-    u = np.zeros((len(time), len(names)))
-    for name, wave in inputs.items():
-        if name not in names or np.shape(wave) != np.shape(time):
-            expected = f"{len(time)} values of one of {', '.join(names)}"
-            problem = "this waveform does not belong to a port of this body"
-            raise wrong("fields", problem, f"{name} {np.shape(wave)}", expected)
-        u[:, names.index(name)] = wave
-    t = np.asarray(time)
+    t, u = np.asarray(time), _collect_inputs(device, len(time), inputs)
     basis, omega, damp = _compute_modes(device, float(t[-1] - t[0]))
     states, _ = integrate_modes(omega, damp, t, u @ (basis.T @ device.model.B).T)
     return NodalMotion(device, t, u, basis, states)
+
+
+def recover_vibration(
+    device: FiniteElementModel, frequency: np.ndarray, inputs: Mapping[str, np.ndarray]
+) -> NodalMotion:
+    """Compute one period of a body's vibration at each of its largest resonances.
+
+    ``inputs`` maps names of ports to complex amplitudes in SI units at the frequencies
+    ``frequency`` [Hz]. Ports that are not in ``inputs`` have no input. The resonances are the
+    frequencies with the largest local maxima of the elastic and electric energy; the frequency of
+    the largest voltages is added. The docstring of this module contains the equation. A static
+    response at 0 Hz is omitted.
+
+    Raises
+    ------
+    UsageError : the body does not have one of the ports, or amplitudes differ in length.
+    """
+    f, u = np.asarray(frequency).real, _collect_inputs(device, len(frequency), inputs)
+    f, u = f[f > 0], u[f > 0]
+    basis = _make_krylov_basis(device)
+    model = _project_model(device, basis)
+    K = model.K + 1j * (model.loss_factor * model.K if model.loss is None else model.loss)
+    omega = 2 * np.pi * f[:, None, None]
+    dynamic = K + 1j * omega * model.E - omega**2 * model.M
+    x = np.linalg.solve(dynamic, (u @ model.B.T)[..., None])[..., 0]
+    motion = NodalMotion(device, f, u, basis, x)
+    energy, drive = _compute_energies(motion)
+    padded = np.pad(energy, 1, constant_values=-np.inf)
+    peaks = np.flatnonzero((energy >= padded[:-2]) & (energy >= padded[2:]))
+    peaks = peaks[np.argsort(-energy[peaks])][:MAX_PEAKS]
+    if drive.any():
+        peaks = np.union1d(peaks, drive.argmax())
+    # Each period begins at the instant of the largest elastic energy of a standing wave.
+    x, u = x[peaks], u[peaks]
+    start = -0.5 * np.angle(np.einsum("ti,ij,tj->t", x, model.K, x))
+    turn = 2 * np.pi * np.arange(INSTANTS_PER_PERIOD) / INSTANTS_PER_PERIOD
+    phases = np.exp(1j * (start[:, None] + turn)).ravel()[:, None]
+    x, u = (np.real(phases * np.repeat(y, turn.size, axis=0)) for y in (x, u))
+    return NodalMotion(device, np.repeat(f[peaks], turn.size), u, basis, x)
+
+
+def _collect_inputs(
+    device: FiniteElementModel, count: int, inputs: Mapping[str, np.ndarray]
+) -> np.ndarray:
+    """Return the inputs of all ports, an array of shape (count, ports).
+
+    Raises
+    ------
+    UsageError : the body does not have one of the ports, or waveforms differ in length.
+    """
+    names = [port.name for port in device.model.ports]
+    u = np.zeros((count, len(names)), dtype=np.result_type(float, *inputs.values()))
+    for name, wave in inputs.items():
+        if name not in names or np.shape(wave) != (count,):
+            expected = f"{count} values of one of {', '.join(names)}"
+            problem = "this waveform does not belong to a port of this body"
+            raise wrong("fields", problem, f"{name} {np.shape(wave)}", expected)
+        u[:, names.index(name)] = wave
+    return u
 
 
 def compute_lowest_modes(
@@ -161,7 +224,12 @@ def project_lowest_modes(device: FiniteElementModel) -> LinearModel:
     The basis contains the lowest modes that the ports excite. The projected model has all ports and
     all losses of the full model.
     """
-    model, V = device.model, _make_krylov_basis(device)
+    return _project_model(device, _make_krylov_basis(device))
+
+
+def _project_model(device: FiniteElementModel, V: np.ndarray) -> LinearModel:
+    """Project a model, with all its ports and losses, on the columns of the basis V."""
+    model = device.model
     pencil = model.pencil.project(V)
     K, E, M = pencil.coefficients
     loss = None if model.loss is None else apply_congruence(model.loss, V, known=True)
@@ -234,7 +302,8 @@ class FieldProbe:
             stresses.append(C @ (B @ u[moves]) - e.transpose(0, 2, 1) @ E)
             fields.append(E)
         T, E = np.stack(stresses, 1), np.stack(fields, 1)
-        return T.reshape(-1, *T.shape[2:]), E.reshape(-1, *E.shape[2:])
+        points = self.owner.size  # a body without electrodes has arrays of size 0
+        return T.reshape(points, *T.shape[2:]), E.reshape(points, *E.shape[2:])
 
 
 def evaluate_at_nodes(
@@ -289,9 +358,10 @@ FIELD_QUANTITIES = {
 class Extreme(EqualByContent):
     """Largest value of a stress or electric field in one material during a run.
 
-    The largest ``value`` occurs at the ``instant`` [s] at the point ``place`` [m]. ``curve``
-    contains the largest value in the material at each instant of ``time``. ``limit`` is the
-    material's limit of the quantity, None if unknown.
+    The largest ``value`` occurs at the number ``sample`` of a motion at the point ``place`` [m].
+    ``at`` is the time [s] of the sample or, in an ac analysis, its frequency [Hz]. ``curve``
+    contains the largest value in the material at each time or frequency of ``scale``. ``limit`` is
+    the material's limit of the quantity, None if unknown.
     """
 
     material: str
@@ -299,23 +369,27 @@ class Extreme(EqualByContent):
     unit: str
     value: float
     limit: float | None
-    instant: float
+    sample: int
+    at: float
     place: tuple[float, ...]
-    time: np.ndarray
+    scale: np.ndarray
     curve: np.ndarray
 
 
-def find_extremes(motion: NodalMotion) -> list[Extreme]:
+def find_extremes(motion: NodalMotion, selected: np.ndarray | None = None) -> list[Extreme]:
     """Find the largest stress and electric field in each material during a run.
 
     The largest principal stress is searched in every material. In piezoelectric materials, the
     largest electric field and the largest field against the poling direction are also searched.
+    ``selected`` contains the numbers of the searched samples. By default, samples are selected by
+    their energy.
 
     The extremes are searched at the Gauss points. At re-entrant corners and at edges of clamps, the
     stress of linear elasticity grows without bound as the mesh is refined.
     """
     probe = FieldProbe(motion.device, gauss=True)
-    selected = _choose_instants(motion, max(MIN_INSTANTS, MAX_WORK // probe.owner.size))
+    if selected is None:
+        selected = _choose_instants(motion, max(MIN_INSTANTS, MAX_WORK // probe.owner.size))
     solid = motion.device.solid
     places = np.asarray(probe.basis.global_coordinates()).reshape(solid.mesh.dim(), -1)
     electrodes = motion.voltages.shape[1]
@@ -346,10 +420,10 @@ def find_extremes(motion: NodalMotion) -> list[Extreme]:
             rows = [(part.max(axis=1), part.argmax(axis=1)) for part in parts]
             curve, points = map(np.concatenate, zip(*rows, strict=True))
             k = int(curve.argmax())
-            point = int(points[k])
-            at, place = float(motion.time[selected[k]]), tuple(places[:, members[point]])
-            largest = float(curve[k]), getattr(made_of[point], limit), at, place
-            result.append(Extreme(name, quantity, unit, *largest, motion.time[selected], curve))
+            point, sample = int(points[k]), int(selected[k])
+            at, place = float(motion.scale[sample]), tuple(places[:, members[point]])
+            largest = float(curve[k]), getattr(made_of[point], limit), sample, at, place
+            result.append(Extreme(name, quantity, unit, *largest, motion.scale[selected], curve))
     return result
 
 
@@ -375,13 +449,22 @@ def _choose_instants(motion: NodalMotion, count: int) -> np.ndarray:
     Half of the ``count`` samples are equally spaced in time. The other half are the samples with
     the highest elastic and electric energy.
     """
+    t, (energy, _) = motion.scale, _compute_energies(motion)
+    even = np.linspace(t[0], t[-1], count - count // 2)
+    return np.union1d(np.searchsorted(t, even), np.argsort(energy)[-(count // 2) :])
+
+
+def _compute_energies(motion: NodalMotion) -> tuple[np.ndarray, np.ndarray]:
+    """Return a measure of the energy of each sample, and the sum of the squared voltages.
+
+    The first array is the sum of the elastic energy and of the sum of the squared voltages, each
+    relative to its largest value.
+    """
     K = motion.device.model.pencil.project(motion.basis).coefficients[0]
-    energy = np.einsum("ti,ij,tj->t", motion.states, K, motion.states)
+    energy = np.einsum("ti,ij,tj->t", motion.states.conj(), K, motion.states).real
     energy = energy / (energy.max() or 1.0)
-    drive = np.sum(motion.voltages**2, axis=1)
-    energy = energy + drive / (drive.max(initial=0.0) or 1.0)
-    even = np.linspace(motion.time[0], motion.time[-1], count - count // 2)
-    return np.union1d(np.searchsorted(motion.time, even), np.argsort(energy)[-(count // 2) :])
+    drive = np.sum(np.abs(motion.voltages) ** 2, axis=1)
+    return energy + drive / (drive.max(initial=0.0) or 1.0), drive
 
 
 def write_vtu(path: Path, device: FiniteElementModel, z: np.ndarray, voltages: np.ndarray) -> None:

@@ -133,7 +133,7 @@ def make_heat_model(solid: HeatSolid, setup: HeatBoundaryConditions) -> HeatMode
         spread = np.array([port.name not in setup.points for port in ports], dtype=bool)
         for port, resistance in zip(ports, resistances, strict=True):
             if port.name not in setup.points:
-                facts[_get_resistance_name(port)] = float(resistance)
+                facts[_get_resistance_key(port)] = float(resistance)
         energies = estimate_energy_errors(solid, temperature @ answers[:, spread])
         errors = energies / resistances[spread] / RECOVERED_SHARE
         facts[f"{MESH_ERROR_PREFIX}resistance"] = float(
@@ -143,7 +143,7 @@ def make_heat_model(solid: HeatSolid, setup: HeatBoundaryConditions) -> HeatMode
     return HeatModel(model, solid, temperature)
 
 
-def _get_resistance_name(port: Port) -> str:
+def _get_resistance_key(port: Port) -> str:
     """Return the name of a port's thermal resistance in the ``facts`` of a model."""
     return f"{RESISTANCE_PREFIX}{port.name}_k_per_w"
 
@@ -156,7 +156,7 @@ def compute_static_resistances(model: LinearModel) -> dict[str, float]:
     """
     response = model.transfer(np.zeros(1))[0].real
     pairs = zip(model.ports, np.diag(response), strict=True)
-    return {_get_resistance_name(port): float(value) for port, value in pairs}
+    return {_get_resistance_key(port): float(value) for port, value in pairs}
 
 
 def _find_highest_frequency(solid: HeatSolid) -> float:

@@ -87,7 +87,7 @@ def analyse_impedance(frequency: np.ndarray, impedance_ohm: np.ndarray) -> Analy
         raise wrong(None, "these arrays are not samples of an impedance", got, expected)
     good = np.isfinite(f).all() and np.isfinite(Z).all() and (Z != 0).all()
     if not good or f[0] <= 0 or not (np.diff(f) > 0).all():
-        expected = "finite values at frequencies that increase from above zero"
+        expected = "finite values, at positive frequencies in increasing order"
         raise wrong(None, "these arrays are not samples of an impedance", expected=expected)
     Y = 1 / Z
     window = _select_window(f, Y)

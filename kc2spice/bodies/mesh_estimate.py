@@ -11,7 +11,7 @@ shape functions yield (:mod:`kc2spice.bodies.enriched_model`). At edges of elect
 the solution is singular and converges slowly as the polynomial degree rises. The cubic functions
 therefore correct only the share :data:`CORRECTED_SHARE` of the error. On hexahedra, cubic functions
 would need more time than the model itself. On hexahedra, e is the difference between recovered and
-computed strain and electric field (:mod:`kc2spice.fem.recovery`).
+computed strain and electric field (:mod:`kc2spice.fem.field_recovery`).
 
 In the error of a stroke, positive and negative contributions may cancel by chance. To prevent an
 underestimate, a second term is added to the error estimate of a stroke. On hexahedra, this term is
@@ -30,11 +30,13 @@ from skfem.mesh import MeshHex
 from kc2spice.bodies.enriched_model import correct_responses
 from kc2spice.bodies.undamped_models import FiniteElementModel, UndampedResponses
 from kc2spice.core.mesh_error import MESH_ERROR_PREFIX
-from kc2spice.fem.recovery import compute_energy_products
+from kc2spice.fem.field_recovery import compute_energy_products
 
 # Share of the energy error that cubic functions correct.
-# If a solution varies like r^0.5 at an edge, the corrected share is 1 - (2/3)^2 = 0.56.
-# If a solution varies like r^0.7 at a clamp, the corrected share is 0.68.
+# If the solution varies like r^a at the distance r from a singular edge, the energy error of
+# functions of degree p is proportional to p^(-4 a).
+# Cubic instead of quadratic functions then correct the share 1 - (2/3)^(4 a) of the error.
+# The share is 0.56 at an electrode edge (a = 0.5), and 0.68 at a clamp (a = 0.7).
 # On the meshes of tests/physics/test_mesh_error.py, the corrected share is 0.4 to 0.9.
 CORRECTED_SHARE = 0.6
 # Share of the error bound that is added to the error estimate of a stroke.

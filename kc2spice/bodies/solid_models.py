@@ -84,7 +84,7 @@ def make_pressure_load(port: Port, solid: Solid, facets: np.ndarray) -> PortLoad
     return PortLoad(port, -compute_volume_gradient(solid, facets), facets)
 
 
-def get_area_name(port: str) -> str:
+def get_area_key(port: str) -> str:
     """Return the name of an acoustic port's area [m^2] in the ``facts`` of a model."""
     return f"area_{port}_m2"
 
@@ -145,7 +145,7 @@ class BoundaryConditions:
         return {pin: n for pin, n in self.electrodes.items() if pin != self.reference}
 
 
-def make_device(solid: Solid, setup: BoundaryConditions) -> FiniteElementModel:
+def make_damped_model(solid: Solid, setup: BoundaryConditions) -> FiniteElementModel:
     """Make the damped model of a solid, and compute its modes and static responses.
 
     The model has the supports and ports of the boundary conditions.
@@ -163,7 +163,7 @@ def make_device(solid: Solid, setup: BoundaryConditions) -> FiniteElementModel:
     facts = {"unknowns": unknowns, "mass_kg": bare.mass}
     facts |= {} if volts is None else {"depoling_voltage_v": volts}
     facts |= {
-        get_area_name(port): compute_area(solid, facets) for port, facets in bare.faces.items()
+        get_area_key(port): compute_area(solid, facets) for port, facets in bare.faces.items()
     }
     pencil = bare.model.pencil
     definite = pencil.is_large or not (bare.shift or isinstance(bare.model.K, SchurComplement))
@@ -260,9 +260,9 @@ def _find_damping_frequency(model: LinearModel, damping: DampingKeys) -> float |
     first = damping.find_ratio_frequency(facts.get("resonance_short_hz", facts.get("resonance_hz")))
     if first is None and (damping.zeta or damping.per_material):
         raise UsageError(
-            "the body has no resonance at which its damping is stated",
+            "the body has no resonance, so its damping needs a frequency",
             where="damping.at",
-            expected="the frequency at which ratio or quality applies",
+            expected="the frequency at which the damping ratio or the Q factor applies",
             hint='add  at = "10 kHz"  to the damping of this body',
         )
     return first
@@ -281,7 +281,7 @@ def _add_damping(
     for material in solid.materials:
         if material.quality is None:
             hint = "add  quality = VALUE  to the table of this material"
-            problem, expected = "this material has no Q factor", "a Q factor of every material"
+            problem, expected = "this material has no Q factor", "a Q factor for every material"
             raise wrong("damping.per_material", problem, material.name, expected, hint)
         loss.append(1 / (material.quality * 2 * np.pi * first))
 
@@ -593,7 +593,7 @@ class BondedBlocks:
         near = 1e-3 * float(np.concatenate([*map(np.diff, grid)]).min())
         with name_part_in_errors(self.where):
             solid = self._mesh_blocks(grid, near)
-            return make_device(solid, self._make_boundary_conditions(solid, near))
+            return make_damped_model(solid, self._make_boundary_conditions(solid, near))
 
     def _divide_axes(self) -> list[np.ndarray]:
         """Return the positions [m] of the grid lines along each axis.

@@ -21,7 +21,13 @@ import numpy as np
 from scipy import sparse
 from skfem import BilinearForm, LinearForm, MeshHex1, MeshHex2
 
-from kc2spice.bodies.device import UP, BoundaryConditions, PortLoad, make_device, spread_force
+from kc2spice.bodies.solid_models import (
+    UP,
+    BoundaryConditions,
+    PortLoad,
+    make_damped_model,
+    spread_force,
+)
 from kc2spice.bodies.stack_keys import PATCH_PORT, SECTORS, Cap, StackKeys
 from kc2spice.bodies.undamped_models import FiniteElementModel
 from kc2spice.core.domains import TRANSLATION
@@ -71,7 +77,7 @@ def make_stack(
         invalid, or the model needs too much memory.
     """
     solid, setup = make_stack_setup(kick, breakdown, pressure)
-    device = make_device(solid, setup)
+    device = make_damped_model(solid, setup)
     facts = dict(device.model.facts)
     facts.pop("depoling_voltage_v", None)  # the key `rated_field` limits the electric field
     facts["unknowns"] += 1  # Schütz et al. (2021) count the anode as one unknown

@@ -67,11 +67,12 @@ PARAMETERS = {
         metavar="MODEL",
         help=(
             "Model to reduce: SCENE:PART for a body of a scene, or the name of a file. "
-            "Matrices: a .npz or .mat file, or NAME for NAME.M .E .K .B .C (first order: .A "
-            ".B .C .D .E; Matrix Market or Harwell-Boeing). Other programs: a file of "
-            "Abaqus, CalculiX, Nastran or Ansys. Measurements: a response (.s1p, .s2p, .csv, "
-            ".txt, .zma, .mat), or a table of a thermal transient. NAME.toml in the same "
-            "folder states ports, units and band."
+            "Matrices: a .npz or .mat file, or NAME for the Matrix Market or "
+            "Harwell-Boeing files NAME.M, .E, .K, .B and .C (first order: NAME.A, .B, .C, "
+            ".D and .E). Other programs: a file of Abaqus, CalculiX, Nastran or Ansys. "
+            "Measurements: a frequency response (.s1p, .s2p, .csv, .txt, .zma, .mat), or "
+            "a table of a thermal transient. The file NAME.toml in the same folder states "
+            "ports, units and band."
         ),
     ),
     "target": typer.Argument(
@@ -149,7 +150,7 @@ PARAMETERS = {
     "rom": typer.Option(
         metavar="FILE",
         help=(
-            "Export the reduced model in FILE, which the command reduce wrote, instead of a scene."
+            "Export a reduced model instead of a scene; FILE is an output of the command reduce."
         ),
     ),
     "dense": typer.Option(
@@ -193,13 +194,16 @@ PARAMETERS = {
     ),
     "order": typer.Option(
         metavar="Q",
-        help="Number of states of the reduced model; cannot be combined with --tolerance.",
+        help=(
+            "Number of unknowns of the reduced model; a second-order model of Q unknowns has "
+            "2 Q first-order states. Cannot be combined with --tolerance."
+        ),
     ),
     "method": typer.Option(
         metavar="NAME",
         help=(
-            "Reduction method, such as 'response POD', or compare for a table of all "
-            "methods. Default: response POD or balanced truncation, whichever result has "
+            "Reduction method, such as 'response POD'; 'compare' prints a table of all "
+            "methods. Default: response POD or balanced truncation, whichever yields "
             "fewer states."
         ),
     ),
@@ -221,8 +225,9 @@ PARAMETERS = {
     "dc": typer.Option(
         metavar="OHM",
         help=(
-            "Resistance of a measured one-port at zero frequency, such as '80 mOhm', or open "
-            "for no conduction. Default: extrapolation from the lowest frequencies."
+            "Resistance of a measured one-port at zero frequency, such as '80 mOhm'; "
+            "'open' for a one-port without direct current. Default: extrapolation from "
+            "the lowest frequencies."
         ),
     ),
     "shunt": typer.Option(
@@ -258,7 +263,10 @@ PARAMETERS = {
         metavar="X",
         min=1e-12,
         max=1.0,
-        help="Largest relative error of the metrics that the fastest settings may cause.",
+        help=(
+            "Largest permitted relative error of every metric; the command finds the "
+            "fastest settings within this limit."
+        ),
     ),
     "bench.metric": typer.Option(
         metavar="NAME",
@@ -277,7 +285,7 @@ PARAMETERS = {
     "repeats": typer.Option(
         metavar="N",
         min=1,
-        help="Number of repeated runs with the same settings, whose median CPU time is used.",
+        help="Number of runs with the same settings; the median of the CPU times is used.",
     ),
     "zipped": typer.Option(
         "--zip",
@@ -287,7 +295,7 @@ PARAMETERS = {
         ),
     ),
     "latin": typer.Option(
-        "--latin", help="Choose the values of random keys by Latin hypercube sampling."
+        "--latin", help="Choose random values of keys by Latin hypercube sampling."
     ),
     "seed": typer.Option(metavar="N", min=0, help="Seed of the random number generator."),
     "table_format": typer.Option(

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from kc2spice.core.cache import find_cache_dir
 from kc2spice.core.errors import Kc2spiceError, MissingToolError
-from kc2spice.core.packages import make_install_command
+from kc2spice.core.install_commands import make_install_command
 from kc2spice.netlist.deck import Deck
 from kc2spice.sim.ngspice import find_ngspice, run_deck
 

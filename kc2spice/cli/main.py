@@ -28,11 +28,11 @@ from kc2spice.cli.terminal_output import (
     print_tables,
     report_errors,
 )
-from kc2spice.cli.usage import CheckedCommand, CheckedCommands
+from kc2spice.cli.usage_errors import CheckedCommand, CheckedCommands
 from kc2spice.core import __version__
 from kc2spice.core.argument_names import naming_options
 from kc2spice.core.errors import GateMissedError, MissingToolError, SimulationError, UsageError
-from kc2spice.core.interrupt import end_on_signals
+from kc2spice.core.signal_handlers import end_on_signals
 
 EXAMPLES = {
     "run": (
@@ -212,7 +212,8 @@ def _export(
     """Write the netlists of SCENE or of a reduced model.
 
     Writes the deck, one library for each part, and symbols for KiCad and LTspice. Exit code 4 if a
-    circuit misses the tolerance of its reduced model.
+    circuit misses the tolerance of its reduced model. If rounding of the matrix entries causes
+    an error of the same size, the command only prints a warning.
     """
     if rom is not None:
         settings = {"SCENE": scene, "--set": set_, "--tolerance": tolerance, "--count": count}
@@ -274,7 +275,7 @@ def _verify(
     Writes verify.json and verify.html into DIR. Exit code 4 if an error exceeds its limit.
     """
     from kc2spice.scene.scene_file import list_gallery
-    from kc2spice.workflow.verify.verify import verify_scenes
+    from kc2spice.workflow.verify.scene_verification import verify_scenes
 
     if (scene is None) is not all_:
         got = "neither SCENE nor --all" if scene is None else f"{scene} and --all"
@@ -376,6 +377,9 @@ def _scenes(
             pins = [(pin.name, pin.kind, pin.default or "") for pin in doc.pins]
             print_table("pins", pins, ("pin", "unit", "default"), names=0)
             print_keys("keys", doc.keys)
+            if doc.results:
+                names = ", ".join(f"PART.{name}" for name in doc.results)
+                print(textwrap.fill(f"results of the example: {names}", PIPED_COLUMNS) + "\n")
             if doc.example:
                 print(f"example\n{doc.example}")
     else:
@@ -386,18 +390,21 @@ def _scenes(
 
 @_register_command
 def _parts(caller: OutputRecipient, search: str | None = None) -> None:
-    """List commercial parts and the sources of their data.
+    """List commercial parts; for a part number, also print its keys.
 
     The commands run, export, verify and explain accept a part number in place of SCENE.
     """
     from dataclasses import asdict
 
-    from kc2spice.scene.catalogue import search_parts
+    from kc2spice.scene.catalogue import find_part, search_parts
+    from kc2spice.scene.part_reference import write_catalogue_table
 
     parts = search_parts(search or "")
     if caller.print_json_if_requested(list(map(asdict, parts))):
         rows = [(part.number, part.maker, part.device, part.kind) for part in parts]
         print_table("parts", rows, ("number", "maker", "device", "part type"), names=0)
+        if (sold := find_part(search or "")) is not None:
+            print(f"table of the part in a scene\n{write_catalogue_table(sold)}")
 
 
 @_register_command
@@ -438,7 +445,8 @@ def _reduce(
     """Reduce matrices or measured data to a small model.
 
     Writes the reduced model with an error estimate into DIR. Exit code 4 for an unstable model, a
-    circuit that misses the tolerance, or a measurement that no circuit describes.
+    circuit that misses the tolerance, or a measurement that no circuit describes. If rounding
+    of the matrix entries causes an error of the same size, the command only prints a warning.
     """
     from kc2spice.workflow.reduce_files import reduce_file as reduce_study
     from kc2spice.workflow.reduce_files import require_stable
@@ -462,7 +470,7 @@ def _reduce(
 
         low, high = result["band_hz"]
         form = result.get("full_form", result["form"])
-        states = f"{result['order']}" + ("" if form == result["form"] else f", {result['form']}")
+        states = _format_states(result) + ("" if form == result["form"] else f", {result['form']}")
         rows = [
             ("equations", f"{result['unknowns']}, {form}"),
             ("states", states),
@@ -484,6 +492,18 @@ def _reduce(
     require_stable(result)
 
 
+def _format_states(result: dict[str, Any]) -> str:
+    """Return the number of states of a reduced model, and of its first-order form.
+
+    A measured circuit is stated by its unknowns only, because unknowns without inertia have one
+    first-order state.
+    """
+    order = result["order"]
+    if result["form"] == "first order" or "data" in result:
+        return str(order)
+    return f"{order} ({2 * order} of first order)"
+
+
 def _format_parameter_row(parameter: dict[str, Any]) -> tuple[str, str]:
     """Return the table row of a parameter of the reduced model."""
     low, high = parameter["low"], parameter["high"]
@@ -491,7 +511,7 @@ def _format_parameter_row(parameter: dict[str, Any]) -> tuple[str, str]:
     return f"parameter {parameter['name']}", f"{low:g} … {high:g}{unit}"
 
 
-METHOD_COLUMNS = "method", "states", "error estimate", "of the peak", "CPU time"
+METHOD_COLUMNS = "method", "first-order states", "error estimate", "of the peak", "CPU time"
 
 
 def _compare_methods(
@@ -627,21 +647,21 @@ def _sweep(
     continues if the same command is repeated. The row of a failed point states the cause.
     """
     from kc2spice.scene.overrides import expand_overrides
-    from kc2spice.workflow.sweep import engine
+    from kc2spice.workflow.sweep import sweeps
     from kc2spice.workflow.sweep.workers import (
         count_available_cores,
         make_dask_connector,
-        make_local_worker_pool,
+        make_local_pool_opener,
     )
 
-    table = engine.get_table_file_name(table_format)
+    table = sweeps.get_table_file_name(table_format)
     options: dict[str, Any] = {"zipped": zipped, "latin": latin, "seed": seed, "timeout": timeout}
-    definition = engine.load_named_sweep(
+    definition = sweeps.load_named_sweep(
         scene, expand_overrides(set_ or ()), metrics=metric or (), **options
     )
     out = out or Path(f"{definition.scene.name}_sweep")
     count = workers or count_available_cores()
-    pool = make_local_worker_pool(count) if dask is None else make_dask_connector(dask, count)
+    pool = make_local_pool_opener(count) if dask is None else make_dask_connector(dask, count)
     if not caller.quiet:
         print(definition.describe(), file=sys.stderr)
     result: dict[str, Any] = {
@@ -655,7 +675,7 @@ def _sweep(
         table_options: dict[str, Any] = {"table_format": table_format, "retry_failed": retry_failed}
         try:
             with caller.open_progress_display() as progress:
-                result = engine.run_sweep(definition, out, pool, progress, **table_options)
+                result = sweeps.run_sweep(definition, out, pool, progress, **table_options)
         except KeyboardInterrupt:
             state = f"the points run so far are kept in {out}, the same command runs the rest"
             print(f"kc2spice: interrupted; {state}", file=sys.stderr)

@@ -25,7 +25,7 @@ _ParserError: Any = typer.BadParameter.__base__
 
 
 class CheckedCommand(TyperCommand):
-    """Command whose errors have four lines, and whose usage line has no braces."""
+    """Command that reports errors in four lines and prints its usage without braces."""
 
     def make_context(self, info_name: Any, args: Any, parent: Any = None, **extra: Any) -> Any:
         """Parse the arguments of a command; report each mistake in an error of four lines."""

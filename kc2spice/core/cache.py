@@ -46,11 +46,11 @@ def find_cache_dir() -> Path:
     if selected := os.environ.get("KC2SPICE_CACHE"):
         return Path(selected)
     variable, below = _CACHE_DIRECTORIES.get(sys.platform, ("XDG_CACHE_HOME", ".cache"))
-    return Path(os.environ.get(variable) or _home_directory() / below) / "kc2spice"
+    return Path(os.environ.get(variable) or _find_home_directory() / below) / "kc2spice"
 
 
 @cache
-def _home_directory() -> Path:
+def _find_home_directory() -> Path:
     """Return the user's home directory, or a private temporary directory without one.
 
     A user without an account, as in some containers, has no home directory. The private directory

@@ -132,14 +132,14 @@ class Domain:
         """Units that 1 V and 1 A on a pin of this domain represent."""
         return self.across.pin_unit, self.flow_unit
 
-    def value_unit(self, letter: str) -> str:
+    def find_value_unit(self, letter: str) -> str:
         """Return the unit of a V, I, R, C or L value; empty for the electrical domain.
 
         Examples
         --------
-        >>> [DOMAINS["thermal"].value_unit(letter) for letter in "VIRC"]
+        >>> [DOMAINS["thermal"].find_value_unit(letter) for letter in "VIRC"]
         ['K', 'W', 'K/W', 'W s/K']
-        >>> DOMAINS["electrical"].value_unit("R")
+        >>> DOMAINS["electrical"].find_value_unit("R")
         ''
         """
         across, flow = (f"({unit})" if "/" in unit else unit for unit in self.units)
@@ -391,7 +391,7 @@ def describe_units(units: Collection[str]) -> str:
         through = domain.through_variable
         # the force is the through quantity of two domains
         letters = "VIRCL" if QUANTITIES[through.name][0] is domain else "VRCL"
-        of_pins = set(map(domain.value_unit, letters)) | {q.pin_unit for q in across}
+        of_pins = set(map(domain.find_value_unit, letters)) | {q.pin_unit for q in across}
         if domain.units != SPICE_UNITS and of_pins & {*units}:
             words |= dict.fromkeys(f"1 V = 1 {q.pin_unit} ({q.plural_name})" for q in across)
             words[f"1 A = 1 {through.pin_unit} ({through.plural_name})"] = None

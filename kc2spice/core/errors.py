@@ -121,7 +121,8 @@ def wrong(
     return UsageError(problem, where=where, got=got, expected=expected, hint=hint)
 
 
-# First words of a limit in an ``expected`` text, with the verb and preposition of the hint.
+# Words with which a limit in an ``expected`` text begins, and verb and preposition of the hint.
+# For "at most 5 m", for example, the hint is "lower KEY to 5 m".
 _LIMIT_ACTIONS = {
     "at most": ("lower", "to"),
     "at least": ("raise", "to"),

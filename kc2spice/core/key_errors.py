@@ -213,7 +213,7 @@ def _explain_unknown_key(invalid: _InvalidValue) -> Explanation:
         or _suggest_described_key(word, table)
         or _replace_unknown_key(word, invalid.missing)
     )
-    return "unknown key", "one of " + list_candidates(word, fields, _help_command(schema)), hint
+    return "unknown key", "one of " + list_candidates(word, fields, _get_help_command(schema)), hint
 
 
 def _explain_missing_key(invalid: _InvalidValue) -> Explanation:
@@ -321,7 +321,7 @@ def _explain_choice(invalid: _InvalidValue) -> Explanation:
         hint = f"write  {key} = {vector}"
     example = f'"{choices[0]}"'
     hint = hint or f"for example  {invalid.write_assignment(example)}"
-    listed = list_candidates(invalid.value, choices, _help_command(invalid.schema))
+    listed = list_candidates(invalid.value, choices, _get_help_command(invalid.schema))
     return "this value is not one of the choices", f"one of {listed}", hint
 
 
@@ -539,7 +539,7 @@ def _find_unit(schema: type[BaseModel], path: KeyPath) -> str | None:
     return None if field is None else find_unit(field)
 
 
-def _help_command(schema: type[BaseModel]) -> str | None:
+def _get_help_command(schema: type[BaseModel]) -> str | None:
     """Return the command or the document that lists all keys of a table."""
     return getattr(schema, "help_command", None)
 

@@ -207,9 +207,9 @@ class SecondOrderBody:
 
     @property
     def states(self) -> tuple[str, ...]:
-        """Names of the ports whose flow is a state, which is an unknown of the equations.
+        """Names of the ports whose force or heat flow is an unknown of the equations.
 
-        The flow is a state at heat ports, and at mechanical ports with a nonzero row of D.
+        The flow is an unknown at heat ports, and at mechanical ports with a nonzero row of D.
         """
         pairs = zip(self.ports, self.model.D, strict=True)
         return tuple(
@@ -220,7 +220,7 @@ class SecondOrderBody:
 
     @property
     def state_scales(self) -> tuple[float, ...]:
-        """Typical magnitude of each state, by which the error of the state is divided."""
+        """Typical magnitude of each state, which scales its integration error."""
         return (1e-3,) * len(self.states)
 
 
@@ -326,21 +326,28 @@ class Device(ABC):
     @property
     @abstractmethod
     def pins(self) -> tuple[LawPin, ...]:
-        """All pins of the device."""
+        """Pins of the device."""
 
     @property
     @abstractmethod
     def across_inputs(self) -> tuple[AcrossInput, ...]:
-        """Across quantities, and rates of across quantities, that are inputs of the law."""
+        """Inputs of the device: across quantities, such as voltages, and their rates.
+
+        An across quantity is a voltage, displacement, angle, temperature or pressure. Inputs on
+        signal pins are the values of the signals.
+        """
 
     @property
     def flows(self) -> tuple[Flow, ...]:
-        """Through quantities (force, current, heat flow) at the pins of the device."""
+        """Through quantities at the pins, such as forces, currents and heat flows."""
         return ()
 
     @property
     def storing_flow_indices(self) -> tuple[int, ...]:
-        """Indices of the flows that include the rate of a stored charge or momentum."""
+        """Indices of the flows that include the time derivative of a stored quantity.
+
+        The stored quantity is, for example, a charge or a momentum.
+        """
         return ()
 
     @property
@@ -350,12 +357,15 @@ class Device(ABC):
 
     @property
     def prescribed_signals(self) -> tuple[str, ...]:
-        """Names of the signal pins that the device sets."""
+        """Names of the signal pins whose values the device sets."""
         return ()
 
     @property
     def state_scales(self) -> tuple[float, ...]:
-        """Typical magnitude [A or N] of each state, by which its error is divided."""
+        """Typical magnitude of each state, which scales its integration error.
+
+        The error of a state is divided by its typical magnitude, by default 1e-3 in SI units.
+        """
         return (1e-3,) * len(self.states)
 
     @property
@@ -364,7 +374,7 @@ class Device(ABC):
         return False
 
     @property
-    def linear(self) -> bool:
+    def is_linear(self) -> bool:
         """Whether the device is linear: one mode, with affine outputs and affine storage.
 
         The energy and the loss of a linear device are quadratic functions of its inputs.
@@ -410,7 +420,9 @@ class Device(ABC):
         """
         return self.evaluate(e, mode)[1], self.evaluate_storage(e, mode)[1]
 
-    def noise(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray] | None:
+    def compute_noise_weights(
+        self, s: complex, e: np.ndarray, mode: Any
+    ) -> tuple[np.ndarray, np.ndarray] | None:
         """Compute how strongly each noise source acts on outputs and stored quantities.
 
         The first returned array has one row for each output, and the second array one row for each
@@ -524,22 +536,22 @@ class PortBody(Device):
 
     @property
     def across_inputs(self) -> tuple[AcrossInput, ...]:
-        """Across quantities that are inputs of the device."""
+        """Inputs of the device: across quantities at the ports, such as voltages."""
         return tuple(AcrossInput(port.name, port.ret) for port in self._load_ports)
 
     @property
     def flows(self) -> tuple[Flow, ...]:
-        """Through quantities at the pins of the device."""
+        """Through quantities at the pins, such as forces, currents and heat flows."""
         return tuple(Flow(port.name, port.ret) for port in self._flow_ports)
 
     @property
     def states(self) -> tuple[str, ...]:
-        """Names of the through quantities that are unknowns of the device."""
+        """Names of the states: the through quantities of ports, such as currents."""
         return tuple(f"{port.name}.through" for port in self._flow_ports)
 
     @property
     def prescribed_signals(self) -> tuple[str, ...]:
-        """Names of the signal pins that the body sets."""
+        """Names of the signal pins whose values the device sets."""
         return tuple(port.name for port in self.ports if port.kind == "output")
 
     @cached_property
@@ -623,7 +635,9 @@ class PortBody(Device):
         H = self.transfer(s) if s else self.static_relation.H
         return self._compute_slope(H), stored @ H @ load
 
-    def noise(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray] | None:
+    def compute_noise_weights(
+        self, s: complex, e: np.ndarray, mode: Any
+    ) -> tuple[np.ndarray, np.ndarray] | None:
         """Compute how strongly each thermal noise source acts on the outputs of the body.
 
         The noise density of the outputs is ``4 k T (Y + Y^H) / (2 |s|^2)`` with ``Y = s H(s)``. The
@@ -657,7 +671,7 @@ class SignalBlock(Device):
     outputs: tuple[str, ...]
     kind: str = "signal"  # kind of the input pins
 
-    linear = True
+    is_linear = True
 
     @property
     def pins(self) -> tuple[LawPin, ...]:
@@ -667,22 +681,22 @@ class SignalBlock(Device):
 
     @property
     def across_inputs(self) -> tuple[AcrossInput, ...]:
-        """Across quantities that are inputs of the block."""
+        """Inputs of the block: across quantities, such as voltages."""
         return tuple(map(AcrossInput, self.inputs))
 
     @property
     def states(self) -> tuple[str, ...]:
-        """Names of the block's states."""
+        """Names of the states of the device."""
         return tuple(map("x{}".format, range(len(self.A))))
 
     @property
     def state_scales(self) -> tuple[float, ...]:
-        """Typical magnitude of each state, by which the error of the state is divided."""
+        """Typical magnitude of each state, which scales its integration error."""
         return (1.0,) * len(self.A)
 
     @property
     def prescribed_signals(self) -> tuple[str, ...]:
-        """Names of the signal pins that the block sets."""
+        """Names of the signal pins whose values the device sets."""
         return self.outputs
 
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:

@@ -144,7 +144,9 @@ class Coenergy:
     terms: PiecewisePolynomial  # coefficients p, shape (..., 6)
 
     @cached_property
-    def slopes(self) -> tuple[PiecewisePolynomial, PiecewisePolynomial, PiecewisePolynomial]:
+    def coefficient_derivatives(
+        self,
+    ) -> tuple[PiecewisePolynomial, PiecewisePolynomial, PiecewisePolynomial]:
         """Coefficients of the coenergy, and their first and second derivatives by height."""
         first = self.terms.derivative()
         return self.terms, first, first.derivative()
@@ -164,13 +166,13 @@ class Coenergy:
                 where=where,
                 got=f"y = {float(y[outside].flat[0]):g} m",
                 expected=f"{low:g} to {high:g} m",
-                hint="lower y_min and raise y_max, or check the gains and the polarity",
+                hint="lower y_min and raise y_max, or check gains and polarity of the controller",
             )
         return y
 
     def force(self, y: Any, i1: Any, i2: Any) -> np.ndarray:
         """Compute the magnetic force [N] on the sphere from its height and both currents."""
-        slopes = self.slopes[1](self.require_height(y, "catch"))
+        slopes = self.coefficient_derivatives[1](self.require_height(y, "catch"))
         return np.asarray((slopes * compute_current_products(i1, i2)).sum(axis=-1))
 
     def compute_inductances(self, y: Any) -> np.ndarray:

@@ -25,9 +25,9 @@ def find_available_bytes(root: Path = Path("/")) -> float:
     system.
     """
     limits = [
-        *_free_memory_of_machine(root),
-        *_free_memory_of_control_groups(root),
-        *_free_memory_below_limits(root),
+        *_list_machine_memory(root),
+        *_list_cgroup_memory(root),
+        *_list_ulimit_memory(root),
     ]
     return max(min(limits), 0.0) if limits else _read_physical_memory()
 
@@ -37,14 +37,14 @@ def _read_physical_memory() -> float:
     return float(os.sysconf(PAGE_SIZE_NAME)) * os.sysconf("SC_PHYS_PAGES")
 
 
-def _free_memory_of_machine(root: Path) -> Iterator[float]:
+def _list_machine_memory(root: Path) -> Iterator[float]:
     """Yield the available memory of the machine [bytes], if the system reports it."""
     free = _read_field(root / "proc/meminfo", "MemAvailable:")
     if free is not None:
         yield 1024.0 * free
 
 
-def _free_memory_of_control_groups(root: Path) -> Iterator[float]:
+def _list_cgroup_memory(root: Path) -> Iterator[float]:
     """Yield the free memory [bytes] of each control group of this process.
 
     Reclaimable pages of the file cache count as free memory.
@@ -74,7 +74,7 @@ def _free_memory_of_control_groups(root: Path) -> Iterator[float]:
             yield limit - used + files
 
 
-def _free_memory_below_limits(root: Path) -> Iterator[float]:
+def _list_ulimit_memory(root: Path) -> Iterator[float]:
     """Yield the memory [bytes] that the limits of ``ulimit`` still permit.
 
     The limits apply to the address space and to the data segment.

@@ -54,7 +54,7 @@ def list_limited_errors(facts: Mapping[str, float]) -> Iterator[tuple[str, float
             yield item.description, error, item.warning_limit
 
 
-def select_mesh_values(facts: Mapping[str, float]) -> dict[str, float]:
+def select_mesh_errors(facts: Mapping[str, float]) -> dict[str, float]:
     """Select the estimated mesh errors from the ``facts`` of a model."""
     names = filter(facts.__contains__, map(MESH_ERROR_PREFIX.__add__, MESH_QUANTITIES))
     return {name: float(facts[name]) for name in names}

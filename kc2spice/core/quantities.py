@@ -92,7 +92,7 @@ def _parse_number_with_unit(si: str, value: object) -> float:
     return _parse_number(si, value)
 
 
-def _require_ring_radii(value: object) -> object:
+def _require_ring_choice(value: object) -> object:
     """Validate the choice of contact rings: ``needed``, ``all`` or a positive number.
 
     Any other value raises an error.
@@ -231,7 +231,7 @@ Slew = Annotated[float, si("V/s")]
 Ratio = Annotated[float, si("")]
 Count = Annotated[int, Strict()]
 Place = Annotated[float, PlainValidator(_parse_scale_position)]
-Rings = Annotated[Literal["needed", "all"] | int, BeforeValidator(_require_ring_radii)]
+Rings = Annotated[Literal["needed", "all"] | int, BeforeValidator(_require_ring_choice)]
 Mounting = Annotated[Literal["roller", "glued", "free"] | float, BeforeValidator(_parse_mounting)]
 GateLength = Annotated[float, BeforeValidator(partial(_parse_number_with_unit, "m"))]
 GateTime = Annotated[float, BeforeValidator(partial(_parse_number_with_unit, "s"))]

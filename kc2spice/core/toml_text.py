@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from typing import Any
+
+_BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")  # pattern of keys that TOML reads without quotes
 
 
 def format_toml(value: Any) -> str:
@@ -14,13 +17,18 @@ def format_toml(value: Any) -> str:
     '[[0, 0], ["1 ms", 5]]'
     """
     if isinstance(value, Mapping):
-        items = (f"{json.dumps(key)} = {format_toml(item)}" for key, item in value.items())
-        return "{" + ", ".join(items) + "}"
+        items = (f"{_format_key(key)} = {format_toml(item)}" for key, item in value.items())
+        return f"{{ {', '.join(items)} }}" if value else "{}"
     if hasattr(value, "tolist"):  # numpy arrays and numbers
         return format_toml(value.tolist())
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(map(format_toml, value)) + "]"
     return repr(value) if isinstance(value, float) else json.dumps(value, default=str)
+
+
+def _format_key(key: object) -> str:
+    """Format a key as TOML, without quotes if possible."""
+    return key if isinstance(key, str) and _BARE_KEY.fullmatch(key) else json.dumps(key)
 
 
 def display_text(value: Any) -> str:

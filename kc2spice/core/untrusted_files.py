@@ -352,7 +352,8 @@ def call_in_child(
                 total=MAX_RESULT_BYTES,
             )
         except (OSError, BadZipFile) as error:
-            raise ValueError(f"the output of the reader cannot be read: {error}") from None
+            text = f"the process that imports this file wrote damaged data: {error}"
+            raise ValueError(text) from None
 
 
 def _explain_exit(path: Path, code: int, memory: int) -> Exception:
@@ -361,7 +362,7 @@ def _explain_exit(path: Path, code: int, memory: int) -> Exception:
         kind, attributes = json.loads(path.read_bytes())
     except (OSError, ValueError):
         name = signal.strsignal(-code) if code < 0 else f"exit code {code}"
-        return ValueError(f"the file makes the reader crash ({name})")
+        return ValueError(f"the process that imports this file crashed ({name})")
     if kind == "MemoryError":
         return ValueError(f"the file needs more than {memory / 1e9:.0f} GB of memory")
     error_class = getattr(errors, kind, None)

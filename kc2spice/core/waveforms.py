@@ -313,14 +313,14 @@ class Waveform:
             return None
         (t0, v0), (t1, v1), *_, (t2, v2), (last, end) = self.points[:2] + self.points[-2:]
         if len(self.points) == 3 and self.period is not None:
-            rise = _format_difference(t0, t1)
+            rise = _round_difference(t0, t1)
             top = FLAT_TOP_RATIO * rise  # ngspice does not end a pulse of zero width
-            fall = _format_difference(t1, last) - top
+            fall = _round_difference(t1, last) - top
         elif len(self.points) == 4 and v0 == end and v1 == v2:
             rise, fall, top = (
-                _format_difference(t0, t1),
-                _format_difference(t2, last),
-                _format_difference(t1, t2),
+                _round_difference(t0, t1),
+                _round_difference(t2, last),
+                _round_difference(t1, t2),
             )
         else:
             return None
@@ -431,7 +431,7 @@ class RecordedWave(EqualByContent):
 Function = Waveform | RecordedWave
 
 
-def _format_difference(first: float, last: float) -> float:
+def _round_difference(first: float, last: float) -> float:
     """Return ``last - first``, rounded to as few digits as its rounding error permits."""
     exact = last - first
     slack = 2 * np.spacing(max(abs(first), abs(last)))

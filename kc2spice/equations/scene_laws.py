@@ -106,7 +106,7 @@ class SceneLaws:
         return tuple(filterfalse(self.equations.__contains__, self.parts_with_cards))
 
     @cached_property
-    def linear(self) -> bool:
+    def is_linear(self) -> bool:
         """Whether the equations of all parts are known and linear.
 
         Parts without netlist statements are ignored, because other parts copy these parts or
@@ -117,7 +117,9 @@ class SceneLaws:
         if not self.available_equations.keys() >= set(names):
             return False
         stated = chain.from_iterable(self.available_equations[name].laws for name in names)
-        return all(isinstance(law, SecondOrderBody | IdealSource) or law.linear for law in stated)
+        return all(
+            isinstance(law, SecondOrderBody | IdealSource) or law.is_linear for law in stated
+        )
 
     @cached_property
     def laws(self) -> dict[str, Law]:

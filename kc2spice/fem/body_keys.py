@@ -64,14 +64,16 @@ class DampingKeys(Section):
         None,
         gt=0,
         description=(
-            "Mechanical Q factor of the body, 1 / (2 * ratio), which can replace the key `ratio`"
+            "Mechanical Q factor of the body, 1 / (2 * ratio); can be stated instead of "
+            "the key `ratio`"
         ),
     )
     loss_factor: Ratio | None = Field(
         None,
         ge=0,
         description=(
-            "Mechanical loss factor of the body, 2 * ratio, which can replace the key `ratio`"
+            "Mechanical loss factor of the body, 2 * ratio; can be stated instead of the "
+            "key `ratio`"
         ),
     )
     per_material: bool = Field(

@@ -159,7 +159,7 @@ class FieldEquations:
     stretch: sparse.csr_array  # force = -1/2 a' stretch a with the unknowns a in the mover
 
     def solve(self, loads: np.ndarray) -> np.ndarray:
-        """Solve the field equations for several load vectors.
+        """Solve the magnetic field equations for several load vectors.
 
         The fields and the loads are arrays of shape (n, k).
 
@@ -442,7 +442,7 @@ def make_bore(
         hint = f'for example  y_max = "{1e3 * (most - pitch):.3g} mm"'
         if bottom <= floor + pitch:
             hint = f'for example  y_min = "{1e3 * (least + pitch):.3g} mm"'
-        problem = "the range of the sphere extends beyond the air cylinder"
+        problem = "the height range of the sphere extends beyond the air cylinder"
         got = f"{1e3 * lowest:.4g} mm to {1e3 * highest:.4g} mm"
         raise wrong("catch.y_min, catch.y_max", problem, got, expected, hint)
     size = radius / catch.refine

@@ -370,9 +370,7 @@ class MaterialTable(Section):
 
     like: str | None = Field(
         None,
-        description=(
-            "Name of a built-in material, whose properties apply where this table states no value"
-        ),
+        description="Name of a built-in material that supplies every value missing in this table",
     )
     density: Density = Field(gt=0, description="Mass density of the material")
     symmetry: Symmetry | None = Field(
@@ -461,8 +459,8 @@ class MaterialTable(Section):
     residual_stress: tuple[Pressure, Pressure, Pressure] | None = Field(
         None,
         description=(
-            "Residual normal stresses of the body at rest along x, y and z, in equilibrium "
-            "with the forces of its supports"
+            "Residual normal stresses along x, y and z in the body at rest; the forces of "
+            "the supports balance these stresses"
         ),
     )
     source: str = Field(

@@ -254,7 +254,7 @@ def _select_entities(
             "this group selects no part of the mesh",
             where=f"groups.{name}",
             expected=expected,
-            hint=f"enlarge the box of groups.{name}, which is in the unit of the file",
+            hint=f"enlarge the box of groups.{name}, with coordinates in the unit of the file",
         )
     return sorted(set(map(int, result)))
 

@@ -352,10 +352,10 @@ def find_edge_nodes(mesh: Mesh, pairs: np.ndarray) -> np.ndarray:
     ``pairs`` has the shape (k, 2), and the returned array has the shape (k,).
     """
     edges = mesh.edges if mesh.dim() == 3 else mesh.facets
-    return mesh.nvertices + find_columns(edges, pairs)
+    return mesh.nvertices + find_entities_by_corners(edges, pairs)
 
 
-def find_columns(entities: np.ndarray, corners: np.ndarray) -> np.ndarray:
+def find_entities_by_corners(entities: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """Find edges or faces by the numbers of their corners, in any order.
 
     Each column of ``entities`` (c, n) contains the c corners of an edge or face. Each row of

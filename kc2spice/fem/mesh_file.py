@@ -33,8 +33,8 @@ from kc2spice.core.untrusted_files import call_in_child, read_bounded
 from kc2spice.fem.mesh_cells import (
     CellBlock,
     divide_faces,
-    find_columns,
     find_edge_nodes,
+    find_entities_by_corners,
     is_product_mesh,
     make_quadratic_mesh,
     reject_folded_elements,
@@ -409,7 +409,7 @@ def _assemble_mesh(
         elif d == dimension - 1:
             if d == 2 and not is_product_mesh(blocks):
                 members = divide_faces(members)
-            facets = find_columns(mesh.facets, number[members])
+            facets = find_entities_by_corners(mesh.facets, number[members])
             groups[name] = Group(1, np.unique(_require_entities_on_body(facets, name)))
         else:
             ends = _require_entities_on_body(number[members], name)

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from kc2spice.core.errors import UsageError, wrong
-from kc2spice.core.extras import import_optional
+from kc2spice.core.optional_libraries import import_optional
 from kc2spice.fem.mesh_cells import ELEMENT_FACES
 
 # Reader module of meshio, and the additional library that this reader needs, keyed by file suffix.
@@ -114,14 +114,16 @@ def reject_unsupported_content(suffix: str, data: bytes, where: str) -> None:
     for line, hint in _list_ignored_lines(reader, data):
         got = line.decode(errors="replace").strip()[:MAX_QUOTE_LENGTH]
         expected = "nodes and elements of one body in cartesian coordinates"
-        raise wrong(where, "the file moves or generates parts of the mesh", got, expected, hint)
+        problem = "the file contains a command that moves or generates parts of the mesh"
+        raise wrong(where, problem, got, expected, hint)
     if reader == "abaqus":
         names = list(map(_ELEMENT_SET_NAME.search, _ELEMENT_LINE.findall(data)))
         sets = [name[1].upper() for name in names if name]
         if sets and (len(sets) < len(names) or len(set(sets)) < len(sets)):
-            expected = "another ELSET for each *ELEMENT line, or none"
-            hint = "name the sets by *ELSET lines"
-            raise wrong(where, "element sets cannot be assigned", None, expected, hint)
+            problem = "some *ELEMENT lines have no element set of their own"
+            expected = "a different ELSET in each *ELEMENT line, or no ELSET in any of these lines"
+            hint = "delete ELSET from the *ELEMENT lines, and define the sets by *ELSET lines"
+            raise wrong(where, problem, None, expected, hint)
 
 
 def _list_ignored_lines(reader: str, data: bytes) -> Iterator[tuple[bytes, str]]:
@@ -425,7 +427,7 @@ def _order_nodes(
     far = np.flatnonzero(bulge > MAX_BULGE * longest)
     if far.size:
         got = f"{far.size} of {len(nodes)} elements of {nodes.shape[1]} nodes"
-        expected = "nodes in the middle of edges near these edges, behind the nodes at corners"
+        expected = "for each element its corner nodes, then mid-edge nodes close to the edges"
         hint = "write the mesh with the corners of each element first, or with straight edges"
-        raise wrong("mesh", "nodes on edges are far from their edges", got, expected, hint)
+        raise wrong("mesh", "mid-edge nodes are far from their edges", got, expected, hint)
     return np.column_stack([nodes[:, :corners], extra[:, order]])

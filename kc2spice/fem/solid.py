@@ -101,8 +101,9 @@ class Solid:
                 raise wrong(None, problem, material.name, "a poling in the plane of the mesh", hint)
             if material.local_axes is None and not material.is_isotropic_about_z:
                 problem = "an axisymmetric body needs materials that are isotropic about its axis"
-                hint = 'use a mesh in three dimensions (part = "body"), or give the average in the '
-                hint += 'plane; poling = { GROUP = "radial" } is that of a ring poled radially'
+                hint = 'use a mesh in three dimensions (part = "body"), or enter constants '
+                hint += "averaged in the plane; for a ring with radial poling, write  "
+                hint += 'poling = { GROUP = "radial" }'
                 raise wrong(None, problem, material.name, hint=hint)
         if self.axisymmetric and self.mesh.p[0].min() < -1e-9 * np.ptp(self.mesh.p):
             problem = "the axisymmetric mesh crosses the axis"
@@ -164,9 +165,9 @@ class Solid:
 
     @cached_property
     def _dofs(self) -> skfem.Dofs | None:
-        """scikit-fem degrees of freedom with changed node numbers; None if unchanged.
+        """scikit-fem degrees of freedom with the node numbers :attr:`numbers`, or None.
 
-        The node numbers are ``numbers``.
+        The value is None if ``numbers`` is None; scikit-fem then numbers the nodes.
         """
         if self.numbers is None:
             return None

@@ -60,9 +60,7 @@ class ThermalMaterialTable(Section):
 
     like: str | None = Field(
         None,
-        description=(
-            "Name of a built-in material, whose properties apply where this table states no value"
-        ),
+        description="Name of a built-in material that supplies every value missing in this table",
     )
     density: Density = Field(gt=0, description="Mass density of the material")
     specific_heat: SpecificHeat = Field(gt=0, description="Specific heat capacity of the material")

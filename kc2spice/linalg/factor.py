@@ -200,7 +200,7 @@ def factorise_supernodal(
         raise RuntimeError("not positive definite") from None
 
     def solve(rhs: np.ndarray) -> np.ndarray:
-        """Solve for one or several right-hand sides with the Cholesky factor."""
+        """Solve ``A x = rhs`` for one (n,) or several (n, k) right-hand sides."""
         x = cvxopt.matrix(np.asarray(rhs, dtype=float).reshape(len(rhs), -1))
         cvxopt.cholmod.solve(factor, x)
         return np.array(x).reshape(rhs.shape)
@@ -374,7 +374,7 @@ def _factorise_lu(matrix: scipy.sparse.csc_array, symmetric: bool) -> tuple[Inve
     )
 
     def solve(rhs: np.ndarray, trans: str) -> np.ndarray:
-        """Solve for right-hand sides with the LU factors."""
+        """Solve ``A x = rhs``, or with ``trans = "T"`` the transposed equations."""
         rhs = np.asarray(rhs).astype(matrix.dtype, casting="safe")
         if order is None:
             return np.asarray(lu.solve(rhs, trans))

@@ -20,7 +20,7 @@ import numpy as np
 import scipy
 
 from kc2spice.core.errors import MissingToolError
-from kc2spice.core.extras import OPTIONAL_LIBRARIES
+from kc2spice.core.optional_libraries import OPTIONAL_LIBRARIES
 
 # Codes of PARDISO for symmetric matrices. The key states whether the matrix is complex.
 # PARDISO reads only the upper triangle of a symmetric matrix.
@@ -93,7 +93,7 @@ class Pardiso:
         self.negative_eigenvalues = int(self._settings[NEGATIVE]) if signs_known else None
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
-        """Return ``A^-1 rhs`` for right-hand sides (n, k)."""
+        """Solve ``A x = rhs`` for right-hand sides (n, k)."""
         return self._run_phase(SOLVE, rhs)
 
     def _run_phase(self, phase: int, rhs: np.ndarray) -> np.ndarray:

@@ -103,7 +103,7 @@ class QuasiDefiniteFactor:
                 updates[node.parent].append((node.rows, remainder))
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
-        """Return the solution for one (n,) or several (n, k) right-hand sides."""
+        """Solve ``A x = rhs`` for one (n,) or several (n, k) right-hand sides."""
         x = np.asarray(rhs, dtype=float).reshape(len(rhs), -1)[self._order]
         steps = list(zip(self._supernodes, self._panels, strict=True))
         for node, panel in steps:

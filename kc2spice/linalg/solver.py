@@ -29,7 +29,10 @@ class Factorisation(Protocol):
     """
 
     def solve(self, rhs: np.ndarray, /) -> np.ndarray:
-        """Return ``A^-1 rhs`` (n, k) for a dense ``rhs`` (n, k) with the data type of A."""
+        """Solve ``A x = rhs`` for right-hand sides (n, k).
+
+        ``rhs`` is a dense array with the data type of A.
+        """
         ...
 
 

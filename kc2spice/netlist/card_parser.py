@@ -32,7 +32,7 @@ from kc2spice.netlist.circuit import (
     ModelCard,
     Parameters,
 )
-from kc2spice.netlist.expression import literal_value
+from kc2spice.netlist.expression import parse_literal
 
 _LAW_KEYWORDS = ("value", "vol", "cur", "table", "poly", "laplace")
 
@@ -406,7 +406,7 @@ def _read_table(text: str, where: str) -> str:
     """Return the table ``{expression} = (x, y) …`` as a piecewise linear function."""
     control, _, rest = text.lstrip("{").partition("}")
     points = rest.translate(str.maketrans("(),=", "    ")).split()
-    ends = [literal_value(points[k], where=where) for k in (0, -2)] if len(points) > 1 else [None]
+    ends = [parse_literal(points[k], where=where) for k in (0, -2)] if len(points) > 1 else [None]
     if None in ends or len(points) % 2:
         return ""
     first, last = float(ends[0] or 0.0), float(ends[1] or 0.0)

@@ -135,7 +135,7 @@ class Element(Card):
 
     @cached_property
     def law(self) -> Tree:
-        """Expression tree of the voltage or current of a behavioural source.
+        """Expression of a behavioural source's voltage or current, as a tree.
 
         Raises
         ------
@@ -212,7 +212,7 @@ class Circuit(Card):
 
     @property
     def subcircuits(self) -> tuple[Circuit, ...]:
-        """Subcircuits that are defined directly in this circuit."""
+        """Subcircuits defined at the top level of this circuit, without nested ones."""
         return select_items(self.items, Circuit)
 
     def map_items(self, change: Callable[[Item], Item]) -> Circuit:

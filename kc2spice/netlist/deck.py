@@ -12,12 +12,12 @@ from typing import Any
 
 from kc2spice.core.domains import describe_units
 from kc2spice.core.errors import UsageError
+from kc2spice.netlist.card_parser import OPTION_CARDS, read_cards
 from kc2spice.netlist.circuit import Circuit, Directive, Element, Item, select_items
-from kc2spice.netlist.expression import literal_value, split_terms
+from kc2spice.netlist.expression import parse_literal, split_terms
 from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.powers import PowerTerm
 from kc2spice.netlist.printers.ngspice import Printer, locate_cards
-from kc2spice.netlist.read import OPTION_CARDS, read_cards
 from kc2spice.netlist.scope import Scope
 from kc2spice.netlist.scope import build_scope as scoped
 from kc2spice.netlist.shared_cards import Line, attach_comments
@@ -46,7 +46,7 @@ class Option:
 
     @property
     def card(self) -> Directive:
-        """``.options`` card with the reason in a comment above the card."""
+        """``.options`` card of the option, below a comment with the reason."""
         word = f"{self.key}={self.text}" if self.text else self.key
         return Directive(
             ".options", (word,), notes=(f"* {self.key}: {format_comment(self.reason)}",)
@@ -70,7 +70,7 @@ class AnalysisCommand:
 
     @property
     def card(self) -> str:
-        """Text of the analysis card."""
+        """Text of the analysis card, such as ``.tran``."""
         return self.directive.text
 
     @property
@@ -94,7 +94,7 @@ class MeasureCard:
 
     @property
     def cards(self) -> Iterator[Directive]:
-        """Card of the measurement, and if necessary a card that converts to SI units."""
+        """``.meas`` card, followed if necessary by a card that converts to SI units."""
         if self.kind == "op":
             return
         if self.factor == 1.0:
@@ -245,7 +245,7 @@ class Deck:
     def files(self) -> dict[str, str]:
         """Texts of the deck file and of its libraries, keyed by file name."""
         libraries = dict(map(attrgetter("filename", "text"), self.parts))
-        return {self.main_file_name: self._print_main} | libraries | dict(self.more)
+        return {self.main_file_name: self._main_file_text} | libraries | dict(self.more)
 
     @cached_property
     def circuit(self) -> Circuit:
@@ -257,7 +257,7 @@ class Deck:
         """
         if self.text is None:
             return self.add_usage_comment(*self._usage_comment)
-        return _insert_cards(self._parse_text, [*self._option_cards, *self._refinement_cards])
+        return _insert_cards(self._parsed_text, [*self._option_cards, *self._refinement_cards])
 
     @cached_property
     def trees(self) -> dict[str, Circuit]:
@@ -292,12 +292,12 @@ class Deck:
         return scoped(self.circuit, self.trees, self.main_file_name)
 
     @cached_property
-    def _parse_text(self) -> Circuit:
+    def _parsed_text(self) -> Circuit:
         """Syntax tree of the netlist text that the user has written."""
         return self.tree or read_cards(self.text or "", self.main_file_name, title=True)
 
     @cached_property
-    def _print_main(self) -> str:
+    def _main_file_text(self) -> str:
         """Text of the deck's main file."""
         if self.text is not None and not self.options and not self.refinements:
             return self.text
@@ -397,18 +397,18 @@ class Deck:
         """Return the deck with another analysis, without refinements."""
         if self.text is None:
             return replace(self, command=command, refinements=())
-        items = self._parse_text.items
+        items = self._parsed_text.items
         at = _find_analysis(items)
         if at is None:
             return self
         analysis = replace(command.directive, notes=items[at].notes)
-        tree = replace(self._parse_text, items=(*items[:at], analysis, *items[at + 1 :]))
+        tree = replace(self._parsed_text, items=(*items[:at], analysis, *items[at + 1 :]))
         return self._replace_tree(tree, command=command, refinements=())
 
     def read_option(self, key: str, default: float) -> float:
         """Return the value of a numeric option, which may be written with a scale factor."""
         text = self.find_option_text(key)
-        value = literal_value(text, where=self.main_file_name) if text else None
+        value = parse_literal(text, where=self.main_file_name) if text else None
         return default if value is None else value
 
     @property
@@ -434,10 +434,10 @@ class Deck:
     def with_results(self, vectors: Mapping[str, tuple[str, float]]) -> Deck:
         """Return the deck with additional saved results."""
         result = replace(self, vectors={**self.vectors, **vectors})
-        if self.text is None or ".save" not in map(_get_keyword, self._parse_text.items):
+        if self.text is None or ".save" not in map(_get_keyword, self._parsed_text.items):
             return result
         card = Directive(".save", tuple(map(itemgetter(0), vectors.values())))
-        return result._replace_tree(_insert_cards(self._parse_text, [card]))
+        return result._replace_tree(_insert_cards(self._parsed_text, [card]))
 
     def _replace_tree(self, tree: Circuit, **changes: Any) -> Deck:
         """Return the deck with another syntax tree of its main file."""

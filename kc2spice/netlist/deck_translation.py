@@ -17,7 +17,7 @@ from kc2spice.netlist.printers.dialect_registry import (
 )
 from kc2spice.netlist.printers.kicad import make_project
 from kc2spice.netlist.printers.ngspice import locate_cards
-from kc2spice.netlist.printers.verilog_a import make_testbench, print_module
+from kc2spice.netlist.printers.verilog_a import format_module, make_testbench
 
 
 def translate_deck(deck: Deck, dialect: str) -> Deck:
@@ -64,7 +64,7 @@ def write_dialect_files(deck: Deck, dialect: str) -> dict[str, str]:
     modules: list[Subcircuit] = []
     for part in deck.parts:
         try:
-            files |= print_module(part)
+            files |= format_module(part)
             modules.append(part)
         except UsageError as error:
             left_out.append(error)

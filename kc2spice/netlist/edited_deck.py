@@ -15,9 +15,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from kc2spice.core.errors import MAX_CANDIDATES, UsageError
+from kc2spice.netlist.card_parser import Statement, build_tree
 from kc2spice.netlist.circuit import Element
 from kc2spice.netlist.deck import AnalysisCommand, Deck
-from kc2spice.netlist.expression import Trace, literal_value, parse_vector
+from kc2spice.netlist.expression import Trace, parse_literal, parse_vector
 from kc2spice.netlist.include_scan import (
     ANALYSES,
     PRINT_OPTIONS,
@@ -26,7 +27,6 @@ from kc2spice.netlist.include_scan import (
     reject_side_effects,
 )
 from kc2spice.netlist.printers.ngspice import Printer
-from kc2spice.netlist.read import Statement, build_tree
 from kc2spice.netlist.scope import Scope, has_vector
 
 
@@ -202,7 +202,7 @@ def _read_stop(original: Deck, analysis: Statement) -> float | None:
     if original.stop is None:
         return None
     words = analysis.words[1:]
-    stop = literal_value(words[1], where=analysis.where) if len(words) > 1 else None
+    stop = parse_literal(words[1], where=analysis.where) if len(words) > 1 else None
     if stop is None:
         message, got = "the end of the transient is not a number", " ".join(words)
         raise UsageError(message, where=analysis.where, got=got)
@@ -214,7 +214,7 @@ def _read_max_step(original: Deck, analysis: Statement) -> float | None:
     words = analysis.words[1:]
     if original.stop is None or len(words) < 4:
         return None
-    return literal_value(words[3], where=analysis.where)
+    return parse_literal(words[3], where=analysis.where)
 
 
 def _require_results(before: Scope, edited: Deck, path: Path, scene_name: str) -> None:
@@ -290,7 +290,7 @@ def _compare_options(
 
     def parse_value(text: str | None) -> float | str | None:
         """Return the value of an option as a number, or otherwise as text."""
-        number = literal_value(text) if text else None
+        number = parse_literal(text) if text else None
         return text if number is None else number
 
     changes = {}
@@ -366,7 +366,7 @@ def _compare_parameters(
 
     def parse_number(text: str | None) -> float:
         """Return the numeric value of a parameter; NaN for an expression."""
-        number = None if text is None else literal_value(text)
+        number = None if text is None else parse_literal(text)
         return math.nan if number is None else number
 
     for name in before.keys() | now.keys():

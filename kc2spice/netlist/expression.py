@@ -120,7 +120,7 @@ def parse_expression(text: str, *, where: str = "expression") -> Tree:
     return _Parser(text.strip().strip("'\""), where).parse_complete_text()
 
 
-def literal_value(text: str, *, where: str = "expression") -> float | None:
+def parse_literal(text: str, *, where: str = "expression") -> float | None:
     """Return the value of a text that is one number, such as ``4.7k``; otherwise None.
 
     The result is None for any other expression.

@@ -1,10 +1,10 @@
 """Translation of LTspice and PSpice subcircuits to equivalent ngspice subcircuits.
 
-Input and output are syntax trees from :mod:`kc2spice.netlist.read`. Each element, function or
-operator that ngspice lacks or interprets differently is replaced by an equivalent. An error states
-the line of each construct without an equivalent, and the reason. Sources: the help pages of LTspice
-on circuit elements, and for the ideal diode the comparison with LTspice in the documentation of
-SpiceSharpParser (article *LTspice-Style Ideal Diode*).
+Input and output are syntax trees from :mod:`kc2spice.netlist.card_parser`. Each element, function
+or operator that ngspice lacks or interprets differently is replaced by an equivalent. An error
+states the line of each construct without an equivalent, and the reason. Sources: the help pages of
+LTspice on circuit elements, and for the ideal diode the comparison with LTspice in the
+documentation of SpiceSharpParser (article *LTspice-Style Ideal Diode*).
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from itertools import pairwise
 from textwrap import shorten
 from typing import Literal
 
+from kc2spice.netlist.card_parser import LAPLACE_HINT
 from kc2spice.netlist.circuit import (
     Card,
     Circuit,
@@ -36,11 +37,10 @@ from kc2spice.netlist.expression import (
     Number,
     Tree,
     UnaryOperation,
-    literal_value,
     map_operands,
     parse_expression,
+    parse_literal,
 )
-from kc2spice.netlist.read import LAPLACE_HINT
 from kc2spice.netlist.spelling import split_infix_unit
 
 # Ohm, series resistance of an uncoupled inductor without the setting ``Rser`` (LTspice help, L)
@@ -106,7 +106,7 @@ def translate_circuit(circuit: Circuit, syntax: Syntax) -> Circuit:
 
     Examples
     --------
-    >>> from kc2spice.netlist.read import LAPLACE_HINT, read_cards
+    >>> from kc2spice.netlist.card_parser import LAPLACE_HINT, read_cards
     >>> text = ".subckt p a b\\nC1 a b 10n Rser=0.1\\nB1 a b I=if(V(a,b)>1, 1m, 0)\\n.ends"
     >>> for item in translate_circuit(read_cards(text, "p.lib"), "ltspice").subcircuits[0].items:
     ...     print(item.name, *item.nodes, *(item.values or [item.expression]))
@@ -306,7 +306,7 @@ class _CircuitTranslator:
         models = filter(None, (self.models.get(name.lower()) for name in names))
         for model in map(_get_model_parameters, models):
             if "t_abs" in model and self.syntax == "pspice":
-                is_cold = element.kind == "r" and literal_value(model["t_abs"]) == ABSOLUTE_ZERO
+                is_cold = element.kind == "r" and parse_literal(model["t_abs"]) == ABSOLUTE_ZERO
                 setting = {"noisy": "0"} if is_cold else {"temp": model["t_abs"]}
                 return replace(element, parameters={**element.parameters, **setting})
         return element
@@ -434,7 +434,7 @@ def _expand_parasitics(
 
 def _is_zero(text: str) -> bool:
     """Return whether a text is the number zero."""
-    return literal_value(text) == 0
+    return parse_literal(text) == 0
 
 
 def _translate_ideal_diode(element: Element, model: Mapping[str, str]) -> Element:
@@ -545,7 +545,7 @@ def _require_simple_switch(model: ModelCard) -> None:
     """Reject settings of a switch model that have no equivalent in ngspice."""
     words = _get_model_parameters(model)
     name = "vh" if model.type.lower() == "sw" else "ih"
-    width = literal_value(words.get(name, "0"), where=model.where)
+    width = parse_literal(words.get(name, "0"), where=model.where)
     if width is not None and width < 0:
         got = f"{name}={words[name]}"
         raise model.make_error(

@@ -30,14 +30,14 @@ from kc2spice.core.untrusted_files import (
     make_plain_name,
     read_bounded,
 )
-from kc2spice.netlist.expression import BUILT_IN_NAMES, FUNCTIONS
-from kc2spice.netlist.read import (
+from kc2spice.netlist.card_parser import (
     LAPLACE_HINT,
     OPTION_CARDS,
     Statement,
     split_comment,
     split_statements,
 )
+from kc2spice.netlist.expression import BUILT_IN_NAMES, FUNCTIONS
 from kc2spice.netlist.spelling import format_comment
 
 # largest number of bytes in a file, and of characters in the merged text
@@ -72,7 +72,10 @@ class FlatCircuit:
         return "\n".join(map(attrgetter("text"), self.lines))
 
     def cards(self, *, title: bool = False) -> Iterator[Statement]:
-        """Yield the cards, each on one line, with the position ``file:line`` of each card."""
+        """Yield the cards of the circuit, each with its position ``file:line``.
+
+        Each card is on one line, without continuation lines.
+        """
         for card in split_statements(self.text, "", title=title):
             if card.written:
                 yield replace(card, where=self.lines[card.line - 1].where)

@@ -17,6 +17,7 @@ from kc2spice.core import __version__
 from kc2spice.core.errors import UsageError
 from kc2spice.core.files import suggest_file
 from kc2spice.core.untrusted_files import decode_text, read_bounded
+from kc2spice.netlist.card_parser import read_cards
 from kc2spice.netlist.circuit import (
     Circuit,
     Element,
@@ -25,10 +26,9 @@ from kc2spice.netlist.circuit import (
     make_electrical_pins,
     select_items,
 )
-from kc2spice.netlist.expression import literal_value
+from kc2spice.netlist.expression import parse_literal
 from kc2spice.netlist.prefixes import format_with_prefix
 from kc2spice.netlist.printers.ngspice import Printer, locate_cards
-from kc2spice.netlist.read import read_cards
 from kc2spice.netlist.spelling import format_comment, format_number, require_word
 from kc2spice.netlist.spelling import require_name as checked_name
 
@@ -290,7 +290,7 @@ def _make_part(circuit: Circuit, library: Circuit, text: str, file: str) -> Subc
     heads = {m[1].lower(): m for m in map(_PARAMETER_LINE.match, join_comments(circuit.notes)) if m}
     params = []
     for name, default in circuit.defaults.items():
-        value, head = literal_value(default, where=circuit.where), heads.get(name.lower())
+        value, head = parse_literal(default, where=circuit.where), heads.get(name.lower())
         labels = (
             (head[3], head[6], float(head[4] or "-inf"), float(head[5] or "inf")) if head else ()
         )

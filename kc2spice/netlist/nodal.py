@@ -42,7 +42,7 @@ class NodalEquations:
     def solve(
         self, s: np.ndarray, loads: Sequence[Mapping[str, float]], answers: Sequence[str]
     ) -> np.ndarray:
-        """Solve for selected unknowns at complex frequencies and for several loads.
+        """Solve the nodal equations for selected unknowns, frequencies and loads.
 
         The result has the shape (len(s), len(answers), len(loads)); ``s`` contains complex
         frequencies. A load contains currents into nodes, keyed by node, and voltages of sources,

@@ -25,6 +25,8 @@ from kc2spice.netlist.expression import parse_vector
 
 GROUND_NAMES = frozenset({"0", "gnd", "!gnd"})
 INCLUDES = (".include", ".inc")
+# Number of nodes through which current flows, for elements whose other nodes are only sensed.
+_CONDUCTING_NODES = {"e": 2, "g": 2, "s": 2}
 
 
 @dataclass
@@ -193,6 +195,24 @@ def _has_node(top: Scope, *path: str) -> bool:
     """Return whether the circuit contains a node."""
     node, scope = path[-1], find_instance(top, path[:-1])
     return scope is not None and (node == "0" or node in scope.nodes)
+
+
+def conducts_to_ground(scope: Scope, enclosing: frozenset[str] = frozenset()) -> bool:
+    """Return whether an element of a subcircuit carries current into the global ground node.
+
+    Elements of nested instances are included. A control voltage relative to ground carries no
+    current. ``enclosing`` contains the positions of the subcircuits that contain the instance.
+    """
+    for element in scope.elements:
+        nodes = element.lower_case_nodes[: _CONDUCTING_NODES.get(element.kind)]
+        if not GROUND_NAMES.isdisjoint(nodes):
+            return True
+    inside = enclosing | {scope.where}
+    for element in scope.select_elements("x").values():
+        called = scope.find_subcircuit(element.model)
+        if called and called.where not in inside and conducts_to_ground(called, inside):
+            return True
+    return False
 
 
 def find_instance(top: Scope, path: tuple[str, ...]) -> Scope | None:

@@ -36,7 +36,7 @@ from kc2spice.physics.declaration import (
 )
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.physics.lookups import TableFunction
-from kc2spice.physics.symbolic import (
+from kc2spice.physics.symbolic_algebra import (
     SLOPE_SUFFIX,
     ZERO,
     differentiate_tree,
@@ -181,7 +181,7 @@ def tabulate_coenergy(table: MagnetostaticTable, points: int) -> dict[str, Table
     for order, end in enumerate(("", SLOPE_SUFFIX)):
         per = "/m" * order
         for k, (name, unit) in enumerate(zip(_TABLE_NAMES, _TABLE_UNITS, strict=True)):
-            function = partial(_evaluate_column, table.coenergy.slopes[order], k)
+            function = partial(_evaluate_column, table.coenergy.coefficient_derivatives[order], k)
             result[name + end] = TableFunction(low, high, points, function, unit + per)
     return result
 
@@ -217,7 +217,7 @@ def _make_table_functions(coenergy: Coenergy) -> Mapping[str, Callable[[float], 
     """
     result: dict[str, Callable[[float], float]] = {}
     for order, end in enumerate(_TABLE_SUFFIXES):
-        values = lru_cache(maxsize=1)(coenergy.slopes[order])
+        values = lru_cache(maxsize=1)(coenergy.coefficient_derivatives[order])
         for k, table in enumerate(_TABLE_NAMES):
             result[table + end] = partial(_evaluate_at_height, values, k)
     return result

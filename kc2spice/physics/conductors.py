@@ -37,8 +37,8 @@ class ConductorKeys(Section):
     reference_temperature: Annotated[float, si("K")] | None = Field(
         None,
         description=(
-            "Temperature at which the resistance has its stated value, as the temperature of "
-            "the pin `heat` above the pin `ambient`; by default 0 K"
+            "Temperature difference between the pins `heat` and `ambient` at which the "
+            "resistance has its stated value; by default 0 K"
         ),
     )
 

@@ -13,7 +13,7 @@ from kc2spice.core.quantities import Section
 from kc2spice.netlist.circuit import Param, make_positive_parameter
 from kc2spice.netlist.expression import ExpressionWriter, Name, Tree, substitute_names
 from kc2spice.physics.declaration import RATE, Declaration, displacement
-from kc2spice.physics.symbolic import (
+from kc2spice.physics.symbolic_algebra import (
     add_trees,
     differentiate_tree,
     divide_trees,

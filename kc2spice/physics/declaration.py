@@ -54,7 +54,7 @@ from kc2spice.netlist.expression import (
     substitute_names,
     walk_tree,
 )
-from kc2spice.physics.symbolic import (
+from kc2spice.physics.symbolic_algebra import (
     ZERO,
     add_trees,
     differentiate_tree,
@@ -133,7 +133,7 @@ class Branch:
 
     @property
     def pins(self) -> tuple[str, ...]:
-        """Names of the pins of the branch; a loop has no pins."""
+        """Names of the pins of the branch; a closed loop has no pins."""
         return tuple(filter(None, (self.plus, self.minus, self.less)))
 
     @property
@@ -424,7 +424,7 @@ class Declaration:
         variables = {b.lossy_variable for b in self.acting_branches}
         if tree != ZERO and not find_names(tree) & variables:
             raise UsageError(
-                "the content depends on no variable that causes losses",
+                "the dissipation function `content` depends on no rate, voltage or current",
                 where=self.name,
                 got=self.content,
                 expected=f"an expression of {' or '.join(sorted(variables))}",
@@ -759,7 +759,7 @@ class Declaration:
         ratio = parse_simplified(write_resistance_ratio())
         return (multiply_trees if branch.is_flow else divide_trees)(slope, ratio)
 
-    def direct_force_with_lags(self, branch: Branch) -> Tree:
+    def derive_force_with_lags(self, branch: Branch) -> Tree:
         """Return the direct force of a displacement branch in a netlist with lags.
 
         Coordinates with a lag already contain their rates. Therefore, zero replaces the rates of
@@ -894,7 +894,7 @@ class Declaration:
             ) from None
 
     @cached_property
-    def linear(self) -> bool:
+    def is_linear(self) -> bool:
         """Whether all flows are affine functions of coordinates, rates and states."""
         laws = [*map(self.substitute_signals, (*self.branch_laws, *self.state_rates.values()))]
         if any(map(find_kinks, laws)):
@@ -913,7 +913,7 @@ class Declaration:
         occurring = frozenset[str]().union(*map(find_names, trees))
         return tuple(b for b in self.branches if b.rate in occurring)
 
-    def values(self, keys: Section) -> dict[str, float]:
+    def compute_parameter_values(self, keys: Section) -> dict[str, float]:
         """Return the values of all parameters in SI units, for a part with ``keys``.
 
         The values are keyed by parameter name.

@@ -36,7 +36,7 @@ from kc2spice.netlist.spelling import LEAK_RATE, format_number
 from kc2spice.physics.declaration import TEMPERATURE, Branch, Declaration
 from kc2spice.physics.linkages import FluxLinkages, find_flux_linkages
 from kc2spice.physics.lookups import CELL_NODE, WEIGHT_NODE, Lookups, TableFunction, has_tables
-from kc2spice.physics.symbolic import (
+from kc2spice.physics.symbolic_algebra import (
     ONE,
     ZERO,
     add_trees,
@@ -120,7 +120,7 @@ def _write_items(
     """Yield the cards of a declaration, with comment lines before the cards."""
     for name, tree in declaration.constant_trees.items():
         yield Parameters({name: f"{{{format_tree(tree)}}}"})
-    nodes, rest = _list_variable_trees(declaration), reference_pin_name(declaration)
+    nodes, rest = _list_variable_trees(declaration), get_reference_pin_name(declaration)
     linkages = find_flux_linkages(declaration)
     lookups = Lookups(tables, _list_laws(declaration, linkages), rest)
     if lookups.argument:
@@ -206,7 +206,7 @@ def _list_laws(declaration: Declaration, linkages: FluxLinkages | None) -> tuple
                 where=declaration.name,
                 got=format_tree(tree),
             )
-    forces = map(declaration.direct_force_with_lags, declaration.displacement_branches)
+    forces = map(declaration.derive_force_with_lags, declaration.displacement_branches)
     return (*forces, *(linkages.motion_voltages if linkages else ()))
 
 
@@ -287,7 +287,7 @@ def _write_linkage(
     The text ``motion`` is the expression of the voltage that motion induces. The flux linkage is
     divided by the inductance ``henry`` [H].
     """
-    n, base, inner = b.name, reference_pin_name(declaration), f"rest_{b.name}"
+    n, base, inner = b.name, get_reference_pin_name(declaration), f"rest_{b.name}"
     drop = declaration.derive_direct_flow(b)
     resistance = differentiate_tree(drop, n)
     varying = find_names(resistance) & declaration.variables
@@ -419,7 +419,7 @@ def _list_variable_trees(declaration: Declaration) -> Mapping[str, Tree]:
     The keys are the names of coordinates, rates, states, signals and power series. The circuit
     variables are node voltages and source currents.
     """
-    rest = reference_pin_name(declaration)
+    rest = get_reference_pin_name(declaration)
     series = declaration.power_series.values()
     inner = {**dict(zip(series, series, strict=True)), **list_inner_nodes(declaration)}
     result: dict[str, Tree] = {n: CircuitVariable("v", (node, rest)) for n, node in inner.items()}
@@ -477,10 +477,10 @@ def _format_power_of_ten(value: float) -> Number:
 def _find_coordinate_nodes(declaration: Declaration, b: Branch) -> tuple[str, str]:
     """Return the two nodes whose voltage represents the coordinate of a branch."""
     separate = b.less or b.name in declaration.lags
-    return (f"x_{b.name}", reference_pin_name(declaration)) if separate else (b.plus, b.minus)
+    return (f"x_{b.name}", get_reference_pin_name(declaration)) if separate else (b.plus, b.minus)
 
 
-def reference_pin_name(declaration: Declaration) -> str:
+def get_reference_pin_name(declaration: Declaration) -> str:
     """Return the name of the reference pin for the voltages of loops and inner nodes."""
     pins = (b.minus for b in declaration.branches if b.is_motion)
     return declaration.base or next(pins, "") or declaration.pin_branches[0].minus
@@ -514,7 +514,7 @@ def _describe_time_integral(quantity: Quantity) -> tuple[str, str]:
 
 def _write_states(declaration: Declaration, nodes: Mapping[str, Tree]) -> Iterator[Line]:
     """Yield the cards of all signals, followed by the cards of all states."""
-    base = reference_pin_name(declaration)
+    base = get_reference_pin_name(declaration)
     for name, tree in declaration.signal_trees.items():
         yield f"*   {name} = {format_tree(tree)}"
         yield from _write_node(name, tree, nodes, base)
@@ -574,7 +574,7 @@ def _write_coordinate(declaration: Declaration, b: Branch) -> Iterator[Line]:
     the derivative x'. With the filter outputs ``first`` and ``second``, the voltage is ``x + 4 (2 x
     - first + second - first)``.
     """
-    n, base, lag = b.name, reference_pin_name(declaration), declaration.lags.get(b.name)
+    n, base, lag = b.name, get_reference_pin_name(declaration), declaration.lags.get(b.name)
     node = f"in_{n}" if lag else f"x_{n}"
     words = f" less {b.less}" * bool(b.less) + f" + {lag} times its rate" * bool(lag)
     yield _format_comment("place", b, node=f"x_{n}", words=words)
@@ -603,7 +603,7 @@ def _write_force(
     node, base = name_force_node(b), declaration.base or b.minus
     speeds = declaration.speeds
     high, low = speeds.get(b.plus, b.plus), speeds.get(b.minus, b.minus)
-    force = declaration.direct_force_with_lags(b)
+    force = declaration.derive_force_with_lags(b)
     metered = declaration.metered or b.less
     ends = (base, node) if metered else (high, low)
     across, through = b.domain.across, b.domain.through_variable
@@ -735,7 +735,7 @@ def _write_kink_switches(declaration: Declaration, nodes: Mapping[str, Tree]) ->
     moved = {b.name: b for b in declaration.displacement_branches}
     inner = {*declaration.states, *declaration.signals}
     flows = map(declaration.derive_direct_flow, declaration.branches_without_motion)
-    forces = map(declaration.direct_force_with_lags, declaration.displacement_branches)
+    forces = map(declaration.derive_force_with_lags, declaration.displacement_branches)
     laws = (*forces, *flows, *declaration.state_rates.values())
     result = []
     for argument in dict.fromkeys(chain.from_iterable(map(find_kinks, laws))):
@@ -743,9 +743,9 @@ def _write_kink_switches(declaration: Declaration, nodes: Mapping[str, Tree]) ->
         if inputs & inner or (len(inputs) == 1 and inputs <= set(moved)):
             result.append((argument, moved.get(next(iter(inputs)))))
     if declaration.stops:
-        yield from write_pivot_cards(reference_pin_name(declaration))
+        yield from write_pivot_cards(get_reference_pin_name(declaration))
     for k, (argument, b) in enumerate(result):
-        base = declaration.base or (b.minus if b else reference_pin_name(declaration))
+        base = declaration.base or (b.minus if b else get_reference_pin_name(declaration))
         yield f"* {_COMMENT_TEXTS['edge'].format(argument=format_tree(argument))}"
         yield f"* edge {k + 1}" if k else _KINK_SWITCH
         watched: Tree = BinaryOperation("*", Number("1e10"), substitute_names(argument, nodes))

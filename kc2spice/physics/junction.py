@@ -92,7 +92,10 @@ class Junction(Device):
 
     @property
     def pins(self) -> tuple[LawPin, ...]:
-        """Anode, cathode, and the inner node between the resistance and the junction."""
+        """Anode, cathode, and the inner node between series resistance and junction.
+
+        Without a series resistance, there is no inner node.
+        """
         ends = LawPin("anode", "electrical"), LawPin("cathode", "electrical", grounded=True)
         return (*ends, LawPin("inner", "electrical")) if self.series_resistance else ends
 
@@ -103,13 +106,13 @@ class Junction(Device):
 
     @property
     def across_inputs(self) -> tuple[AcrossInput, ...]:
-        """Voltages across the junction and across the resistance."""
+        """Inputs of the device: voltages across the junction and the series resistance."""
         junction = AcrossInput(self._positive_pin, "cathode")
         return (junction, AcrossInput("anode", "inner")) if self.series_resistance else (junction,)
 
     @property
     def flows(self) -> tuple[Flow, ...]:
-        """Currents through the junction and through the resistance."""
+        """Currents through the junction and through the series resistance."""
         junction = Flow(self._positive_pin, "cathode")
         return (junction, Flow("anode", "inner")) if self.series_resistance else (junction,)
 
@@ -237,7 +240,9 @@ class Junction(Device):
         """Return the power [W] that junction and resistance dissipate."""
         return float(e @ self.evaluate(e, mode)[0])
 
-    def noise(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
+    def compute_noise_weights(
+        self, s: complex, e: np.ndarray, mode: Any
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return the amplitudes of the shot noise and of the thermal noise.
 
         The shot noise has the spectral density ``2 q |i|``.

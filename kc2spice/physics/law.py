@@ -19,7 +19,7 @@ from kc2spice.core.laws import AcrossInput, Device, Flow, LawPin
 from kc2spice.core.naming import list_names
 from kc2spice.netlist.expression import Name, Number, Tree, substitute_names
 from kc2spice.physics.declaration import LOOPS, Branch, Declaration
-from kc2spice.physics.symbolic import (
+from kc2spice.physics.symbolic_algebra import (
     ZERO,
     add_trees,
     compile_function,
@@ -92,12 +92,12 @@ class DeclaredLaw(Device):
 
     @property
     def prescribed_signals(self) -> tuple[str, ...]:
-        """Names of the output pins, at which the law prescribes a signal."""
+        """Names of the signal pins whose values the device sets."""
         return tuple(self.declaration.outputs)
 
     @property
     def across_inputs(self) -> tuple[AcrossInput, ...]:
-        """Inputs of the law: quantities across pins, and rates of these quantities."""
+        """Inputs of the device: across quantities, such as voltages, and their rates."""
         d = self.declaration
         rates = map(partial(self._make_across_input, rate=True), d.branches_with_rate)
         return (*map(self._make_across_input, d.branches), *rates)
@@ -133,7 +133,7 @@ class DeclaredLaw(Device):
 
     @property
     def flows(self) -> tuple[Flow, ...]:
-        """Pins between which the flow of each acting branch passes.
+        """Flow of each acting branch, with the pins between which the flow passes.
 
         A branch with a flow through its pins is an acting branch.
         """
@@ -141,7 +141,10 @@ class DeclaredLaw(Device):
 
     @property
     def storing_flow_indices(self) -> tuple[int, ...]:
-        """Indices of the acting branches that store a charge or a momentum."""
+        """Indices of the flows that include the time derivative of a stored quantity.
+
+        These flows belong to the acting branches that store a charge or a momentum.
+        """
         return tuple(map(self.declaration.acting_branches.index, self._charged_branches))
 
     @cached_property
@@ -153,7 +156,7 @@ class DeclaredLaw(Device):
 
     @property
     def states(self) -> tuple[str, ...]:
-        """Names of the states: currents, followed by the states of the declaration."""
+        """Names of the states: flows of branches, then the states of the declaration."""
         return (*list_names(self._through_branches), *self.declaration.states)
 
     @property
@@ -181,9 +184,9 @@ class DeclaredLaw(Device):
         return not self.has_stored_quantities
 
     @property
-    def linear(self) -> bool:
+    def is_linear(self) -> bool:
         """Whether all equations of the declaration are linear."""
-        return self.declaration.linear
+        return self.declaration.is_linear
 
     @cached_property
     def _kink_arguments(self) -> tuple[Tree, ...]:
@@ -358,7 +361,9 @@ class DeclaredLaw(Device):
             map(self.declaration.derive_loss_coefficient, self.declaration.acting_branches)
         )
 
-    def noise(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray] | None:
+    def compute_noise_weights(
+        self, s: complex, e: np.ndarray, mode: Any
+    ) -> tuple[np.ndarray, np.ndarray] | None:
         """Return the amplitudes of the thermal noise of all branches with losses.
 
         The noise of a branch is a force, a current or a series voltage.
@@ -377,7 +382,7 @@ class DeclaredLaw(Device):
         for limit_name, value in zip(self.declaration.limit_trees, result, strict=True):
             if value <= 0.0:
                 raise SimulationError(
-                    f"{limit_name} is exceeded",
+                    f"the part leaves its valid range, limited by {limit_name}",
                     where=f"{self.name} at t = {t:.6e} s",
                     got=f"{self.declaration.limits[limit_name]} = {value:g}",
                     expected="a value above zero",

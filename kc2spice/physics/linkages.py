@@ -24,7 +24,7 @@ from kc2spice.core.naming import list_names
 from kc2spice.netlist.expression import Name, Tree, substitute_names
 from kc2spice.physics.declaration import Branch, Declaration
 from kc2spice.physics.lookups import Lookups, has_tables
-from kc2spice.physics.symbolic import (
+from kc2spice.physics.symbolic_algebra import (
     ZERO,
     add_trees,
     differentiate_tree,

@@ -28,7 +28,7 @@ from kc2spice.netlist.expression import (
     walk_tree,
 )
 from kc2spice.netlist.spelling import format_number
-from kc2spice.physics.symbolic import (
+from kc2spice.physics.symbolic_algebra import (
     ZERO,
     WeightedCalls,
     add_trees,
@@ -61,7 +61,7 @@ class TableFunction:
 
     @cached_property
     def values(self) -> np.ndarray:
-        """Values of the table at the equally spaced points."""
+        """Values of the table at equally spaced arguments."""
         return np.asarray(self.function(np.linspace(self.low, self.high, self.points)))
 
     @property

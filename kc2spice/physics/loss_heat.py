@@ -37,14 +37,14 @@ class LossHeatLaw(laws.Device):
 
     @property
     def pins(self) -> tuple[laws.LawPin, ...]:
-        """Pins of the displacement rates, and the pins ``heat`` and ``ambient``."""
+        """Pins whose displacement rates cause losses, and pins ``heat`` and ``ambient``."""
         rates = (laws.LawPin(pin, TRANSLATION.name) for pin in self.rate_pins)
         ends = laws.LawPin(HEAT, THERMAL.name), laws.LawPin(AMBIENT, THERMAL.name, grounded=True)
         return (*rates, *ends)
 
     @property
     def across_inputs(self) -> tuple[laws.AcrossInput, ...]:
-        """Displacement rates of modes with losses, and temperature of the pin ``heat``."""
+        """Inputs of the device: displacement rates of modes, and temperature of ``heat``."""
         rates = (laws.AcrossInput(pin, rate=True) for pin in self.rate_pins)
         return (*rates, laws.AcrossInput(HEAT, AMBIENT))
 

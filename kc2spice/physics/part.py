@@ -21,21 +21,26 @@ from kc2spice.netlist.expression import Tree
 from kc2spice.netlist.library import Subcircuit
 from kc2spice.netlist.spelling import format_comment, format_voltage, require_distinct
 from kc2spice.netlist.spelling import require_name as checked
-from kc2spice.physics.cards import (
+from kc2spice.physics.conductors import get_conductor_values, is_heated, list_useless_key_errors
+from kc2spice.physics.declaration import Branch, Declaration
+from kc2spice.physics.declaration_cards import (
     NO_TABLES,
     get_meter_name,
+    get_reference_pin_name,
     has_losses,
     list_inner_nodes,
     name_force_node,
-    reference_pin_name,
     write_subcircuit_items,
 )
-from kc2spice.physics.conductors import get_conductor_values, is_heated, list_useless_key_errors
-from kc2spice.physics.declaration import Branch, Declaration
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.physics.linkages import find_flux_linkages
 from kc2spice.physics.lookups import TableFunction
-from kc2spice.physics.symbolic import differentiate_tree, evaluate_tree, find_kinks, find_names
+from kc2spice.physics.symbolic_algebra import (
+    differentiate_tree,
+    evaluate_tree,
+    find_kinks,
+    find_names,
+)
 from kc2spice.scene.checks import Check, RunEnergyBalance
 from kc2spice.scene.keys import list_schema_keys
 from kc2spice.scene.model import (
@@ -151,13 +156,12 @@ class DeclaredPart(PartType[KeysT]):
         return tuple(d.speeds.get(b.plus, b.plus) for b in d.inertial_branches)
 
     def equilibrium_conditions(self, part: Part[KeysT], scene: WiredScene) -> EquilibriumConditions:
-        """Return the equilibrium conditions: paths along stiff branches and flow branches.
+        """Return the paths of steady flow along the branches of the declaration.
 
-        A branch determines the equilibrium if it has a stiffness at rest, or if its coordinate is a
-        flow.
+        A branch is a path if it has a stiffness at rest, or if its coordinate is a flow.
         """
         d = self.declare_part(part, scene)
-        values = d.values(part.keys)
+        values = d.compute_parameter_values(part.keys)
         stiff, flowing = [], []
         for b in d.branches:
             if b.domain.path_to_reference and b.is_flow:
@@ -175,19 +179,23 @@ class DeclaredPart(PartType[KeysT]):
     def subcircuits(
         self, part: Part[KeysT], build: BuiltScene, header: Header
     ) -> tuple[Subcircuit, ...]:
-        """Return the only subcircuit of the part, as a tuple of length 1."""
+        """Return the subcircuit of the part, as a tuple of length 1."""
         d, name = self.declare_built_part(part, build), build.libraries[part.name]
-        return (make_declared_subcircuit(header, name, d, d.values(part.keys), build.has_noise),)
+        return (
+            make_declared_subcircuit(
+                header, name, d, d.compute_parameter_values(part.keys), build.has_noise
+            ),
+        )
 
     def numerics(self, part: Part[KeysT], scene: WiredScene) -> Iterator[NumericalRequirements]:
-        """Yield a smaller Newton tolerance if the declaration is nonlinear."""
-        if not self.declare_part(part, scene).linear:
+        """Yield a requirement on the Newton tolerance if the declaration is nonlinear."""
+        if not self.declare_part(part, scene).is_linear:
             yield from list_newton_numerics(part, scene)
 
     # --- results ----------------------------------------------------------------------------------
 
     def vectors(self, part: Part[KeysT], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice vectors of the part's results, keyed by result name."""
+        """Return the ngspice expression of each result of the part, keyed by result name."""
         result, d = {}, self.declare_built_part(part, build)
         for b in d.branches:
             if b.plus and {_get_node_name(build, part, pin) for pin in (b.plus, b.minus)} != {"0"}:
@@ -199,7 +207,7 @@ class DeclaredPart(PartType[KeysT]):
                 speed = f"v(x{part.name}.speed_{b.name})".lower()
                 result[f"{part.name}.v"] = PartResult(speed, VELOCITY.factor, VELOCITY.unit)
         for name, node in list_inner_nodes(d).items():
-            value = _write_inner_voltage(build, part, node, reference_pin_name(d)).lower()
+            value = _write_inner_voltage(build, part, node, get_reference_pin_name(d)).lower()
             result[f"{part.name}.{name}"] = PartResult(value, 1.0, "SI")
         return result
 
@@ -211,7 +219,7 @@ class DeclaredPart(PartType[KeysT]):
         return None
 
     def law(self, part: Part[KeysT], build: BuiltScene) -> laws.Equations:
-        """Return the model equations of the part for the independent integrator."""
+        """Return the part's model equations, which are solved without a simulator."""
         n, d = part.name, self.declare_built_part(part, build)
         results = {}
         for b in d.pin_branches:  # loops are omitted, because a full model has other loops
@@ -225,7 +233,7 @@ class DeclaredPart(PartType[KeysT]):
                 results[f"{n}.v"] = laws.scale_wave(f"{n}.{b.plus}.rate")
         for state in d.states:
             results[f"{n}.{state}"] = laws.scale_wave(f"{n}.{state}")
-        values = tuple(d.values(part.keys).values())
+        values = tuple(d.compute_parameter_values(part.keys).values())
         law = DeclaredLaw(n, d.declaration_with_loop_pin, values, self.initial_motion(part, build))
         return laws.Equations((law,), law.pin_pairs, results)
 
@@ -245,7 +253,7 @@ class DeclaredPart(PartType[KeysT]):
             for tree in dict.fromkeys(chain.from_iterable(map(find_kinks, forces))):
                 if positions.isdisjoint(find_names(tree)):  # an impact depends on a displacement
                     continue
-                met = evaluate_tree(tree, d.values(part.keys) | known) > 0
+                met = evaluate_tree(tree, d.compute_parameter_values(part.keys) | known) > 0
                 strikes = float(np.count_nonzero(met[1:] & ~met[:-1]))
                 yield Check(
                     f"strikes of {part.name}", strikes, MAX_IMPACTS, "", REBOUND_ADVICE, "warn"
@@ -264,7 +272,9 @@ class DeclaredPart(PartType[KeysT]):
             yield from _check_limits(d, part, known, " at its operating point")
         for what, tree in d.trees_by_stop.items():
             if d.stop_variables[what] <= known.keys():
-                depth = float(np.max(evaluate_tree(tree, d.values(part.keys) | known)))
+                depth = float(
+                    np.max(evaluate_tree(tree, d.compute_parameter_values(part.keys) | known))
+                )
                 name = f"{part.name} beyond {what} at its operating point"
                 advice = "the part has pulled in: lower the bias, or use stiffer springs"
                 yield Check(name, max(depth, 0.0), 0.0, "m", advice, "fail" if small else "warn")
@@ -283,7 +293,7 @@ class DeclaredPart(PartType[KeysT]):
     # --- notes of explain -------------------------------------------------------------------------
 
     def notes(self, part: Part[KeysT], scene: Scene) -> Iterator[str | NeglectedEffect]:
-        """Yield the equations of the part and the effects that they neglect."""
+        """Yield the equations of the model and the effects that it neglects."""
         yield "; ".join(self.declare_part(part, scene).equations)
         yield from self.list_neglected_effects(part, scene)
 
@@ -309,7 +319,9 @@ def _check_limits(
     """Yield a check of each limit whose variables are all in ``known``."""
     for what, tree in d.limit_trees.items():
         if d.variables_by_limit[what] <= known.keys():
-            value = float(np.min(evaluate_tree(tree, d.values(part.keys) | known)))
+            value = float(
+                np.min(evaluate_tree(tree, d.compute_parameter_values(part.keys) | known))
+            )
             advice = f"{d.limits[what]} must stay above zero"
             beyond = max(-value, 0.0)
             yield Check(f"{what} of {part.name}{where}", beyond, 0.0, "beyond the limit", advice)
@@ -453,7 +465,7 @@ def make_declared_subcircuit(
 def get_across_vector(build: BuiltScene, part: Part, branch: Branch) -> PartResult:
     """Return the ngspice vector of the quantity across a branch."""
     quantity = branch.domain.across
-    return PartResult(branch_voltage(build, part, branch), quantity.factor, quantity.unit)
+    return PartResult(format_branch_voltage(build, part, branch), quantity.factor, quantity.unit)
 
 
 def get_flow_vector(build: BuiltScene, part: Part, branch: Branch) -> PartResult:
@@ -467,7 +479,7 @@ def get_flow_vector(build: BuiltScene, part: Part, branch: Branch) -> PartResult
     return PartResult(flow.lower(), quantity.factor, quantity.unit, *ends)
 
 
-def branch_voltage(build: BuiltScene, part: Part, branch: Branch) -> str:
+def format_branch_voltage(build: BuiltScene, part: Part, branch: Branch) -> str:
     """Return the ngspice expression of the voltage across a branch.
 
     The voltage is measured from ``plus`` to ``minus``.
@@ -505,7 +517,7 @@ def balance_energy(
         else:
             slopes[b.rate] = np.gradient(recorded[b.name], time)
             means[b.rate] = np.diff(recorded[b.name]) / np.diff(time)
-    known = d.values(part.keys) | dict(recorded) | speeds | slopes
+    known = d.compute_parameter_values(part.keys) | dict(recorded) | speeds | slopes
 
     def evaluate_over_time(tree: Tree) -> np.ndarray:
         """Return the values of an expression at all times as an array of shape (nt,)."""

@@ -12,8 +12,8 @@ from dataclasses import replace
 
 from kc2spice.core import laws
 from kc2spice.netlist.library import Header, Subcircuit
-from kc2spice.physics.cards import write_subcircuit_items
 from kc2spice.physics.declaration import Declaration
+from kc2spice.physics.declaration_cards import write_subcircuit_items
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.physics.part import DeclaredPart, make_declared_subcircuit
 from kc2spice.scene.model import BuiltScene, JoinedScene, KeysT, Part, WiredScene
@@ -34,7 +34,7 @@ class DeclaredPartWithMass(DeclaredPart[KeysT]):
         return self.moving_pins[:1]
 
     def equilibrium_conditions(self, part: Part[KeysT], scene: WiredScene) -> EquilibriumConditions:
-        """Return the equilibrium conditions of the declaration and of the pin of the mass."""
+        """Return the paths of steady flow of the declaration, and the pin of the mass."""
         return replace(
             super().equilibrium_conditions(part, scene), inertial_pins=self.moving_pins[:1]
         )
@@ -42,16 +42,19 @@ class DeclaredPartWithMass(DeclaredPart[KeysT]):
     def subcircuits(
         self, part: Part[KeysT], build: BuiltScene, header: Header
     ) -> tuple[Subcircuit, ...]:
-        """Return the subcircuit of the part, which includes the cards of the mass."""
+        """Return the subcircuit of the part, as a tuple of length 1.
+
+        The subcircuit includes the cards of the mass.
+        """
         d, name = self.declare_built_part(part, build), build.libraries[part.name]
         mass = self.declare_mass(part, build.scene)
         known = {param.name for param in d.given}
         d = replace(d, given=(*d.given, *(p for p in mass.given if p.name not in known)))
-        cards, values = write_subcircuit_items(mass), d.values(part.keys)
+        cards, values = write_subcircuit_items(mass), d.compute_parameter_values(part.keys)
         return (make_declared_subcircuit(header, name, d, values, build.has_noise, cards),)
 
     def law(self, part: Part[KeysT], build: BuiltScene) -> laws.Equations:
-        """Return the equations of the part: the laws of its declaration and of the mass."""
+        """Return the part's model equations: laws of its declaration and of its mass."""
         equations, name = super().law(part, build), part.name
         mass = self.declare_mass(part, build.scene)
         mass_law = DeclaredLaw(f"{name}_mass", mass, tuple(mass.defaults.values()))

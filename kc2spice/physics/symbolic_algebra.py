@@ -123,7 +123,7 @@ def _replace_above(tree: Tree) -> Tree:
     """
     match tree:
         case FunctionCall("above", (value,)):
-            return _step_function(simplify(_replace_above(value)))
+            return _make_step_function(simplify(_replace_above(value)))
     return map_operands(tree, _replace_above)
 
 
@@ -239,7 +239,7 @@ def _differentiate(tree: Tree, name: str) -> Tree:
             inner = FunctionCall("integral", (differentiate_tree(f, name), Name(x)))
             return f if x == name else inner if name in find_names(f) else ZERO
         case FunctionCall("max", (_, value)):
-            return BinaryOperation("*", _step_function(value), _differentiate(value, name))
+            return BinaryOperation("*", _make_step_function(value), _differentiate(value, name))
         case FunctionCall("poly", (value, _, *higher)):
             series = []
             for k, coefficient in enumerate(higher, 1):
@@ -248,7 +248,9 @@ def _differentiate(tree: Tree, name: str) -> Tree:
             return BinaryOperation("*", slope, _differentiate(value, name))
         case FunctionCall("clip", (value,)):
             free = BinaryOperation(
-                "-", ONE, BinaryOperation("+", *map(_step_function, _clip_excesses(value)))
+                "-",
+                ONE,
+                BinaryOperation("+", *map(_make_step_function, _subtract_clip_limits(value))),
             )
             return BinaryOperation("*", free, _differentiate(value, name))
         case FunctionCall(function, (value,)):
@@ -291,12 +293,12 @@ def write_horner(value: Tree, series: Iterable[Tree]) -> Tree:
     return result
 
 
-def _step_function(value: Tree) -> Tree:
+def _make_step_function(value: Tree) -> Tree:
     """Return an expression that is 1 if ``value`` is above zero, otherwise 0."""
     return ConditionalExpression(BinaryOperation(">", value, ZERO), ONE, ZERO)
 
 
-def _clip_excesses(value: Tree) -> tuple[Tree, Tree]:
+def _subtract_clip_limits(value: Tree) -> tuple[Tree, Tree]:
     """Return by how much ``value`` is above 1 and below -1, as two expressions.
 
     The expressions are ``value - 1`` and ``-value - 1``. If ``clip(value)`` limits the value to 1,
@@ -341,7 +343,7 @@ class _Product:
             raise UsageError("the equations of the part contain a division by zero")
         return _Product(1 / self.coefficient, self.denominator, self.numerator)
 
-    def tree(self) -> Tree:
+    def make_tree(self) -> Tree:
         """Return the expression tree of the product without the sign of its coefficient."""
         size, below = abs(self.coefficient), self.denominator
         if Fraction(f"{float(size):.{_LITERAL_DIGITS}g}") != size:
@@ -398,9 +400,11 @@ def _build_sum(terms: list[_Product]) -> Tree:
     if not terms:
         return ZERO
     first, *rest = sorted(terms, key=lambda term: term.coefficient < 0)
-    total: Tree = first.tree() if first.coefficient > 0 else UnaryOperation("-", first.tree())
+    total: Tree = (
+        first.make_tree() if first.coefficient > 0 else UnaryOperation("-", first.make_tree())
+    )
     for term in rest:
-        total = BinaryOperation("+" if term.coefficient > 0 else "-", total, term.tree())
+        total = BinaryOperation("+" if term.coefficient > 0 else "-", total, term.make_tree())
     return total
 
 
@@ -516,12 +520,12 @@ def split_calls(
             f for f in term.numerator if isinstance(f, FunctionCall) and f.function in functions
         ]
         others = tuple((Counter(term.numerator) - Counter(calls)).elements())
-        factor = _Product(Fraction(1), others, term.denominator).tree()
+        factor = _Product(Fraction(1), others, term.denominator).make_tree()
         inner = (node.function for node in walk_tree(factor) if isinstance(node, FunctionCall))
         if len(calls) > 1 or any(name in functions for name in inner):
             raise UsageError(
                 "a netlist cannot contain functions or products of tables",
-                got=ExpressionWriter().write_tree(term.tree()),
+                got=ExpressionWriter().write_tree(term.make_tree()),
                 expected="a sum of terms, each with at most one table as a factor",
             )
         if calls:
@@ -554,7 +558,7 @@ def find_kinks(tree: Tree) -> tuple[Tree, ...]:
     result = [*chain.from_iterable(map(find_kinks, list_operands(tree)))]
     match tree:
         case FunctionCall("clip", (value,)):
-            result += _clip_excesses(value)
+            result += _subtract_clip_limits(value)
         case FunctionCall("max", (_, value)) | ConditionalExpression(
             BinaryOperation(">", value, _), _, _
         ):
@@ -578,7 +582,7 @@ def replace_kinks(tree: Tree, corners: tuple[Tree, ...]) -> Tree:
         case FunctionCall("max", (_, value)):
             return BinaryOperation("*", _name_flag(value, corners), replace_kinks(value, corners))
         case FunctionCall("clip", (value,)):
-            over_one, under_one = _clip_excesses(value)
+            over_one, under_one = _subtract_clip_limits(value)
             above, below = _name_flag(over_one, corners), _name_flag(under_one, corners)
             free, ends = (
                 BinaryOperation("-", ONE, BinaryOperation("+", above, below)),

@@ -169,7 +169,7 @@ class _LinearisedLaw(Device):
 
     @property
     def across_inputs(self) -> tuple[AcrossInput, ...]:
-        """Quantities across pins that are inputs of the linearised law."""
+        """Inputs of the device: across quantities, such as voltages, and their rates."""
         return self.law.across_inputs
 
     def evaluate(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -325,7 +325,7 @@ class _StaticEquations:
         modes = [device.law.find_initial_mode(device.inputs @ X) for device in self.system.devices]
         return Interval(self.system, modes, 0.0)
 
-    def equations(self, interval: Interval, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def compute_residual(self, interval: Interval, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Compute the residual of the force and current balances, and its Jacobian.
 
         The residual has the shape (n,), and the Jacobian has the shape (n, n). The forces that
@@ -362,7 +362,7 @@ def find_equilibrium(
         interval, limited = tangents.linearise_limited_laws(
             static_equations.make_interval(z), 0.0, z
         )
-        f, J = static_equations.equations(interval, z)
+        f, J = static_equations.compute_residual(interval, z)
         step = _compute_newton_step(
             static_equations,
             interval,

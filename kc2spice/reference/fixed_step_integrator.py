@@ -104,7 +104,7 @@ def _make_solver(pencil: Any, s: float) -> Callable[[np.ndarray], np.ndarray]:
                 return factorise(matrix, definite=True).solve
             except SimulationError:
                 pass  # the matrix is indefinite and needs pivoting
-    result: Callable[[np.ndarray], np.ndarray] = pencil.solver(s)[0].solve
+    result: Callable[[np.ndarray], np.ndarray] = pencil.factorise_polynomial(s)[0].solve
     return result
 
 

@@ -145,7 +145,7 @@ class LinearisedSystem:
 
     @cached_property
     def poles(self) -> np.ndarray:
-        """Complex natural frequencies ``a`` (m,) [1/s] of the free motions ``e^(a t)``.
+        """Poles a (m,) [1/s] of the linearised equations: free motions are ``e^(a t)``.
 
         If the states do not determine the algebraic unknowns, the natural frequencies are the
         finite eigenvalues of ``F X = a G X``.
@@ -576,7 +576,7 @@ def _compute_noise_power(at: LinearisedSystem, of: L.WaveCombination, s: complex
     modes = chain(at.device_modes, repeat((), len(system.linear)))
     for device, mode in zip((*system.devices, *system.linear), modes, strict=True):
         e = device.inputs @ np.concatenate([at.z0, np.zeros(2 * k)])
-        result = device.law.noise(s, e, mode)
+        result = device.law.compute_noise_weights(s, e, mode)
         if result is None:
             continue
         out, charge = result

@@ -3,10 +3,14 @@
 Each law describes one part of the circuit. The unknowns of the laws are displacements q, velocities
 v, node voltages, signals and states of devices. Rigid joints, voltage sources and displacement
 sources are linear constraints on the unknowns. After the elimination of the constraints, n unknowns
-z remain. The vector ``X = [z, s, s']`` (N,) contains the unknowns z, the values s of the sources
-and the rates s' = ds/dt::
+z remain. Each of the n equations states the rate f of a quantity g. For example, a current is the
+rate of a charge, and a force the rate of a momentum::
 
     d/dt g = f,    g = G X + stores of devices,    f = F X + const + outputs of devices
+
+The vector X of length N consists of the unknowns z, the values s of the sources, and the time
+derivatives s' of these values. The stores of a nonlinear device are its stored quantities, and the
+outputs of the device are its flows, the rates of its states, and its signals.
 """
 
 from __future__ import annotations
@@ -101,7 +105,7 @@ class System:
 
     @property
     def size(self) -> int:
-        """Number of unknowns z."""
+        """Number n of unknowns z."""
         return self.const.size
 
     def evaluate_source_derivatives(
@@ -321,7 +325,7 @@ class _Assembly:
         """Return the indices of a device's states among the unknowns."""
         return np.array([self.state_index[f"{law.name}.{s}"] for s in law.states], dtype=int)
 
-    def find_store_rows(self, law: L.Device, outputs: np.ndarray) -> np.ndarray:
+    def make_storage_matrix(self, law: L.Device, outputs: np.ndarray) -> np.ndarray:
         """Return the matrix that maps the rates of stored quantities to the equations.
 
         The matrix has one row for each equation, and one column for each stored quantity of the
@@ -427,13 +431,13 @@ class _Assembly:
             where = self.find_states(law)
             small, stores = where - n + size, None
             if law.has_stored_quantities:
-                storing = self.find_store_rows(law, into)
+                storing = self.make_storage_matrix(law, into)
                 stores = W.T @ storing
-                if not law.linear:
+                if not law.is_linear:
                     differential[small] = True
                     differential |= (storing[:, small.size :].T @ T).any(axis=0)
             devices.append(PlacedDevice(law, inputs @ expansion, W.T @ into, stores, small, first))
-            first += 0 if law.linear else into.shape[1]
+            first += 0 if law.is_linear else into.shape[1]
         devices, linear = (devices[: len(self.attached)], devices[len(self.attached) :])
         return System(
             G=G,
@@ -646,7 +650,7 @@ def _add_device(law: L.Device, into: _Assembly) -> None:
     driven = map(partial(into.find_linear_form, law), law.prescribed_signals)
     inputs = np.array([*forms, *states]).reshape(-1, into.size)
     outputs = np.array([*through, *states, *driven]).reshape(-1, into.size).T
-    if law.linear:
+    if law.is_linear:
         _add_linear_device(law, into, inputs, outputs)
         return
     if not law.has_stored_quantities:
@@ -668,7 +672,7 @@ def _add_linear_device(
     )
     into.A += outputs @ slope @ inputs
     into.const += outputs @ out
-    into.M += into.find_store_rows(law, outputs) @ stored_slope @ inputs
+    into.M += into.make_storage_matrix(law, outputs) @ stored_slope @ inputs
     rated = dict(
         zip(law.storing_flow_indices, stored_slope[len(law.states) :] @ inputs, strict=True)
     )

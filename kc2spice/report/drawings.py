@@ -33,7 +33,7 @@ MATERIAL_COLOURS = {
 FLOW_COLOURS = {"A": BLUE, "N": ORANGE, "Nm": ORANGE, "-": GREEN}
 
 
-def draw_devices(scene: Scene) -> str:
+def draw_side_view(scene: Scene) -> str:
     """Draw a side view to scale, as SVG, of all parts that have an outline.
 
     Return an empty string if no part has an outline.

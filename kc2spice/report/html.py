@@ -37,6 +37,7 @@ _LABELS = {
     "resonance_open_hz": "natural frequency, electrodes open",
     "resonance_hz": "series resonance of the impedance",
     "antiresonance_hz": "parallel resonance of the impedance",
+    "largest_impedance_hz": "frequency of the largest impedance",
 }
 # Suffixes of keys in `result.json` that denote a unit, keyed by unit.
 _UNIT_SUFFIXES = {

@@ -14,7 +14,7 @@ from typing import Any
 
 from kc2spice.core.figure import Figure
 from kc2spice.core.si_prefix_format import ROUNDING_NOISE, format_quantity, format_value_and_limit
-from kc2spice.report.drawings import draw_circuit, draw_devices, write_side_view_caption
+from kc2spice.report.drawings import draw_circuit, draw_side_view, write_side_view_caption
 from kc2spice.report.html import (
     MAX_ROW_VALUES,
     PageSection,
@@ -68,7 +68,7 @@ def write_run(
     energies, modes = result.get("energy_j", {}), result.get("modes", {})
     sections = [
         format_summary(result),
-        PageSection("Device", drawing=draw_devices(scene), note=write_side_view_caption(scene)),
+        PageSection("Device", drawing=draw_side_view(scene), note=write_side_view_caption(scene)),
         PageSection("Main result", figures=figures[:1], note=FIGURES_NOTE),
         PageSection("Circuit", drawing=draw_circuit(scene), note=NETS_NOTE),
         PageSection("Further figures", figures=figures[1:]),

@@ -24,7 +24,7 @@ from kc2spice.rom.linear_model import LinearModel, Norm
 from kc2spice.rom.parametric_models import MAX_PARAMETERS, ParameterAxis, Values
 from kc2spice.rom.pencil import Matrix
 from kc2spice.rom.range_reduction import ModelOverRanges, RangeTask
-from kc2spice.rom.reduce import ReductionTarget, choose_band, require_valid
+from kc2spice.rom.reduce import ReductionTarget, choose_band, require_valid_target
 from kc2spice.rom.resonators_over_ranges import reduce_over_ranges
 from kc2spice.rom.stability import is_semidefinite
 
@@ -317,7 +317,7 @@ def reduce_affine(
     fit = _return_unchanged if heat else _complete_rayleigh_factors
     model = fit(affine.evaluate(middle))
     norm = norm or choose_default_norm(model)
-    require_valid(ReductionTarget(tolerance, None, parse_band(band), norm, False, None))
+    require_valid_target(ReductionTarget(tolerance, None, parse_band(band), norm, False, None))
     try:
         for ends in product(*((axis.low, axis.high) for axis in affine.axes)):
             _require_semidefinite(affine, dict(zip(middle, ends, strict=True)))
@@ -394,7 +394,7 @@ def _complete_rayleigh_factors(model: LinearModel) -> LinearModel:
             "a model with parameters needs damping in proportion to mass and stiffness",
             where=model.name,
             got="structural damping",
-            expected="alpha and beta, or ratio and at",
+            expected="either the keys alpha and beta of the damping, or the keys ratio and at",
         )
     if model.rayleigh is None and model.pencil.is_undamped:
         return replace(model, E=None, rayleigh=(0.0, 0.0))

@@ -47,12 +47,12 @@ from kc2spice.rom.element_fit import (
     LEAD_FORMS,
     PARALLEL_FORMS,
     SIMPLER_FORMS,
+    AdmittanceSamples,
     Elements,
     FitElement,
-    Samples,
 )
 from kc2spice.rom.linear_model import Certificate, LinearModel
-from kc2spice.rom.network import IDEAL_LEAD, CircuitBranch, ParallelBranches
+from kc2spice.rom.one_port_network import IDEAL_LEAD, CircuitBranch, ParallelBranches
 
 MAX_ELEMENTS = 40
 MIN_IMPROVEMENT = 0.1  # minimum relative reduction of the deviation per added element
@@ -91,7 +91,7 @@ def fit_one_port(
     conductance : conductance at zero frequency [S]: 0 for a part that blocks direct current, None
     if the samples determine the conductance.
     """
-    samples = Samples(f, Y, conductance)
+    samples = AdmittanceSamples(f, Y, conductance)
     elements = fit_branches(samples)
     rms = samples.compute_rms_deviation(elements) if elements else np.inf
     if rms > POOR_DEVIATION:
@@ -109,7 +109,7 @@ def fit_one_port(
         + (f"{1 / dc:.4g} Ohm at zero frequency, {origin}" if dc else "no direct current flows")
     )
     certificate = Certificate((float(f[0]), float(f[-1])), error, text, True, True)
-    return network.linear(certificate), rms
+    return network.to_linear_model(certificate), rms
 
 
 def _make_network(elements: Elements) -> ParallelBranches:
@@ -123,10 +123,10 @@ def _make_network(elements: Elements) -> ParallelBranches:
         (e for e in elements if e.is_in_parallel and e.form != "capacitance"),
         key=lambda e: (e.form != "resonant", e.form, e.logs[1:]),
     )
-    branches = tuple(element.branch() for element in order)
+    branches = tuple(element.make_branch() for element in order)
     if not branches:  # a model needs at least one unknown
         branches, capacitance = (CircuitBranch(0.0, elastance=1 / capacitance),), 0.0
-    leads = [element.branch() for element in elements if not element.is_in_parallel]
+    leads = [element.make_branch() for element in elements if not element.is_in_parallel]
     lead = CircuitBranch(sum(b.resistance for b in leads), sum(b.inductance for b in leads))
     if len(branches) == 1 and capacitance == 0:
         resistance = branches[0].resistance + lead.resistance
@@ -135,17 +135,17 @@ def _make_network(elements: Elements) -> ParallelBranches:
     return ParallelBranches(capacitance, branches, lead)
 
 
-def fit_branches(samples: Samples) -> Elements:
+def fit_branches(samples: AdmittanceSamples) -> Elements:
     """Return a circuit with few elements that fits the samples within their noise."""
     elements: Elements = ()
     best, least, useless = elements, np.inf, 0
     patience = POOR_PATIENCE
     while len(elements) < MAX_ELEMENTS and useless < patience:
-        ends = list(map(samples.refine, _propose_start_sums(samples, elements)))
+        ends = list(map(samples.refine_elements, _propose_start_sums(samples, elements)))
         ends = [end for end in ends if _exceeds_noise(samples, end)]
         if not ends:
             break
-        elements = samples.refine(_select_best_sum(samples, ends), SELECTION_EVALUATIONS)
+        elements = samples.refine_elements(_select_best_sum(samples, ends), SELECTION_EVALUATIONS)
         elements = _simplify_sum(samples, elements, _select_outside_band(samples, elements))
         value = samples.compute_information_criterion(elements)
         enough = _count_parameters(elements) <= _count_parameters(best)
@@ -161,7 +161,7 @@ def fit_branches(samples: Samples) -> Elements:
         )
         if samples.is_within_tolerance(best):
             break
-    best = samples.refine(_simplify_sum(samples, best, best), FINAL_EVALUATIONS)
+    best = samples.refine_elements(_simplify_sum(samples, best, best), FINAL_EVALUATIONS)
     slowest = np.log(MAX_TIME_RATIO / (2 * np.pi * samples.f[0]))
     return best if samples.conductance else tuple(_limit_element(e, slowest) for e in best)
 
@@ -171,7 +171,7 @@ def _count_parameters(elements: Elements) -> int:
     return sum(len(e.logs) for e in elements)
 
 
-def _select_best_sum(samples: Samples, ends: Sequence[Elements]) -> Elements:
+def _select_best_sum(samples: AdmittanceSamples, ends: Sequence[Elements]) -> Elements:
     """Return the first sum of elements with nearly the least information criterion.
 
     Criteria that differ by less than ``CRITERION_TOLERANCE`` count as equal, so that rounding
@@ -206,7 +206,7 @@ def _limit_element(element: FitElement, slowest: float) -> FitElement:
     return FitElement(element.form, (amplitude - excess, others[0] - excess))
 
 
-def _select_outside_band(samples: Samples, elements: Elements) -> Elements:
+def _select_outside_band(samples: AdmittanceSamples, elements: Elements) -> Elements:
     """Select the elements whose frequencies are outside of the band.
 
     Within the band, simpler elements have almost the same admittance as the selected elements.
@@ -222,7 +222,7 @@ def _compute_log_time(element: FitElement) -> float:
     return -element.logs[1] if element.form == "resonant" else element.logs[1]
 
 
-def _exceeds_noise(samples: Samples, elements: Elements) -> bool:
+def _exceeds_noise(samples: AdmittanceSamples, elements: Elements) -> bool:
     """Return whether every element has an effect above the noise.
 
     The effect of each element must exceed the rms deviation at more samples than the element has
@@ -231,23 +231,23 @@ def _exceeds_noise(samples: Samples, elements: Elements) -> bool:
     left = -np.expm1(-samples.compute_rms_deviation(elements))  # rms deviation relative to Y
     return all(
         np.count_nonzero(np.abs(by_amplitude) > left) > len(others) + 1
-        for by_amplitude, *others in samples.slopes(elements)
+        for by_amplitude, *others in samples.compute_log_slopes(elements)
     )
 
 
-def _simplify_sum(samples: Samples, elements: Elements, doubtful: Elements) -> Elements:
+def _simplify_sum(samples: AdmittanceSamples, elements: Elements, doubtful: Elements) -> Elements:
     """Remove or simplify doubtful elements if this reduces the information criterion."""
     value = samples.compute_information_criterion(elements)
     for element in doubtful:
         for fewer in _propose_simpler_sums(samples, elements, element):
-            end = samples.refine(fewer)
+            end = samples.refine_elements(fewer)
             if end and samples.compute_information_criterion(end) < value:
                 return _simplify_sum(samples, end, end)
     return elements
 
 
 def _propose_simpler_sums(
-    samples: Samples, elements: Elements, element: FitElement
+    samples: AdmittanceSamples, elements: Elements, element: FitElement
 ) -> Iterable[Elements]:
     """Yield sums in which an element is omitted or replaced by a simpler element.
 
@@ -304,7 +304,7 @@ def _convert_form(element: FitElement, form: str) -> FitElement:
     return FitElement(form, (0.0, -element.logs[2] if form == "inductive" else log_t))
 
 
-def _propose_start_sums(samples: Samples, elements: Elements) -> list[Elements]:
+def _propose_start_sums(samples: AdmittanceSamples, elements: Elements) -> list[Elements]:
     """Return sums with additional elements, from which the next fits start."""
     result = [_fit_peak(samples, elements)]
     for options in _propose_elements(samples, elements):
@@ -314,7 +314,7 @@ def _propose_start_sums(samples: Samples, elements: Elements) -> list[Elements]:
     return list(filter(None, result))
 
 
-def _fit_peak(samples: Samples, elements: Elements) -> Elements:
+def _fit_peak(samples: AdmittanceSamples, elements: Elements) -> Elements:
     """Add a resonance at the largest conductance that no element describes yet.
 
     The added resonance has the same height and the same width at half height as the peak of the
@@ -337,7 +337,7 @@ def _fit_peak(samples: Samples, elements: Elements) -> Elements:
     return (*elements, resonance, *more)
 
 
-def _propose_elements(samples: Samples, elements: Elements) -> Iterable[list[FitElement]]:
+def _propose_elements(samples: AdmittanceSamples, elements: Elements) -> Iterable[list[FitElement]]:
     """Yield lists of possible additional elements that differ only in start values."""
     present = {element.form for element in elements}
     forms = [
@@ -362,7 +362,7 @@ def _propose_elements(samples: Samples, elements: Elements) -> Iterable[list[Fit
                 yield from ([lead] for lead in _propose_leads(samples, form))
 
 
-def _propose_leads(samples: Samples, form: str) -> list[FitElement]:
+def _propose_leads(samples: AdmittanceSamples, form: str) -> list[FitElement]:
     """Return leads whose impedances are fractions of the largest possible impedance.
 
     The impedance of a lead cannot exceed the measured impedance of any sample.
@@ -372,7 +372,7 @@ def _propose_leads(samples: Samples, form: str) -> list[FitElement]:
     return [FitElement(form, (float(np.log(share * largest)),)) for share in LEAD_SHARES]
 
 
-def _find_worst_frequencies(samples: Samples, elements: Elements) -> list[float]:
+def _find_worst_frequencies(samples: AdmittanceSamples, elements: Elements) -> list[float]:
     """Return up to three angular frequencies [rad/s] at which ``elements`` fit worst.
 
     At these frequencies, the missing conductance, the ratio (missing conductance / abs(Y)), or the
@@ -385,7 +385,7 @@ def _find_worst_frequencies(samples: Samples, elements: Elements) -> list[float]
     return [float(2 * np.pi * samples.f[k]) for k in indices]
 
 
-def _split_resonance(samples: Samples, elements: Elements) -> list[Elements]:
+def _split_resonance(samples: AdmittanceSamples, elements: Elements) -> list[Elements]:
     """Replace the resonance nearest to the largest deviation by two resonances.
 
     The frequencies of the two resonances differ by half of the width of the replaced resonance.

@@ -45,7 +45,9 @@ def certify(basis: ReducedBasis, order: int) -> LinearModel:
             got="matrix entries that are smaller than their rounding errors",
             hint="replace the order by a tolerance of 1e-4",
         )
-    sharpest = max(estimator.exact.select_visible(task.band)[1].min(initial=1.0), MIN_DAMPING_RATIO)
+    sharpest = max(
+        estimator.exact.select_visible_resonances(task.band)[1].min(initial=1.0), MIN_DAMPING_RATIO
+    )
     rounding = RESONANCE_ROUNDING * float(np.finfo(float).eps) / sharpest
     certificate = Certificate(
         task.band,
@@ -90,7 +92,7 @@ def _describe_evidence(basis: ReducedBasis, proof: StabilityProof) -> str:
         method += "; free to move at zero frequency"
         if hidden := exact.hidden:
             method += f", supports that resonate below {hidden:.1e} Hz being hidden by rounding"
-    if estimator.exact.select_visible(task.band)[1].min(initial=1.0) < MIN_DAMPING_RATIO:
+    if estimator.exact.select_visible_resonances(task.band)[1].min(initial=1.0) < MIN_DAMPING_RATIO:
         method += (
             f"; beside resonances, by {FLANK_DISTANCE:g}, of a damping ratio below "
             f"{MIN_DAMPING_RATIO:g}"

@@ -73,7 +73,7 @@ class ComplexConstants:
         self, omega: np.ndarray, gain: np.ndarray, D: np.ndarray, electrical: np.ndarray,
         frequency: np.ndarray,
     ) -> np.ndarray:  # fmt: skip
-        """Compute the response of a body with losses from undamped modes.
+        """Compute the transfer matrix of a body with losses from its undamped modes.
 
         The response is an array of shape (n, ports, ports).
 
@@ -181,7 +181,7 @@ def make_complex_constants_model(model: Resonators, losses: ComplexConstants) ->
             hint='reduce the losses, or set model = "rayleigh"',
         )
     D[np.ix_(ports, ports)] = sudden
-    lossless = replace(model, damp=np.zeros(n), certificate=None).linear()
+    lossless = replace(model, damp=np.zeros(n), certificate=None).to_linear_model()
     elastic = add_structural_damping(lossless, chi)
     B = elastic.B.copy()
     # voltages act on the strain of every spring

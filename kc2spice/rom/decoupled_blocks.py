@@ -62,7 +62,7 @@ def make_block_model(model: LinearModel, *, dense: bool = False) -> BlockModel:
     ------
     UsageError : the model has no state-space form.
     """
-    if not dense and (result := _read_blocks(model)):
+    if not dense and (result := _find_existing_blocks(model)):
         return result
     A, B, C, D = model.state_space()
     if dense:
@@ -73,7 +73,7 @@ def make_block_model(model: LinearModel, *, dense: bool = False) -> BlockModel:
         if certificate
         else MAX_RESPONSE_CHANGE
     )
-    s, exact = _sample_between_poles(A), np.empty(0)
+    s, exact = _sample_pole_range(A), np.empty(0)
     for growth in (CONDITION_LIMIT, *LARGER_LIMITS):
         blocks, X, inverse = decouple_states(A, growth)
         result = BlockModel(blocks, inverse @ B, C @ X, D)
@@ -91,7 +91,7 @@ def make_block_model(model: LinearModel, *, dense: bool = False) -> BlockModel:
     return best
 
 
-def _sample_between_poles(A: np.ndarray) -> np.ndarray:
+def _sample_pole_range(A: np.ndarray) -> np.ndarray:
     """Return points ``j w`` (n,) from below the slowest to above the fastest pole.
 
     If all poles are zero, the array is empty.
@@ -103,7 +103,7 @@ def _sample_between_poles(A: np.ndarray) -> np.ndarray:
     return np.asarray(1j * np.geomspace(0.1 * size.min(), 3 * size.max(), COMPARED_FREQUENCIES))
 
 
-def _read_blocks(model: LinearModel) -> BlockModel | None:
+def _find_existing_blocks(model: LinearModel) -> BlockModel | None:
     """Return a first-order model as a block model if its states form decoupled blocks.
 
     The states must form small blocks, and E must be diagonal with ones before zeros. Rows in which

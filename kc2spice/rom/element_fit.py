@@ -6,9 +6,10 @@ impedances ``Z_l``, is
     Y = 1 / (sum_l Z_l + 1 / Y_p),    Y_p = sum_k Y_k,
     dY / dY_k = (Y / Y_p)^2,    dY / dZ_l = -Y^2.
 
-:class:`Samples` contains measured frequencies and admittances. Methods of :class:`Samples` compute
-the deviation of a sum of elements (:class:`FitElement`) from the samples, and fit the parameters of
-the elements. The module :mod:`kc2spice.rom.branch_fit` chooses the elements.
+:class:`AdmittanceSamples` contains measured frequencies and admittances. Methods of
+:class:`AdmittanceSamples` compute the deviation of a sum of elements (:class:`FitElement`) from the
+samples, and fit the parameters of the elements. The module :mod:`kc2spice.rom.branch_fit` chooses
+the elements.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import least_squares, nnls
 
-from kc2spice.rom.network import CircuitBranch
+from kc2spice.rom.one_port_network import CircuitBranch
 
 INSTRUMENT_DEVIATION = 1e-5  # relative rms error that every measuring instrument may have
 ROUNDING_FACTOR = 1.5  # accepted deviation / deviation due to rounded frequencies
@@ -135,7 +136,7 @@ class FitElement:
         """Conductance at zero frequency [S]; zero for a lead."""
         return self.amplitude if self.form in CONDUCTING_FORMS else 0.0
 
-    def branch(self) -> CircuitBranch:
+    def make_branch(self) -> CircuitBranch:
         """Convert the element to a series R-L-C branch; not possible for a capacitance."""
         p = np.exp(self.logs).tolist()
         if self.form == "lead resistance":
@@ -156,7 +157,7 @@ Elements = tuple[FitElement, ...]
 
 
 @dataclass(frozen=True, eq=False)
-class Samples:
+class AdmittanceSamples:
     """Measured admittances ``Y`` (n,) [S] at ``f`` (n,) [Hz], and dc conductance [S].
 
     ``conductance`` is the conductance at zero frequency, or None if the user states no conductance.
@@ -228,7 +229,7 @@ class Samples:
         parallel, leads = self._sum_elements(elements)
         return np.asarray(self.Y / (1 - leads * self.Y) - parallel)
 
-    def slopes(self, elements: Elements) -> list[list[np.ndarray]]:
+    def compute_log_slopes(self, elements: Elements) -> list[list[np.ndarray]]:
         """Compute derivatives (n,) of log(Y) with respect to all parameters of elements."""
         parallel, leads = self._sum_elements(elements)
         Y = parallel / (1 + leads * parallel)
@@ -299,7 +300,7 @@ class Samples:
         positive = tuple(e.scale_amplitude(factor) for e, factor in factors if factor > 0)
         return ((*positive, *leads) if positive else ()), float(left)
 
-    def refine(self, elements: Elements, evaluations: int = TRIAL_EVALUATIONS) -> Elements:
+    def refine_elements(self, elements: Elements, evaluations: int = TRIAL_EVALUATIONS) -> Elements:
         """Refine all parameters of the elements by nonlinear least squares.
 
         The residuals are evaluated at most ``evaluations`` times.
@@ -316,17 +317,17 @@ class Samples:
                 for e, part in zip(elements, parts, strict=True)
             )
 
-        def residual(logs: np.ndarray) -> np.ndarray:
+        def compute_residual(logs: np.ndarray) -> np.ndarray:
             """Return the weighted residuals of the fit."""
             tried = unpack_elements(logs)
             excess = compute_dc_conductance(tried) - (self.conductance or 0.0)
             return self._stack_rows(self.compute_log_ratio(tried), excess)
 
-        def slopes(logs: np.ndarray) -> np.ndarray:
+        def compute_residual_slopes(logs: np.ndarray) -> np.ndarray:
             """Return the derivatives of the residuals."""
             tried = unpack_elements(logs)
             result = []
-            for e, (first, *others) in zip(tried, self.slopes(tried), strict=True):
+            for e, (first, *others) in zip(tried, self.compute_log_slopes(tried), strict=True):
                 result.append(self._stack_rows(first, _compute_conductance_slope(tried, e)))
                 result += [self._stack_rows(other, 0.0) for other in others]
             return np.column_stack(result)
@@ -337,9 +338,9 @@ class Samples:
         # trial steps may exceed the range of floats, so the result is checked below
         with np.errstate(all="ignore"):
             result = least_squares(
-                residual,
+                compute_residual,
                 start,
-                slopes,
+                compute_residual_slopes,
                 method="lm",
                 xtol=CONVERGENCE_TOLERANCE,
                 ftol=CONVERGENCE_TOLERANCE,

@@ -55,7 +55,7 @@ def choose_adaptive_frequencies(
     notches.
     """
     near = 0.9 * band[0], 1.1 * band[1]
-    at, ratio = response.select_in_band(near)
+    at, ratio = response.select_band_resonances(near)
     frequency = np.union1d(
         make_frequency_grid(band, GRID_FREQUENCIES, static), sample_resonances(at, ratio)
     )
@@ -149,7 +149,7 @@ class ErrorEstimator:
         return H, self.exact.compute_error_scales(self.frequency, H)
 
     @property
-    def min_divisor_share(self) -> float:
+    def min_relative_divisor(self) -> float:
         """Smallest error divisor in this norm, as a fraction of an entry's peak."""
         return get_min_relative_divisor(self.norm)
 
@@ -188,7 +188,7 @@ class ErrorEstimator:
         have the shape (..., outputs, inputs), and the returned array has the shape (...).
         """
         base = (
-            self.exact_response_and_scales[1].compute_error_divisors(H, self.min_divisor_share)
+            self.exact_response_and_scales[1].compute_error_divisors(H, self.min_relative_divisor)
             + np.finfo(float).tiny
         )
         return np.asarray(
@@ -211,7 +211,7 @@ class ErrorEstimator:
             if not worst <= limit:
                 self.responses_to_check_first[last] = self.responses_to_check_first.pop(last)
                 return worst
-        at, ratio = self.exact.select_in_band((0.9 * self.band[0], 1.1 * self.band[1]))
+        at, ratio = self.exact.select_band_resonances((0.9 * self.band[0], 1.1 * self.band[1]))
         points, H = self.frequency, self.exact_response_and_scales[0]
         error = self.compute_largest_errors(reduced.transfer(2j * np.pi * points) - H, H)
         for _ in range(PEAK_ROUNDS):

@@ -69,7 +69,7 @@ class FreeBody:
 
     @cached_property
     def vectors(self) -> np.ndarray:
-        """Rigid-body modes (n, r) as basis vectors, orthonormal in ``K + shift M``."""
+        """Basis vectors (n, r) of the rigid-body modes, orthonormal in ``K + shift M``."""
         return np.asarray(self.modes / np.sqrt(self.shift))
 
     def separate_rigid_body_modes(

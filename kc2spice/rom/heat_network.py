@@ -70,7 +70,7 @@ class FosterNetwork(EqualByContent):
         rise = compute_step_basis(time, self.time_constant) @ self.resistance
         return np.asarray(self.direct * (time >= 0) + rise)
 
-    def linear(self, port: Port) -> LinearModel:
+    def to_linear_model(self, port: Port) -> LinearModel:
         """Make the linear model whose unknowns are the capacities' temperature drops."""
         return LinearModel(
             E=np.diag(self.time_constant / self.resistance),
@@ -117,7 +117,7 @@ class HeatLadder(EqualByContent):
     capacity: np.ndarray
     direct: float = 0.0
 
-    def linear(self, port: Port) -> LinearModel:
+    def to_linear_model(self, port: Port) -> LinearModel:
         """Make the linear model whose unknowns are the resistances' temperature drops."""
         number = np.arange(len(self.capacity))
         return LinearModel(
@@ -166,7 +166,7 @@ def parse_network_form(form: str | None, where: str) -> NetworkForm | None:
         if form.lower() == known:
             return known
     raise UsageError(
-        "this form of a network does not exist",
+        "this form of a heat network does not exist",
         where=where,
         got=form,
         expected=" or ".join(NETWORK_FORMS),
@@ -175,7 +175,11 @@ def parse_network_form(form: str | None, where: str) -> NetworkForm | None:
 
 def make_network_model(network: FosterNetwork, form: NetworkForm, port: Port) -> LinearModel:
     """Return the model of a network in Foster's or Cauer's form."""
-    return network.convert_to_ladder().linear(port) if form == "cauer" else network.linear(port)
+    return (
+        network.convert_to_ladder().to_linear_model(port)
+        if form == "cauer"
+        else network.to_linear_model(port)
+    )
 
 
 def _add_modes(

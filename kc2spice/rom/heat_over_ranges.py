@@ -38,7 +38,7 @@ class HeatOverRanges(ModelOverRanges):
 
     @property
     def order(self) -> int:
-        """Number of states of the reduced model."""
+        """Number n of unknowns; the model is of first order and has n states."""
         return len(self.B)
 
     @property

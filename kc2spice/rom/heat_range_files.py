@@ -13,7 +13,11 @@ import numpy as np
 from kc2spice.rom.heat_over_ranges import HeatOverRanges
 from kc2spice.rom.io import make_damage_error, read_arrays, write_archive
 from kc2spice.rom.matrix_terms import MatrixTerms
-from kc2spice.rom.ranges_io import describe_ranges, parse_ranges, require_finite_arrays
+from kc2spice.rom.parametric_records import (
+    make_range_record,
+    parse_range_record,
+    require_finite_arrays,
+)
 
 ARRAY_NAMES = ("powers", "scales", "E", "K", "B")
 
@@ -27,7 +31,7 @@ def write_heat_over_ranges(model: HeatOverRanges, directory: Path, name: str) ->
     terms = model.terms
     arrays = {"powers": terms.powers, "scales": terms.scales, "B": model.B}
     arrays |= {"E": np.array(terms.E), "K": np.array(terms.K)}
-    return write_archive(directory, name, arrays, describe_ranges(model))
+    return write_archive(directory, name, arrays, make_range_record(model))
 
 
 def read_heat_over_ranges(path: Path | str) -> HeatOverRanges:
@@ -50,7 +54,7 @@ def _build_model(
     arrays: dict[str, np.ndarray], record: dict[str, Any], name: str
 ) -> HeatOverRanges:
     """Build a heat model from the arrays and the record of a file, and check both."""
-    common = parse_ranges(record)
+    common = parse_range_record(record)
     ports, axes = common["ports"], common.pop("axes")
     terms, states = np.shape(arrays["powers"])[0], np.shape(arrays["B"])[0]
     shapes = {

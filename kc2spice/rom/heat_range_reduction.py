@@ -34,7 +34,7 @@ from kc2spice.rom.interface_reduction import make_no_congruence_error, reduce_wi
 from kc2spice.rom.interface_split import (
     DENSE,
     ROUNDING,
-    PrescribedTemperatures,
+    SplitHeatModel,
     keeps_all_heat,
     remove_inactive_ports,
     split_prescribed_ports,
@@ -134,7 +134,10 @@ class HeatReduction:
         for number, x in enumerate(points):
             task.progress(number, len(points))
             samples.append(
-                ranges.compute_reference(ranges.model(ranges.values(x)), ranges.values(x))
+                ranges.compute_reference(
+                    ranges.sum_full_model(ranges.convert_coordinates(x)),
+                    ranges.convert_coordinates(x),
+                )
             )
         checks = scipy.stats.qmc.Sobol(len(axes), seed=11)
         basis = _TemperatureBasis(ranges, [np.zeros(len(axes)), *corners])
@@ -143,7 +146,7 @@ class HeatReduction:
             draws = checks.random(CHECKS) * 2 - 1
             fresh = []
             for x in (*draws, np.sign(draws[0])):
-                values = ranges.values(x)
+                values = ranges.convert_coordinates(x)
                 fresh.append(ranges.compute_reference(self._compute_full(values), values))
             error = SAFETY * max(inner, *(item.compute_error(result) for item in fresh))
             if error <= tolerance:
@@ -159,7 +162,7 @@ class HeatReduction:
         """Add a certificate, and polynomials of facts such as a mass, to a reduced model."""
         axes = ranges.terms.axes
         semidefinite = all(map(is_semidefinite, (*result.terms.E, *result.terms.K)))
-        middle = result.evaluate(ranges.values(np.zeros(len(axes))))
+        middle = result.evaluate(ranges.convert_coordinates(np.zeros(len(axes))))
         proof = prove_stability(middle.pencil, ranges.task.band)
         certificate = certify_over_ranges(
             ranges.task, error, CHECKS + 1, proof, passive=semidefinite
@@ -187,12 +190,12 @@ class _FullModelsOverRanges:
         self.flows = flows
         self.isolated = [bool(prescribed) and keeps_all_heat(K) for K in terms.K]
 
-    def values(self, x: np.ndarray) -> dict[str, float]:
+    def convert_coordinates(self, x: np.ndarray) -> dict[str, float]:
         """Return the values of the parameters at coordinates ``x`` (axes,) of the ranges."""
         pairs = zip(self.terms.axes, x, strict=True)
         return {axis.name: axis.value(float(v)) for axis, v in pairs}
 
-    def model(self, values: Values) -> LinearModel:
+    def sum_full_model(self, values: Values) -> LinearModel:
         """Return the full model for parameter ``values``, computed as a sum of terms."""
         return LinearModel(
             **self.terms.evaluate_matrices(values),
@@ -229,7 +232,7 @@ class _ReferenceResponses:
 
     ranges: _FullModelsOverRanges
     values: Values
-    parts: PrescribedTemperatures
+    parts: SplitHeatModel
     flows: FlowReference | None
     live: Sequence[str]
     estimator: ErrorEstimator
@@ -257,7 +260,7 @@ class _ReferenceResponses:
             model, split_prescribed_ports(model, self.ranges.prescribed)
         )
 
-    def _compute_static_error(self, ours: PrescribedTemperatures) -> float:
+    def _compute_static_error(self, ours: SplitHeatModel) -> float:
         """Return the largest relative error of responses to prescribed temperatures.
 
         The responses are static.
@@ -291,7 +294,7 @@ class _TemperatureBasis:
 
     def __init__(self, ranges: _FullModelsOverRanges, points: Sequence[np.ndarray]) -> None:
         self.ranges = ranges
-        middle = ranges.model(ranges.values(np.zeros(len(ranges.terms.axes))))
+        middle = ranges.sum_full_model(ranges.convert_coordinates(np.zeros(len(ranges.terms.axes))))
         self.middle = split_prescribed_ports(middle, ranges.prescribed)
         self.psi = self.middle.psi
         if any(ranges.isolated):
@@ -304,13 +307,13 @@ class _TemperatureBasis:
         self.columns: list[np.ndarray] = []
         self.count = 0
         for x in points:
-            self.add(ranges.values(x))
+            self.add_sample(ranges.convert_coordinates(x))
 
-    def add(self, values: Values) -> None:
+    def add_sample(self, values: Values) -> None:
         """Reduce the model at parameter ``values``, and add the vectors to the basis."""
         ranges, n = self.ranges, len(self.middle.at)
         self.count += 1
-        model = ranges.model(values)
+        model = ranges.sum_full_model(values)
         aims: dict[str, Any] = {"tolerance": SAMPLE_SHARE * ranges.task.tolerance, "order": None}
         parts = split_prescribed_ports(model, ranges.prescribed)
         small = reduce_with_interfaces(
@@ -368,7 +371,7 @@ class _TemperatureBasis:
         U, _, _ = np.linalg.svd(Q.T @ (self.conductance @ X), full_matrices=False)
         return np.asarray(Q @ U)
 
-    def model(self, W: np.ndarray) -> HeatOverRanges:
+    def build_reduced_model(self, W: np.ndarray) -> HeatOverRanges:
         """Return the heat model over ranges, reduced with the basis vectors ``W``.
 
         ``W`` has the shape (others, directions).
@@ -421,12 +424,12 @@ def _find_smallest_model(
     """
     while True:
         W = basis.make_orthonormal_basis()
-        result = basis.model(W)
+        result = basis.build_reduced_model(W)
         errors = [item.compute_error(result) for item in samples]
         worst = int(np.argmax(errors))
         if errors[worst] <= limit * BASIS_SHARE / FINAL_SHARE or basis.count >= MOST_VALUES:
             break
-        basis.add(samples[worst].values)
+        basis.add_sample(samples[worst].values)
     if errors[worst] > limit:
         problem = "the ranges of the parameters are too wide for one basis"
         got = f"an error of {errors[worst]:.2g}"
@@ -435,7 +438,7 @@ def _find_smallest_model(
     low, high = 1, W.shape[1]
     while low < high:
         count = (low + high) // 2
-        model = basis.model(W[:, :count])
+        model = basis.build_reduced_model(W[:, :count])
         largest = _find_largest_error(model, samples, limit)
         if largest <= limit:
             high, best, error = count, model, largest

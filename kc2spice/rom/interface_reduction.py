@@ -28,7 +28,7 @@ from kc2spice.core.errors import SimulationError, UsageError, wrong
 from kc2spice.rom.error_estimate import make_inaccuracy_error
 from kc2spice.rom.interface_split import (
     DENSE,
-    PrescribedTemperatures,
+    SplitHeatModel,
     get_symmetric_part,
     remove_inactive_ports,
     split_prescribed_ports,
@@ -47,7 +47,7 @@ REFERENCE_TOLERANCE = 1e-4  # tolerance of the reference model if the order is p
 def reduce_with_interfaces(
     model: LinearModel,
     prescribed: Sequence[str],
-    parts: PrescribedTemperatures | None = None,
+    parts: SplitHeatModel | None = None,
     *,
     flows: bool = True,
     measured: bool = True,
@@ -81,11 +81,11 @@ def reduce_with_interfaces(
         return _reduce_definite_model(model, aims)
     parts, tolerance = parts or split_prescribed_ports(model, prescribed), aims["tolerance"]
     if not flows:
-        return _reduce_parts(
+        return _assemble_reduced_model(
             model, parts, _reduce_definite_model(remove_inactive_ports(parts.inner), aims)
         )
     if not measured:
-        return _reduce_parts(model, parts, _reduce_inner_model(model, parts, aims))
+        return _assemble_reduced_model(model, parts, _reduce_inner_model(model, parts, aims))
     band, norm = aims["band"], aims["norm"]
     reference = FlowReference.from_full_model(
         model, parts, band, norm, tolerance or REFERENCE_TOLERANCE
@@ -93,7 +93,7 @@ def reduce_with_interfaces(
     inner_tolerance = tolerance
     for _ in range(ATTEMPTS):
         small = _reduce_inner_model(model, parts, {**aims, "tolerance": inner_tolerance})
-        result = _reduce_parts(model, parts, small)
+        result = _assemble_reduced_model(model, parts, small)
         certificate = result.certificate
         assert certificate is not None  # every reduced model has a certificate
         error = reference.compute_error(result, split_prescribed_ports(result, prescribed))
@@ -112,7 +112,7 @@ def reduce_with_interfaces(
 
 
 def _reduce_inner_model(
-    model: LinearModel, parts: PrescribedTemperatures, aims: Mapping[str, Any]
+    model: LinearModel, parts: SplitHeatModel, aims: Mapping[str, Any]
 ) -> LinearModel:
     """Reduce the model of all temperatures that are not prescribed."""
     try:
@@ -121,8 +121,8 @@ def _reduce_inner_model(
         return _reduce_definite_model(make_driven_model(model, parts, stored=False), aims)
 
 
-def _reduce_parts(
-    model: LinearModel, parts: PrescribedTemperatures, small: LinearModel
+def _assemble_reduced_model(
+    model: LinearModel, parts: SplitHeatModel, small: LinearModel
 ) -> LinearModel:
     """Combine static responses and a reduced inner model to a reduced heat model.
 

@@ -28,7 +28,7 @@ def keeps_all_heat(K: sparse.csc_array) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class PrescribedTemperatures:
+class SplitHeatModel:
     """Heat model divided into prescribed temperatures and all other unknowns.
 
     Attributes
@@ -53,7 +53,7 @@ class PrescribedTemperatures:
     inner: LinearModel
 
 
-def split_prescribed_ports(model: LinearModel, prescribed: Sequence[str]) -> PrescribedTemperatures:
+def split_prescribed_ports(model: LinearModel, prescribed: Sequence[str]) -> SplitHeatModel:
     """Divide a heat model into prescribed temperatures and all other unknowns."""
     K, E = map(sparse.csc_array, model.pencil.coefficients)
     names = list_names(model.ports)
@@ -76,9 +76,7 @@ def split_prescribed_ports(model: LinearModel, prescribed: Sequence[str]) -> Pre
         # a uniform temperature of an isolated body causes no heat flow
         conductance[range(len(at)), range(len(at))] -= conductance.sum(axis=1)
     stored = E[at][:, at].toarray() + E[at][:, others] @ psi + psi.T @ coupling
-    return PrescribedTemperatures(
-        at, others, psi, shares, conductance, get_symmetric_part(stored), inner
-    )
+    return SplitHeatModel(at, others, psi, shares, conductance, get_symmetric_part(stored), inner)
 
 
 def remove_inactive_ports(model: LinearModel) -> LinearModel:

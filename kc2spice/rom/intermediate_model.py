@@ -75,7 +75,7 @@ def make_no_convergence_error(
     response: Response, band: tuple[float, float], error: float, limit: float
 ) -> SimulationError:
     """Make the exception for a Krylov method that does not converge."""
-    modes = response.select_in_band(band)[0].size
+    modes = response.select_band_resonances(band)[0].size
     return make_inaccuracy_error(
         "the reduced model does not settle",
         f"relative error {error:.1e} with {response.pencil.size} states; the band contains at "

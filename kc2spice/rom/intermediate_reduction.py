@@ -181,7 +181,7 @@ def _use_full_order(
     ):
         return None
     error, floor, rounded = _estimate_solution_error(response, band), 0.0, 0.0
-    at, ratio = response.select_visible(band)
+    at, ratio = response.select_visible_resonances(band)
     note = ""
     if at.size:
         looked = np.union1d(
@@ -248,14 +248,14 @@ def _estimate_solution_error(response: Response, band: tuple[float, float]) -> f
     Direct solutions with two elimination orders are compared with modal solutions.
     """
     full = response.pencil
-    at, ratio = response.select_visible(band)
+    at, ratio = response.select_visible_resonances(band)
     sharpest = at[np.argsort(ratio)[:1]] * (
         1 + FLANK_DISTANCE * (ratio.min(initial=1.0) < FLANK_DISTANCE)
     )
     points = np.r_[band[1], 0.31 * band[0] + 0.69 * band[1], sharpest]
     s = 2j * np.pi * points
     coarse = drop_points_near_poles(
-        make_frequency_grid(band, 50, False), *response.select_in_band(band)
+        make_frequency_grid(band, 50, False), *response.select_band_resonances(band)
     )
     everywhere = 2j * np.pi * coarse
     entries = response.compute_error_scales(coarse)

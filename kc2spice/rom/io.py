@@ -24,7 +24,7 @@ import numpy as np
 from scipy import io, sparse
 
 from kc2spice.core.errors import UsageError
-from kc2spice.core.mesh_error import select_mesh_values
+from kc2spice.core.mesh_error import select_mesh_errors
 from kc2spice.core.untrusted_files import decode_text, read_archive, read_bounded
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.pencil import Matrix
@@ -189,7 +189,7 @@ def write_rom(model: LinearModel, directory: Path, name: str) -> list[str]:
     content = {
         "ports": list(map(asdict, model.ports)),
         "certificate": asdict(require_certificate(model.certificate, model.name)),
-        "facts": select_mesh_values(model.facts),
+        "facts": select_mesh_errors(model.facts),
     }
     files = write_archive(directory, name, matrices, content)
     for letter, matrix in matrices.items():
@@ -378,7 +378,7 @@ def _build_model(matrices: dict[str, Any], record: dict[str, Any]) -> LinearMode
     arrays: dict[str, Any] = {letter: np.asarray(matrices[letter]) for letter in letters}
     if any(array.dtype.kind != "f" for array in arrays.values()):
         raise ValueError("a matrix contains values that are not real numbers")
-    facts = select_mesh_values(
+    facts = select_mesh_errors(
         TypeAdapter(dict[str, float]).validate_python(record.get("facts", {}))
     )
     if not np.isfinite([*facts.values()]).all():

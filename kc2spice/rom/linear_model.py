@@ -18,7 +18,7 @@ import scipy
 
 from kc2spice.core.domains import ELECTRICAL, PORTS, THERMAL, Domain
 from kc2spice.core.errors import UsageError, unknown
-from kc2spice.core.extras import import_optional
+from kc2spice.core.optional_libraries import import_optional
 from kc2spice.core.toml_text import clip_text
 from kc2spice.rom.pencil import (
     Matrix,
@@ -278,7 +278,7 @@ class LinearModel:
 
     @property
     def order(self) -> int:
-        """Number n of unknowns; a second-order model has 2 n states."""
+        """Number n of unknowns; the model has n states, or 2 n if it is of second order."""
         return int(self.B.shape[0])
 
     @property
@@ -314,7 +314,7 @@ class LinearModel:
         return self.pencil.is_symmetric and self.pencil.is_collocated
 
     def transfer(self, frequency: np.ndarray) -> np.ndarray:
-        """Compute the complex frequency response ``H(j 2 pi f)`` in SI units.
+        """Compute the transfer matrix ``H(j 2 pi f)`` in SI units at all frequencies f.
 
         Return an array of shape (frequencies, outputs, inputs). Each entry is an output per input,
         such as displacement per force or charge per voltage. An entry times ``s`` is, for example,
@@ -403,10 +403,11 @@ class LinearModel:
         return np.asarray(np.tensordot(self.basis, states, axes=1))
 
     def poles(self) -> np.ndarray:
-        """Compute all finite poles [1/s] of the model as complex numbers.
+        """Compute all finite poles [1/s] of the model.
 
-        The computation uses dense matrices and suits models of up to a few thousand unknowns.
-        Structural damping is ignored, because poles cannot represent structural damping exactly.
+        The poles are complex numbers. The computation uses dense matrices and suits models of up to
+        a few thousand unknowns. Structural damping is ignored, because poles cannot represent
+        structural damping exactly.
         """
         return self.pencil.poles()
 
@@ -559,7 +560,7 @@ def make_piezoelectric_model(
     is_electrode = np.array([p.electrical for p in ports])
     if is_electrode.sum() != electrodes or (~is_electrode).sum() != B.shape[1]:
         raise UsageError(
-            "the ports do not match the matrices",
+            "the numbers of ports do not match the matrices",
             where=others.get("name"),
             got=[p.name for p in ports],
             expected=f"{electrodes} electrical ports and {B.shape[1]} other ports",
@@ -676,7 +677,7 @@ def _reject_ambiguous_outputs(C: np.ndarray | None, B: np.ndarray, n: int, where
         return
     if (np.count_nonzero(C, axis=1) > 1).any():
         raise UsageError(
-            "matrix C can be the damping matrix or the output matrix",
+            "it is not stated whether matrix C is the damping matrix or the output matrix",
             where=where,
             got=f"a square C of {n} rows beside M and K",
             expected="a damping matrix with the name E, or one row of C for each output",
@@ -766,10 +767,14 @@ def _complete_ports(ports: tuple[Port, ...], m: int, p: int, where: str) -> tupl
     low = [port.name.lower() for port in ports]
     if (columns, rows) != (m, p) or len(set(low)) < len(low):
         raise UsageError(
-            "the ports do not match the matrices",
+            "two ports have the same name"
+            if len(set(low)) < len(low)
+            else "the numbers of ports do not match the matrices",
             where=where,
             got=", ".join(f"{port.name} ({port.kind})" for port in ports),
-            expected=f"{m} columns of B, {p} rows of C, and distinct names",
+            expected="names that differ in more than letter case"
+            if len(set(low)) < len(low)
+            else f"ports for {m} columns of B and {p} rows of C; a conservative port has both",
             hint="rename one of two ports with the same name"
             if len(set(low)) < len(low)
             else f"state {m} ports in place of {len(ports)}",

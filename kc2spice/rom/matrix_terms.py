@@ -112,7 +112,7 @@ def find_matrix_terms(full: Full, axes: Sequence[ParameterAxis], frame: LinearMo
         K, E = map(scipy.sparse.csc_array, model.pencil.coefficients)
         return {"E": E, "K": K}
 
-    def interpolate(choice: Sequence[tuple[int, ...]]) -> MatrixTerms:
+    def interpolate_terms(choice: Sequence[tuple[int, ...]]) -> MatrixTerms:
         """Compute the matrix of each term by interpolation between full models.
 
         The terms contain all products of the powers in ``choice``.
@@ -154,14 +154,14 @@ def find_matrix_terms(full: Full, axes: Sequence[ParameterAxis], frame: LinearMo
             trial_powers: list[tuple[int, ...]] = [(0,)] * len(axes)
             trial_powers[k] = powers
             place = tuple(CHECKED[0] * (n == k) for n in range(len(axes)))
-            if is_exact(interpolate(trial_powers), place):
+            if is_exact(interpolate_terms(trial_powers), place):
                 chosen.append(powers)
                 break
         else:
             raise _make_no_terms_error(
                 axis.name, "its matrices are no sum with this key as a factor"
             )
-    result = interpolate(chosen)
+    result = interpolate_terms(chosen)
     if len(axes) > 1 and not is_exact(result, CHECKED[: len(axes)]):
         raise _make_no_terms_error(frame.name, "its matrices are no sum with these keys as factors")
     return result

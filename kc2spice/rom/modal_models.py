@@ -86,7 +86,7 @@ class Resonators(EqualByContent):
 
     @property
     def order(self) -> int:
-        """Number of modes, including modes without inertia."""
+        """Number of unknowns: one for each mode, including modes without inertia."""
         return self.omega.size
 
     @property
@@ -94,7 +94,7 @@ class Resonators(EqualByContent):
         """Factors ``m_j`` (q,) of the inertia: 1, or 0 for modes without inertia."""
         return (np.arange(self.order) < self.order - self.massless).astype(float)
 
-    def linear(self) -> LinearModel:
+    def to_linear_model(self) -> LinearModel:
         """Convert the resonators to a :class:`LinearModel`.
 
         :func:`compute_resonators` is the exact inverse of this conversion.
@@ -284,12 +284,12 @@ def make_highest_modes_massless(model: Resonators, tolerance: float | None = Non
     if certificate is None:
         return model
     band = certificate.band_hz
-    exact = Response(model.linear().pencil)
+    exact = Response(model.to_linear_model().pencil)
     estimator = ErrorEstimator(exact, band, static=True)
-    for count in range(_count_quasi_static(model, band[1]), 0, -1):
+    for count in range(_count_quasi_static_modes(model, band[1]), 0, -1):
         result = _remove_inertia(model, count)
         error = certificate.error_estimate
-        massless_response = Response(result.linear().pencil)
+        massless_response = Response(result.to_linear_model().pencil)
         error += estimator.estimate_model_error(massless_response)
         if tolerance is None or error <= tolerance:
             cut = result.omega[result.order - result.massless] / (2 * np.pi)
@@ -305,7 +305,7 @@ def make_highest_modes_massless(model: Resonators, tolerance: float | None = Non
     return model
 
 
-def _count_quasi_static(model: Resonators, top: float) -> int:
+def _count_quasi_static_modes(model: Resonators, top: float) -> int:
     """Count the highest modes whose inertia is negligible up to ``top`` [Hz]."""
     moved = [port.has_position for port in model.ports]
     descending = np.argsort(model.omega)[::-1]

@@ -28,7 +28,7 @@ from scipy.optimize import least_squares
 
 from kc2spice.core.domains import ELECTRICAL
 from kc2spice.core.errors import UsageError
-from kc2spice.core.extras import import_optional
+from kc2spice.core.optional_libraries import import_optional
 from kc2spice.linalg.processor import use_fast_kernels
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.pencil import make_explicit_pencil
@@ -340,7 +340,7 @@ def refine_poles(
         p[~real] += 1j * np.exp(x[len(poles) :])
         return np.asarray(p)
 
-    def project(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def fit_residues(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Fit residues for given pole parameters ``x`` by linear least squares.
 
         Return an orthonormal basis of the columns, the coefficients of the columns, and the
@@ -351,13 +351,13 @@ def refine_poles(
         coefficients = scipy.linalg.lstsq(upper, Q.T @ target)[0]
         return Q, coefficients / size[:, None], target - columns @ coefficients
 
-    def residual(x: np.ndarray) -> np.ndarray:
+    def compute_residual(x: np.ndarray) -> np.ndarray:
         """Return the residuals of the fit as a vector."""
-        return project(x)[2].ravel()
+        return fit_residues(x)[2].ravel()
 
-    def slopes(x: np.ndarray) -> np.ndarray:
+    def compute_residual_slopes(x: np.ndarray) -> np.ndarray:
         """Return the derivatives of the residuals with respect to pole parameters ``x``."""
-        Q, coefficients, _ = project(x)
+        Q, coefficients, _ = fit_residues(x)
         result = []
         for change in _yield_pole_derivatives(s, unpack_poles(x), real, coefficients):
             rows = np.concatenate([change.real, change.imag])
@@ -365,9 +365,9 @@ def refine_poles(
         return np.column_stack(result)
 
     solution = least_squares(
-        residual,
+        compute_residual,
         start,
-        slopes,
+        compute_residual_slopes,
         bounds=(lower_bounds, upper_bounds),
         x_scale="jac",
         xtol=1e-10,
@@ -376,7 +376,7 @@ def refine_poles(
         max_nfev=MAX_EVALUATIONS,
     )
     x = solution.x
-    p, coefficients = unpack_poles(x), project(x)[1]
+    p, coefficients = unpack_poles(x), fit_residues(x)[1]
     residues = _recover_residues(coefficients, real)
     shape = S.shape[1:]
     return p * top, (residues * top).reshape(-1, *shape), coefficients[0].reshape(shape)

@@ -74,7 +74,7 @@ class ParallelBranches:
             Y = Y + branch.admittance(s)
         return np.asarray(Y / (1 + (self.lead.resistance + s * self.lead.inductance) * Y))
 
-    def linear(self, certificate: Certificate | None = None) -> LinearModel:
+    def to_linear_model(self, certificate: Certificate | None = None) -> LinearModel:
         """Convert the network to a linear model.
 
         The inverse conversion by :func:`recognise_parallel_branches` is exact if the network has no

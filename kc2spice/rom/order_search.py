@@ -35,8 +35,12 @@ def find_least_order(basis: ReducedBasis, tolerance: float, states: float = np.i
     return next((order for order in orders if basis.is_acceptable(order, tolerance)), None)
 
 
-def select_basis(bases: Sequence[ReducedBasis], order: int) -> ReducedBasis:
+def select_basis(
+    bases: Sequence[ReducedBasis], order: int, *, prescribed: bool = False
+) -> ReducedBasis:
     """Return the basis with the smallest error estimate at the given order.
+
+    ``prescribed`` states that the user has selected the reduction method.
 
     Raises
     ------
@@ -45,8 +49,11 @@ def select_basis(bases: Sequence[ReducedBasis], order: int) -> ReducedBasis:
     most = max(basis.size for basis in bases)
     if order > most:
         expected = f"1 to {most}"
+        problem = "the full model has fewer states than this order"
+        if prescribed:
+            problem = "the basis of the reduction method has fewer vectors than this order"
         raise UsageError(
-            "the full model has fewer states than this order",
+            problem,
             where="order",
             got=order,
             expected=expected,
@@ -145,10 +152,11 @@ def _select_smallest_order(
     states: float,
     optional: bool,
 ) -> tuple[Reductor, ReducedBasis, int | None]:
-    """Select the reductor with the smallest sufficient order, its basis and the order.
+    """Select the reductor that meets the tolerance with the smallest order.
 
-    If no order is acceptable, the order is None, or an error is raised if the result is not
-    ``optional``.
+    Return this reductor, its basis and the order. If no reductor meets the tolerance with fewer
+    than ``states`` states and ``optional`` is true, return the first applicable reductor, its
+    basis and None. If ``optional`` is false, raise an error instead.
     """
     bases = [(item, item.basis(task)) for item in reductors if item.applies_to(task)]
     rows = [(item, basis) for item, basis in bases if basis is not None]
@@ -168,27 +176,40 @@ def _replace_origin(result: tuple[ReducedBasis, int], text: str) -> tuple[Reduce
     return replace(basis, origin=text), order
 
 
-def require_order(bases: Sequence[ReducedBasis], tolerance: float) -> tuple[ReducedBasis, int]:
-    """Find the basis with the fewest states within tolerance, or raise an error.
+def require_order(basis: ReducedBasis, tolerance: float, advice: str) -> int:
+    """Find the smallest order of a prescribed method's basis within tolerance.
+
+    ``advice`` is the hint for the user if the basis has fewer vectors than the model has unknowns.
 
     Raises
     ------
     SimulationError : no model of any order is acceptable.
     """
-    orders = [(find_least_order(basis, tolerance), basis) for basis in bases]
-    acceptable = [(order, basis) for order, basis in orders if order is not None]
-    if not acceptable:
-        raise make_tolerance_error(bases, tolerance)
-    order, basis = min(acceptable, key=lambda pair: pair[1].states(pair[0]))
-    return basis, order
+    order = find_least_order(basis, tolerance)
+    if order is not None:
+        return order
+    if basis.size < basis.task.pencil_without_rigid_modes.size:
+        count = "1 vector" if basis.size == 1 else f"{basis.size} vectors"
+        problem = f"the basis of the reduction method has only {count}"
+        raise make_tolerance_error([basis], tolerance, problem, advice)
+    raise make_tolerance_error([basis], tolerance)
 
 
-def make_tolerance_error(bases: Sequence[ReducedBasis], tolerance: float) -> Exception:
-    """Make the error for bases that do not meet the tolerance at any order."""
-    error = min(basis.estimate_model_error(basis.size) for basis in bases)
+def make_tolerance_error(
+    bases: Sequence[ReducedBasis],
+    tolerance: float,
+    problem: str = "",
+    advice: str = "use a larger tolerance or a narrower band",
+) -> Exception:
+    """Make the error for bases that do not meet the tolerance at any order.
+
+    ``problem`` is the cause if it is known, and ``advice`` is the hint for the user.
+    """
+    errors = [(basis.estimate_model_error(basis.size), basis.size) for basis in bases]
+    error, size = min(errors)
     return make_inaccuracy_error(
-        "the tolerance is out of reach",
-        f"estimate {error:.1e} with {bases[0].size} states",
+        "the tolerance is out of reach" + (f": {problem}" if problem else ""),
+        f"estimate {error:.1e} with {size} basis vectors",
         tolerance,
-        "use a larger tolerance or a narrower band",
+        advice,
     )

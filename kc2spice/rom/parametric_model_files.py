@@ -16,8 +16,12 @@ from kc2spice.rom.heat_over_ranges import HeatOverRanges
 from kc2spice.rom.heat_range_files import read_heat_over_ranges, write_heat_over_ranges
 from kc2spice.rom.io import make_damage_error, read_arrays, write_archive
 from kc2spice.rom.parametric_models import DampingParameter
+from kc2spice.rom.parametric_records import (
+    make_range_record,
+    parse_range_record,
+    require_finite_arrays,
+)
 from kc2spice.rom.range_reduction import ModelOverRanges
-from kc2spice.rom.ranges_io import describe_ranges, parse_ranges, require_finite_arrays
 from kc2spice.rom.resonators_over_ranges import ResonatorsOverRanges
 
 _ARRAY_NAMES = ("exponents", "diagonal", "below", "gain", "capacitance", "shared", "rayleigh")
@@ -36,7 +40,7 @@ def write_parametric_model(model: ModelOverRanges, directory: Path, name: str) -
     if isinstance(model, HeatOverRanges):
         return write_heat_over_ranges(model, directory, name)
     assert isinstance(model, ResonatorsOverRanges)  # HeatOverRanges is the only other class
-    content = describe_ranges(model) | {
+    content = make_range_record(model) | {
         "losses": list(map(asdict, model.losses)),
         "blocks": model.blocks,
         "damped": model.damped,
@@ -87,7 +91,7 @@ def _build_resonators(
     """Check the arrays and the JSON record of a file, and create a model from both."""
     from pydantic import TypeAdapter  # imported late: few commands read parametric models
 
-    common = parse_ranges(record)
+    common = parse_range_record(record)
     ports, axes = common["ports"], common["axes"]
     losses = TypeAdapter(tuple[DampingParameter, ...]).validate_python(record["losses"])
     blocks = TypeAdapter(tuple[int, ...]).validate_python(record["blocks"])

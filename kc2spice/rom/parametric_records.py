@@ -15,7 +15,7 @@ from kc2spice.rom.range_reduction import ModelOverRanges
 MAX_LABEL_LENGTH = 200  # largest number of characters in a unit or a description
 
 
-def describe_ranges(model: ModelOverRanges) -> dict[str, Any]:
+def make_range_record(model: ModelOverRanges) -> dict[str, Any]:
     """Return the ports, certificate and parameter ranges of a model as JSON record."""
     return {
         "ports": list(map(asdict, model.ports)),
@@ -27,7 +27,7 @@ def describe_ranges(model: ModelOverRanges) -> dict[str, Any]:
     }
 
 
-def parse_ranges(record: Mapping[str, Any]) -> dict[str, Any]:
+def parse_range_record(record: Mapping[str, Any]) -> dict[str, Any]:
     """Parse the ports, certificate and parameter ranges in the JSON record of a file.
 
     Raises

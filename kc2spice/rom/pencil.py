@@ -134,7 +134,7 @@ class SchurComplement:
 
     def scale_symmetrically(self, t: np.ndarray) -> SchurComplement:
         """Return ``diag(t) S diag(t)``, where S is this Schur complement."""
-        return self._with_blocks(
+        return self._replace_blocks(
             scale_matrix(self.uu, t, t), scale_matrix(self.up, t), scale_matrix(self.pu, None, t)
         )
 
@@ -142,9 +142,9 @@ class SchurComplement:
         self, alpha: float, beta: float, M: scipy.sparse.csc_array
     ) -> SchurComplement:
         """Return the damping matrix ``alpha M + beta S`` for this Schur complement S."""
-        return self._with_blocks(alpha * M + beta * self.uu, beta * self.up, self.pu)
+        return self._replace_blocks(alpha * M + beta * self.uu, beta * self.up, self.pu)
 
-    def _with_blocks(self, uu: Matrix, up: Matrix, pu: Matrix) -> SchurComplement:
+    def _replace_blocks(self, uu: Matrix, up: Matrix, pu: Matrix) -> SchurComplement:
         """Return a Schur complement with the same ``pp`` and factor, but other blocks."""
         return SchurComplement(uu, up, pu, self.pp, self.factor)
 
@@ -527,7 +527,7 @@ class Pencil:
         return result
 
     def states(self, s: np.ndarray) -> np.ndarray:
-        """Compute the states ``P(s)^-1 B`` (all unknowns) at all values ``s``.
+        """Compute the unknowns ``P(s)^-1 B`` for unit inputs at all values ``s``.
 
         The result has the shape (len(s), n, m): values, unknowns and inputs.
 
@@ -548,7 +548,10 @@ class Pencil:
             try:
                 result[begin : begin + step] = np.linalg.solve(P, self.B.astype(complex)[None])
             except np.linalg.LinAlgError:
-                raise SimulationError("a frequency is a pole", where="transfer function") from None
+                raise SimulationError(
+                    "at one of the frequencies, the model has a pole and an infinite response",
+                    where="transfer function",
+                ) from None
         return result
 
     def transfer(self, s: np.ndarray) -> np.ndarray:

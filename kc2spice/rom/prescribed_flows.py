@@ -32,7 +32,7 @@ from scipy.sparse.linalg import splu
 
 from kc2spice.core.domains import THERMAL
 from kc2spice.rom.entry_scales import EntryScales, get_min_relative_divisor
-from kc2spice.rom.interface_split import DENSE, ROUNDING, PrescribedTemperatures
+from kc2spice.rom.interface_split import DENSE, ROUNDING, SplitHeatModel
 from kc2spice.rom.intermediate_reduction import build_intermediate_model
 from kc2spice.rom.linear_model import LinearModel, Norm, Port
 
@@ -43,7 +43,7 @@ REFERENCE_SHARE = 0.01, 0.3
 
 
 def make_driven_model(
-    model: LinearModel, parts: PrescribedTemperatures, *, stored: bool = True
+    model: LinearModel, parts: SplitHeatModel, *, stored: bool = True
 ) -> LinearModel:
     """Make the model of free temperatures, driven by the prescribed temperatures.
 
@@ -85,7 +85,7 @@ class FlowReference:
     def from_full_model(
         cls,
         model: LinearModel,
-        parts: PrescribedTemperatures,
+        parts: SplitHeatModel,
         band: tuple[float, float],
         norm: Norm,
         tolerance: float,
@@ -103,7 +103,7 @@ class FlowReference:
         rounding[n:, n:] = 0.0
         return cls(frequency, response, uncertainty, rounding, get_min_relative_divisor(norm))
 
-    def compute_error(self, model: LinearModel, parts: PrescribedTemperatures) -> float:
+    def compute_error(self, model: LinearModel, parts: SplitHeatModel) -> float:
         """Return the largest relative error of a reduced model's flows and temperatures.
 
         ``parts`` describes the division of the unknowns of the reduced model. The error includes
@@ -119,8 +119,8 @@ class FlowReference:
 
 
 def _project_on_responses(
-    model: LinearModel, parts: PrescribedTemperatures, band: tuple[float, float], tolerance: float
-) -> tuple[LinearModel, PrescribedTemperatures, float]:
+    model: LinearModel, parts: SplitHeatModel, band: tuple[float, float], tolerance: float
+) -> tuple[LinearModel, SplitHeatModel, float]:
     """Replace a large model by its projection on responses in the ``band`` [Hz].
 
     Return the smaller model, the division of its unknowns, and its error. The error is far below
@@ -144,7 +144,7 @@ def _project_on_responses(
 
 
 def _compute_response(
-    model: LinearModel, parts: PrescribedTemperatures, frequency: np.ndarray
+    model: LinearModel, parts: SplitHeatModel, frequency: np.ndarray
 ) -> np.ndarray:
     """Compute the response of heat flows and temperatures at all frequencies.
 

@@ -77,13 +77,13 @@ def record_model_values(full: Full) -> tuple[Full, list[tuple[Values, Mapping[st
     """
     facts: list[tuple[Values, Mapping[str, float]]] = []
 
-    def compute_full(values: Values) -> LinearModel:
+    def build_full_model(values: Values) -> LinearModel:
         """Build the full model, and record its ``facts`` with the parameter values."""
         model = full(values)
         facts.append((dict(values), model.facts))
         return model
 
-    return compute_full, facts
+    return build_full_model, facts
 
 
 def certify_over_ranges(

@@ -33,12 +33,17 @@ from kc2spice.rom.intermediate_model import IntermediateModel
 from kc2spice.rom.intermediate_reduction import build_intermediate_model
 from kc2spice.rom.linear_model import LinearModel, Norm
 from kc2spice.rom.order_search import require_order, select_basis, select_fewest_states
+from kc2spice.rom.peak_error_fit import find_lower_order
 from kc2spice.rom.pencil import Pencil
 from kc2spice.rom.reduced_basis import ReducedBasis, ReductionTask
 from kc2spice.rom.reductors.base import Reductor, require_basis
 from kc2spice.rom.reductors.block_krylov import BlockArnoldi, make_nested_model
-from kc2spice.rom.reductors.registry import BLOCK_KRYLOV, find_reductor, list_suited_reductors
-from kc2spice.rom.refinement import find_lower_order
+from kc2spice.rom.reductors.registry import (
+    BLOCK_KRYLOV,
+    advise_more_vectors,
+    find_reductor,
+    list_suited_reductors,
+)
 from kc2spice.rom.stability import StabilityProof, prove_stability
 from kc2spice.rom.structural_reduction import approximate_causally, reduce_to_first_order
 
@@ -73,12 +78,13 @@ def reduce_model(
 ) -> LinearModel:
     """Reduce a linear model to a relative error ``tolerance``, or to an ``order``.
 
-    For a ``tolerance``, the result is the smallest reduced model within the tolerance. The result
-    has the ports of the full-order model ``fom``. The certificate contains the error estimate over
-    ``band`` [Hz] in the given ``norm``.
+    For a ``tolerance``, the result is the smallest of the tried reductions within the tolerance.
+    The result has the ports of the full-order model ``fom``. The certificate contains the error
+    estimate over ``band`` [Hz] in the given ``norm``.
 
-    * If ``order`` is given, a symmetric positive definite model is reduced by block Arnoldi at
-      s0 = 0 (Schütz, Maeter and Bechtold, Actuators 10 (2021) 279, section 2.3).
+    * If ``order`` is given, a proportionally damped second-order model with a positive definite
+      stiffness matrix is reduced by block Arnoldi at s0 = 0 (Schütz, Maeter and Bechtold,
+      Actuators 10 (2021) 279, section 2.3).
     * Models whose ports are signals are also reduced to first-order models by balanced truncation.
       The first-order model is used if it has fewer states and the full model is not proven passive.
     * Structural damping is replaced by viscous damping of each mode, or by relaxations where
@@ -145,7 +151,7 @@ def reduce_model(
 
 def reduce_to_target(fom: LinearModel, target: ReductionTarget) -> LinearModel:
     """Reduce a model so that it meets the requirements ``target``."""
-    require_valid(target)
+    require_valid_target(target)
     if fom.structural:
         return _reduce_structural_damping(fom, target)
     rom, tolerance = _reduce_viscous_damping(fom, target), target.tolerance
@@ -178,7 +184,7 @@ def _reduce_viscous_damping(fom: LinearModel, target: ReductionTarget) -> Linear
     """Reduce a model with viscous damping."""
     pencil = eliminate_algebraic_unknowns(fom.pencil)
     band = choose_band(fom, pencil, target.band)
-    intermediate, full_order_proof = make_verified_first_step(pencil, band, target)
+    intermediate, full_order_proof = compute_first_step(pencil, band, target)
     task = ReductionTask.from_models(fom, pencil, intermediate, band, target.norm, target.tolerance)
     reductors = list_methods(task, target)
     if target.tolerance is None:
@@ -218,7 +224,7 @@ def choose_band(
     return float(band[0]), float(band[1])
 
 
-def make_verified_first_step(
+def compute_first_step(
     pencil: Pencil, band: tuple[float, float], target: ReductionTarget
 ) -> tuple[IntermediateModel, StabilityProof]:
     """Compute the first reduction step: an intermediate model and a stability proof.
@@ -285,7 +291,8 @@ def find_basis_of_order(
             suited = (item for item in reductors if item.congruence and item.applies_to(task))
             candidates = (item.basis(task) for item in suited)
             bases[key] = [basis for basis in candidates if basis is not None]
-    return select_basis(bases[key], target.order), target.order
+    prescribed = target.method is not None
+    return select_basis(bases[key], target.order, prescribed=prescribed), target.order
 
 
 def find_smallest_basis(
@@ -295,7 +302,8 @@ def find_smallest_basis(
     assert target.tolerance is not None
     tolerance = _subtract_rounding_error(target.tolerance, task.intermediate)
     if target.method is not None:
-        return require_order([_compute_prescribed_basis(task, reductors[0])], tolerance)
+        basis = _compute_prescribed_basis(task, reductors[0])
+        return basis, require_order(basis, tolerance, advise_more_vectors(reductors[0]))
     basis, order = select_fewest_states(
         task, reductors, tolerance, shorten=not target.contact, keep_form=target.keep_form
     )
@@ -399,7 +407,7 @@ def _reduce_structural_damping(fom: LinearModel, target: ReductionTarget) -> Lin
     return approximate_causally(fom, _make_congruence(target), target.tolerance, band, target.norm)
 
 
-def require_valid(target: ReductionTarget) -> None:
+def require_valid_target(target: ReductionTarget) -> None:
     """Reject a reduction target with invalid tolerance, order, norm or method."""
     tolerance, order = target.tolerance, target.order
     if (tolerance is None) == (order is None):

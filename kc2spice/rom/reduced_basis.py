@@ -110,7 +110,7 @@ class ReductionTask:
 
     @property
     def states(self) -> int:
-        """Number of first-order states of the intermediate model."""
+        """Number of states of the intermediate model, written as a first-order system."""
         return self.response.pencil.size * self.response.pencil.degree
 
     def get_shared_value(self, name: str, compute: Callable[[], T]) -> T:
@@ -299,7 +299,7 @@ class ReducedBasis:
         return self.pencil.size
 
     def states(self, order: int) -> int:
-        """Return the number of first-order states of the reduced model of a given order."""
+        """Return the number of states of the reduced model with ``order`` unknowns."""
         return order * self.pencil.degree
 
     @property

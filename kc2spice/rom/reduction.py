@@ -25,12 +25,12 @@ from kc2spice.rom.reduce import (
     MAX_INTERMEDIATE_SHARE,
     ReductionTarget,
     choose_band,
+    compute_first_step,
     find_basis_of_order,
     find_smallest_basis,
     list_methods,
-    make_verified_first_step,
     reduce_model,
-    require_valid,
+    require_valid_target,
     warn_of_rounding_errors,
 )
 from kc2spice.rom.reduced_basis import (
@@ -96,8 +96,9 @@ def reduce(
 
     The reduced model has the ports of ``model``, in the same order. The ``certificate`` of the
     reduced model contains the largest error of any transfer function over ``band``, compared with
-    ``model``. If ``order`` is given, a symmetric definite model is reduced by block Arnoldi at s0 =
-    0 (Schütz, Maeter and Bechtold, Actuators 10 (2021) 279, section 2.3).
+    ``model``. If ``order`` is given, a proportionally damped second-order model with a positive
+    definite stiffness matrix is reduced by block Arnoldi at s0 = 0 (Schütz, Maeter and Bechtold,
+    Actuators 10 (2021) 279, section 2.3).
 
     Parameters
     ----------
@@ -106,8 +107,8 @@ def reduce(
         the ranges of all parameters. The arguments ``order``, ``contact`` and ``method`` do not
         apply to an affine model.
     tolerance : float, optional
-        Largest permitted relative error over the band. The smallest model within the tolerance is
-        returned.
+        Largest permitted relative error over the band. The result is the smallest of the tried
+        reductions within the tolerance.
     order : int, optional
         Number of unknowns of the reduced model. Exactly one of ``tolerance`` and ``order`` is
         required.
@@ -318,7 +319,7 @@ class Reduction:
         self._target = ReductionTarget(
             tolerance, None, None, norm or choose_default_norm(model), False, method, exact=False
         )
-        require_valid(self._target)
+        require_valid_target(self._target)
         self.model, self.norm = model, self._target.norm
         self._pencil = eliminate_algebraic_unknowns(model.pencil)
         self.band = choose_band(model, self._pencil, parse_band(band))
@@ -330,9 +331,7 @@ class Reduction:
         """Compute the intermediate model for the tolerance of a target."""
         assert target.tolerance is not None
         with use_solver(self._solver):
-            self._intermediate, self._proof = make_verified_first_step(
-                self._pencil, self.band, target
-            )
+            self._intermediate, self._proof = compute_first_step(self._pencil, self.band, target)
         self._tolerance = target.tolerance
         self._task = ReductionTask.from_models(
             self.model, self._pencil, self._intermediate, self.band, self.norm
@@ -389,7 +388,7 @@ class Reduction:
         order: int | None = None,
         method: str | Reductor | None = None,
     ) -> LinearModel:
-        """Return the smallest model within a tolerance, or the best model of an order.
+        """Return the smallest tried model within a tolerance, or the best of an order.
 
         Parameters
         ----------
@@ -415,7 +414,7 @@ class Reduction:
         """
         target = replace(self._target, tolerance=tolerance, order=order, exact=True)
         target = replace(target, method=self._target.method if method is None else method)
-        require_valid(target)
+        require_valid_target(target)
         if tolerance is None:
             basis, order = self._find_basis_of_order(target)
         else:
@@ -430,7 +429,7 @@ class Reduction:
         The reduced model is the result of :meth:`reduce`.
         """
         target = replace(self._target, tolerance=None, order=order)
-        require_valid(target)
+        require_valid_target(target)
         basis, order = self._find_basis_of_order(target)
         return basis.estimate_model_error(order) + self._intermediate.floor
 

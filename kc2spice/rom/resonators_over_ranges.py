@@ -125,7 +125,7 @@ class ResonatorsOverRanges(ParameterPolynomials, ModelOverRanges):
 
     @property
     def order(self) -> int:
-        """Number of resonators; each resonator has a displacement and a velocity."""
+        """Number n of unknowns: one for each resonator; the model has 2 n states."""
         return int(self.diagonal.shape[1])
 
     @property
@@ -175,7 +175,7 @@ def reduce_over_ranges(task: RangeTask) -> ResonatorsOverRanges:
     """
     full, facts = record_model_values(task.full)
 
-    def compute_full(values: Values) -> LinearModel:
+    def build_full_model(values: Values) -> LinearModel:
         """Build the full model; reject losses other than Rayleigh damping."""
         model = full(values)
         if model.rayleigh is None:
@@ -186,7 +186,7 @@ def reduce_over_ranges(task: RangeTask) -> ResonatorsOverRanges:
             )
         return model
 
-    result, error = _reduce_and_check(replace(task, full=compute_full))
+    result, error = _reduce_and_check(replace(task, full=build_full_model))
     middle = result.evaluate(_compute_values_at(result.parameter_axes, np.zeros(len(task.axes))))
     proof = prove_stability(middle.pencil.make_dense(), task.band)
     certificate = certify_over_ranges(task, error, FULL_CHECKS + 1, proof)

@@ -100,7 +100,7 @@ class Response:
         return self.modes is not None or self.core.size <= MIN_UNKNOWNS
 
     def states(self, s: np.ndarray) -> np.ndarray:
-        """Compute the states ``P(s)^-1 B`` (all unknowns) at all values ``s``.
+        """Compute the unknowns ``P(s)^-1 B`` for unit inputs at all values ``s``.
 
         The result has the shape (len(s), n, m): values, unknowns and inputs.
         """
@@ -115,7 +115,7 @@ class Response:
         return np.concatenate([self._free.states(s), x], axis=1) if self._free else x
 
     def transfer(self, s: np.ndarray) -> np.ndarray:
-        """Compute the response ``C P(s)^-1 B + D`` at all values ``s``.
+        """Compute the transfer matrix ``C P(s)^-1 B + D`` at all values ``s``.
 
         The result has the shape (len(s), outputs, inputs).
         """
@@ -205,13 +205,13 @@ class Response:
         """Frequency [Hz] and damping ratio of the oscillating poles."""
         return self._oscillating_poles[:2]
 
-    def select_in_band(self, band: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+    def select_band_resonances(self, band: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
         """Return frequencies [Hz] and damping ratios of the resonances in the band."""
         frequency, ratio = self.resonances
         inside = _mask_inside_band(frequency, band)
         return frequency[inside], ratio[inside]
 
-    def select_visible(self, band: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+    def select_visible_resonances(self, band: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
         """Return frequencies [Hz] and damping ratios of visible resonances in the band.
 
         An invisible resonance has no peak in any entry of the response. The mode of an invisible
@@ -404,7 +404,7 @@ def sample_band(
     On both sides of each resonance, there are samples at distances of ``widths`` half-widths.
     Samples too close to undamped poles are omitted.
     """
-    at, ratio = response.select_in_band(band)
+    at, ratio = response.select_band_resonances(band)
     points = np.union1d(
         make_frequency_grid(band, count, static), sample_resonances(at, ratio, np.asarray(widths))
     )

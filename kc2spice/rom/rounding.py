@@ -91,12 +91,13 @@ def find_zero_entries(
     that is zero by symmetry is negligible at nearly all frequencies of the band. The entry may be
     as large as a rounding error at sharp resonances of modes with equal frequencies.
     """
-    at, ratio = response.select_visible(band)
+    at, ratio = response.select_visible_resonances(band)
     chosen = np.union1d(np.argsort(at)[:CHECKED_RESONANCES], np.argsort(ratio)[:CHECKED_RESONANCES])
     peaks = at[chosen] * (1 + FLANK_DISTANCE * (ratio[chosen] < MIN_DAMPING_RATIO))
     f = np.r_[
         drop_points_near_poles(
-            make_frequency_grid(band, ZERO_FREQUENCIES, False), *response.select_in_band(band)
+            make_frequency_grid(band, ZERO_FREQUENCIES, False),
+            *response.select_band_resonances(band),
         ),
         peaks,
     ]
@@ -169,9 +170,9 @@ def add_rounding_floor(
     if the change is negligible relative to ``target``, the required error of the model.
     """
     exact = model.response
-    at, ratio = exact.select_visible(band)
+    at, ratio = exact.select_visible_resonances(band)
     points = drop_points_near_poles(
-        sample_resonances(at, ratio, np.array([0.0, 1.0])), *exact.select_in_band(band)
+        sample_resonances(at, ratio, np.array([0.0, 1.0])), *exact.select_band_resonances(band)
     )
     if not points.size:
         return model

@@ -92,7 +92,7 @@ def approximate_causally(
         trial_error = search.estimate_model_error(trial)
         if trial_error < MAX_ERROR_RATIO * error:
             modes, error = trial, trial_error
-    result, known = search.model(modes), search.small.certificate
+    result, known = search.build_passive_model(modes), search.small.certificate
     assert known is not None
     proof = prove_stability(result.pencil, band)
     relaxation_count = sum(mode.rates.size for mode in modes)
@@ -161,7 +161,7 @@ class _PassiveModelSearch:
             raise UsageError(
                 "structural damping needs symmetric matrices and a definite mass",
                 where=self.full.name,
-                hint="fix unknowns without mass, or pass viscous damping as matrix E",
+                hint="fix the unknowns that have no mass, or pass viscous damping as matrix E",
             ) from None
         eta = self.full.loss_factor
         if self.full.loss is None:
@@ -207,7 +207,7 @@ class _PassiveModelSearch:
         least = np.linalg.eigvalsh(scale[:, None] * self.H[np.ix_(lossy, lossy)] * scale)[0]
         return float(np.clip(least, 0.0, 1.0))
 
-    def model(self, modes: Sequence[Oscillator]) -> LinearModel:
+    def build_passive_model(self, modes: Sequence[Oscillator]) -> LinearModel:
         """Return the passive model that consists of ``modes`` and of coupling losses."""
         rest = self.H - self._largest_decoupled_share * np.diag(np.diag(self.H))
         pace = np.sqrt(np.where(self.squares > 0, self.squares, 1.0))
@@ -263,7 +263,7 @@ class _PassiveModelSearch:
     def compute_deviation(self, modes: Sequence[Oscillator]) -> float:
         """Return the largest relative error of a modal model, against structural damping."""
         frequency, exact = self._sample_lossy_response(modes)
-        response = self.model(modes).transfer(frequency)
+        response = self.build_passive_model(modes).transfer(frequency)
         return float(
             EntryScales.from_response(exact)
             .compute_relative_errors(response - exact, exact, get_min_relative_divisor(self.norm))
@@ -281,7 +281,7 @@ class _PassiveModelSearch:
     def compute_verified_error(self, result: LinearModel) -> float:
         """Return the largest relative error of ``result``, compared with direct solutions."""
         low, high = self.band
-        sharp = np.sort(Response(result.pencil.make_dense()).select_in_band(self.band)[0])[
+        sharp = np.sort(Response(result.pencil.make_dense()).select_band_resonances(self.band)[0])[
             :DIRECT_SOLUTIONS
         ]
         frequencies = np.r_[
@@ -299,7 +299,7 @@ class _PassiveModelSearch:
 
         The frequencies include frequencies at which errors are probably large.
         """
-        response = Response(self.model(modes).pencil.make_dense())
+        response = Response(self.build_passive_model(modes).pencil.make_dense())
         frequency = choose_adaptive_frequencies(response, self.band, False, self.norm)
         frequency = frequency[frequency > 0]
         if self.band[0] == 0:
@@ -316,7 +316,7 @@ class _PassiveModelSearch:
             return 1.0
         frequency, exact = self._sample_lossy_response(self.dashpot_modes)
         small = Response(self.small.pencil.make_dense())
-        sharper = np.r_[frequency, small.select_in_band(self.band)[0]]
+        sharper = np.r_[frequency, small.select_band_resonances(self.band)[0]]
         peaks = np.abs(self.small.transfer(sharper)).max(axis=0)
         return float((peaks / (EntryScales.from_response(exact).peak + np.finfo(float).tiny)).max())
 

@@ -97,7 +97,7 @@ class ReductionsByOrder:
         )
 
 
-def response(model: LinearModel, t: np.ndarray, load: np.ndarray) -> np.ndarray | None:
+def compute_time_response(model: LinearModel, t: np.ndarray, load: np.ndarray) -> np.ndarray | None:
     """Compute the outputs of a model at the times ``t`` (n,) under a ``load``.
 
     Return an array of shape (n, outputs). Between the times ``t``, the load is linear. At the first
@@ -164,8 +164,8 @@ def compute_time_errors(
     the effects of two groups of loads cancel, the divisor is the effect of one group. An example is
     the voltage across an open electrode. Return None if the response of a model cannot be computed.
     """
-    ours = response(small, t, load)
-    alone = [response(rich, t, load * group) for group in groups]
+    ours = compute_time_response(small, t, load)
+    alone = [compute_time_response(rich, t, load * group) for group in groups]
     known = [item for item in alone if item is not None]
     if ours is None or len(known) < len(groups):
         return None

@@ -172,7 +172,8 @@ def _require_inertial_force(
             continue
         if part.is_user_netlist:
             advice = (
-                f"in {_describe_frame(frame)}, the netlist must apply -m a to each of its masses"
+                f"in {_describe_frame(frame)}, the netlist must apply the inertial force -m a to "
+                "each of its masses"
             )
             warnings.warn(f"{part.name}.{pin}: {advice}", stacklevel=2)
         elif pin not in part.type.pins_with_mass(part, scene):

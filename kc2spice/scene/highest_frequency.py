@@ -5,7 +5,7 @@ from __future__ import annotations
 from kc2spice.scene.model import GovernedScene
 
 
-def highest_frequency(scene: GovernedScene, constant: float = 0.0) -> float:
+def find_highest_frequency(scene: GovernedScene, constant: float = 0.0) -> float:
     """Return the highest frequency [Hz] with which a scene drives its parts.
 
     In an ``ac`` or ``noise`` analysis, the result is the end of the frequency range. In a ``dc`` or

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Iterator
 from itertools import chain
 from math import inf
@@ -22,6 +23,8 @@ from kc2spice.scene.resolve import PERIOD_TOLERANCE
 from kc2spice.scene.settings import ANALYSIS_UNITS, Analysis, ProbeKeys
 
 MAX_TIME_POINTS = 1e7  # largest number of time points in a transient
+# keys of ``solver`` that only a transient uses
+TRANSIENT_SOLVER_KEYS = ("stop", "max_step", "trtol", "method", "ringing")
 # smallest frequency step that a simulator resolves, relative to the last frequency
 SMALLEST_STEP_RATIO = 1e-12
 
@@ -40,6 +43,7 @@ def check_scene(scene: Scene) -> Iterator[UsageError]:
     yield from _check_includes(scene)
     yield from _check_largest_step(scene)
     yield from _check_unused_keys(scene.analysis)
+    _warn_of_unused_solver_keys(scene)
     yield from _check_sweep_type(scene)
     yield from _check_frequencies(scene)
     yield from _check_noise_output(scene.analysis)
@@ -48,7 +52,7 @@ def check_scene(scene: Scene) -> Iterator[UsageError]:
         yield from _check_swept_key(scene)
     for name, probe in scene.probes.items():
         yield from _check_level_probe(f"probes.{name}", probe, scene.analysis)
-        for key, place in probe.read_positions.items():
+        for key, place in probe.positions_by_key.items():
             yield from _check_probe_position(f"probes.{name}.{key}", place, scene)
 
 
@@ -254,17 +258,28 @@ def _check_unused_keys(selected: Analysis) -> Iterator[UsageError]:
         )
 
 
+def _warn_of_unused_solver_keys(scene: Scene) -> None:
+    """Warn about keys of ``solver`` that have no effect, because the run has no time steps."""
+    kind, stated = scene.analysis.type, scene.solver.model_fields_set
+    for key in TRANSIENT_SOLVER_KEYS if kind != "transient" else ():
+        if key in stated and getattr(scene.solver, key) is not None:
+            warnings.warn(
+                f"the key `solver.{key}` has no effect in the {kind} analysis", stacklevel=2
+            )
+
+
 def check_periods(scene: Scene) -> Iterator[UsageError]:
     """Yield an error for each probe that reads more periods than the run contains."""
     for name, probe in scene.probes.items():
         if probe.periods is not None:
-            yield from _check_window(f"probes.{name}.periods", probe.periods, scene)
+            yield from _check_period_count(f"probes.{name}.periods", probe.periods, scene)
 
 
-def _check_window(where: str, count: int, scene: Scene) -> Iterator[UsageError]:
+def _check_period_count(where: str, count: int, scene: Scene) -> Iterator[UsageError]:
     """Yield an error if the analysis does not contain a given number of periods."""
     if scene.analysis.type != "transient":
-        got, expected = f"{scene.analysis.type} analysis", "a transient, or from and to"
+        got = f"{scene.analysis.type} analysis"
+        expected = "a transient analysis, or the keys from and to in place of periods"
         yield UsageError(
             "the key `periods` needs a transient analysis",
             where=where,
@@ -289,7 +304,7 @@ def _check_window(where: str, count: int, scene: Scene) -> Iterator[UsageError]:
         expected = f"at most {scene.stop_time:g} s, the end of the transient"
         fitting = int(scene.stop_time / period)
         yield UsageError(
-            "the window is longer than the run",
+            "the time window of this probe is longer than the run",
             where=where,
             got=got,
             expected=expected,

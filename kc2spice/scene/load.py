@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import re
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -19,16 +21,17 @@ from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, norm
 from kc2spice.core.key_errors import describe_invalid_key
 from kc2spice.core.schemas import list_keys
 from kc2spice.core.synonyms import PART_TYPE_SYNONYMS
-from kc2spice.core.toml_text import clip_text, display_text
+from kc2spice.core.toml_text import clip_text, display_text, format_toml
 from kc2spice.core.untrusted_files import (
     make_identifier,
 )
+from kc2spice.scene.catalogue import find_part
+from kc2spice.scene.key_checks import check_periods, check_scene
 from kc2spice.scene.model import DEFAULT_TYPES, GROUND, NameAllocator, Part, PartType, Scene
 from kc2spice.scene.net_formation import add_default_joins
 from kc2spice.scene.overrides import read_overrides, set_key, write_example
 from kc2spice.scene.parttype import find_part_type, list_type_names
 from kc2spice.scene.plausibility import apply_check_action, check_drive_levels
-from kc2spice.scene.problems import check_periods, check_scene
 from kc2spice.scene.resolve import add_governed_records, resolve
 from kc2spice.scene.scene_file import SceneFile, open_scene
 from kc2spice.scene.settings import Analysis, SceneKeys
@@ -36,7 +39,7 @@ from kc2spice.scene.start_conditions import find_start_errors
 
 _PART_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,47}")
 PARTS_COMMAND = "kc2spice scenes --parts"  # command that lists the part types
-_STRUCTURAL_KEYS = ("part", "pins")  # keys that every table of a part may contain
+STRUCTURAL_KEYS = ("part", "pins")  # keys that every table of a part may contain
 # line number at the end of a file position such as amp.lib:4
 _LINE_NUMBER_SUFFIX = re.compile(r"[^.]:\d+$")
 
@@ -88,6 +91,8 @@ def load_scene(
         )
     if isinstance(scene, Scene):
         source, data = SceneFile("scene", scene.name, "", scene.home), _copy_tables(scene.tables)
+        if isinstance(scene.source, SceneFile):
+            source.override_folders.update(scene.source.override_folders)
     elif isinstance(scene, Mapping):
         source, data = SceneFile("scene", "scene", "", Path()), _copy_tables(scene)
     else:
@@ -104,10 +109,10 @@ def load_scene(
         )
     tables = {name: table for name, table in data.items() if isinstance(table, Mapping)}
 
-    for name, value, place in list(
+    for name, value, place, folder in list(
         read_overrides(overrides, partial(_write_override_example, tables))
     ):
-        source.overrides[set_key(data, name, value, place)] = place
+        source.set_override(set_key(data, name, value, place), value, place, folder)
     _require_known_parts(data, tables, source)
     try:
         result = _make_scene(data, source)
@@ -121,8 +126,43 @@ def load_scene(
             and not _LINE_NUMBER_SUFFIX.search(where)
         ):
             problem.hint = _suggest_probed_result(data, source, problem) or problem.hint
-            problem.where = source.locate_key(where)
+            if not _explain_replaced_type(data, source, problem):
+                problem.where = source.locate_key(where)
         raise
+
+
+def _explain_replaced_type(data: Mapping[str, Any], source: SceneFile, problem: UsageError) -> bool:
+    """Explain an error about a key of the scene by the override that replaces its part type.
+
+    Return False, and leave the error unchanged, if no override replaces the type of the part, or if
+    an override sets the key.
+    """
+    where = str(problem.where)
+    name, _, key = where.partition(".")
+    origin = source.overrides.get((name, "part"))
+    table = data.get(name)
+    if origin is None or not isinstance(table, Mapping) or source.find_override(where):
+        return False
+    if key.partition(".")[0] not in table:
+        return False
+    changed: dict[str, Any] = {}
+    for path in source.overrides:
+        if path[0] == name and len(path) > 1:
+            changed[path[1]] = table[path[1]]
+        if path in source.override_folders and len(path) == 2:
+            file = source.override_folders[path] / str(table[path[1]])
+            changed[path[1]] = os.path.relpath(file, source.base_folder)
+    text = f"{name}={format_toml(changed)}"
+    problem.got = f"{where} of {source.label}: {problem.message}"
+    problem.message = f"the key {where} of the scene does not fit the new part type"
+    problem.expected = f"a table {name} with keys of part = {table['part']!r} only"
+    problem.hint = (
+        f"replace the whole table: add  --set {shlex.quote(text)}"
+        if origin.startswith("--set")
+        else f"replace the whole table: add  {name!r}: {changed!r}  to the overrides"
+    )
+    problem.where = origin
+    return True
 
 
 def _write_override_example(tables: Mapping[str, Any], key: str) -> str:
@@ -181,14 +221,14 @@ def _make_scene(data: dict[str, Any], source: SceneFile) -> Scene:
     types = {name: _find_part_type(name, table) for name, table in _list_part_tables(data)}
     frame = {key: data[key] for key in data if key not in types}
     scene = Scene(_validate_table(SceneKeys, frame, ()), {}, home=source.folder)
-    parts, analysis = _make_parts(data, types, source.folder)
+    parts, analysis = _make_parts(data, types, source)
     scene = replace(scene, parts=parts, tables=_copy_tables(data), source=source)
     if analysis is not None and "analysis" not in data:
         scene = replace(scene, frame=scene.frame.model_copy(update={"analysis": analysis}))
     scene = add_governed_records(scene)
     for problem in check_scene(scene):
         raise problem
-    scene = resolve(_with_default_drive(scene))
+    scene = resolve(_add_default_drive(scene))
     implausible = apply_check_action(check_drive_levels(scene), scene.checks.plausible)
     start_errors = find_start_errors(scene, scene.equilibrium_conditions)
     for problem in chain(check_periods(scene), start_errors, implausible):
@@ -216,13 +256,26 @@ def _suggest_probed_result(
 
 
 def _make_parts(
-    data: Mapping[str, Any], types: Mapping[str, PartType], home: Path
+    data: Mapping[str, Any], types: Mapping[str, PartType], source: SceneFile
 ) -> tuple[dict[str, Part], Analysis | None]:
     """Make all parts of a scene; also return an analysis that a part generates."""
+
+    def make_part(
+        name: str,
+        table: Mapping[str, Any],
+        kind: PartType,
+        at: tuple[str | int, ...] = (),
+        **options: Any,
+    ) -> Part:
+        """Make a part that reads its files in the folder of the scene or of an override file."""
+        folder = source.find_override_folder(tuple(map(str, at or (name,))))
+        part = _make_part(name, table, kind, folder or source.folder, at, **options)
+        return part if folder is None else replace(part, folder=folder)
+
     parts = {}
     for name, kind in types.items():
         short = () if "part" in data[name] else tuple(data)
-        parts[name] = _make_part(name, data[name], kind, home, short=short, tables=data)
+        parts[name] = make_part(name, data[name], kind, short=short, tables=data)
     analysis = None
     for part in list(parts.values()):
         for name, table in part.type.generate_tables(part, data).items():
@@ -241,11 +294,11 @@ def _make_parts(
             keys = dict(table)
             at = keys.pop("at", None)
             place = at if isinstance(at, tuple) else (name,)
-            parts[name] = _make_part(name, keys, _find_part_type(name, keys), home, place)
+            parts[name] = make_part(name, keys, _find_part_type(name, keys), place)
     return parts, analysis
 
 
-def _with_default_drive(scene: Scene) -> Scene:
+def _add_default_drive(scene: Scene) -> Scene:
     """Return the scene, with a 1 V source if no part drives its ``ac`` analysis.
 
     Raises
@@ -393,17 +446,34 @@ def _find_part_type(name: str, table: Mapping[str, Any]) -> PartType:
         )
     result = find_part_type(selected) if isinstance(selected, str) else None
     if result is None:
-        raise unknown(
-            "this part type does not exist",
-            selected,
-            list_type_names(),
-            f"{name}.part",
-            PARTS_COMMAND,
-            advice=_suggest_part_type(selected)
-            or f"run {PARTS_COMMAND}, which lists all types; "
-            "docs/how-to/own_part.md describes types of your own",
+        advice = (
+            f"run {PARTS_COMMAND}, which lists all types; "
+            "docs/how-to/own_part.md describes types of your own"
+        )
+        raise make_unknown_type_error(
+            selected, f"{name}.part", _suggest_part_type(selected) or advice
         )
     return result
+
+
+def make_unknown_type_error(selected: object, where: str, advice: str) -> UsageError:
+    """Make the error for a text that is not the name of a part type.
+
+    A part number of the catalogue has its own error, because the number determines the part type
+    and its keys. ``advice`` is the next action if no part type has a similar name.
+    """
+    sold = find_part(selected) if isinstance(selected, str) else None
+    if sold is None:
+        message, names = "this part type does not exist", list_type_names()
+        return unknown(message, selected, names, where, PARTS_COMMAND, advice=advice)
+    return UsageError(
+        "this text is a part number, not a part type",
+        where=where,
+        got=repr(selected),
+        expected=f"the part type {sold.kind}, with the keys of {sold.number}",
+        hint=f'write  part = "{sold.kind}"  and the keys that the command  '
+        f"kc2spice parts {shlex.quote(sold.number)}  prints",
+    )
 
 
 def _make_part(
@@ -426,7 +496,7 @@ def _make_part(
     if not isinstance(pins, Mapping) or not all(isinstance(v, str) for v in pins.values()):
         raise _make_pins_error(name, table, kind, home, tables)
     keys = _complete_tables(table, kind.schema)
-    for key in _STRUCTURAL_KEYS:
+    for key in STRUCTURAL_KEYS:
         keys.pop(key, None)
     checked = _validate_table(kind.schema, keys, at or (name,), {"home": home, "short": short})
     return Part(name, kind, checked, dict(pins), at)
@@ -510,7 +580,7 @@ def _validate_table(
         return schema.model_validate(table, context=context)
     except ValidationError as error:
         path, details = describe_invalid_key(
-            error, schema, at, _STRUCTURAL_KEYS if at else (), table
+            error, schema, at, STRUCTURAL_KEYS if at else (), table
         )
         raise UsageError(where=".".join(map(str, path)), **details) from None
 

@@ -85,7 +85,7 @@ def _list_metrics(waves: Waveforms, build: BuiltScene, *, partial: bool) -> dict
 def _covers_probe(probe: ProbeKeys, waves: Waveforms, window: tuple[float, float] | None) -> bool:
     """Return whether the waves of an interrupted run cover everything a probe reads."""
     low, high = waves.scale.real.min(), waves.scale.real.max()
-    places = [*probe.read_positions.values(), *(filter(math.isfinite, window or ()))]
+    places = [*probe.positions_by_key.values(), *(filter(math.isfinite, window or ()))]
     return probe.of in waves and all(low <= place <= high for place in places)
 
 

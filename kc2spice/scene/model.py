@@ -155,7 +155,8 @@ class Part(Generic[KeysT]):
 
     ``keys`` is an instance of the schema of the part type. ``at`` is the path of the part's keys in
     the file, if another part has generated this part. For a part with its own table in the scene,
-    ``at`` is empty.
+    ``at`` is empty. ``folder`` is the folder of the override file that names a file of the part.
+    Without such an override file, ``folder`` is None.
     """
 
     name: str
@@ -163,6 +164,7 @@ class Part(Generic[KeysT]):
     keys: KeysT
     pins: Mapping[str, str] = field(default_factory=dict)
     at: tuple[str | int, ...] = ()
+    folder: Path | None = None
 
     def with_schema(self, schema: builtins.type[S]) -> Part[S]:
         """Return the part with its keys typed as ``schema``, for type checkers.
@@ -421,6 +423,10 @@ class DeclaredScene:
             )
         return result[0]
 
+    def get_folder(self, part: Part) -> Path:
+        """Return the folder of the files that the keys of a part name."""
+        return self.home if part.folder is None else part.folder
+
     def has_subcircuit(self, part: Part) -> bool:
         """Return whether the deck contains a part as an instance of its subcircuit."""
         return part.type.is_subcircuit(part, self)
@@ -542,7 +548,7 @@ class Scene(WiredScene):
 
     @property
     def equilibrium_conditions(self) -> dict[str, EquilibriumConditions]:
-        """Equilibrium conditions before models are built, keyed by part name."""
+        """Constraints and loads of each part before models are built, keyed by part name."""
         return {name: record.rest for name, record in self.records.items()}
 
     def __repr__(self) -> str:
@@ -661,7 +667,7 @@ class BuiltScene:
 
     @property
     def vectors(self) -> dict[str, PartResult]:
-        """ngspice vectors of the results of all parts, keyed by result name."""
+        """ngspice expressions of the results of all parts, keyed by result name."""
         result: dict[str, PartResult] = {}
         for record in self.records.values():
             result |= record.vectors
@@ -669,12 +675,12 @@ class BuiltScene:
 
     @property
     def equilibrium_conditions(self) -> dict[str, EquilibriumConditions]:
-        """Equilibrium conditions after models are built, keyed by part name."""
+        """Constraints and loads of each part after models are built, keyed by part name."""
         return self.scene.equilibrium_conditions | {
             name: record.rest for name, record in self.records.items()
         }
 
-    def facts(self, part: Part) -> Mapping[str, float]:
+    def get_model_values(self, part: Part) -> Mapping[str, float]:
         """Return the numbers that describe a part's model, such as a mass, keyed by name.
 
         The file ``result.json`` contains these numbers.
@@ -763,12 +769,16 @@ class PartType(Generic[KeysT]):
         return ()
 
     def default_joins(self, part: Part[KeysT], scene: GovernedScene) -> Mapping[str, str]:
-        """Return the targets (pins or ground) to which the part's keys join its pins.
+        """Return the default connections of the part's pins to other pins or to ground.
 
-        The targets are keyed by pin. A target in the table ``pins`` overrides the target that this
-        method returns.
+        The targets are keyed by pin, and may depend on the keys of the part. A target in the table
+        ``pins`` overrides the target that this method returns.
         """
         return {}
+
+    def conducts_to_ground(self, part: Part[KeysT], scene: DeclaredScene) -> bool:
+        """Return whether the part contains a connection to ground that is not at a pin."""
+        return False
 
     def files(self, part: Part[KeysT], scene: DeclaredScene) -> tuple[str, ...]:
         """Return the files that the part reads, by default the file in the key ``file``."""
@@ -778,7 +788,7 @@ class PartType(Generic[KeysT]):
     def governed_parts(
         self, part: Part[KeysT], scene: DeclaredScene
     ) -> Mapping[str, InitialState | Governed]:
-        """Return how the part moves, copies or initialises other parts, keyed by part.
+        """Return which parts this part moves, copies or initialises, keyed by part.
 
         The value for a part that starts in a prescribed state is its :class:`InitialState` [m/s,
         m]. The value is ``"moved"`` for a part whose motion is prescribed. The value is
@@ -795,7 +805,7 @@ class PartType(Generic[KeysT]):
         return ()
 
     def shared_data(self, part: Part[KeysT], scene: GovernedScene) -> object:
-        """Return the data that the part shares with other part types of its package.
+        """Return the data of the part that other part types of its package read, or None.
 
         The class of the data is defined in the package of the part. For example, a loudspeaker
         shares its parameters with the part type of its box. The data depend only on keys and on
@@ -804,11 +814,12 @@ class PartType(Generic[KeysT]):
         return None
 
     def equilibrium_conditions(self, part: Part[KeysT], scene: WiredScene) -> EquilibriumConditions:
-        """Return the constraints and loads of a part whose model is not built yet.
+        """Return the constraints and loads that determine the equilibrium of the part.
 
-        An operating point exists only if the ``paths`` of all parts together connect each
-        displacement, temperature or pressure pin to the reference. By default, the part connects
-        each of its own displacement, temperature and pressure pins to ground.
+        The method is called before the model of the part is built. An operating point exists only
+        if the ``paths`` of all parts together connect each displacement, temperature or pressure
+        pin to the reference. By default, the part connects each of its own displacement,
+        temperature and pressure pins to ground.
         """
         return EquilibriumConditions(
             tuple((p.name, GROUND) for p in scene.pins(part.name) if p.needs_path)
@@ -880,10 +891,10 @@ class PartType(Generic[KeysT]):
         return type(self).cards is PartType.cards
 
     def cards(self, part: Part[KeysT], build: BuiltScene) -> tuple[Item, ...]:
-        """Return the netlist elements of the part at the top level of the deck.
+        """Return the cards of the part at the top level of the deck.
 
-        By default, the elements are an instance of the part's subcircuit, and an ammeter at each
-        pin whose flow a probe reads.
+        By default, the cards are an instance of the part's subcircuit, and an ammeter at each pin
+        whose flow a probe reads.
         """
         nodes, ammeters = [], []
         for pin in build.scene.pins(part.name):
@@ -897,10 +908,10 @@ class PartType(Generic[KeysT]):
     def settable_quantities(
         self, part: Part[KeysT], build: BuiltScene
     ) -> Mapping[str, SweptSource | SampledSource | float]:
-        """Return the sources and initial node voltages that an analysis can set.
+        """Return the sources and initial node voltages whose values an analysis sets.
 
-        The value for a key is the source that a dc sweep of the key varies, or a source that a
-        Python function sets. The value for a node is its initial voltage [V] (``.ic``).
+        A key of the part, or an output pin, maps to the source whose value a dc sweep or a Python
+        function sets. The name of a netlist node maps to its initial voltage [V] (``.ic`` card).
         """
         return {}
 
@@ -913,10 +924,9 @@ class PartType(Generic[KeysT]):
         return False
 
     def numerics(self, part: Part[KeysT], scene: WiredScene) -> Iterable[NumericalRequirements]:
-        """Return the numerical requirements of the part, such as time steps.
+        """Return the part's requirements on time step, tolerances and simulator options.
 
-        Requirements are time steps, tolerances and options of the simulator. For example, a source
-        requires time steps for its frequency and edges.
+        For example, a source requires time steps that resolve its frequency and edges.
         """
         return ()
 
@@ -952,7 +962,7 @@ class PartType(Generic[KeysT]):
         return build.scene.records[part.name].rest
 
     def vectors(self, part: Part[KeysT], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice vectors of the part's results, keyed by result name.
+        """Return the ngspice expression of each result of the part, keyed by result name.
 
         Each result is a :class:`PartResult`: an expression of voltages and currents of the netlist,
         with a factor to SI units and the SI unit. Probes, plots and :meth:`metrics` read the
@@ -1035,8 +1045,18 @@ class PartType(Generic[KeysT]):
         """Check that the operating ``point`` is valid for small-signal analyses."""
         return ()
 
+    def check_amplitudes(
+        self, part: Part[KeysT], build: BuiltScene, point: Waveforms | None, waves: Waveforms
+    ) -> Iterable[Check]:
+        """Check that the amplitudes of an ac analysis are small enough for a linear model.
+
+        ``point`` contains the results at the operating point, and is None if the operating point is
+        not known.
+        """
+        return ()
+
     def law(self, part: Part[KeysT], build: BuiltScene) -> Equations | MissingEquations | None:
-        """Return the part's equations for the independent time integrator.
+        """Return the part's model equations, which are solved without a simulator.
 
         If the part has no equations, the result is the reason, or None.
         """
@@ -1045,7 +1065,7 @@ class PartType(Generic[KeysT]):
     def figures(
         self, part: Part[KeysT], build: BuiltScene, waves: Waveforms
     ) -> Iterable[Figure | FileWriter]:
-        """Return figures for the report, and functions that write further files."""
+        """Return the charts of the part, and functions that write further files."""
         return ()
 
     def outline(self, part: Part[KeysT], scene: Scene) -> Iterable[Shape]:
@@ -1058,12 +1078,12 @@ class PartType(Generic[KeysT]):
     # --- text for explain -------------------------------------------------------------------------
 
     def notes(self, part: Part[KeysT], scene: Scene) -> Iterator[str | NeglectedEffect]:
-        """Return texts about the model of the part, and neglected effects."""
+        """Yield the assumptions of the model and the effects that it neglects."""
         yield self.title
 
     def describe_discretisation(self, part: Part[KeysT], build: BuiltScene) -> str:
         """Return a description of the part's mesh error, or "" for a part without a mesh."""
-        text = describe_mesh_errors(build.facts(part))
+        text = describe_mesh_errors(build.get_model_values(part))
         return f"error estimate of its mesh: {text}" if text else ""
 
 

@@ -468,15 +468,36 @@ def _require_ground(scene: Scene) -> None:
     first: dict[str, str] = {}
     for (part, _), net in scene.nets.items():
         union.join(first.setdefault(part, net), net)
+    for name, net in first.items():
+        owner = scene.parts[name]
+        if not union.are_joined(net, "0") and owner.type.conducts_to_ground(owner, scene):
+            union.join(net, "0")
     floating = [pin for pin, net in scene.nets.items() if not union.are_joined(net, "0")]
     if floating:
+        name, pin = _choose_ground_pin(floating, scene)
         raise UsageError(
             "no pin of this circuit is connected to ground",
             where=floating[0][0],
             got=", ".join(map(".".join, floating)),
             expected='at least one of these pins connected to "gnd"',
-            hint=f'for example  {floating[-1][1]} = "gnd"  in {floating[-1][0]}.pins',
+            hint=f'add  {pin} = "{GROUND}"  to the pins of {name}',
         )
+
+
+def _choose_ground_pin(floating: Sequence[Pin], scene: Scene) -> Pin:
+    """Choose the pin that an error suggests to connect to ground.
+
+    A reference pin, such as the pin ``ref`` of a netlist, comes first. On the net of this pin, the
+    function chooses a pin without a target, because a second target would replace the first.
+    """
+    reference = (key for key in floating if scene.terminals[key].default == GROUND)
+    chosen = next(reference, floating[-1])
+    for key in floating:
+        name, pin = key
+        has_target = pin in scene.parts[name].pins or pin in scene.joins[name]
+        if scene.nets[key] == scene.nets[chosen] and not has_target:
+            return key
+    return chosen
 
 
 class DisjointGroups:

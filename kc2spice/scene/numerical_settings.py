@@ -247,7 +247,7 @@ def _estimate_mesh_error(setting: NumericalSetting, build: BuiltScene) -> float 
     errors: list[float] = []
     for part in build.scene.parts.values():
         if setting.name.startswith(f"{part.key_prefix}."):
-            errors += list_mesh_errors(build.facts(part)).values()
+            errors += list_mesh_errors(build.get_model_values(part)).values()
     return max(errors, default=None)
 
 

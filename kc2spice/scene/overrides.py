@@ -31,11 +31,12 @@ _OVERRIDE_EXAMPLES = (
 
 def read_overrides(
     overrides: Sequence[str] | Mapping[str, Any], example: Callable[[str], str]
-) -> Iterator[tuple[str, Any, str]]:
-    """Yield the key, the value and the origin of each override.
+) -> Iterator[tuple[str, Any, str, Path | None]]:
+    """Yield the key, the value, the origin and the folder of each override.
 
-    The origin is a text for error messages. ``example`` is a function that returns an example of an
-    override for a key.
+    The origin is a text for error messages. The folder is the folder of the TOML file with the
+    override, or None for an override without a file. ``example`` is a function that returns an
+    example of an override for a key.
 
     Raises
     ------
@@ -43,10 +44,15 @@ def read_overrides(
     """
     if isinstance(overrides, Mapping):
         for name, value in overrides.items():
-            yield name, value, f"overrides {clip_text(f'{name}={value}')!r}"
-    else:
-        for text in expand_overrides(overrides):
-            yield (*_parse_override(text, example), f"--set {clip_text(text)!r}")
+            yield name, value, f"overrides {clip_text(f'{name}={value}')!r}", None
+        return
+    for text, file in _expand_files(overrides):
+        name, value = _parse_override(text, example)
+        origin = f"--set {clip_text(text)!r}"
+        if file is None:
+            yield name, value, origin, None
+        else:
+            yield name, value, f"{origin} of {file}", Path(file).resolve().parent
 
 
 def expand_overrides(texts: Sequence[str]) -> list[str]:
@@ -56,10 +62,14 @@ def expand_overrides(texts: Sequence[str]) -> list[str]:
     ------
     UsageError : a file does not exist or is not TOML.
     """
-    result: list[str] = []
+    return [text for text, _ in _expand_files(texts)]
+
+
+def _expand_files(texts: Sequence[str]) -> Iterator[tuple[str, str | None]]:
+    """Yield each string ``dotted.key=value``, and the name of its TOML file or None."""
     for text in texts:
         if "=" in text or not text.endswith(".toml"):
-            result.append(text)
+            yield text, None
             continue
         if not Path(text).is_file():
             near = get_close_matches(text, map(str, Path().glob("*.toml")), 1, 0.7)
@@ -72,8 +82,7 @@ def expand_overrides(texts: Sequence[str]) -> list[str]:
                 else f"write KEY=VALUE in place of {text}",
             )
         for key, value in _flatten_tables(open_scene(text).parse_tables()):
-            result.append(f"{key}={format_toml(value)}")
-    return result
+            yield f"{key}={format_toml(value)}", text
 
 
 def _flatten_tables(table: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:

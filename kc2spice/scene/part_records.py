@@ -107,7 +107,7 @@ class PartResult:
         return f"v({','.join(plus + minus)})"
 
     @property
-    def noise_density_vector(self) -> PartResult:
+    def noise_density(self) -> PartResult:
         """Noise density of this result, as the result of a noise analysis."""
         return PartResult("onoise_spectrum", abs(self.factor), f"{self.unit}{DENSITY_UNIT}")
 

@@ -6,12 +6,14 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
-from kc2spice.core.errors import unknown
+from kc2spice.core.toml_text import format_toml
 from kc2spice.core.untrusted_files import parse_toml
+from kc2spice.scene.catalogue import CataloguePart
 from kc2spice.scene.keys import KeyDescription, list_schema_keys
-from kc2spice.scene.load import PARTS_COMMAND, load_scene
+from kc2spice.scene.load import PARTS_COMMAND, STRUCTURAL_KEYS, load_scene, make_unknown_type_error
 from kc2spice.scene.model import DEFAULT_TABLES, Part, Scene, Terminal
-from kc2spice.scene.parttype import find_part_type, list_type_names, load_part_types
+from kc2spice.scene.parttype import find_part_type, load_part_types
+from kc2spice.scene.probed_results import list_part_results
 from kc2spice.scene.scene_file import list_gallery
 
 
@@ -19,8 +21,8 @@ from kc2spice.scene.scene_file import list_gallery
 class PartTypeReference:
     """Description of a part type, with an example.
 
-    ``scene`` is the name of the built-in scene that contains the example, or None for other
-    examples.
+    ``results`` are the names of the results of the example, without the name of the part. ``scene``
+    is the name of the built-in scene that contains the example, or None for other examples.
     """
 
     name: str
@@ -28,6 +30,7 @@ class PartTypeReference:
     doc: str
     pins: tuple[Terminal, ...]
     keys: tuple[KeyDescription, ...]
+    results: tuple[str, ...]
     example: str
     scene: str | None
     short_for: tuple[str, ...]
@@ -56,15 +59,26 @@ def describe_part_type(name: str) -> PartTypeReference:
     kind = find_part_type(name)
     if kind is None:
         advice = f"run {PARTS_COMMAND}, which lists all types"
-        raise unknown(
-            "this part type does not exist",
-            name,
-            list_type_names(),
-            "--part",
-            PARTS_COMMAND,
-            advice=advice,
-        )
+        raise make_unknown_type_error(name, "--part", advice)
     return _describe_type(name, {} if kind.example else _find_examples())
+
+
+def write_catalogue_table(sold: CataloguePart) -> str:
+    """Write the TOML table with which a scene contains a catalogue part, without its joins.
+
+    Examples
+    --------
+    >>> from kc2spice.scene.catalogue import find_part
+    >>> print(write_catalogue_table(find_part("7BB-12-9")).splitlines()[:3])
+    ['[device]', 'part = "bvd"', 'number = "7BB-12-9"']
+    """
+    scene = load_scene(sold.number)
+    part = scene.list_parts(sold.kind)[0]
+    lines = [f"[{part.name}]", f'part = "{sold.kind}"']
+    for key, value in scene.tables[part.name].items():
+        if key not in STRUCTURAL_KEYS:
+            lines.append(f"{key} = {format_toml(value)}")
+    return "\n".join(lines)
 
 
 def _describe_type(name: str, examples: Mapping[str, tuple[str, Part, Scene]]) -> PartTypeReference:
@@ -74,13 +88,17 @@ def _describe_type(name: str, examples: Mapping[str, tuple[str, Part, Scene]]) -
     """
     kind, scene_name = load_part_types()[name], None
     pins: tuple[Terminal, ...] = ()
+    results: tuple[str, ...] = ()
     example = kind.example
     if example:
         scene = load_scene({"name": "example", **parse_toml(example)})
-        pins = kind.pins(scene.list_parts(name)[0], replace(scene, ports="all"))
+        part = scene.list_parts(name)[0]
+        pins = kind.pins(part, replace(scene, ports="all"))
+        results = list_part_results(part, scene)
     elif name in examples:
         scene_name, part, scene = examples[name]
         pins = kind.pins(part, replace(scene, ports="all"))
+        results = list_part_results(part, scene)
         tables = list_gallery()[scene_name].read_text().split("\n\n")
         heading = rf"(#.*\n)*\[{part.name}[].]"
         example = "\n\n".join(table for table in tables if re.match(heading, table))
@@ -90,6 +108,7 @@ def _describe_type(name: str, examples: Mapping[str, tuple[str, Part, Scene]]) -
         " ".join((kind.schema.__doc__ or "").split()),
         pins,
         tuple(list_schema_keys(kind.schema)),
+        results,
         example.strip(),
         scene_name,
         (DEFAULT_TABLES[name],) if name in DEFAULT_TABLES else (),

@@ -90,6 +90,17 @@ def compute_pin_forces(build: BuiltScene, waves: Waveforms) -> Mapping[tuple[str
     return build.workspace.get_or_compute("forces", (id(build), id(waves)), compute_all_forces)[2]
 
 
+# Names of methods in version 0.2.0, which would have no effect, keyed to the present names.
+_RENAMED_METHODS = {
+    "directions": "pin_directions",
+    "discretisation": "describe_discretisation",
+    "expand": "generate_tables",
+    "force_on": "forces",
+    "highest_frequency": "make_frequency_estimator",
+    "inertial": "pins_with_mass",
+    "reduction": "choose_reduction",
+    "settable": "settable_quantities",
+}
 _types: dict[str, PartType] = {}
 
 
@@ -143,6 +154,15 @@ def register_part_type(part_type: PartType) -> PartType:
             expected="an instance of a part type with a name and a schema",
             hint="register DeclaredPart(declaration) as in docs/how-to/own_part.md",
         )
+    for old, new in _RENAMED_METHODS.items():
+        if hasattr(part_type, old):
+            raise UsageError(
+                f"the method {old} of part types is now called {new}",
+                where="register_part",
+                got=f"{type(part_type).__name__}.{old}",
+                expected=f"the method {new}",
+                hint=f"rename {type(part_type).__name__}.{old} to {new}",
+            )
     _types[require_name(name, where="register_part")] = part_type
     return part_type
 

@@ -125,7 +125,7 @@ def check_drive_levels(scene: Scene) -> Iterator[UsageError]:
     rated = {name: pin.rated for (name, _), pin in scene.terminals.items() if pin.rated}
     for body, limit in rated.items():
         for name, peak in _list_peak_voltages(body, scene):
-            state = f"{peak:.4g} V at {body}, whose ceramic stands {limit:.4g} V"
+            state = f"{peak:.4g} V at {body}, whose ceramic withstands {limit:.4g} V"
             # suggest the same number in V or in mV, if the rating permits this voltage
             units = {f"{1e3 * peak:g} V": 1e3 * peak, f"{peak:g} mV": 1e-3 * peak}
             fits = (text for text, v in units.items() if LOWEST_DRIVE_RATIO * limit <= v <= limit)
@@ -166,7 +166,7 @@ def _list_peak_voltages(body: str, scene: Scene) -> Iterator[tuple[str, float]]:
 def check_model_masses(build: BuiltScene) -> Iterator[UsageError]:
     """Yield an error for each part whose model has an implausible mass."""
     for part in build.scene.parts.values():
-        mass = build.facts(part).get("mass_kg")
+        mass = build.get_model_values(part).get("mass_kg")
         if mass is not None:
             yield from check_range(
                 part.name,

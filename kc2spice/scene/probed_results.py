@@ -82,6 +82,12 @@ def list_all_results(scene: Scene) -> list[str]:
     return _list_results(BuiltScene(scene, {}), waiting)
 
 
+def list_part_results(part: Part, scene: Scene) -> tuple[str, ...]:
+    """Return the names of the results of a part, without the name of the part."""
+    names = _select_names_with_prefix(list_all_results(scene), f"{part.name}.")
+    return tuple(name.removeprefix(f"{part.name}.") for name in names)
+
+
 def _make_unknown_result_error(
     build: BuiltScene, name: str, where: str, waiting: Collection[str]
 ) -> UsageError:
@@ -94,7 +100,10 @@ def _make_unknown_result_error(
     if owner in parts:
         choices = _select_names_with_prefix(_list_results(build, waiting), f"{owner}.")
         suggestion = _suggest_result(name, choices)
-        return unknown("the scene has no such result", name, choices, where, advice=suggestion)
+        command = f"kc2spice scenes --part {parts[owner].type.name}"
+        return unknown(
+            "the scene has no such result", name, choices, where, command, advice=suggestion
+        )
     return _make_unknown_part_error(name, parts, where)
 
 

@@ -26,8 +26,8 @@ def resolve(scene: Scene) -> Scene:
 
     Raises
     ------
-    UsageError : pins cannot be joined, for a reason in
-        :func:`kc2spice.scene.net_formation.join_parts`.
+    UsageError : the connections of the scene are invalid, for example because a pin is unknown. The
+        documentation of :func:`kc2spice.scene.net_formation.join_parts` lists all causes.
     """
     if any(scene.get_record(part) is None for part in scene.parts.values()):
         scene = add_governed_records(scene)

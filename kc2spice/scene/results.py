@@ -64,7 +64,7 @@ def collect_results(build: BuiltScene) -> SceneResults:
     The only result of a noise analysis is the spectral density of its output noise.
     """
     if build.noise_output is not None:
-        return SceneResults({NOISE_WAVE: build.noise_output.noise_density_vector})
+        return SceneResults({NOISE_WAVE: build.noise_output.noise_density})
     vectors = _collect_vectors(build)
     return SceneResults(vectors, collect_powers(build, vectors))
 

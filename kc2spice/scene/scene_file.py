@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib import resources
 from importlib.resources.abc import Traversable
@@ -24,6 +24,10 @@ from kc2spice.core.untrusted_files import (
 )
 from kc2spice.scene.catalogue import find_part, read_catalogue
 
+INCLUDE = "include"  # key of a scene for netlist files that its parts use
+# Keys whose value is the name of a file, in the tables of all part types.
+_FILE_KEYS = frozenset({"file", "mesh", "sidecar", INCLUDE})
+
 
 def list_gallery() -> dict[str, Traversable]:
     """Return the files of the built-in scenes, keyed by scene name."""
@@ -34,21 +38,64 @@ def list_gallery() -> dict[str, Traversable]:
 
 @dataclass(frozen=True)
 class SceneFile:
-    """Text of a scene file, overrides of its keys, and methods that locate keys."""
+    """Text of a scene file, overrides of its keys, and methods that locate keys.
+
+    ``override_folders`` contains the folder in which the file of an overridden key is, keyed by the
+    path of the key.
+    """
 
     label: str
     stem: str
     text: str
     folder: Path
     overrides: dict[tuple[str, ...], str] = field(default_factory=dict)
+    override_folders: dict[tuple[str, ...], Path] = field(default_factory=dict)
 
     def parse_tables(self) -> dict[str, Any]:
         """Parse the text of the file, and return its tables."""
         return parse_toml_file(self.text, self.label)
 
+    @property
+    def base_folder(self) -> Path:
+        """Folder of the files that overrides name: the working directory for a built-in scene."""
+        return Path.cwd() if self.folder == _find_gallery() else self.folder
+
     def overrides_key(self, key: str) -> bool:
         """Return whether an override sets the key."""
         return tuple(key.split(".")) in self.overrides
+
+    def set_override(
+        self, path: tuple[str, ...], value: object, origin: str, folder: Path | None
+    ) -> None:
+        """Record an override, with the folder of the files that it names.
+
+        ``folder`` is the folder of the override file, or None for an override without a file.
+        """
+        self.overrides[path] = origin
+        if folder is None and self.base_folder != self.folder:
+            folder = self.base_folder
+        for key in _list_paths(path, value):
+            self.override_folders.pop(key, None)
+            if folder is not None and key[-1] in _FILE_KEYS:
+                self.override_folders[key] = folder
+
+    def find_override_folder(self, table: tuple[str, ...]) -> Path | None:
+        """Return the folder of the files that overrides of a part's table name, or None.
+
+        ``table`` is the path of the part's table.
+        """
+        for path, folder in self.override_folders.items():
+            if path[: len(table)] == table or path == (INCLUDE,):
+                return folder
+        return None
+
+    def find_override(self, key: str) -> str | None:
+        """Return the origin of an override that sets a key or a part of its value, or None."""
+        names = tuple(key.split("."))
+        for path, override in self.overrides.items():
+            if path[: len(names)] == names or names[: len(path)] == path:
+                return override
+        return None
 
     def locate_key(self, key: str) -> str:
         """Return the override, or the line of the file, that sets a key.
@@ -58,10 +105,9 @@ class SceneFile:
         """
         if not key:
             return self.label
+        if (override := self.find_override(key)) is not None:
+            return override
         names = tuple(key.split("."))
-        for path, override in self.overrides.items():
-            if path[: len(names)] == names or names[: len(path)] == path:
-                return override
         line = _find_line(self.text, names)
         place = self.label if line is None else f"{self.label}, line {line}"
         steps = tuple(int(name) if name.isdigit() else name for name in names)
@@ -131,6 +177,19 @@ def _make_missing_file_error(name: str, path: Path, scenes: Collection[str]) -> 
             listing = f"write {path.stem} for the built-in scene"
     message = "this path is a directory" if path.is_dir() else "this file does not exist"
     return UsageError(message, where=name, expected="the path of a TOML file", hint=listing)
+
+
+def _find_gallery() -> Path:
+    """Return the folder of the built-in scenes."""
+    return Path(str(resources.files("kc2spice") / "scenes"))
+
+
+def _list_paths(path: tuple[str, ...], value: object) -> Iterator[tuple[str, ...]]:
+    """Yield the path of a value, and the paths of all keys in a table."""
+    yield path
+    if isinstance(value, Mapping):
+        for key, item in value.items():
+            yield from _list_paths((*path, key), item)
 
 
 def _add_entry_numbers(

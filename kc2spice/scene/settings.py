@@ -52,7 +52,7 @@ class RomKeys(Section):
         ge=1,
         le=2000,
         description=(
-            "Number of states of the reduced model; cannot be combined with the key `tolerance`"
+            "Number of unknowns of the reduced model; cannot be combined with the key `tolerance`"
         ),
     )
     # Limit 1e-10: rounding errors of double precision exceed a smaller tolerance.
@@ -62,14 +62,17 @@ class RomKeys(Section):
         lt=1,
         validate_default=True,
         description=(
-            "Largest permitted relative error of the reduced model in the frequency band; by "
-            "default 1e-4 if `order` is not stated"
+            "Largest permitted relative error of the reduced model in the frequency band; "
+            "by default 1e-4 or 1e-3 (`kc2spice explain` prints the value for each body)"
         ),
     )
     band: tuple[Frequency, Frequency] = Field(
         (0.0, 500e3),
-        description="Lowest and highest frequency of the band in which the error estimate of the "
-        "reduced model holds",
+        description=(
+            "Lowest and highest frequency of the band in which the error estimate of the "
+            "reduced model holds. Default: 0 to 500 kHz if `order` or `tolerance` is "
+            "stated, otherwise the band that `kc2spice explain` prints for the body"
+        ),
     )
     norm: Literal["pointwise", "peak"] | None = Field(
         None,
@@ -149,8 +152,8 @@ class SolverKeys(Section):
     ringing: Literal["followed", "coarse"] | None = Field(
         None,
         description=(
-            "Time resolution of body vibrations: followed, or coarse with fewer time steps, "
-            "which suffices if only the motion of other parts is of interest"
+            "Time resolution of body vibrations. The value coarse needs fewer time steps "
+            "than followed, but is accurate only for the motion of other parts"
         ),
     )
     method: Literal["trap", "gear"] = Field(
@@ -180,40 +183,43 @@ class SolverKeys(Section):
 
 
 class CheckActions(Section):
-    """Actions on violated checks: fail the run (exit code 5), warn, or continue."""
+    """Actions on violated checks: fail (exit code 5), warn (exit code 0), or omit the check."""
 
     energy: Action = Field("fail", description="Action if the energy balance of a part is violated")
     touches: Action = Field(
         "fail",
         description=(
-            "Action if a contact closes so often during the drive pulse that solver.reltol "
-            "is too large"
+            "Action if a contact closes more than max(20, 4e-3 / solver.reltol) times "
+            "during the drive pulse"
         ),
     )
     range: Action = Field(
         "fail",
         description=(
-            "Action if the sphere leaves the range of the force table, or the contact area "
-            "exceeds the modelled contact rings"
+            "Action if the sphere leaves the range of the force table, or if the contact "
+            "area extends beyond the modelled contact rings"
         ),
     )
     penetration: Action = Field(
         "warn",
         description=(
-            "Action if the penalty stiffness of a contact is too low, or if its pressure "
-            "basis functions are too far apart"
+            "Action if the penalty stiffness of a contact is too low, or if the basis "
+            "functions of the contact pressure are too far apart"
         ),
     )
     saturation: Action = Field(
         "warn",
-        description="Action if the output of the controller is at its current limit for too long",
+        description=(
+            "Action if a controller stays at its current limit for too long, if a driver "
+            "clips, or if ac amplitudes exceed the limits of a driver"
+        ),
     )
     plausible: Action = Field("fail", description="Action if the value of a key is implausible")
     reduction: Action | None = Field(
         None,
         description=(
-            "Action if a refined run shows that the error of a metric is too large; by "
-            "default off, or warn if `error_budget` is stated"
+            "Action if the estimated error of a metric exceeds `error_budget`, or 1e-2 "
+            "without this key. Default: warn if `error_budget` is stated, otherwise off"
         ),
     )
     start: Action = Field(
@@ -262,8 +268,8 @@ class ErrorLimits(Section):
         gt=0,
         description=(
             "Largest permitted relative difference of a sphere's launch velocity between "
-            "reduced and full model; by default computed from the errors of time steps and "
-            "reduction"
+            "the reduced and the full model; by default computed from reltol, chgtol and "
+            "the error estimate of the reduced model"
         ),
     )
     position: Ratio = Field(
@@ -286,8 +292,8 @@ class ErrorLimits(Section):
         default="1.5 ns",
         gt=0,
         description=(
-            "Largest permitted difference of the time at which an impact ends, between any "
-            "two solutions"
+            "Largest permitted difference between the times at which an impact ends in "
+            "any two solutions"
         ),
     )
     energy: Ratio = Field(
@@ -295,7 +301,7 @@ class ErrorLimits(Section):
         gt=0,
         description=(
             "Largest permitted error of the energy balance in the reference solution, "
-            "relative to the exchanged energy"
+            "relative to all energy that flows during the run"
         ),
     )
     imprint_rom: Ratio = Field(
@@ -327,7 +333,8 @@ class ErrorLimits(Section):
         gt=0,
         description=(
             "Largest permitted relative difference of the frequency response between the "
-            "reduced and the full model below a fifth of the highest frequency"
+            "reduced and the full model, up to one fifth of the highest frequency of the "
+            "run"
         ),
     )
     harmonic_ngspice: Ratio = Field(
@@ -351,17 +358,18 @@ class ErrorLimits(Section):
         None,
         gt=0,
         description=(
-            "Largest permitted relative rms difference of a waveform between ngspice and the "
-            "reference solution. Default: 200 * solver.reltol (at most 0.05) in a transient, "
-            "1e-6 in a noise analysis, otherwise 3e-8"
+            "Largest permitted rms value of the difference between the waveforms of "
+            "ngspice and the reference solution, relative to the rms value of the "
+            "waveform. Default: 200 * solver.reltol (at most 0.05) in a transient, 1e-6 "
+            "in a noise analysis, otherwise 3e-8"
         ),
     )
     lookup_slope: Ratio = Field(
         0.05,
         gt=0,
         description=(
-            "Largest permitted jump of the slope between segments of the force table, "
-            "relative to the largest slope"
+            "Largest permitted change of the magnetic force's slope from one segment of "
+            "the force table to the next, relative to the largest slope"
         ),
     )
     lookup: Ratio = Field(
@@ -412,7 +420,7 @@ class Analysis(Section):
         ge=2,
         le=200_000,
         description=(
-            "Smallest number of frequencies of an ac or noise analysis, or of values of a dc sweep"
+            "Minimum number of frequencies in an ac or noise analysis, or of values in a dc sweep"
         ),
     )
     scale: Literal["log", "linear"] = Field(
@@ -437,8 +445,8 @@ class Analysis(Section):
     back: bool | None = Field(
         None,
         description=(
-            "Whether a dc sweep continues from its last value back to its first value; its "
-            "points are numbered in the order of computation"
+            "Whether a dc sweep returns from its last value to its first value; the "
+            "points of the sweep are numbered in the order of computation"
         ),
     )
 
@@ -501,8 +509,9 @@ class ProbeKeys(Section):
     ] = Field(
         "max",
         description=(
-            "Value that the probe computes from the result; `value` is the result at the key "
-            "`at`, and `spl` is the sound pressure level in dB"
+            "Value that the probe computes from the result; `value` is the result at the "
+            "frequency, time or swept value `at`, and `spl` the sound pressure level in "
+            "dB"
         ),
     )
     at: Place | None = Field(
@@ -515,30 +524,30 @@ class ProbeKeys(Section):
     level: Ratio | None = Field(
         None,
         description=(
-            "Level whose crossing by the result the probe finds, in the SI unit of the "
-            "result; requires take = crossing"
+            "Level in the SI unit of the result. The probe returns where the result first "
+            "crosses this level; requires take = crossing"
         ),
     )
     from_: Place | None = Field(
         None,
         alias="from",
-        description="Lowest frequency, time or swept value that the probe reads",
+        description="Lowest frequency, time or swept value of the window that the probe reads",
     )
     to: Place | None = Field(
         None,
-        description="Highest frequency, time or swept value that the probe reads",
+        description="Highest frequency, time or swept value of the window that the probe reads",
     )
     periods: Count | None = Field(
         None,
         ge=1,
         description=(
-            "Number of periods of the source, counted back from the end of the run, that the "
-            "probe reads; cannot be combined with `from` and `to`"
+            "Length of the window that the probe reads, as a number of source periods "
+            "before the end of the run; cannot be combined with `from` and `to`"
         ),
     )
 
     @property
-    def read_positions(self) -> dict[str, float]:
+    def positions_by_key(self) -> dict[str, float]:
         """Values of the keys ``at``, ``from`` and ``to`` that a probe states, by key name."""
         places = {"at": self.at, "from": self.from_, "to": self.to}
         return {key: place for key, place in places.items() if place is not None}

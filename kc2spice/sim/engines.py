@@ -35,12 +35,12 @@ class Engine:
     def run(self, deck: Deck) -> Waveforms:
         """Run a deck and its refined analyses, and return the waveforms in SI units.
 
-        :func:`kc2spice.sim.ngspice.run_deck` and :func:`kc2spice.sim.shared.run_in_libngspice` list
-        the possible errors.
+        :func:`kc2spice.sim.ngspice.run_deck` and :func:`kc2spice.sim.libngspice.run_in_libngspice`
+        list the possible errors.
         """
         if self.sampled:
             # imported here, because few scenes need libngspice
-            from kc2spice.sim.shared import run_in_libngspice
+            from kc2spice.sim.libngspice import run_in_libngspice
 
             functions = [item.record_with_reset_function for item in self.sampled]
             return run_in_libngspice(deck, functions, self.progress)

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core.errors import MissingToolError, SimulationError, UsageError
-from kc2spice.core.packages import make_install_command
+from kc2spice.core.install_commands import make_install_command
 from kc2spice.core.untrusted_files import split_lines
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.deck import Deck
@@ -231,7 +231,7 @@ class NgspiceLibrary:
         return self._send_command("run")
 
     def vectors(self) -> dict[str, np.ndarray]:
-        """Return the vectors of the last analysis, named as in batch mode."""
+        """Return the arrays of the last analysis, keyed by vector name as in batch mode."""
         with tempfile.TemporaryDirectory(prefix="kc2spice-") as folder:
             raw = Path(folder) / "out.raw"
             self._send_command("set filetype=binary")

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from kc2spice.core.errors import MissingToolError, SimulationError, UsageError
-from kc2spice.core.packages import make_install_command
+from kc2spice.core.install_commands import make_install_command
 from kc2spice.core.untrusted_files import explain_unsafe_name
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.deck import Deck
@@ -259,7 +259,7 @@ def _run_ngspice(
                     hint = "kc2spice doctor checks whether ngspice runs"
                 elif size > MAX_RAW_BYTES:
                     problem = f"the raw file grows beyond its limit of {MAX_RAW_BYTES:.3g} bytes"
-                    hint = "raise solver.max_step or reltol, end earlier, save fewer vectors"
+                    hint = "raise solver.max_step, lower solver.stop, or save fewer vectors"
                 if problem:
                     got = f"{size} bytes at time point {at} s of {deck.stop} s"
                     raise SimulationError(problem, where=str(main.parent), got=got, hint=hint)
@@ -533,7 +533,8 @@ def run_with_retries(
             last.suggested = _join_suggestions(violated)
             raise last
         warnings.warn(
-            f"{setting.name}: {failure.cause}; trying {following.name}: {following.why}",
+            f"with {setting.name}, the run failed: {failure.cause}; now trying {following.name}, "
+            f"because {following.why}",
             stacklevel=2,
         )
         log = (directory / deck.main_file_name).with_suffix(".log")

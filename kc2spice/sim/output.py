@@ -270,7 +270,7 @@ class _Plot(NamedTuple):
         """
         return np.isfinite(self.table[:, 0].real) & np.isfinite(self.table[:, 1:]).all(axis=1)
 
-    def columns(self, points: int) -> dict[str, np.ndarray]:
+    def get_first_points(self, points: int) -> dict[str, np.ndarray]:
         """Return the first points of all vectors, keyed by vector name.
 
         ``points`` is the number of points. The scale is real.
@@ -301,8 +301,8 @@ def read_raw(path: Path) -> dict[str, np.ndarray]:
         if not plot.finite_point_mask.all():
             raise _make_corrupt_file_error(path, "it contains values that are not finite")
     if len(plots) == 1:
-        return first.columns(len(first.table))
-    return join_analyses([plot.columns(len(plot.table)) for plot in plots])
+        return first.get_first_points(len(first.table))
+    return join_analyses([plot.get_first_points(len(plot.table)) for plot in plots])
 
 
 def join_analyses(analyses: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
@@ -349,7 +349,7 @@ def read_partial_vectors(path: Path) -> dict[str, np.ndarray] | None:
     except (OSError, SimulationError):
         return None
     good = int(np.argmin(np.append(plot.finite_point_mask, False))) if plot else 0
-    return plot.columns(good) if plot and good > 1 else None
+    return plot.get_first_points(good) if plot and good > 1 else None
 
 
 def read_last_scale_value(path: Path) -> float | None:

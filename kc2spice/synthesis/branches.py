@@ -9,7 +9,7 @@ import numpy as np
 from kc2spice.netlist.circuit import Element
 from kc2spice.netlist.shared_cards import Line
 from kc2spice.rom.linear_model import LinearModel
-from kc2spice.rom.network import IDEAL_LEAD, CircuitBranch, ParallelBranches
+from kc2spice.rom.one_port_network import IDEAL_LEAD, CircuitBranch, ParallelBranches
 
 # Leakage current of a network at the lower end of the band, relative to the total current.
 LEAK_SHARE = 1e-9

@@ -119,7 +119,7 @@ class CircuitResponse:
         return len(self.equations.rows)
 
     def transfer(self, frequency: np.ndarray) -> np.ndarray:
-        """Return the responses to unit inputs at each frequency [Hz].
+        """Compute the transfer matrix of the circuit at each frequency [Hz].
 
         The result has the shape (frequencies, outputs, inputs). Outputs are displacements, charges,
         forces of accelerated frames, and signals. Inputs are forces, voltages, accelerations and

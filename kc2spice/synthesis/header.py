@@ -13,6 +13,7 @@ from typing import Any
 
 from kc2spice.core.domains import TRANSLATION
 from kc2spice.core.mesh_error import NOT_ESTIMATED, describe_mesh_errors
+from kc2spice.netlist.card_parser import read_cards
 from kc2spice.netlist.circuit import Circuit, Param, Pin
 from kc2spice.netlist.library import (
     Header,
@@ -21,7 +22,6 @@ from kc2spice.netlist.library import (
     write_instance_comment,
     write_parameter_line,
 )
-from kc2spice.netlist.read import read_cards
 from kc2spice.netlist.spelling import (
     format_comment,
     format_number,

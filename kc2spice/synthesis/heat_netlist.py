@@ -129,7 +129,7 @@ def compute_heat_modes(model: LinearModel) -> HeatModes:
 
 
 def decouple_heat(model: LinearModel) -> tuple[np.ndarray, np.ndarray]:
-    """Return time constants [s] and shapes of a heat model's modes, slowest first.
+    """Compute the time constants [s] and mode shapes of a heat model, slowest first.
 
     The array of shapes has one row for each state and one column for each mode. The mode shapes are
     scaled so that the thermal resistance of each mode is 1 K/W. See :func:`compute_heat_modes`.
@@ -232,7 +232,9 @@ def write_heat_model(model: LinearModel, base: str) -> tuple[list[str], list[Lin
         return [*about, *_LADDER_COMMENT.format(base=base).split("\n")], cards
     modes, one = compute_heat_modes(model), len(model.ports) == 1
     about += [_MODES_COMMENT, *(_SERIES_COMMENT if one else _COUPLED_COMMENT).split("\n")]
-    return about, list(_series_cards(modes, base) if one else _coupled_cards(modes, base))
+    return about, list(
+        _write_series_cards(modes, base) if one else _write_coupled_cards(modes, base)
+    )
 
 
 def _write_ladder_cards(ladder: HeatLadder, pin: str, base: str) -> Iterator[Line]:
@@ -268,7 +270,7 @@ def _write_mode_elements(modes: HeatModes, j: int, node: str, other: str) -> Ite
         yield Element.from_words(f"C{j + 1}", node, other, float(modes.capacity[j]))
 
 
-def _series_cards(modes: HeatModes, base: str) -> Iterator[Line]:
+def _write_series_cards(modes: HeatModes, base: str) -> Iterator[Line]:
     """Yield the cards of a model with one port: modes in series (Foster's form)."""
     node, count = modes.ports[0].terminals[0], len(modes.resistance)
     if (direct := float(modes.direct[0, 0])) > 0:
@@ -282,7 +284,7 @@ def _series_cards(modes: HeatModes, base: str) -> Iterator[Line]:
         node = following
 
 
-def _coupled_cards(modes: HeatModes, base: str) -> Iterator[Line]:
+def _write_coupled_cards(modes: HeatModes, base: str) -> Iterator[Line]:
     """Yield the cards of a model with several ports: modes with ideal transformers."""
     yield from write_heat_port_cards(modes, base)
     for j in range(len(modes.share)):

@@ -32,7 +32,7 @@ from kc2spice.synthesis.terminals import (
     Value,
     connect_sources,
     has_other_reference,
-    port_domains,
+    list_port_domains,
     write_port_cards,
 )
 
@@ -72,7 +72,7 @@ class StepWeights:
     power: int
     share: float
 
-    def capacitances(self, omega: np.ndarray, slowest: float) -> np.ndarray:
+    def compute_capacitances(self, omega: np.ndarray, slowest: float) -> np.ndarray:
         """Return the netlist capacitance [F] of each mode from its frequency [rad/s].
 
         ``slowest`` is the lowest mode frequency [rad/s] of the body.
@@ -139,7 +139,7 @@ def write_resonators(
     rates = (-turn * light, turn, -turn - (turn - losses) * light, turn * light - losses)
     qq, qp, pq, pp = map(np.diag, rates)
     drive = heavy[:, None] * scale * gain / (omega[:, None] * MICRO)
-    micro_per_unit = MICRO / np.array(list(map(attrgetter("unit"), terminals)))
+    micro_per_unit = MICRO / np.array(list(map(attrgetter("output_value_per_volt"), terminals)))
     states = StateNodes(
         [*map("q{}".format, numbers), *map("p{}".format, numbers)],
         [*map(str, numbers), *map("d{}".format, numbers)],
@@ -147,7 +147,7 @@ def write_resonators(
         np.vstack([np.zeros_like(drive), drive]),
         np.hstack([(gain / scale).T * micro_per_unit[:, None], np.zeros_like(gain.T)]),
     )
-    farad = weights.capacitances(omega, omega[heavy].min(initial=np.inf))
+    farad = weights.compute_capacitances(omega, omega[heavy].min(initial=np.inf))
     siemens = np.where(heavy, farad * omega, STATE_CONDUCTANCE)
     force = siemens * scale[:, 0] / (omega**2 * MICRO)
     drive = force[:, None] * gain
@@ -178,7 +178,7 @@ def write_resonators(
             )
         for k, t in enumerate(terminals):
             if t.clamped:
-                charge = gain[j, k] / scale[j, 0] * MICRO / t.unit  # uC per um
+                charge = gain[j, k] / scale[j, 0] * MICRO / t.output_value_per_volt  # uC per um
                 source = Transconductance(f"Gc{j + 1}{t.tag}", f"q{j + 1}", base, charge)
                 body.append(source.write_element(base, f"charge{t.tag}"))
     return about, body
@@ -220,7 +220,7 @@ def _describe_resonators(
     words["answer"] = "displacement of a port in um"
     words["reference"] = "The base is the mechanical and signal reference"
     lines = list(OUTWARDS_COMMENT)
-    domains = port_domains(map(attrgetter("port"), terminals))
+    domains = list_port_domains(map(attrgetter("port"), terminals))
     if has_other_reference(domains):
         units = dict.fromkeys(map(attrgetter("output_unit"), domains))
         words["answer"] = f"answer of a port in 1e-6 {' or '.join(units)}"

@@ -181,7 +181,7 @@ class _ModalNetwork:
     stored: np.ndarray
 
     def cards(self, base: str) -> Iterator[Line]:
-        """Yield the elements of each mode, followed by the elements between modes."""
+        """Yield the cards of each mode, followed by the cards that couple the modes."""
         for j in range(len(self.modes.resistance)):
             yield describe_heat_mode(self.modes, j).replace(":", " at the defaults:", 1)
             yield from self._write_mode_elements(j, base)

@@ -52,9 +52,9 @@ from kc2spice.synthesis.terminals import (
     Transconductance,
     connect_sources,
     has_other_reference,
+    list_port_domains,
     list_subcircuit_pins,
     make_terminals,
-    port_domains,
     write_port_cards,
 )
 
@@ -174,7 +174,7 @@ def parametric_subcircuit(
 
 def _describe_resonators(ports: Sequence[Port], base: str) -> str:
     """Return the netlist comment about the circuit equations and the reference pin."""
-    domains = port_domains(ports)
+    domains = list_port_domains(ports)
     if not has_other_reference(domains):
         return _RESONATOR_COMMENT.format(
             answer="displacement of a port in um",
@@ -370,7 +370,7 @@ class _PortAndModeWriter:
         self.model, self.terminals, self.base, self.weights = model, terminals, base, weights
         self.gain, self.omega, self.damp = rom.B, np.sqrt(np.diag(rom.K)), np.diag(rom.E)
         self.scale = find_largest_gains(self.gain, terminals)
-        self.farad = weights.capacitances(self.omega, self.omega.min())
+        self.farad = weights.compute_capacitances(self.omega, self.omega.min())
         self.electrodes = list(filter(attrgetter("port.electrical"), terminals))
 
     def write_elements(self) -> Iterator[Line]:
@@ -414,7 +414,9 @@ class _PortAndModeWriter:
         the mode at the port is zero.
         """
         if self.model.gain[:, i - 1, k].any():
-            share = format_number(MICRO / self.terminals[k].unit / self.scale[i - 1])
+            share = format_number(
+                MICRO / self.terminals[k].output_value_per_volt / self.scale[i - 1]
+            )
             yield Transconductance(label, f"q{i}", self.base, f"{share}*g{i}_{k + 1}")
 
     def _write_rate_source(self, i: int, k: int) -> Iterator[Transconductance]:
@@ -424,7 +426,13 @@ class _PortAndModeWriter:
         of the mode at the port is zero.
         """
         if self.model.gain[:, i - 1, k].any():
-            rate = MICRO * self.omega[i - 1] * MICRO / self.terminals[k].unit / self.scale[i - 1]
+            rate = (
+                MICRO
+                * self.omega[i - 1]
+                * MICRO
+                / self.terminals[k].output_value_per_volt
+                / self.scale[i - 1]
+            )
             yield Transconductance(
                 f"{i}", f"p{i}", self.base, f"{format_number(rate)}*g{i}_{k + 1}"
             )

@@ -23,7 +23,7 @@ from kc2spice.netlist.shared_cards import Line, attach_comments, write_pivot_car
 from kc2spice.netlist.spelling import format_comment
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.modal_models import Resonators, compute_resonators
-from kc2spice.rom.network import ParallelBranches, recognise_parallel_branches
+from kc2spice.rom.one_port_network import ParallelBranches, recognise_parallel_branches
 from kc2spice.synthesis.branches import NETWORK_COMMENT, write_branch_cards
 from kc2spice.synthesis.circuit_error import accelerates_frame, estimate_circuit_error
 from kc2spice.synthesis.header import (
@@ -93,9 +93,9 @@ def subcircuit(
     same equations at its ports as the model, and is passive if the model is passive.
 
     A network that was fitted to the measured impedance of one port is written as resistors,
-    inductors and capacitors (:mod:`kc2spice.rom.network`). A symmetric definite model with modal
-    damping is written as decoupled resonators. Any other model is written as blocks of coupled
-    states, or as one block if ``dense`` is true.
+    inductors and capacitors (:mod:`kc2spice.rom.one_port_network`). A symmetric definite model with
+    modal damping is written as decoupled resonators. Any other model is written as blocks of
+    coupled states, or as one block if ``dense`` is true.
 
     Parameters
     ----------
@@ -413,10 +413,10 @@ def _add_noise_forces(rom: LinearModel) -> LinearModel:
     """
     if rom.first_order or not rom.symmetric or not is_conservative(rom):
         raise UsageError(
-            "the noise of this model is not known",
+            "the noise of this model cannot be computed",
             where=rom.name,
             got="a first-order model, a model that is not symmetric, or signal ports",
-            expected="symmetric M, E, K and conservative ports",
+            expected="symmetric matrices M, E and K, and conservative ports",
             hint="use a transient or ac analysis in place of the noise analysis",
         )
     K, E, M = rom.pencil.make_dense().coefficients
@@ -452,13 +452,13 @@ def make_unit_load_cards(
         node, size = nodes[port.terminals[0].lower()], ("AC", "1") if port == load else ()
         if port.domain is not None and port.is_flow_driven:
             drive = Element.from_words(f"I{node}", "0", node, "DC", "0", *size)
-            cards += [drive.with_unit(port.domain.value_unit("I"))] if size else []
+            cards += [drive.with_unit(port.domain.find_value_unit("I"))] if size else []
             result[port.name] = (f"v({node})", port.domain.across.factor / one)
         elif port.kind == "output":
             result[port.name] = (f"v({node})", 1.0 / one)
         else:
             drive = Element.from_words(f"V{node}", node, "0", "DC", "0", *size)
-            cards.append(drive.with_unit(port.domain.value_unit("V") if port.domain else ""))
+            cards.append(drive.with_unit(port.domain.find_value_unit("V") if port.domain else ""))
             if port.domain is not None:
                 flow = port.domain.through_variable.factor
                 result[port.name] = (f"i(v{node.lower()})", -flow / one)

@@ -23,7 +23,7 @@ from kc2spice.synthesis.terminals import (
     connect_sources,
     get_model_band,
     has_other_reference,
-    port_domains,
+    list_port_domains,
     write_port_cards,
     write_weighted_sources,
 )
@@ -75,7 +75,7 @@ def write_blocks(
         scaled_blocks.append(block)
         integrating.append(free)
     numbers = list(map(str, range(1, start + len(S) + 1)))
-    units = [t.unit for t in terminals if t.row is not None]
+    units = [t.output_value_per_volt for t in terminals if t.row is not None]
     states = StateNodes(
         list(map("z{}".format, numbers)),
         numbers,
@@ -110,7 +110,7 @@ def write_blocks(
             body += connect_sources(sums, base, node, f"Ga{index}_")
             body += connect_sources(inputs, base, node, f"Gb{index}_")
     about = _STATES_COMMENT.format(farad=format_number(farad), base=base).split("\n")
-    domains = port_domains(rom.ports)
+    domains = list_port_domains(rom.ports)
     placed = domains and not has_other_reference(domains)
     return [*OUTWARDS_COMMENT, *about] if placed else about, body
 

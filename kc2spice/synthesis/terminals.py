@@ -161,7 +161,7 @@ class PortTerminal:
         return "s" if self.is_frame_acceleration else "v"
 
     @property
-    def unit(self) -> float:
+    def output_value_per_volt(self) -> float:
         """SI value of the port's output that 1 V on the output node represents."""
         domain = self.port.domain
         if domain is None:
@@ -171,7 +171,7 @@ class PortTerminal:
         return MICRO * domain.through_variable.factor
 
     @property
-    def input_unit(self) -> float:
+    def input_value_per_volt(self) -> float:
         """SI value of the port's input that 1 V between the input nodes represents."""
         domain = self.port.domain
         return 1.0 if domain is None else domain.get_quantity(domain.input_side).factor
@@ -194,8 +194,8 @@ class PortTerminal:
         ``row`` contains the weights of all inputs.
         """
         value = row[self.column or 0]
-        if self.input_unit != 1.0 and value:
-            value = scale_value(self.input_unit, value)
+        if self.input_value_per_volt != 1.0 and value:
+            value = scale_value(self.input_value_per_volt, value)
         return Transconductance(label, *self.get_input_nodes(base), value)
 
 
@@ -262,7 +262,7 @@ def make_terminals(rom: LinearModel, D: np.ndarray, where: str) -> list[PortTerm
                 "the port has a wrong number of pins",
                 where=where,
                 got=f"{len(pins)} pins of the port {port.name}",
-                expected="two pins of an electrical port, otherwise one pin",
+                expected="two pins for an electrical port, one pin for every other port",
             )
         into = None if port.kind == "output" else column
         out = None if port.kind == "input" else row
@@ -365,7 +365,7 @@ def find_reference_pin(ports: Sequence[Port]) -> Pin:
     In a model with mechanical ports, the reference pin is called ``base``. If a pin of a port is
     already called ``base``, the reference pin is called ``ground``.
     """
-    domains = port_domains(ports)
+    domains = list_port_domains(ports)
     others = list(filter(attrgetter("reference"), domains))
     if len(others) == 1 and others[0].reference != BASE:
         return Pin(others[0].reference, *others[0].units)
@@ -375,7 +375,7 @@ def find_reference_pin(ports: Sequence[Port]) -> Pin:
     return Pin("ref", *ELECTRICAL.units)
 
 
-def port_domains(ports: Iterable[Port]) -> list[Domain]:
+def list_port_domains(ports: Iterable[Port]) -> list[Domain]:
     """Return the different physical domains of ports, in the order of the ports."""
     return list(filter(None, dict.fromkeys(map(attrgetter("domain"), ports))))
 
@@ -408,7 +408,7 @@ class OutputSourceWriter:
             return t
         if t.is_frame_acceleration:
             return self._make_acceleration_terminal(t)
-        row, direct = self.states.C[t.row], self.D[t.row] / t.unit
+        row, direct = self.states.C[t.row], self.D[t.row] / t.output_value_per_volt
         if (
             t.port.has_charge_output
         ):  # a capacitor, not a source, represents the clamped capacitance
@@ -500,7 +500,7 @@ def _write_port(t: PortTerminal, base: str, share: float) -> Iterator[Line]:
         yield from connect_sources(t.sums, base, f"u{pin}", f"Gu{pin}_")
         yield from connect_sources(t.through, base, f"u{pin}", f"Gt{pin}_")
     elif t.clamped:
-        yield from _clamped_lines(t, base, share)
+        yield from _write_clamped_port(t, base, share)
     else:
         a, b = t.get_driven_pins(base)
         yield (_UNCLAMPED_COMMENT if t.port.is_paired else _UNCLAMPED_PIN_COMMENT).format(
@@ -511,7 +511,7 @@ def _write_port(t: PortTerminal, base: str, share: float) -> Iterator[Line]:
             yield replace(source, label=f"{source.label}{tag}").write_element(a, b, "Gc")
 
 
-def _clamped_lines(t: PortTerminal, base: str, share: float) -> Iterator[Line]:
+def _write_clamped_port(t: PortTerminal, base: str, share: float) -> Iterator[Line]:
     """Yield the cards of an electrical port with a clamped capacitance."""
     tag = t.tag
     words = {"name": f" {t.port_name}" if tag else "", "farad": t.clamped, "share": share}

@@ -51,7 +51,7 @@ from kc2spice.scene.numerical_settings import (
 from kc2spice.sim.ngspice import find_ngspice
 from kc2spice.workflow import refine
 from kc2spice.workflow.refine import RefinedRuns, compute_metric_changes
-from kc2spice.workflow.simulate import Run
+from kc2spice.workflow.simulation import Run
 
 DEFAULT_ERROR_LIMIT = 1e-4
 # Refinement steps of each numerical setting, from coarse to fine.
@@ -124,14 +124,14 @@ class _SettingSearch:
             where = f"bench {run.build.scene.name}"
             raise UsageError("this scene has no numerical setting to vary", where=where)
 
-    def map_steps_to_settings(self, combination: Combination) -> dict[str, float]:
+    def get_steps_by_setting(self, combination: Combination) -> dict[str, float]:
         """Return the refinement steps of a combination, keyed by the name of the setting."""
         return dict(zip(map(attrgetter("name"), self.varied_settings), combination, strict=True))
 
     def run_uniform_refinement(self, steps: float) -> Run:
         """Run the scene with every setting refined by the same number of steps."""
         return self.runs.get_refined_run(
-            self.map_steps_to_settings((steps,) * len(self.varied_settings))
+            self.get_steps_by_setting((steps,) * len(self.varied_settings))
         )
 
     @cached_property
@@ -149,12 +149,12 @@ class _SettingSearch:
 
     def run_setting(self, combination: Combination) -> None:
         """Run the scene with a combination of settings, unless it has already run."""
-        settings = refine_settings(self.varied_settings, self.map_steps_to_settings(combination))
+        settings = refine_settings(self.varied_settings, self.get_steps_by_setting(combination))
         label = _describe_settings(settings)
         if label in self.points or label in self.failed:
             return
         try:
-            run = self.runs.get_refined_run(self.map_steps_to_settings(combination))
+            run = self.runs.get_refined_run(self.get_steps_by_setting(combination))
             errors = compute_metric_errors(
                 run, self.run_uniform_refinement(REFERENCE_STEPS), self.names
             )
@@ -207,7 +207,7 @@ class _SettingSearch:
         """Return the larger of a combination's measured error and its error bound."""
         return max(point.largest_error, self.compute_error_bound(point))
 
-    def find_cheapest(self, limit: float) -> _TimedRun | None:
+    def find_fastest(self, limit: float) -> _TimedRun | None:
         """Return the fastest combination whose error is within a limit, or None.
 
         Of several equally fast combinations, return the most accurate one.
@@ -254,7 +254,7 @@ class _SettingSearch:
         known = 0
         while known < (count := len(self.points) + len(self.failed)) < MAX_POINTS:
             known = count
-            start = self.find_cheapest(limit)
+            start = self.find_fastest(limit)
             direction = 1 if start is None else -1
             start = start or min(self.points.values(), key=self.compute_larger_error)
             progress("search", None, f"{known} settings, now {_describe_settings(start.settings)}")
@@ -332,9 +332,9 @@ def bench(
         progress("estimate", None, "all settings and meshes one step finer")
         finest = refine_settings(
             search.varied_settings,
-            search.map_steps_to_settings((REFERENCE_STEPS,) * len(search.varied_settings)),
+            search.get_steps_by_setting((REFERENCE_STEPS,) * len(search.varied_settings)),
         )
-        best = search.find_cheapest(error)
+        best = search.find_fastest(error)
         points = sorted(search.points.values(), key=attrgetter("median_time"))
         record = {
             "scene": scene.name,

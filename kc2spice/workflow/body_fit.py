@@ -14,8 +14,8 @@ from operator import attrgetter
 import numpy as np
 import scipy
 
-from kc2spice.bodies.device import add_rayleigh_damping
-from kc2spice.bodies.readers.measured import MeasuredAdmittance
+from kc2spice.bodies.readers.measured_admittance import MeasuredAdmittance
+from kc2spice.bodies.solid_models import add_rayleigh_damping
 from kc2spice.core.errors import UsageError
 from kc2spice.core.progress import Progress, StageTimer
 from kc2spice.fem.body_keys import DampingKeys
@@ -80,7 +80,7 @@ class BodyFit:
         return self.data.Y[:, 0, 0]
 
     @property
-    def noise(self) -> float:
+    def log_admittance_noise(self) -> float:
         """Standard deviation of the noise in the real and imaginary parts of log Y."""
         return max(self.data.noise, MIN_NOISE)
 
@@ -92,8 +92,9 @@ class BodyFit:
     def make_full_model(self, values: Mapping[str, float], moved: bool = True) -> LinearModel:
         """Return the full model for values of the keys, with one electrical port.
 
-        The port is the first electrical port of the body. With ``moved``, the model has the mesh of
-        the scene ``like`` with displaced nodes. Without ``moved``, the model has a new mesh.
+        The port is the first electrical port of the body. If ``moved`` is true, the model uses the
+        mesh of the scene :attr:`like`, and its nodes are moved to the new geometry. If ``moved`` is
+        false, a new mesh is made for the new geometry.
 
         Raises
         ------
@@ -265,9 +266,11 @@ class BodyFit:
             "less capacitance than the model has: vary the permittivity or an area": -1j * w / Y,
             "a leak in parallel: clean the part, or compensate the fixture": 1 / Y,
         }
-        return {name: column / self.noise for name, column in result.items()}
+        return {name: column / self.log_admittance_noise for name, column in result.items()}
 
-    def response(self, reduced: DenseParametricModel, values: Mapping[str, float]) -> np.ndarray:
+    def compute_reduced_admittance(
+        self, reduced: DenseParametricModel, values: Mapping[str, float]
+    ) -> np.ndarray:
         """Return the admittance [S] of a reduced model for values of the keys."""
         model = reduced.evaluate(values)
         if self.damping.model == "ieee176":

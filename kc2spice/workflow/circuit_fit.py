@@ -23,7 +23,7 @@ from kc2spice.core.progress import Progress, StageTimer
 from kc2spice.equations.networks import Network
 from kc2spice.equations.scene_laws import get_scene_laws
 from kc2spice.parts.bodies._varied_keys import VariedKey, read_key_values
-from kc2spice.reference.small_signal import LinearisedSystem
+from kc2spice.reference.small_signal_analysis import LinearisedSystem
 from kc2spice.reference.system import assemble_system
 from kc2spice.scene.load import load_scene
 from kc2spice.scene.model import Scene
@@ -150,7 +150,7 @@ class CircuitFit:
         ends = np.log(np.abs([[item.low, item.high] for item in self.keys]))
         return ends.min(axis=1), ends.max(axis=1)
 
-    def values(self, x: np.ndarray) -> dict[str, float]:
+    def compute_key_values(self, x: np.ndarray) -> dict[str, float]:
         """Convert logarithms to the values of the keys."""
         signs = np.sign([item.low for item in self.keys])
         values = signs * np.exp(np.clip(x, *self.bounds))
@@ -179,10 +179,10 @@ class CircuitFit:
         result = np.concatenate(rows)
         return np.concatenate([result.real, result.imag])
 
-    def compute_deviation(self, x: np.ndarray) -> np.ndarray:
+    def compute_fit_residuals(self, x: np.ndarray) -> np.ndarray:
         """Return the residuals for logarithms of key values; large for impossible values."""
         try:
-            return self.residuals(self.values(x))
+            return self.residuals(self.compute_key_values(x))
         except (UsageError, SimulationError):
             count = sum(len(curve.data.f) for curve in self.fitted_curves)
             return np.full(2 * count, IMPOSSIBLE_RESIDUAL)
@@ -193,15 +193,15 @@ class CircuitFit:
         The result is an array of shape (2 n, keys). The derivatives are computed by one-sided
         differences inside the range.
         """
-        columns, middle, first = [], np.mean(self.bounds, axis=0), self.compute_deviation(x)
+        columns, middle, first = [], np.mean(self.bounds, axis=0), self.compute_fit_residuals(x)
         for k in range(len(x)):
             step = np.zeros_like(x)
             step[k] = DIFFERENCE_STEP if x[k] <= middle[k] else -DIFFERENCE_STEP
-            columns.append((self.compute_deviation(x + step) - first) / step[k])
+            columns.append((self.compute_fit_residuals(x + step) - first) / step[k])
         return np.column_stack(columns)
 
     def solve(self) -> OptimizeResult:
-        """Return the least-squares solution; the search begins at the values of the scene.
+        """Fit the keys by least squares, beginning at the values of the scene.
 
         Raises
         ------
@@ -211,7 +211,7 @@ class CircuitFit:
         self.residuals(values)  # raises the error of an invalid scene before the fit
         start = np.log(np.abs(list(values.values())))
         return least_squares(
-            self.compute_deviation, start, self.jacobian, self.bounds,
+            self.compute_fit_residuals, start, self.jacobian, self.bounds,
             x_scale="jac", xtol=1e-8, ftol=1e-8, max_nfev=MAX_EVALUATIONS,
         )  # fmt: skip
 
@@ -226,7 +226,7 @@ def fit_circuit(problem: CircuitFit, where: str) -> dict[str, Any]:
     UsageError : a key does not change the impedance, or the scene of a curve is not valid.
     """
     keys, solved = problem.keys, problem.solve()
-    values = problem.values(solved.x)
+    values = problem.compute_key_values(solved.x)
     described = describe_values(keys, values, solved.jac, solved.fun)
     responses, rows, sizes = [], [], []
     for curve in problem.curves:

@@ -14,12 +14,12 @@ from kc2spice.core.domains import ELECTRICAL, SIGNAL
 from kc2spice.core.errors import UsageError
 from kc2spice.core.files import list_earlier_files
 from kc2spice.core.progress import StageTimer
+from kc2spice.netlist.card_parser import split_statements
 from kc2spice.netlist.circuit import Element, Item
 from kc2spice.netlist.deck import Deck, Option
 from kc2spice.netlist.edited_deck import read_edited_deck
 from kc2spice.netlist.library import Header, Subcircuit, write_model_comments
 from kc2spice.netlist.lint import require_valid_wiring
-from kc2spice.netlist.read import split_statements
 from kc2spice.netlist.scope import INCLUDES
 from kc2spice.netlist.shared_cards import add_title
 from kc2spice.netlist.spelling import format_comment, format_number
@@ -33,7 +33,7 @@ from kc2spice.scene.probed_results import require_probed_results
 from kc2spice.scene.results import NOISE_WAVE
 from kc2spice.scene.start_conditions import FloatingNets, find_floating_nets, find_start_errors
 from kc2spice.workflow.edited_parts import with_edited_parameters
-from kc2spice.workflow.measures import list_measure_cards
+from kc2spice.workflow.measure_cards import list_measure_cards
 from kc2spice.workflow.models import build_models
 
 # Inductance [H] that fixes a floating displacement at the operating point. Above 1 Hz, the force of
@@ -108,7 +108,7 @@ def make_deck(build: BuiltScene) -> Deck:
         trusted=build.trust,
         free_nets=frozenset(_list_free_nets(scene)),
         sweep_scale=sweep_scale,
-        items=tuple(_list_items(build, loose, analysis.items)),
+        items=tuple(_list_deck_cards(build, loose, analysis.items)),
     )
     if not build.has_noise:
         return deck
@@ -166,7 +166,7 @@ def _list_libraries(build: BuiltScene, header: Header) -> Iterator[tuple[Part, S
                 )
 
 
-def _list_items(
+def _list_deck_cards(
     build: BuiltScene, loose: Sequence[FloatingNets], noise_items: Iterable[Item]
 ) -> Iterator[Item]:
     """Yield the cards of parts and noise sources, and supports for floating nets."""
@@ -271,17 +271,19 @@ def protect_other_decks(out: Path, files: Mapping[str, str]) -> None:
     UsageError : another deck in ``out`` uses the library.
     """
 
-    def text(path: Path) -> str:
+    def read_library_text(path: Path) -> str:
         """Return the text of a library file."""
         return path.read_text(encoding="utf-8", errors="replace")
 
     others = {path.name: path for path in out.glob("*.cir") if path.is_file()}
     for key in sorted(others.keys() - files.keys() - list_earlier_files(out)):
-        for card in split_statements(text(others[key]), key, title=True):
+        for card in split_statements(read_library_text(others[key]), key, title=True):
             name = card.words[-1].strip("\"'") if card.keyword in INCLUDES else ""
             if name not in files or not (out / name).is_file():
                 continue
-            if _list_statements(text(out / name), name) != _list_statements(files[name], name):
+            if _list_statements(read_library_text(out / name), name) != _list_statements(
+                files[name], name
+            ):
                 raise UsageError(
                     f"an existing deck in this directory includes another version of {name}",
                     where=str(others[key]),

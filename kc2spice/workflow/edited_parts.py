@@ -51,7 +51,7 @@ def _warn_about_options(edits: DeckEdits, path: Path) -> None:
         different.append(f"{key} = {new or 'default'} ({old or 'default'})")
     if different:
         options = ", ".join(different)
-        problem = "options differ from those of the scene, which are in brackets"
+        problem = "options of the deck differ from the values of the scene (in brackets)"
         warnings.warn(f"{path}: {problem}: {options}", stacklevel=2)
 
 

@@ -10,6 +10,7 @@ from kc2spice.core.files import stage_directory
 from kc2spice.core.progress import Progress, StageTimer, ignore_progress
 from kc2spice.linalg.solver import require_solver, use_solver
 from kc2spice.netlist.deck import Deck
+from kc2spice.netlist.deck_translation import write_dialect_files, write_symbol_files
 from kc2spice.netlist.printers.dialect_registry import (
     list_deck_dialects,
     list_dialect_names,
@@ -17,7 +18,6 @@ from kc2spice.netlist.printers.dialect_registry import (
 )
 from kc2spice.netlist.printers.plot_script import format_plot_script
 from kc2spice.netlist.transforms import make_array_deck
-from kc2spice.netlist.translate import write_dialect_files, write_symbol_files
 from kc2spice.parts.bodies._body_model import get_reduction_settings
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.rom.linear_model import LinearModel

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from kc2spice.bodies.readers.measured import (
+from kc2spice.bodies.readers.measured_admittance import (
     MeasuredAdmittance,
     parse_shunt_resistance,
     read_measured,
@@ -166,7 +166,7 @@ def fit(
         descent = Descent(body, {item.key: item.parameter_axis for item in keys})
         ends = run_descents(descent)
         end = refine_descent_result(descent, ends[0])
-        start = body.response(descent.reduced_model, read_key_values(keys))
+        start = body.compute_reduced_admittance(descent.reduced_model, read_key_values(keys))
         record = _make_record(body, start, end, ends)
         if out is None:
             return record

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from pydantic import ConfigDict, Field
 
-from kc2spice.bodies.readers.measured import MeasuredAdmittance, read_measured
+from kc2spice.bodies.readers.measured_admittance import MeasuredAdmittance, read_measured
 from kc2spice.core.errors import UsageError
 from kc2spice.core.key_errors import validate_table
 from kc2spice.core.quantities import Frequency, Section
@@ -117,7 +117,7 @@ def read_curves(
     else:
         where, folder, tables = "data", Path(), {"curve": list(data)}
     entries = validate_table(MeasurementListKeys, tables, f"{where}:").curve
-    curves = list(_read_entries(entries, folder, where, shunt))
+    curves = list(_read_curve_tables(entries, folder, where, shunt))
     if all(curve.predict for curve in curves):
         raise UsageError(
             "all curves are predicted, and none is fitted",
@@ -129,7 +129,7 @@ def read_curves(
     return curves
 
 
-def _read_entries(
+def _read_curve_tables(
     entries: Sequence[MeasurementKeys], folder: Path, where: str, shunt: float | None
 ) -> Iterator[MeasuredCurve]:
     """Yield the measured curve of each ``[[curve]]`` table, limited to its band."""

@@ -76,15 +76,17 @@ class Descent:
         ends = np.log(np.abs([[axis.low, axis.high] for axis in self.parameter_axes.values()]))
         return ends.min(axis=1), ends.max(axis=1)
 
-    def values(self, x: np.ndarray) -> dict[str, float]:
+    def compute_key_values(self, x: np.ndarray) -> dict[str, float]:
         """Convert logarithms to the values of the keys, limited to their ranges."""
         signs = np.sign(list(map(attrgetter("low"), self.parameter_axes.values())))
         values = signs * np.exp(np.clip(x, *self.bounds))
         return dict(zip(self.parameter_axes, values.tolist(), strict=True))
 
-    def compute_deviation(self, x: np.ndarray) -> np.ndarray:
+    def compute_fit_residuals(self, x: np.ndarray) -> np.ndarray:
         """Return the residuals of the reduced model for logarithms of key values."""
-        return self.compute_log_ratio(self.body.response(self.reduced_model, self.values(x)))
+        return self.compute_log_ratio(
+            self.body.compute_reduced_admittance(self.reduced_model, self.compute_key_values(x))
+        )
 
     def compute_log_ratio(self, Y: np.ndarray) -> np.ndarray:
         """Return log(Y / measured admittance), divided by the noise, as a real array.
@@ -92,7 +94,7 @@ class Descent:
         The real parts come before the imaginary parts.
         """
         ratio = np.log(Y / self.body.Y)
-        return np.concatenate([ratio.real, ratio.imag]) / self.body.noise
+        return np.concatenate([ratio.real, ratio.imag]) / self.body.log_admittance_noise
 
     def jacobian(self, x: np.ndarray) -> np.ndarray:
         """Return the derivatives of the residuals with respect to logarithms of the keys.
@@ -107,7 +109,7 @@ class Descent:
             ends[:, k] = np.clip(
                 x[k] + np.array([-DIFFERENCE_STEP, DIFFERENCE_STEP]), low[k], high[k]
             )
-            change = self.compute_deviation(ends[1]) - self.compute_deviation(ends[0])
+            change = self.compute_fit_residuals(ends[1]) - self.compute_fit_residuals(ends[0])
             columns.append(change / (ends[1, k] - ends[0, k]))
         return np.column_stack(columns)
 
@@ -118,13 +120,13 @@ class Descent:
         )
 
     def solve(self, values: Mapping[str, float]) -> DescentResult:
-        """Run a descent from start values of the keys, and return its result."""
+        """Fit the keys by least squares, beginning at the values of the argument."""
         solved = least_squares(
-            self.compute_deviation, self.compute_start_logarithms(values),
+            self.compute_fit_residuals, self.compute_start_logarithms(values),
             jac=self.jacobian, bounds=self.bounds, x_scale="jac",
             xtol=1e-10, ftol=1e-10, max_nfev=60,
         )  # fmt: skip
-        return DescentResult(self.values(solved.x), solved, self.parameter_axes)
+        return DescentResult(self.compute_key_values(solved.x), solved, self.parameter_axes)
 
 
 def run_descents(descent: Descent) -> list[DescentResult]:
@@ -134,8 +136,8 @@ def run_descents(descent: Descent) -> list[DescentResult]:
     """
     low, high = descent.bounds
     samples = qmc.scale(qmc.Sobol(len(low), seed=1).random(RANDOM_SAMPLES), low, high)
-    costs = [float(np.sum(descent.compute_deviation(x) ** 2)) for x in samples]
-    best = map(descent.values, samples[np.argsort(costs)[: DESCENT_COUNT - 1]])
+    costs = [float(np.sum(descent.compute_fit_residuals(x) ** 2)) for x in samples]
+    best = map(descent.compute_key_values, samples[np.argsort(costs)[: DESCENT_COUNT - 1]])
     starts = [read_key_values(descent.body.keys), *best]
     return sorted(map(descent.solve, starts), key=attrgetter("cost"))
 
@@ -150,7 +152,7 @@ def _correct_end(descent: Descent, end: DescentResult) -> DescentResult | None:
     body, (low, high) = descent.body, descent.bounds
     x = descent.compute_start_logarithms(end.values)
     for _ in range(MESH_CORRECTIONS):
-        values = descent.values(x)
+        values = descent.compute_key_values(x)
         exact = body.compute_full_admittance(values)
         left, J = descent.compute_log_ratio(exact), descent.jacobian(x)
         result = OptimizeResult(fun=left, jac=J, cost=0.5 * float(left @ left))

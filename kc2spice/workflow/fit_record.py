@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from kc2spice.bodies.readers.measured import MeasuredAdmittance
+from kc2spice.bodies.readers.measured_admittance import MeasuredAdmittance
 from kc2spice.core.errors import UsageError
 from kc2spice.parts.bodies._varied_keys import VariedKey
 from kc2spice.workflow.fit_keys import compute_log_widths, find_resonances, is_at_bound

@@ -33,7 +33,7 @@ from kc2spice.scene.model import Part, Scene
 from kc2spice.sim.ngspice import RetriesFailedError
 from kc2spice.synthesis.ringing_time import estimate_time_per_point
 from kc2spice.workflow.decks import prepare_deck
-from kc2spice.workflow.simulate import Run, simulate_deck
+from kc2spice.workflow.simulation import Run, simulate_deck
 
 # Pairs of factors for the order and for the highest frequency of the band.
 # The pairs of factors are tried in turn until the error is within its limit.
@@ -139,7 +139,10 @@ def _rerun_with_orders(
             warnings.warn(message, stacklevel=3)
             return None
         names = [item.part for item in chosen]
-        before, after = _largest_error(run, names), _largest_error(result, names)
+        before, after = (
+            _find_largest_body_error(run, names),
+            _find_largest_body_error(result, names),
+        )
         if after >= before:
             message = f"the run with more states has an error of {after:.2%}, not less than "
             message += f"{before:.2%}; the result of the previous run is kept"
@@ -241,18 +244,18 @@ def _estimate_time_ratio(model: LinearModel, larger: LinearModel) -> float:
     The CPU time is proportional to the time per point and to the highest natural frequency of modes
     with inertia, which the time steps resolve.
     """
-    points = list(map(_highest_natural_frequency, (model, larger)))
+    points = list(map(_find_highest_mode_frequency, (model, larger)))
     more = points[1] / points[0] if all(points) else 1.0
     return more * estimate_time_per_point(larger.order) / estimate_time_per_point(model.order)
 
 
-def _highest_natural_frequency(model: LinearModel) -> float:
+def _find_highest_mode_frequency(model: LinearModel) -> float:
     """Return the highest natural frequency [rad/s] of modes with inertia, or 0."""
     modal = compute_resonators(model)
     return 0.0 if modal is None else float(modal.omega[modal.inertia > 0].max(initial=0.0))
 
 
-def _largest_error(run: Run, names: Sequence[str]) -> float:
+def _find_largest_body_error(run: Run, names: Sequence[str]) -> float:
     """Return the largest error of bodies under the loads that a run has recorded."""
     result = 0.0
     for name in names:

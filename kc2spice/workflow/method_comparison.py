@@ -7,7 +7,7 @@ import warnings
 from pathlib import Path
 from typing import Any
 
-from kc2spice.bodies.readers.measured import is_measured
+from kc2spice.bodies.readers.measured_admittance import is_measured
 from kc2spice.core.errors import Kc2spiceError, UsageError
 from kc2spice.core.progress import Progress, ignore_progress
 from kc2spice.linalg.solver import require_solver
@@ -79,8 +79,9 @@ def compare_methods(
     with warnings.catch_warnings():
         # Each model has an error estimate, so warnings of the single reductions are suppressed.
         warnings.simplefilter("ignore")
-        for method in list_reductor_names():
-            progress("reduce", None, method)
+        names = list_reductor_names()
+        for number, method in enumerate(names, 1):
+            progress("reduce", None, f"method {number} of {len(names)}: {method}")
             rows.append(_run_method(reduction, method, tolerance, order))
     rows.sort(key=lambda row: (row["states"] is None, row["states"] or 0))
     return {

@@ -26,7 +26,8 @@ BAND_COUNT = 8
 WARNING_MISFIT = 3.0  # smallest misfit at which a fit prints a warning
 # Largest ratio of the remaining sums of squared residuals at which two causes are equally likely.
 EQUAL_LIKELIHOOD_RATIO = 1.1
-# smallest fraction of the sum of squared residuals that a likely cause removes
+# A cause is likely if the fit of its amount reduces the sum of squared residuals by more than this
+# fraction.
 EXPLAINED_SHARE = 0.5
 
 

@@ -135,7 +135,7 @@ def list_model_values(build: BuiltScene) -> dict[str, dict[str, float]]:
     """Return ``model`` of ``result.json``: numbers that describe each part's model."""
     result = {}
     for part in build.scene.parts.values():
-        if facts := build.facts(part):
+        if facts := build.get_model_values(part):
             result[part.name] = dict(facts)
     return result
 

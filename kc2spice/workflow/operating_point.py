@@ -22,11 +22,27 @@ from kc2spice.workflow.models import rebuild_with_scene
 
 @dataclass(frozen=True)
 class OperatingPoint:
-    """Results of all parts at an operating point, with their checks."""
+    """Results of all parts at an operating point, with their checks.
+
+    ``waves`` contains the results as arrays with one value, and is None if no operating point is
+    known.
+    """
 
     values: Mapping[str, float] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     checks: tuple[Check, ...] = ()
+    waves: Waveforms | None = None
+
+    def list_checks(self, build: BuiltScene, waves: Waveforms) -> tuple[Check, ...]:
+        """Return the checks of the point, and of the ac amplitudes ``waves`` about the point.
+
+        Checks that the scene turns off are left out.
+        """
+        checks = list(self.checks)
+        for name, part in build.scene.parts.items() if build.scene.analysis.type == "ac" else ():
+            if name not in build.unchecked_parts:
+                checks += part.type.check_amplitudes(part, build, self.waves, waves)
+        return tuple(check for check in checks if check.action != "off")
 
 
 def find_operating_point(build: BuiltScene, deck: Deck, laws: SceneLaws) -> OperatingPoint:
@@ -38,7 +54,7 @@ def find_operating_point(build: BuiltScene, deck: Deck, laws: SceneLaws) -> Oper
     is printed.
     """
     scene = build.scene
-    if not scene.analysis.is_small_signal or deck.text is not None or laws.linear:
+    if not scene.analysis.is_small_signal or deck.text is not None or laws.is_linear:
         return OperatingPoint()
     # The probes are kept, because they determine the pins of a body. This run has no noise result.
     probes = {} if build.has_noise else scene.probes
@@ -59,4 +75,4 @@ def find_operating_point(build: BuiltScene, deck: Deck, laws: SceneLaws) -> Oper
     for part in scene.parts.values():
         checks += part.type.check_operating_point(part, build, point)
     units = {name: deck_at_rest.units[name] for name in values}
-    return OperatingPoint(values, units, tuple(checks))
+    return OperatingPoint(values, units, tuple(checks), point)

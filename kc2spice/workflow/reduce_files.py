@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from kc2spice.bodies.readers import read_any_model, read_model
-from kc2spice.bodies.readers.measured import (
+from kc2spice.bodies.readers.measured_admittance import (
     MeasuredAdmittance,
     is_measured,
     parse_shunt_resistance,
@@ -32,6 +32,7 @@ from kc2spice.core.quantities import convert_quantity
 from kc2spice.core.untrusted_files import make_identifier
 from kc2spice.linalg.solver import require_solver, use_solver
 from kc2spice.netlist.deck import Deck, make_ac_command
+from kc2spice.netlist.deck_translation import write_dialect_files, write_symbol_files
 from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.printers.dialect_registry import (
     list_dialect_names,
@@ -39,7 +40,6 @@ from kc2spice.netlist.printers.dialect_registry import (
 )
 from kc2spice.netlist.printers.plot_script import format_plot_script
 from kc2spice.netlist.shared_cards import add_title
-from kc2spice.netlist.translate import write_dialect_files, write_symbol_files
 from kc2spice.parts.bodies._body_model import find_scene_band, full_model_without_scene
 from kc2spice.parts.bodies._linear_body import LinearBody
 from kc2spice.rom.affine import AffineModel, reduce_affine
@@ -180,9 +180,9 @@ def reduce_file(
         _reject_options(options | {"--method": method, "--solver": solver}, *_NOT_FOR_MEASUREMENTS)
         if is_transient(Path(path)):
             _reject_options({"--dc": dc, "--shunt": shunt}, *_ONLY_FOR_IMPEDANCES)
-            return _reduce_transient(Path(path), out, power, form or "foster", progress)
+            return _convert_transient(Path(path), out, power, form or "foster", progress)
         _reject_options({"--power": power, "--network": network}, *_ONLY_FOR_TRANSIENTS)
-        return _reduce_measured(Path(path), out, dc, shunt, progress)
+        return _convert_measurement(Path(path), out, dc, shunt, progress)
     _reject_options({"--dc": dc, "--shunt": shunt, "--power": power}, *_ONLY_FOR_MEASUREMENTS)
     with use_solver(require_solver(solver, "--solver")):
         return _reduce_matrices(path, out, band, tolerance, order, norm, method, form, progress)
@@ -366,7 +366,7 @@ def _reject_unstable_model(model: LinearModel, band: tuple[float, float] | None)
         )
 
 
-def _reduce_measured(
+def _convert_measurement(
     path: Path,
     out: Path | None,
     dc: str | float | None,
@@ -408,7 +408,7 @@ def _reduce_measured(
     return result | record | {"quantity": data.quantity, "data": data.description}
 
 
-def _reduce_transient(
+def _convert_transient(
     path: Path,
     out: Path | None,
     power: str | float | None,
@@ -446,9 +446,9 @@ def _fit_passive_model(
         raise UsageError(
             "no circuit of parallel branches matches the measurement",
             where=data.where,
-            got=f"an rms deviation of {left:.2g}, with the resistance of --dc",
+            got=f"a deviation of {left:.2g} (rms over the samples), with the resistance of --dc",
             expected=f"at most {POOR_DEVIATION:g}",
-            hint="leave out --dc, so that a general fit extrapolates this resistance",
+            hint="leave out --dc, so that the fit extrapolates the resistance at 0 Hz",
         )
     note = f"parallel branches leave a deviation of {left:.2g}: poles of any kind"
     progress("reduce", None, f"fitting poles of any kind to {len(data.f)} frequencies")

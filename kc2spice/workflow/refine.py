@@ -38,7 +38,7 @@ from kc2spice.scene.numerical_settings import (
 )
 from kc2spice.scene.settings import Action
 from kc2spice.workflow.decks import prepare_deck
-from kc2spice.workflow.simulate import (
+from kc2spice.workflow.simulation import (
     Run,
     measure_simulator_cpu,
     run_simulation,
@@ -103,7 +103,7 @@ class RefinedRuns:
         """Return the run with refined settings, from the cache if possible.
 
         ``steps`` contains the refinement steps of the settings. Raises the errors of
-        :func:`kc2spice.workflow.simulate.simulate_deck`.
+        :func:`kc2spice.workflow.simulation.simulate_deck`.
         """
         build, settings = self.start.build, refine_settings(self.all_settings, steps)
         if repr(settings) not in self.run_cache:
@@ -146,7 +146,7 @@ class RefinedRuns:
             grown = (
                 setting.refine_keys(steps[setting.name])[setting.name] / setting.value
             ) ** dimensions
-            unknowns = grown * self.start.build.facts(part)["unknowns"]
+            unknowns = grown * self.start.build.get_model_values(part)["unknowns"]
             need = estimate_factor_bytes(unknowns, dimensions)
             most, memory = self.mesh_limits
             if unknowns > most or need > memory:
@@ -182,7 +182,7 @@ class RefinedRuns:
         for setting in self.all_settings:
             part = self._find_body_of_setting(setting) if setting.name in names else None
             if part is not None:
-                errors = list_mesh_errors(run.build.facts(part))
+                errors = list_mesh_errors(run.build.get_model_values(part))
                 largest = max([largest, *errors.values()])
         return largest
 
@@ -217,7 +217,7 @@ def evaluate_scene(
 ) -> Run:
     """Build and simulate ``scene``, and compute its metrics.
 
-    Raises the errors of :func:`kc2spice.workflow.simulate.simulate_deck`.
+    Raises the errors of :func:`kc2spice.workflow.simulation.simulate_deck`.
     """
     build, deck = prepare_deck(scene, clock, trust=trust, functions=functions)
     with clock.time_stage("refined run", text), tempfile.TemporaryDirectory() as folder:

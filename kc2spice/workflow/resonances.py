@@ -3,7 +3,7 @@
 The input is an analysis command, and the equations of its scene. The output is further analyses
 around each resonance that the frequencies of the scene do not resolve. The resonances are the
 natural frequencies of the whole linear circuit, driver and load included;
-:mod:`kc2spice.reference.small_signal` states the equations of the circuit.
+:mod:`kc2spice.reference.small_signal_analysis` states the equations of the circuit.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from kc2spice.core.errors import SimulationError, UsageError
 from kc2spice.equations.scene_laws import SceneLaws
 from kc2spice.netlist.deck import AnalysisCommand, with_frequencies
-from kc2spice.reference.small_signal import LinearisedSystem
+from kc2spice.reference.small_signal_analysis import LinearisedSystem
 from kc2spice.reference.system import assemble_system
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.scene.model import BuiltScene
@@ -66,7 +66,7 @@ def list_refined_analyses(command: AnalysisCommand, laws: SceneLaws) -> tuple[An
     if len(narrow) > MAX_RESONANCES:
         warnings.warn(
             f"{len(narrow)} resonances are narrower than the frequency step, and only the first "
-            f"{MAX_RESONANCES} are resolved; raise analysis.points or use a narrower range",
+            f"{MAX_RESONANCES} are resolved; raise analysis.points or narrow the frequency range",
             stacklevel=2,
         )
     commands = [
@@ -84,7 +84,7 @@ def _list_probe_frequencies(build: BuiltScene) -> list[float]:
     """
     analysis, result = build.scene.analysis, set[float]()
     for probe in build.scene.probes.values():
-        result.update(probe.read_positions.values())
+        result.update(probe.positions_by_key.values())
     first, last = analysis.start, float(analysis.stop or 0.0)
     return sorted(f for f in result if first < f < last)
 
@@ -129,10 +129,12 @@ def _find_narrow_resonances(laws: SceneLaws) -> list[tuple[float, float]]:
 
 
 def _find_poles_and_zeros(laws: SceneLaws) -> np.ndarray:
-    """Return poles [1/s] of the circuits, and zeros at minima that probes read.
+    """Find the poles of all circuits, and the zeros of responses with a minimum probe.
 
-    For a circuit without equations, only the poles of the reduced models are returned. A warning is
-    printed if a circuit has no equations, is too large, or has no operating point.
+    Poles and zeros are complex numbers in 1/s. Zeros are included only in an ``ac`` analysis, for
+    responses whose minimum a probe reads. For a circuit without equations, only the poles of the
+    reduced models are returned. A warning is printed if a circuit has no equations, is too large,
+    or has no operating point.
     """
     scene, causes = (
         laws.build.scene,
@@ -157,7 +159,7 @@ def _find_poles_and_zeros(laws: SceneLaws) -> np.ndarray:
     if models and causes:
         warnings.warn(
             f"maxima are searched only near the natural frequencies of the reduced models, "
-            f"although the circuit may shift the resonances: {'; '.join(causes)}",
+            f"although the circuit can shift the resonances, because {'; '.join(causes)}",
             stacklevel=2,
         )
         poles += [model.poles() for model in models]

@@ -30,7 +30,7 @@ from kc2spice.workflow.decks import prepare_deck, protect_other_decks
 from kc2spice.workflow.larger_orders import suggest_keys, with_larger_orders
 from kc2spice.workflow.models import find_value_units, list_model_values, tabulate_body_modes
 from kc2spice.workflow.refine import ConvergedRun, converge_to_budget
-from kc2spice.workflow.simulate import Run, keep_failed_run, simulate_deck
+from kc2spice.workflow.simulation import Run, keep_failed_run, simulate_deck
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class CompletedRun:
     converged: ConvergedRun | None = None
 
     @cached_property
-    def page_items(self) -> tuple[Figure | FileWriter, ...]:
+    def page_contents(self) -> tuple[Figure | FileWriter, ...]:
         """Contents of the result page: figures of probes and parts, and other files."""
         build, waves, units = self.run.build, self.run.waves, self.run.deck.units
         result: list[Figure | FileWriter] = []
@@ -57,8 +57,8 @@ class CompletedRun:
 
     @property
     def figures(self) -> tuple[Figure, ...]:
-        """Figures of the run."""
-        return tuple(item for item in self.page_items if isinstance(item, Figure))
+        """Charts on the result page of the run."""
+        return tuple(item for item in self.page_contents if isinstance(item, Figure))
 
     @cached_property
     def record(self) -> dict[str, Any]:
@@ -232,7 +232,7 @@ def write_run_files(
         texts = deck.files | format_plot_script(deck)
         write_files(texts, work)
         files, figures = [*sorted(texts), *write_waveforms(waves, deck.units, work)], done.figures
-        for item in done.page_items:
+        for item in done.page_contents:
             if isinstance(item, FileWriter):
                 item.write(work / item.name)
                 files.append(item.name)

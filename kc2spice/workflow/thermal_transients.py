@@ -108,8 +108,8 @@ def fit_transient_network(
         raise GateMissedError(
             "no heat network describes the transient",
             where=data.where,
-            got=f"a deviation of {rms:.2g} (rms); {certificate.method}",
-            expected=f"at most {LARGEST_MISFIT:g}, for a temperature whose rate decreases",
+            got=f"a deviation of {rms:.2g} (rms over the samples); {certificate.method}",
+            expected=f"at most {LARGEST_MISFIT:g}; the slope of the temperature must decrease",
             hint="measure at the heat source, with a constant power that begins at time zero; "
             "no file was written",
         )
@@ -178,7 +178,7 @@ def require_one_heat_port(model: LinearModel) -> None:
         where="--network",
         got=f"{len(model.ports)} ports: {names}",
         expected='one port with kind = "thermal"',
-        hint="leave out --network: several ports share their modes through ideal transformers",
+        hint="leave out --network, because several ports share modes through ideal transformers",
     )
 
 
@@ -195,7 +195,7 @@ def _make_step_samples(
             where=data.where,
             got=f"a change of {change:.3g} from the first to the last samples",
             expected="a step of the power at the time zero",
-            hint="check the columns, and that the time zero is the step",
+            hint="check the columns, and that the power changes at time zero",
         )
     one = np.ones(len(data.time))
     if power is None:

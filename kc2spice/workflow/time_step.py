@@ -36,7 +36,7 @@ from kc2spice.scene.model import BuiltScene
 from kc2spice.scene.part_records import PartResult, StepLimit
 
 if TYPE_CHECKING:
-    from kc2spice.reference.small_signal import ExponentialSolution
+    from kc2spice.reference.small_signal_analysis import ExponentialSolution
 
 # Largest permitted errors of the rms value of a wave, and of the wave itself.
 # Each error is relative to the largest value of the same quantity.
@@ -187,7 +187,7 @@ def _solve_motion(network: Network, stop: float) -> ExponentialSolution | None:
 
     The result is None if the network is too large or has no solution.
     """
-    from kc2spice.reference.small_signal import LinearisedSystem
+    from kc2spice.reference.small_signal_analysis import LinearisedSystem
 
     # imported here, because the module loads scipy
     from kc2spice.reference.system import assemble_system
@@ -354,7 +354,9 @@ def _compare_exact_motion(
         if _has_unmodelled_neighbour(build, network, linearised.parts_without_network):
             continue
         if motion is not None and motion.linear.exact and motion.is_moving:
-            worst = max(worst, _largest_deviation(network, motion, waves, build.results.vectors))
+            worst = max(
+                worst, _find_largest_deviation(network, motion, waves, build.results.vectors)
+            )
             exact |= network.law_names
     return worst, exact
 
@@ -380,7 +382,7 @@ def _has_unmodelled_neighbour(build: BuiltScene, network: Network, missing: Sequ
     return False
 
 
-def _largest_deviation(
+def _find_largest_deviation(
     network: Network,
     motion: ExponentialSolution,
     waves: Waveforms,

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.signal import lsim
-from support import print_module
+from support import format_module
 
 CLIENT = Path(__file__).parent / "vajax_client.py"
 STEP, STOP, VOLTS = 10e-9, 40e-6, 100.0
@@ -29,7 +29,7 @@ def test_a_module_follows_a_pulse(deck_of, program, run, model, tmp_path):
     python = program("python-vajax")
     chip = deck_of("harmonic").parts[0]
     rings = [pin.name for pin in chip.pins if pin.name.startswith("ring")]
-    ((file, text),) = print_module(chip).items()
+    ((file, text),) = format_module(chip).items()
     (tmp_path / file).write_text(text)
     free = "\n".join(f"r{ring} ({ring} 0) resistor r=1e12" for ring in rings)
     name, nodes = Path(file).stem, " ".join(rings)

@@ -14,8 +14,8 @@ from support import (
     LinearBody,
     StageTimer,
     list_gallery,
-    literal_value,
     load_scene,
+    parse_literal,
     read_lib,
     run_deck,
 )
@@ -377,7 +377,7 @@ def test_modes_of_shipped_buzzers_are_the_branches_that_their_comments_state(sce
     path = disc_library(scene)
     form = r"\* Mode \d+, at the defaults: (\S+) kHz, .*, L=(\S+) C=(\S+) R=(\S+) at anode"
     rows = re.findall(form, path.read_text("utf-8"))
-    branches = [(1e3 * float(f), *map(literal_value, row)) for f, *row in rows]
+    branches = [(1e3 * float(f), *map(parse_literal, row)) for f, *row in rows]
     assert all(
         L * C * (2 * np.pi * f) ** 2 == pytest.approx(1, rel=1e-3) for f, L, C, _ in branches
     )

@@ -44,7 +44,7 @@ def round_plate(rng):
         own = disc.make_disc_blocks(
             {"layers": layers, "support": support, "mesh": {"refine": refine}}
         )
-        return replace(own, size=coarser * own.size).device()
+        return replace(own, size=coarser * own.size).build_fe_model()
 
     return make
 
@@ -62,7 +62,7 @@ def bender(rng):
 
     def make(refine, _):
         own = bimorph.make_bimorph_blocks({**table, "mesh": {"refine": refine}})
-        return replace(own, grid=(own.grid[0][::2], *own.grid[1:])).device()
+        return replace(own, grid=(own.grid[0][::2], *own.grid[1:])).build_fe_model()
 
     return make
 
@@ -87,7 +87,7 @@ def sandwich(rng):
 
     def make(refine, _):
         own = langevin.make_langevin_blocks({**table, "mesh": {"refine": refine}})
-        return replace(own, size=coarser * own.size).device()
+        return replace(own, size=coarser * own.size).build_fe_model()
 
     return make
 

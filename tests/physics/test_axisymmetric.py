@@ -170,7 +170,7 @@ def test_a_slender_langevin_resonates_as_a_transmission_line():
         },
         "bolt": {"material": "steel", "diameter": "3 mm", "depth": "10 mm"},
     }  # fmt: skip
-    model = langevin.make_langevin_blocks(keys).device().model
+    model = langevin.make_langevin_blocks(keys).build_fe_model().model
     pzt = find_material("PZT-4")
     circle = np.pi / 4 * 1e-6
     ring, bolt, full = circle * (100 - 16), circle * 9, circle * 100
@@ -190,7 +190,7 @@ def test_a_slender_langevin_resonates_as_a_transmission_line():
     capacitance = 4 * pzt.eps_T[2, 2] * ring / 5e-3
     assert model.facts["capacitance_free_f"] == approx(capacitance, rel=0.15)  # bolt clamps
     assert {p.name for p in model.ports} == {"anode", "front", "back", "front_face", "back_face"}
-    fixed = langevin.make_langevin_blocks(keys | {"support": "back"}).device().model
+    fixed = langevin.make_langevin_blocks(keys | {"support": "back"}).build_fe_model().model
     assert {p.name for p in fixed.ports} == {"anode", "front", "front_face"}
     assert fixed.facts["resonance_short_hz"] < model.facts["resonance_short_hz"]
 

@@ -67,6 +67,20 @@ def test_positive_voltage_lifts_the_tip_of_a_unimorph_either_way_up():
         assert model.ports[-1].terminals == ("anode", "cathode")
 
 
+@pytest.mark.parametrize(
+    ("wiring", "below", "above"), [(None, 1, -1), ("series", 1, -1), ("parallel", -1, -1)]
+)
+def test_each_wiring_implies_the_poling_that_the_help_states(wiring, below, above):
+    """e33 changes its sign with the poling; Material.axis is not compared, only the tensor."""
+    layers = (("PZT-5A", 2e-4), ("PZT-5A", 2e-4))
+    keys = bimorph(*layers, length=3e-2, width=1e-2, wiring=wiring)
+    signs = [np.sign(block.material.e[2, 2]) for block in make_bimorph_blocks(keys).blocks]
+    assert signs == [below, above]
+    help_text = BimorphKeys.model_fields["wiring"].description
+    assert "series (default) with poling towards the middle" in help_text
+    assert "parallel, in which two layers are both poled downwards" in help_text
+
+
 def test_bad_keys():
     with pytest.raises(UsageError, match="`wiring` needs a piezoelectric layer"):
         make_bimorph_blocks(bimorph(("steel", 1e-3), length=1e-2, width=1e-3, wiring="series"))

@@ -98,7 +98,7 @@ def test_mesh_of_a_unimorph_is_the_parametric_one(beam):
         "length": "12 mm", "width": "3 mm", "damping": {"ratio": 0}, "mesh": {"refine": 2},
         "layers": [{"material": "steel", "thickness": "0.4 mm"},
                    {"material": "PZT-5A", "thickness": "0.3 mm"}],
-    }).device().model  # fmt: skip
+    }).build_fe_model().model  # fmt: skip
     found = build_fe_model(keys(), beam).model
     parametric = parametric.select([p.name for p in found.ports])
     for name, value in parametric.facts.items():
@@ -127,7 +127,7 @@ def test_ports_on_every_kind_of_group(coarse):
 
 def test_a_mesh_beyond_memory_is_refused_before_its_factor(coarse, monkeypatch):
     monkeypatch.setattr("kc2spice.linalg.factor.find_available_bytes", lambda: 1000.0)
-    monkeypatch.setattr("kc2spice.bodies.device.compute_undamped_responses", pytest.fail)
+    monkeypatch.setattr("kc2spice.bodies.solid_models.compute_undamped_responses", pytest.fail)
     with pytest.raises(UsageError, match="needs more memory") as caught:
         build_fe_model(keys(), coarse)
     assert "coarser mesh" in str(caught.value)

@@ -1,6 +1,7 @@
 """Faces that do not move like pistons: closed forms of the sound of other shapes."""
 
 import math
+import re
 import warnings
 
 import numpy as np
@@ -91,6 +92,69 @@ def test_the_sound_of_a_disc_without_a_baffle_is_that_of_a_dipole():
     )
     # int (1 - s^2)^2.5 2 pi s ds = 2 pi / 7, beside pi / 3 of the volume
     assert PLATE.compute_unbaffled_ratios(k) == pytest.approx([0.1 * 12 / (7 * math.pi)], rel=1e-5)
+    # the same faces without knowledge of their symmetry
+    for face in (PISTON, PLATE):
+        ratio = spread(face).compute_unbaffled_ratios(k)
+        assert ratio == pytest.approx(face.compute_unbaffled_ratios(k), rel=1e-3)
+
+
+def rectangular_face(a, b, cells=(40, 16)):
+    """Rectangle with the half-sides a and b that moves like a piston."""
+    x, y = (half * (2 * np.arange(n) + 1 - n) / n for half, n in zip((a, b), cells, strict=True))
+    places = np.array([*map(np.ravel, np.meshgrid(x, y)), np.zeros(x.size * y.size)])
+    angle = 0.4  # the sides are not parallel to the axes
+    turned = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+    places[:2] = turned @ places[:2]
+    areas = np.full(x.size * y.size, 4 * a * b / (x.size * y.size))
+    return FaceMotion(places, areas, np.ones((areas.size, 1)), np.eye(3)[2], axisymmetric=False)
+
+
+def integrate_potential_difference(a, b, n):
+    """Integral of the potential difference across a rigid rectangle that moves at a velocity of 1.
+
+    The field of a patch with a constant potential difference is that of a ring vortex. n patches
+    lie across the shorter side, and m = n a / b along the longer side."""
+    m = round(n * a / b)
+    size = 2 * b / n
+    x, y = np.meshgrid((np.arange(m) + 0.5) * size, (np.arange(n) + 0.5) * size, indexing="ij")
+    x, y = x.ravel(), y.ravel()
+    dx, dy, w = x[:, None] - x, y[:, None] - y, 0.0
+    for p in (-size / 2, size / 2):
+        for q in (-size / 2, size / 2):
+            u, v = dx + p, dy + q
+            w = w - np.sign(p * q) * np.hypot(u, v) / (4 * math.pi * u * v)
+    return float(np.linalg.solve(w, np.ones(x.size)).sum() * size**2)
+
+
+@pytest.mark.parametrize("aspect", [1, 2, 5])
+def test_the_dipole_of_a_rectangle_is_slightly_larger_than_that_of_a_vortex_lattice(aspect):
+    """A rectangle of width w and length l has at most the dipole pi w^2 l / 4 of a strip."""
+    b = 4e-3
+    a, k = aspect * b, 0.1 / b
+    sums = [abs(integrate_potential_difference(a, b, n)) for n in (8, 16)]
+    exact = 2 * sums[1] - sums[0]  # the error is proportional to the size of the patches
+    assert exact < math.pi * b**2 * 2 * a
+    (ratio,) = rectangular_face(a, b).compute_unbaffled_ratios(k)
+    assert 1.02 < ratio / (k / 2 * exact / (4 * a * b)) < 1.12
+
+
+def test_a_thick_body_radiates_by_its_volume_and_by_its_displacement():
+    """A face that moves alone loses 6 dB. A back that moves with the front adds the volume of the
+    body to the moment of a thin plate; a back that moves against the front loses nothing."""
+    a, height, k = RADIUS, 3e-3, 0.1 / RADIUS
+    for face in (PISTON, spread(PISTON)):
+        back = face.places.copy()
+        back[-1] -= height
+        places, areas = np.hstack([face.places, back]), np.tile(face.areas, 2)
+        ratios = {}
+        for way in (-1.0, 0.0, 1.0):  # outward motion of the back
+            normal = np.vstack([face.normal, way * face.normal])
+            surface = FaceMotion(places, areas, normal, face.axis, face.axisymmetric)
+            (ratios[way],) = face.compute_unbaffled_ratios(k, surface)
+        rigid = k * (8 / 3 * a**3 + math.pi * a**2 * height) / (2 * math.pi * a**2)
+        assert ratios[-1.0] == pytest.approx(rigid, rel=1e-3)
+        assert ratios[0.0] == pytest.approx(0.5, rel=0.01)
+        assert ratios[1.0] == pytest.approx(1.0, rel=1e-6)
 
 
 def exact_near_field(shape, depth):
@@ -254,7 +318,7 @@ def test_the_load_of_a_housing_is_that_of_a_helmholtz_resonator():
     series = s * rho * (1e-3 + 8 / (3 * math.pi) * a) / S + piston
     cavity = rho * c**2 / (s * 0.8e-6)
     load = collect_load(load_scene(HOUSING), "disc", ["front_face"])
-    impedance, sound = load.respond(f)
+    impedance, sound = load.compute_load_response(f)
     assert load.complete
     # the compressibility of the air in the hole is 1 % of that in the cavity, at its Helmholtz
     # resonance of 2.5 kHz
@@ -305,6 +369,57 @@ def test_a_run_states_the_effects_on_the_level_of_a_disc_in_a_housing():
     assert effects["motion of front_face"].startswith("0.88 of the volume velocity")
     parts = [float(effects[name].split()[0]) for name in ("Q factor", "resonance", "support")]
     assert base.metrics["level_error_db"] == pytest.approx(math.hypot(*parts), abs=0.1)
+
+
+STRIP = {
+    "strip": {
+        "part": "bimorph", "length": 40e-3, "width": 8e-3, "wiring": "series",
+        "layers": [
+            {"material": "PZT-5A", "thickness": 0.2e-3},
+            {"material": "brass", "thickness": 0.1e-3},
+            {"material": "PZT-5A", "thickness": 0.2e-3},
+        ],
+        "damping": {"quality": 50}, "fields": True,
+        "pins": {"anode": "drive.out"},
+    },
+    "air": {
+        "part": "radiation", "area": 320e-6, "motion": "piston",
+        "pins": {"face": "strip.front_face"},
+    },
+    "ear": {"part": "listener", "distance": 0.1},
+    "drive": {"part": "source", "ac": 60.0},
+    "analysis": {"type": "ac", "start": 50, "stop": 500, "points": 30},
+    "probes": {"tip": {"of": "strip.u.tip", "take": "max"}},
+}  # fmt: skip
+
+
+def test_a_strip_states_level_stress_and_deflection_that_beam_theory_limits():
+    """A strip has the dipole k / 2 int v g dS / int v dS with g = 2 (b^2 - y^2)^0.5, whose mean is
+    pi / 2 b. The first mode of a cantilever has the curvature 3.516 u / l^2 at the clamp."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        result = kc.run(STRIP)
+    rows = {row["effect"]: row["error"] for row in result.record["plan"]["left_out"]}
+    k = 2 * math.pi * result.metrics["resonance_hz"] / 343.2
+    dipole = 20 * math.log10(k / 2 * math.pi / 2 * 4e-3)
+    assert dipole < -40
+    stated = re.fullmatch("about (.*) dB without a baffle", rows["strip: baffle of front_face"])
+    assert float(stated[1]) == pytest.approx(dipole, abs=1.0)
+    tip = result.metrics["tip"]
+    checks = {check["name"]: check for check in result.record["checks"]}
+    deflection = checks["largest deflection of strip"]
+    assert deflection["value"] == pytest.approx(tip / 40e-3, rel=1e-3)
+    assert (deflection["limit"], deflection["passed"]) == (0.1, False)
+    # an arc of a circle with the curvature 2 w / l^2 has a smaller deflection
+    angle = 2 * deflection["value"]
+    lost = 1 - (1 - math.cos(angle)) / angle / deflection["value"]
+    error = re.match("about (.*) % of it is an error of linearity", deflection["advice"])
+    assert float(error[1]) == pytest.approx(100 * lost, rel=0.03)
+    stress = checks["principal stress in layers[2] (PZT-5A) of strip at 145.1 Hz"]
+    modulus = 1 / np.linalg.inv(find_material("PZT-5A").C)[0, 0]
+    bending = modulus * 0.25e-3 * 3.516 * tip / 40e-3**2
+    assert stress["value"] == pytest.approx(bending, rel=0.2)  # the clamp prevents contraction
+    assert stress["limit"] == 76e6
 
 
 def test_a_disc_on_its_rim_is_close_to_a_piston():

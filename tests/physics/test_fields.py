@@ -8,6 +8,8 @@ from scipy.signal import StateSpace, lsim
 from skfem.mesh import MeshHex, MeshQuad, MeshTet, MeshTet2, MeshTri, MeshTri2
 from support import (
     OBLIQUE_SHIFT,
+    Block,
+    BondedBlocks,
     BoundaryConditions,
     DampingKeys,
     FieldProbe,
@@ -27,9 +29,10 @@ from support import (
     find_material,
     langevin,
     load_scene,
-    make_device,
+    make_damped_model,
     make_stack,
     recover_motion,
+    recover_vibration,
     spread_force,
     write_vtu,
 )
@@ -62,7 +65,7 @@ def pulled(solid, damping=None):
         spread_force(compute_node_shares(solid, facets=end), np.eye(3)[0], solid),
     )
     electrodes = {"anode": at(solid, 2, SIZE[2]), "cathode": at(solid, 2, 0.0)}
-    return make_device(solid, BoundaryConditions(
+    return make_damped_model(solid, BoundaryConditions(
         fixed.ravel(), electrodes, "cathode", shapes=[pull],
         damping=damping or DampingKeys(ratio=0.02),
     ))  # fmt: skip
@@ -199,6 +202,47 @@ def test_motion_is_that_of_the_full_model():
     assert (np.abs(outputs(found) - y).max(axis=0) < 2e-3 * np.abs(y).max(axis=0)).all()
 
 
+def test_a_bar_in_longitudinal_resonance_has_the_stress_of_its_velocity():
+    """u = U sin(k x) / sin(k L) in a bar that is fixed at x = 0: the stress at the fixed end is
+    rho c omega U / sin(k L) for the amplitude U of the other end. U is that of the full model."""
+    radius, length, steel = 1e-3, 20e-3, find_material("steel")
+    ends = [((0.0, radius), (height, height)) for height in (0.0, length)]
+    device = BondedBlocks(
+        [Block(((0.0, radius), (0.0, length)), steel)],
+        ports={"pull": ends[1]},
+        fixed=[("z", ends[0])],
+        size=radius / 2,
+        damping=DampingKeys(quality=30),
+    ).build_fe_model()
+    speed = 1 / np.sqrt(np.linalg.inv(steel.C)[0, 0] * steel.density)
+    quarter_wave = speed / (4 * length)
+    f = quarter_wave * np.linspace(0.3, 1.7, 281)
+    pull = np.full(f.size, 3.0 * np.exp(0.7j))
+    motion = recover_vibration(device, f, {"pull": pull})
+    stress, *_ = find_extremes(motion, np.arange(motion.scale.size))
+    assert stress.at == pytest.approx(quarter_wave, rel=5e-3)
+    (port,) = (k for k, each in enumerate(device.model.ports) if each.name == "pull")
+    end = 3.0 * np.abs(device.model.transfer(np.array([stress.at]))[0, port, port])
+    omega = 2 * np.pi * stress.at
+    exact = steel.density * speed * omega * end / np.sin(omega / speed * length)
+    assert stress.value == pytest.approx(exact, rel=5e-3)
+    # far below the resonance: the static stress
+    motion = recover_vibration(device, np.array([0.0, 10.0]), {"pull": pull[:2]})
+    stress, *_ = find_extremes(motion, np.arange(motion.scale.size))
+    assert stress.value == pytest.approx(3.0 / (np.pi * radius**2), rel=1e-3)
+
+
+def test_the_field_of_a_vibration_is_that_of_its_largest_voltage():
+    """Below all resonances, the amplitude of the field is the voltage over the thickness."""
+    device, f = pulled(plate()), np.array([1e3, 2e3, 3e3, 4e3])
+    volts = np.array([10, 30j, 20, 5])
+    motion = recover_vibration(device, f, {"anode": volts})
+    _, field, opposing = find_extremes(motion, np.arange(motion.scale.size))
+    for each in (field, opposing):  # either sign of the field occurs in each period
+        assert each.at == 2e3
+        assert each.value == pytest.approx(30 / SIZE[2], rel=2e-3)
+
+
 def test_a_free_body_falls_by_newtons_law():
     solid = plate(MeshHex, find_material("steel"))
     fixed = np.zeros(3 * solid.basis(1).N, bool)
@@ -206,7 +250,7 @@ def test_a_free_body_falls_by_newtons_law():
         compute_node_shares(solid, elements=np.arange(solid.mesh.nelements)), np.eye(3)[2], solid
     )
     push = PortLoad(Port("push", "mechanical"), everywhere)
-    device = make_device(
+    device = make_damped_model(
         solid, BoundaryConditions(fixed, shapes=[push], damping=DampingKeys(ratio=0.01, at=1e6))
     )
     time = np.linspace(0, 1e-3, 50)
@@ -245,7 +289,7 @@ def test_another_reader_reads_the_same_file_content(tmp_path, kind, cell):
         fixed[solid.basis(1).doflocs[0] < 1e-9, 0] = True
         electrodes = {"anode": np.flatnonzero(heights > 0.5e-3 - 1e-9),
                       "cathode": np.flatnonzero(heights < 1e-9)}  # fmt: skip
-        device = make_device(solid, BoundaryConditions(fixed.ravel(), electrodes, "cathode"))
+        device = make_damped_model(solid, BoundaryConditions(fixed.ravel(), electrodes, "cathode"))
     else:
         device = pulled(plate(kind))
     n = device.model.order

@@ -59,8 +59,8 @@ def test_higher_modes_and_losses_do_not_change_the_fitted_resonance():
     ("f", "Z", "says"),
     [
         ([1, 2], [1, 1], "not samples"),
-        (np.arange(10), np.ones(10), "from above zero"),
-        (np.ones(10), np.ones(10), "increase"),
+        (np.arange(10), np.ones(10), "increasing order"),
+        (np.ones(10), np.ones(10), "increasing order"),
         (np.arange(1, 11), np.full(10, np.nan), "finite"),
         (np.arange(1, 101), 1 / (2j * np.pi * np.arange(1, 101) * 1e-9), "no resonance"),
     ],

@@ -4,11 +4,13 @@ import itertools
 import tomllib
 from pathlib import Path
 
+import docs_numbers
 import numpy as np
 import pytest
 from scipy.constants import epsilon_0
 from support import UsageError, find_material, materials
 
+PAGE = Path(__file__).parents[2] / "docs" / "reference" / "materials.md"
 PAIRS = [(0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1)]
 
 
@@ -130,13 +132,52 @@ def test_impossible_materials_are_refused_with_a_reason(table, says):
 
 
 def test_the_page_has_every_built_in_material_with_its_source():
-    page = (Path(__file__).parents[2] / "docs" / "reference" / "materials.md").read_text("utf-8")
+    page, _, _ = PAGE.read_text("utf-8").partition("## Constants of built-in materials")
     library = tomllib.loads((Path(materials.__file__).with_suffix(".toml")).read_text("utf-8"))
     for name, table in library.items():
         (row,) = [line for line in page.splitlines() if line.startswith(f"| `{name}` |")]
         assert f"| {table['density']:g} |" in row
         assert all(said in row for said in (table["source"], *table.get("sources", {}).values()))
     assert all(f"| `{key}` |" in page for key in materials.MaterialTable.model_fields)
+
+
+def read_constants(name):
+    """The constants of a material in the tables of the page, keyed by the head of the column."""
+    _, _, text = PAGE.read_text("utf-8").partition("## Constants of built-in materials")
+    head = []
+    for line in text.splitlines():
+        cells = [cell.strip() for cell in line.strip("| ").split(" | ")]
+        if cells[0] == "material":
+            head = cells
+        elif cells[0] == f"`{name}`":
+            return dict(zip(head, cells, strict=False))
+    raise AssertionError(f"{name} is not in a table")
+
+
+def test_the_constants_of_the_page_are_those_of_the_library():
+    """PIC255: numpy's inverse of the stiffness c11 … c44 that its source states."""
+    differences = docs_numbers.renewed(PAGE)[1]
+    assert not differences, "\n".join(map(str, differences))
+    c11, c12, c13, c33, c44 = 119, 84, 83, 117, 21  # GPa
+    C = np.diag([c11, c11, c33, c44, c44, (c11 - c12) / 2]).astype(float)
+    C[0, 1] = C[1, 0] = c12
+    C[:2, 2] = C[2, :2] = c13
+    s = np.linalg.inv(C)  # 1e-9/Pa
+    e31, e33, e15 = -6.03, 15.49, 12.09  # C/m2
+    d31 = e31 * (s[0, 0] + s[0, 1]) + e33 * s[0, 2]
+    d33 = 2 * e31 * s[0, 2] + e33 * s[2, 2]
+    eps33 = 743.2 + 1e-9 * (2 * e31 * d31 + e33 * d33) / epsilon_0
+    expected = {"s11": 1e3 * s[0, 0], "s13": 1e3 * s[0, 2], "s33": 1e3 * s[2, 2], "eps33": eps33}
+    expected |= {"d31": 1e3 * d31, "d33": 1e3 * d33, "d15": 1e3 * e15 / c44}
+    shown = read_constants("PIC255")
+    assert {name: float(shown[name]) for name in expected} == pytest.approx(expected, rel=5e-4)
+
+
+def test_the_constants_of_quartz_are_those_of_bechmann():
+    """R. Bechmann, Phys. Rev. 110 (1958) 1060, table: d11 = 2.31 and d14 = 0.727 pC/N."""
+    others = dict(pair.split(" = ") for pair in read_constants("quartz")["others"].split(", "))
+    assert float(others["d11"]) == pytest.approx(2.31, rel=2e-3)
+    assert float(others["d14"]) == pytest.approx(0.727, rel=3e-3)
 
 
 @pytest.mark.parametrize(

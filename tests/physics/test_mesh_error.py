@@ -45,7 +45,7 @@ def beam(**table):
 def sandwich(**table):
     return lambda refine, _: langevin.make_langevin_blocks(
         {**table, "mesh": {"refine": refine}}
-    ).device()
+    ).build_fe_model()
 
 
 def chip(**table):

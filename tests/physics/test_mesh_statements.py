@@ -165,7 +165,7 @@ def test_a_conductor_states_its_rings():
         for s in moving_conductor.compute_surface_currents(m, m.remanence)
     ]
     body = moving_conductor._divide_body(keys, 1600, found.frequency)
-    coils = moving_conductor.windings(keys)
+    coils = moving_conductor.make_windings(keys)
     true = compare_rings(body, found, coils, fixed, keys.conductivity)
     assert 0.5 < found.ring_error / true < 2
 
@@ -193,7 +193,7 @@ def test_an_elastic_sphere_states_its_mesh():
         TransverselyIsotropicSphere(1e-3, find_material("steel"), DampingKeys(ratio=1e-3)),
         choose_pressure_basis(20e-6, 2e-4),
     )
-    shares = compute_sphere_compliance(body, shape).shares
+    shares = compute_sphere_compliance(body, shape).rigid_force_shares
     coarse, fine = (make_sphere_model(body, shares, shape, refine) for refine in (1, 2))
     soft = [
         m.B[:, 0] @ m.pencil.factorise_shifted_stiffness(0.0).solve(m.B[:, 0])

@@ -266,7 +266,7 @@ def test_matrices_have_no_parameters_and_a_box_no_matrices():
     ],
 )
 def test_invalid_parameter_ranges_are_errors_before_the_mesh(parameters, word, monkeypatch):
-    monkeypatch.setattr("kc2spice.bodies.device.BondedBlocks.build_fe_model", None)
+    monkeypatch.setattr("kc2spice.bodies.solid_models.BondedBlocks.build_fe_model", None)
     with pytest.raises(UsageError, match=word):
         kc.run(kc.load_scene(_with(parameters)))
 
@@ -444,12 +444,12 @@ def test_sizes_and_losses_of_a_disc_at_values_that_no_sample_had():
     axes += [ParameterAxis("damping.quality", 10.0, 100.0)]
     band = (1e3, 25e3)
     made = reduce_over_parameters(buzzer, axes, band, degree=6)
-    assert [loss.axis.name for loss in made.losses] == ["damping.quality"]
+    assert [loss.parameter_axis.name for loss in made.losses] == ["damping.quality"]
     f, draw = np.linspace(*band, 20), np.random.default_rng(5)
     for _ in range(3):
         values = {axis.name: axis.value(draw.uniform(-1, 1)) for axis in axes}
         exact = buzzer(values).transfer(f)
-        assert np.max(np.abs(made.at(values).transfer(f) / exact - 1)) < 2e-3
+        assert np.max(np.abs(made.evaluate(values).transfer(f) / exact - 1)) < 2e-3
 
 
 def test_a_moved_mesh_equals_the_mesh_of_the_body():
@@ -540,7 +540,7 @@ def test_the_chip_over_height_damping_and_d33_is_within_its_certificate():
         full = part.type.make_full_model(with_values(part, values), whole, StageTimer())
         exact = full.select([port.name for port in found.ports]).transfer(f)
         base = np.maximum(np.abs(exact), 1e-6 * np.abs(exact).max(axis=0))
-        error = (np.abs(found.at(values).transfer(f) - exact) / base).max()
+        error = (np.abs(found.evaluate(values).transfer(f) - exact) / base).max()
         assert error < found.certificate.error_estimate < 1e-3
         over = {f"kick.{key}": value for key, value in values.items()}
         steps = {

@@ -81,7 +81,7 @@ def graded(spacing):
     shape = choose_pressure_basis(spacing, PATCH)
     S = compute_surface_compliance(StackKeys(material=steel()), shape)
     whole = (body("steel")[:COUNT, :COUNT] - half_space(STEEL, NODES))[5, 11]
-    return shape, S - whole, sphere_gap(R, shape.distances)
+    return shape, S - whole, sphere_gap(R, shape.mean_gap_radii)
 
 
 R = 1e-3

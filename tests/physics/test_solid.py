@@ -14,7 +14,7 @@ from support import (
     assemble_solid,
     compute_node_shares,
     find_material,
-    make_device,
+    make_damped_model,
     spread_force,
 )
 
@@ -99,7 +99,7 @@ def test_the_deflection_of_a_cantilever_follows_euler_and_bernoulli():
     )
     base = Port("base", "acceleration")
     fixed = make_fixed_mask(solid, (plane(solid, 0, 0.0), (0, 1, 2)))
-    model = make_device(
+    model = make_damped_model(
         solid,
         BoundaryConditions(fixed, shapes=[tip], base=[(base, np.eye(3)[2])], damping=UNDAMPED),
     ).model
@@ -115,7 +115,7 @@ def test_the_deflection_of_a_cantilever_follows_euler_and_bernoulli():
 def test_free_rod_poled_along_its_length_has_the_resonances_of_k33():
     L, w = 20e-3, 1e-3
     solid = box((w, w, L), (1, 1, 24), PZT)
-    model = make_device(solid, BoundaryConditions(
+    model = make_damped_model(solid, BoundaryConditions(
         make_fixed_mask(solid),
         {"anode": plane(solid, 2, L), "cathode": plane(solid, 2, 0.0)},
         "cathode",
@@ -151,7 +151,7 @@ def test_longitudinal_wave_converges_with_the_fourth_power(axis, kind):
         pull = PortLoad(Port("pull", "mechanical"), far - near)  # keeps out the even, rigid ones
         squeeze = PortLoad(Port("push", "mechanical"), far)
         fixed = make_fixed_mask(solid, *sides)
-        model = make_device(
+        model = make_damped_model(
             solid,
             BoundaryConditions(fixed, shapes=[squeeze, pull], damping=DampingKeys(ratio=0, at=1e5)),
         ).model

@@ -13,7 +13,7 @@ from support import (
     UsageError,
     compute_node_shares,
     find_material,
-    make_device,
+    make_damped_model,
     make_stack,
     reduce_model,
     spread_force,
@@ -107,7 +107,7 @@ def test_shear_agrees_with_solid_elements_over_the_whole_section():
     side, depth, height, layers = 1.5e-3, 1.0e-3, 0.8e-3, 2
     x, y = np.linspace(-side / 2, side / 2, 9), np.linspace(-depth / 2, depth / 2, 7)
     mesh = MeshHex.init_tensor(x, y, np.linspace(0, height, 2 * layers + 1))
-    low, high = (PZT.poled((sign, 0, 0)) for sign in (-1, 1))
+    low, high = (PZT.rotate_z_axis((sign, 0, 0)) for sign in (-1, 1))
     owner = (mesh.p[2, mesh.t].mean(axis=0) > height / 2).astype(int)
     solid = Solid(mesh, (low, high), owner)
     places = solid.basis(1).doflocs
@@ -118,7 +118,7 @@ def test_shear_agrees_with_solid_elements_over_the_whole_section():
     shape = PortLoad(Port("top", "mechanical"), spread_force(top, np.array([1.0, 0, 0]), solid))
     setup = BoundaryConditions(fixed=np.repeat(z < 1e-9, 3), electrodes=pins, reference="cathode",
                   shapes=[shape])  # fmt: skip
-    other = make_device(solid, setup).model.facts
+    other = make_damped_model(solid, setup).model.facts
     ours = stack(
         side=side, depth=depth, height=height, poling="x", mounting="glued",
         mesh={**SMALL, "sectors": 6, "ring_spacing": 0.15e-3, "outer_rings": 3},

@@ -47,7 +47,7 @@ def parts(header, model, radii, table):
     rings = tuple(f"ring{i}" for i in range(6))
     gaps = tuple(compute_ring_gaps(radii, ball.radius).tolist())
     made = (
-        subcircuit(model.linear(), "kick", header),
+        subcircuit(model.to_linear_model(), "kick", header),
         declared(header, "sphere", declare_sphere(ball.mass, ball.radius, 9.81), {}),
         declared(header, "contact", declare_contact(rings, gaps, ContactForce(4e8)), {}),
         make_coils_subcircuit(header, table, "catch", apart=False, points=81),

@@ -77,7 +77,7 @@ def built(scene, model=None, table=None, others=False, **words):
     for part in scene.parts.values():
         if part.type.name == "piezo_stack" and model is not None:
             kept = [port.name for port in part.type.used_ports(part, scene)]
-            models[part.name] = model.linear().select(kept)
+            models[part.name] = model.to_linear_model().select(kept)
         if part.type.name == "ring_magnet_coils" and table is not None:
             models[part.name] = table
         if others and part.name not in models:

@@ -1,6 +1,7 @@
 """The catalogue of parts: every scene loads, and sheets agree with their own redundant values."""
 
 import json
+import tomllib
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from support import find_part, read_catalogue, search_parts
 import kc2spice as kc
 
 PARTS = read_catalogue()
+AC = {"type": "ac", "stop": "1 kHz"}
 REDUNDANT = sorted(number for number, part in PARTS.items() if part.redundant)
 
 
@@ -116,3 +118,61 @@ def test_a_wrong_part_number_gets_a_suggestion():
     with pytest.raises(kc.errors.UsageError) as caught:
         kc.load_scene("7BB-20-66")
     assert "7BB-20-6" in caught.value.hint
+
+
+@pytest.mark.parametrize("kind", sorted({part.kind for part in PARTS.values() if not part.scene}))
+def test_a_run_of_a_part_number_prints_its_main_figures(kind, cli, tmp_path):
+    number = next(n for n, part in PARTS.items() if part.kind == kind and not part.scene)
+    result = json.loads(cli("run", number, "--json", "--out", str(tmp_path / "out")).stdout)
+    figures = [value for value in result["metrics"].values() if isinstance(value, float)]
+    assert len(figures) >= 2
+
+
+def test_a_loudspeaker_has_the_impedance_of_its_sheet():
+    """Free driver: |Z| is largest at fs, ``Re (1 + Qms/Qes)``; the current is at most V / Re."""
+    re, qms, qes = 6.23, 6.657, 0.538  # HiFi-Selbstbau, data sheet 633
+    metrics = kc.run("Fast-8").metrics
+    assert metrics["largest_impedance_hz"] == pytest.approx(46.44, rel=1e-3)
+    assert metrics["largest_impedance_ohm"] == pytest.approx(re * (1 + qms / qes), rel=1e-3)
+    assert metrics["current_per_volt"] == pytest.approx(1 / re, rel=5e-3)
+    # cone at the lowest frequency, 5 Hz: force Bl V / Re on the suspension
+    w, mms = 2 * np.pi * 46.44, 10.28e-3
+    bl = np.sqrt(w * mms * re / qes)
+    assert metrics["stroke_per_volt"] == pytest.approx(bl / re / (w**2 * mms), rel=0.02)
+
+
+def test_a_relay_has_the_operate_time_and_the_coil_current_of_its_sheet():
+    metrics = kc.run("G5LE-1 DC5").metrics
+    assert metrics["operate_time_s"] == pytest.approx(10e-3, rel=2e-3)
+    assert metrics["coil_current_a"] == pytest.approx(5.0 / 63.0, rel=5e-3)
+
+
+@pytest.mark.parametrize("number", PARTS)
+def test_the_printed_table_of_a_number_describes_the_same_part(number, cli):
+    """The table of ``kc2spice parts NUMBER`` has the keys of the part's own scene."""
+    printed = cli("parts", number).stdout
+    ((name, table),) = tomllib.loads(printed[printed.index("\n[") :]).items()
+    scene = kc.load_scene(number)
+    own = scene.get_part(name)
+    assert table["part"] == PARTS[number].kind
+    tables = dict(scene.tables)
+    tables[name] = table | {"pins": own.pins}
+    assert kc.load_scene(tables).get_part(name).keys == own.keys
+
+
+@pytest.mark.parametrize("word", ["Fast-8", "fast-8"])
+def test_a_part_number_is_no_part_type(word, cli):
+    """The advice names the part type, and a command that prints the keys."""
+    scene = {"speaker": {"part": word}}
+    with pytest.raises(kc.errors.UsageError, match="a part number, not a part type") as caught:
+        kc.load_scene(scene)
+    assert caught.value.where == "scene, key speaker.part"
+    assert 'part = "loudspeaker"' in caught.value.hint
+    command = caught.value.hint.partition("kc2spice ")[2].split()[:2]
+    printed = cli(*command).stdout
+    table = tomllib.loads(printed[printed.index("\n[") :])["device"]
+    drive = {"part": "source", "ac": 1.0, "pins": {"out": "speaker.plus"}}
+    loaded = kc.load_scene({"speaker": table, "drive": drive, "analysis": AC})
+    assert loaded.get_part("speaker").keys.fs == 46.44
+    failed = cli("scenes", "--part", word)
+    assert "a part number, not a part type" in failed.stderr

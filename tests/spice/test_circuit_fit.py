@@ -69,7 +69,7 @@ def test_a_file_of_curves_restricts_their_bands(tmp_path):
     assert result["values"]["woofer.bl"] == pytest.approx(TRUE["bl"], rel=5e-3)
     assert "Error of" in (tmp_path / "out" / "report.html").read_text()
     fitted = kc.load_scene(scene(), [str(tmp_path / "out" / "fit.toml")])
-    assert fitted.part("woofer").keys.bl == result["values"]["woofer.bl"]
+    assert fitted.get_part("woofer").keys.bl == result["values"]["woofer.bl"]
 
 
 def test_other_parts_are_fitted_with_any_key_of_the_scene():

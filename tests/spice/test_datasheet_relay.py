@@ -94,3 +94,28 @@ def test_sheets_that_no_relay_has_are_errors(keys, message):
 @pytest.mark.parametrize("dialect", list_dialect_names())
 def test_every_dialect_has_it(dialect, tmp_path):
     assert kc.export(scene(PULSE, 0.01, operate_time=0.01), tmp_path, dialect=dialect)
+
+
+def test_the_metrics_of_a_relay_are_its_times_and_its_coil_current():
+    """Operate time of the data sheet, release time ``L/R ln(V/Vr) + ln 2 ta``, current V/R."""
+    L, operate = 0.2, 6e-3
+    metrics = kc.run(scene(PULSE, 0.06, inductance=L, operate_time=operate)).metrics
+    tau = L / SHEET["resistance"]
+    armature = operate - tau * np.log(5.0 / (5.0 - 3.75))  # ln 2 time constants
+    assert metrics["operate_time_s"] == pytest.approx(operate, rel=2e-3)
+    assert metrics["release_time_s"] == pytest.approx(tau * np.log(10) + armature, rel=2e-3)
+    assert metrics["coil_current_a"] == pytest.approx(5.0 / 70.0, rel=1e-4)
+
+
+def test_a_relay_without_a_single_operation_has_no_operate_time():
+    low = kc.run(scene({"dc": 3.0}, 0.02, operate_time=10e-3)).metrics
+    assert set(low) == {"coil_current_a"}
+    assert low["coil_current_a"] == pytest.approx(3.0 / 70.0, rel=1e-3)
+    pulse = {"pulse": PULSE["pulse"] | {"period": 0.08}}  # two operations
+    assert set(kc.run(scene(pulse, 0.16, operate_time=10e-3)).metrics) == {"coil_current_a"}
+
+
+def test_a_release_time_needs_the_inductance_of_the_coil():
+    """The inductance from the operate time is too large, so the release would be too late."""
+    metrics = kc.run(scene(PULSE, 0.08, operate_time=10e-3)).metrics
+    assert set(metrics) == {"coil_current_a", "operate_time_s"}

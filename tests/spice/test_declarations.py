@@ -18,6 +18,7 @@ from support import (
     Header,
     contact,
     find_dialect,
+    format_module,
     law,
     list_dialect_names,
     list_gallery,
@@ -25,7 +26,6 @@ from support import (
     load_scene,
     make_declared_subcircuit,
     parse_toml,
-    print_module,
     write_dialect_files,
 )
 
@@ -332,7 +332,7 @@ def worst_cards(kind, dialect):
     part = make_declared_subcircuit(made, "contact", pressing(normal), {})
     text = part.text
     if dialect == "verilog-a":
-        (text,) = print_module(part).values()
+        (text,) = format_module(part).values()
     elif dialect != "ngspice":
         text = find_dialect(dialect)().format_file(part.circuit)
     values = {p.name: p.default for p in part.params}

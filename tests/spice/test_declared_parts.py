@@ -326,9 +326,7 @@ def test_a_law_with_a_step_is_not_linear():
         content="above(v - 1)*v",
     )
     assert not stepped.linear
-    assert "V(a,b)-1>0" in "\n".join(
-        Printer().print_cards_as_lines(write_subcircuit_items(stepped))
-    )
+    assert "V(a,b)-1>0" in "\n".join(Printer().format_cards(write_subcircuit_items(stepped)))
 
 
 class PusherKeys(kc.Section):

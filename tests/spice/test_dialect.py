@@ -14,9 +14,9 @@ from support import (
     UsageError,
     declare_contact,
     find_dialect,
+    format_module,
     list_dialect_names,
     parse_subcircuits,
-    print_module,
     run_deck,
     translate_deck,
     write_dialect_files,
@@ -385,7 +385,7 @@ def test_modules_of_verilog_a_have_numbers_without_letters():
     """Verilog-A reads M as mega and has no Meg, so that modules have plain numbers."""
     cards_ = "R1 a b 5Meg\nR2 a b 1M\nC1 a b 2mil\nB1 a b I=V(a,b)*3a+4Ohm"
     (part,) = parse_subcircuits(f"* load\n.subckt load a b\n{cards_}\n.ends load\n", "load.lib")
-    (module,) = print_module(part).values()
+    (module,) = format_module(part).values()
     numbers = re.findall(r"(?<![\w.])\d[\w.]*(?:(?<=e)-\d+)?", module)
     assert list(map(float, numbers)) == [5e6, 1e-3, 2 * 25.4e-6, 3.0, 4.0]
 

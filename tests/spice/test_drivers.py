@@ -15,8 +15,8 @@ from support import (
     LinearDriverKeys,
     PwmDrive,
     PwmKeys,
+    make_key_parameters,
     make_opamp_subcircuit,
-    parameters,
     run_deck,
 )
 
@@ -72,7 +72,10 @@ Rlow low 0 1000
 def test_amplifier_follows_by_one_pole(header, tmp_path):
     """``e (1 + 0.1 Y) = A(s) (command - e) / 20`` at its output, with the chip's and the feedback's
     admittance Y."""
-    part = Amplifier().render_subcircuit(header, "amplifier", parameters(AmplifierKeys()))
+    names = ("rail", "resistance", "bandwidth", "slew", "current_limit")
+    parameters = make_key_parameters(AmplifierKeys(), *names)
+    rail = {"negative_rail": -10.0}
+    part = Amplifier().render_subcircuit(header, "amplifier", parameters, rail)
     cards = """Vcommand command 0 AC 1
 Xdriver command out 0 amplifier bandwidth=1e6 resistance=5
 Cchip out 0 1e-08
@@ -98,7 +101,9 @@ Xdriver command out 0 {name} {cards}
 
 
 def test_half_bridge_limits_current_and_charge(header, tmp_path):
-    part = HalfBridge().render_subcircuit(header, "half_bridge", parameters(HalfBridgeKeys()))
+    part = HalfBridge().render_subcircuit(
+        header, "half_bridge", make_key_parameters(HalfBridgeKeys())
+    )
     waves = charging(header, [part], "half_bridge",
                      "resistance=0.1 current_limit=3 reservoir=1e-07 supply_resistance=1e6",
                      tmp_path)  # fmt: skip
@@ -110,7 +115,9 @@ def test_half_bridge_limits_current_and_charge(header, tmp_path):
 
 def test_the_voltage_drop_of_the_half_bridge_is_that_of_its_transistor(header, tmp_path):
     """``i = limit (1 - (1 - v / 9 V)^2)`` at a gate of 12 V and a threshold of 3 V."""
-    part = HalfBridge().render_subcircuit(header, "half_bridge", parameters(HalfBridgeKeys()))
+    part = HalfBridge().render_subcircuit(
+        header, "half_bridge", make_key_parameters(HalfBridgeKeys())
+    )
     cards = "current_limit=6 resistance=2 reservoir=1"
     waves = charging(header, [part], "half_bridge", cards, tmp_path, load="Rload out 0 23")
     i = np.interp(8e-6, waves["time"], waves["i"])
@@ -120,7 +127,7 @@ def test_the_voltage_drop_of_the_half_bridge_is_that_of_its_transistor(header, t
 
 def test_charge_drive_gives_its_charge_to_any_capacitance(header, tmp_path):
     """A volt of command is 150 nC, whatever the chip has: 15 V across 100 nF from 10 V."""
-    part = ChargeDrive().render_subcircuit(header, "charge", parameters(ChargeDriveKeys()))
+    part = ChargeDrive().render_subcircuit(header, "charge", make_key_parameters(ChargeDriveKeys()))
     cards = """Vcommand command 0 PULSE(0 10 1e-06 1e-07 1e-07 1)
 Xdriver command anode cathode 0 charge
 Cchip anode cathode 1e-07

@@ -226,7 +226,7 @@ def test_a_quarter_bends_as_a_quarter_of_a_plate():
     model = make_bimorph_blocks({
         "length": half, "width": half, "support": "quarter", "patches": 3, "rows": 4,
         "points": {"middle": half}, "layers": [layer], "mesh": {"refine": 2},
-    }).device().model  # fmt: skip
+    }).build_fe_model().model  # fmt: skip
     names = [port.name for port in model.ports]
     static = model.transfer(np.array([0.0]))[0].real[names.index("middle")]
     found = sum(static[k] for k, name in enumerate(names) if name.startswith("patch")) / 12
@@ -259,7 +259,7 @@ def test_a_beam_under_tension_is_stiffer():
         "residual_stress": [stress, 0.0, 0.0]}}  # fmt: skip
     keys = {"length": length, "width": width, "support": "clamped", "patches": 5,
             "points": {"middle": length / 2}, "layers": [layer], "mesh": {"refine": 2}}  # fmt: skip
-    model = make_bimorph_blocks(keys).device().model
+    model = make_bimorph_blocks(keys).build_fe_model().model
     names = [port.name for port in model.ports]
     static = model.transfer(np.array([0.0]))[0].real[names.index("middle")]
     found = sum(static[k] for k, name in enumerate(names) if name.startswith("patch")) / 5

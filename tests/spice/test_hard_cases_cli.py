@@ -175,7 +175,7 @@ kicked("kick with 1 ns edges", "launch", "kick.drive.edge=1 ns", limit=2e-3, slo
 kicked("orders 1 to 120", "1", "rom.order=1", error=None, code=5, words="reduction of kick")
 kicked("orders 1 to 120", "120", "rom.order=120", limit=1e-3, slow=True)
 kicked("tolerances from 1e-2 to 1e-7", "1e-2", "solver.reltol=1e-2", limit=1e-3,
-       words="trying tighter tolerances", slow=True)  # fmt: skip
+       words="now trying tighter tolerances", slow=True)  # fmt: skip
 kicked("tolerances from 1e-2 to 1e-7", "1e-3", "solver.reltol=1e-3", limit=1e-3, slow=True)
 kicked("tolerances from 1e-2 to 1e-7", "1e-7", "solver.reltol=1e-7", limit=1e-3, slow=True)
 kicked("tolerances from 1e-2 to 1e-7", "a run that may not try again", "solver.reltol=3e-2",

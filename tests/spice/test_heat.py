@@ -9,8 +9,8 @@ from support import (
     NodalCircuit,
     export_scene,
     list_dialect_names,
-    literal_value,
     load_scene,
+    parse_literal,
     verify_scenes,
 )
 
@@ -171,7 +171,7 @@ def test_networks_of_random_models_are_passive_and_have_equal_responses(seed):
     part = kc.subcircuit(model, "network")
     values = re.findall(r"(?m)^[RC]\d+ \S+ \S+ (\S+)$", part.text)
     assert values
-    assert all(literal_value(value) > 0 for value in values)
+    assert all(parse_literal(value) > 0 for value in values)
     f = np.geomspace(1e-4, 1e3, 15)
     s = 2j * np.pi * f
     exact = np.array([B.T @ np.linalg.solve(K + x * E, B) + model.D for x in s])
@@ -194,7 +194,7 @@ def test_one_node_is_its_own_resistor_and_capacitor():
     text = kc.subcircuit(model, "node").text
     (resistance,) = re.findall(r"(?m)^R1 top ambient (\S+)$", text)
     (capacity,) = re.findall(r"(?m)^C1 top ambient (\S+)$", text)
-    assert (literal_value(resistance), literal_value(capacity)) == pytest.approx(
+    assert (parse_literal(resistance), parse_literal(capacity)) == pytest.approx(
         (20.0, 0.5), rel=1e-14
     )
     assert "@pin 1 top unit=K flow=W" in text

@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from support import HeatBodyKeys, make_heat_device
+from support import HeatBodyKeys, assemble_heat_model
 from test_random_heat import random_body
 
 import kc2spice as kc
@@ -15,7 +15,7 @@ SMALLEST = 1e-6  # share of the largest heat flow below which errors are relativ
 
 def full_flows(keys, frequency):
     """Heat flow into the case [W] at 1 K there, and the temperature of the junction [K]."""
-    model = make_heat_device(HeatBodyKeys.model_validate(keys), None).model
+    model = assemble_heat_model(HeatBodyKeys.model_validate(keys), None).model
     K, E = (np.asarray(part) for part in model.pencil.make_dense().coefficients)
     names = [port.name for port in model.ports]
     at = int(model.B[:, names.index("case")].argmax())
@@ -35,7 +35,7 @@ def full_flows(keys, frequency):
 
 def rates(keys):
     """Slowest rate [1/s] of the body with the case at a given temperature."""
-    model = make_heat_device(HeatBodyKeys.model_validate(keys), None).model
+    model = assemble_heat_model(HeatBodyKeys.model_validate(keys), None).model
     K, E = (np.asarray(part) for part in model.pencil.make_dense().coefficients)
     names = [port.name for port in model.ports]
     at = int(model.B[:, names.index("case")].argmax())

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 import scipy
-from support import HeatBodyKeys, make_heat_device
+from support import HeatBodyKeys, assemble_heat_model
 from test_heat_parameters import with_parameters
 
 import kc2spice as kc
@@ -71,7 +71,7 @@ def write_body(folder, draw):
 def full_response(keys, home, coefficient, frequency):
     """Temperature of the junction [K] for 1 W into it."""
     films = [{**keys["films"][0], "coefficient": coefficient}]
-    model = make_heat_device(HeatBodyKeys.model_validate({**keys, "films": films}), home).model
+    model = assemble_heat_model(HeatBodyKeys.model_validate({**keys, "films": films}), home).model
     K, E = map(scipy.sparse.csc_array, model.pencil.coefficients)
     b = model.B[:, [port.name for port in model.ports].index("junction")]
     result = []

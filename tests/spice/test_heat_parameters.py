@@ -267,7 +267,7 @@ TWO = [{"group": "bottom", "coefficient": 5.0}, {"group": "top", "coefficient": 
     ],
 )  # fmt: skip
 def test_bad_ranges_are_refused_before_any_mesh(change, ranges, words, monkeypatch):
-    monkeypatch.setattr("kc2spice.parts.bodies.heat_body.make_heat_device", None)
+    monkeypatch.setattr("kc2spice.parts.bodies.heat_body.assemble_heat_model", None)
     with pytest.raises(UsageError) as caught:
         kc.deck(scene_of({**WALL, **change, "rom": {"parameters": ranges}}, {"type": "op"}))
     assert words in str(caught.value), str(caught.value)

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 import scipy
-from support import literal_value
+from support import parse_literal
 
 import kc2spice as kc
 
@@ -36,7 +36,7 @@ def modes(model):
     """Rows of frequency, Q, values by name, and pin of the printed comments."""
     for match in MODE.finditer(kc.subcircuit(model, "bar").text):
         hertz, prefix, quality, *pairs, pin = match.groups()
-        values = dict(zip(pairs[::2], map(literal_value, pairs[1::2]), strict=True))
+        values = dict(zip(pairs[::2], map(parse_literal, pairs[1::2]), strict=True))
         yield float(hertz) * SI[prefix], float(quality), values, pin
 
 

@@ -8,7 +8,7 @@ import pytest
 from support import (
     Deck,
     format_with_prefix,
-    literal_value,
+    parse_literal,
     read_parameter,
     read_value,
     run_deck,
@@ -68,7 +68,7 @@ def test_plain_prefixes_would_be_other_doubles(tmp_path):
 
 def test_our_reader_reads_the_true_value():
     for text in NUMBERS:
-        assert literal_value(format_with_prefix(text)) == float(Decimal(text))
+        assert parse_literal(format_with_prefix(text)) == float(Decimal(text))
 
 
 def test_numbers_are_those_of_an_engineer():

@@ -333,11 +333,13 @@ def test_parametric_bodies(family, tmp_path):
     refused(export_scene, scene, tmp_path / "out")
     (library,) = read_lib(tmp_path / "out" / "scene_body.lib")
     body = scene.parts["body"]
-    names = {item.key: item.param.name for item in list_varied_keys(body)}
+    names = {item.key: item.netlist_parameter.name for item in list_varied_keys(body)}
     # ports by their names: that of an accelerated base is not the reference pin of other bodies
     ports = [port.name for port in body.type.used_ports(body, scene)]
     assert ports == (["anode", moved] if moved else ["anode"])
-    middle = with_values(body, {item.key: item.axis.middle for item in list_varied_keys(body)})
+    middle = with_values(
+        body, {item.key: item.parameter_axis.middle for item in list_varied_keys(body)}
+    )
     for k in range(7):
         x = rng.choice([0.0, 1.0], len(ranges)) if k < 2 else rng.uniform(0, 1, len(ranges))
         values = {

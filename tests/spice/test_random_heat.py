@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import scipy
-from support import HeatBodyKeys, make_heat_device
+from support import HeatBodyKeys, assemble_heat_model
 
 import kc2spice as kc
 
@@ -58,7 +58,7 @@ def condensed(model, case):
 def assert_random_body_is_the_full_model(seed):
     rng = np.random.default_rng(seed)
     keys, case = random_body(rng)
-    full = make_heat_device(HeatBodyKeys.model_validate(keys), None).model
+    full = assemble_heat_model(HeatBodyKeys.model_validate(keys), None).model
     E, K, B = condensed(full, case)
     rate = slowest(E, K)
     body = {"part": "heat_body", **keys, "pins": {"junction": "drive.out"}}

@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 from device import bench
-from support import Header, LinearModel, Port, UsageError, literal_value, run_deck, subcircuit
+from support import Header, LinearModel, Port, UsageError, parse_literal, run_deck, subcircuit
 
 HEADER = Header("made up", "0")
 FREQUENCY = "lin 6 150 1400"
@@ -182,7 +182,7 @@ def test_signals_of_coupled_states(dense, tmp_path):
     assert [p.name for p in part.pins] == ["u0", "u1", "y0", "y1", "ref"]
     assert "free integrator" not in part.text
     farads = re.findall(r"(?m)^Cz\d \S+ \S+ (\S+)$", part.text)
-    assert list(map(literal_value, farads)) == pytest.approx(4 * [1 / (2 * np.pi * 1e3)])
+    assert list(map(parse_literal, farads)) == pytest.approx(4 * [1 / (2 * np.pi * 1e3)])
     cards = ["V0 one 0 DC 1 AC 1", "X0 one 0 a0 a1 0 plant", "X1 0 one b0 b1 0 plant"]
     vectors = {f"{n}{k}": (f"v({n}{k})", 1.0) for n in "ab" for k in range(2)}
     waves = run_deck(bench([part], "\n".join([*cards, ".ac lin 4 50 800"]), vectors), tmp_path)

@@ -98,7 +98,7 @@ def body_matrices(text, folder):
         '[drive]\npart = "source"\nac = 1.0\n[analysis]\ntype = "ac"\nstart = 1\nstop = 2\n'
     )
     model = models(path).models["body"]
-    K, E, M = model.pencil.dense().coefficients
+    K, E, M = model.pencil.make_dense().coefficients
     i, o = model.inputs.index("anode"), model.outputs.index(PORT)
     f = np.geomspace(HIGH / 300, HIGH, 6000)
     s = 2j * np.pi * f[:, None, None]

@@ -10,7 +10,7 @@ from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
 import pytest
-from support import make_local_worker_pool
+from support import make_local_pool_opener
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "setpgrp"), reason="needs process groups")
 
@@ -38,7 +38,7 @@ def is_running(pid):
 
 def test_a_killed_worker_leaves_no_program_and_no_files(tmp_path):
     marker = tmp_path / "marker"
-    with make_local_worker_pool(1)() as (pool, _), pytest.raises(BrokenProcessPool):
+    with make_local_pool_opener(1)() as (pool, _), pytest.raises(BrokenProcessPool):
         pool.submit(dies_beside_a_writer, str(marker)).result(60)
     pid, scratch = marker.read_text().split(maxsplit=1)
     deadline = time.monotonic() + 10

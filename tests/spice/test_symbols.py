@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import device
 import pytest
-from support import Element, literal_value, load_scene, make_deck, write_symbol_files
+from support import Element, load_scene, make_deck, parse_literal, write_symbol_files
 
 import kc2spice as kc
 
@@ -176,8 +176,8 @@ def test_ltspice_reads_the_pins_and_parameters_of_a_library(written, deck):
         assert read.attributes["Value"] == part.name
         assert read.attributes["ModelFile"] == f"{stem}.ltspice.lib"
         line = read.attributes.get("SpiceLine", "")
-        read_values = {k: literal_value(v) for k, v in (w.split("=") for w in line.split())}
-        assert read_values == {k: literal_value(v) for k, v in params.items()}
+        read_values = {k: parse_literal(v) for k, v in (w.split("=") for w in line.split())}
+        assert read_values == {k: parse_literal(v) for k, v in params.items()}
         assert all(p.coord.X % 16 == p.coord.Y % 16 == 0 for p in read.pins)
 
 

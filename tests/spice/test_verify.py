@@ -18,7 +18,7 @@ from support import (
     Port,
     StageTimer,
     Waveforms,
-    bodies,
+    body_verification,
     find_last_rest,
     get_scene_laws,
     ignore_progress,
@@ -31,7 +31,7 @@ from support import (
     verify_scenes,
 )
 
-module = importlib.import_module("kc2spice.workflow.verify.verify")
+module = importlib.import_module("kc2spice.workflow.verify.scene_verification")
 
 RLC = """
 name = "rlc"
@@ -263,11 +263,11 @@ def missed_gates(build, text, folder):
     part = build.scene.parts["kick"]
     rom, band = build.model(part, LinearModel), (0.0, 500e3)
     libraries = tuple(parse_subcircuits(text, "chip.lib"))
-    frequency, found = bodies.simulate_netlist_response(
+    frequency, found = body_verification.simulate_netlist_response(
         part, build, libraries, StageTimer(ignore_progress), folder, band
     )
     gate = build.scene.gates.harmonic_ngspice
-    limits = bodies.list_netlist_checks("kick", rom, frequency, found, gate)
+    limits = body_verification.list_netlist_checks("kick", rom, frequency, found, gate)
     return [limit.name for limit in limits if not limit.passed]
 
 
@@ -440,7 +440,7 @@ def test_frequencies_with_rounding_errors_of_the_full_model_are_found():
     exact = (square + stiffness) / (square * (square + 2 * stiffness))
     error = np.abs(solved[:, 0, 0] / exact - 1)
     for limit in (1e-9, 1e-6, 1e-3):
-        accurate = bodies._find_accurate_solutions(full, at, solved, limit)
+        accurate = body_verification._find_accurate_solutions(full, at, solved, limit)
         assert (error[accurate] <= limit).all()
         assert (error[~accurate] > limit / 1e3).all()  # nothing accurate is omitted
     assert error[0] > 1e-4

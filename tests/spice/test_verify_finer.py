@@ -23,7 +23,7 @@ from support import (
 )
 from typer.testing import CliRunner
 
-verify = importlib.import_module("kc2spice.workflow.verify.verify")
+verify = importlib.import_module("kc2spice.workflow.verify.scene_verification")
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ import importlib
 import pytest
 from support import load_scene
 
-module = importlib.import_module("kc2spice.workflow.verify.verify")
+module = importlib.import_module("kc2spice.workflow.verify.scene_verification")
 
 SCENE = {
     "name": "film",

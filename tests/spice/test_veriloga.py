@@ -11,7 +11,7 @@ from support import (
     Pin,
     Subcircuit,
     UsageError,
-    print_module,
+    format_module,
     read_cards,
     write_dialect_files,
 )
@@ -25,7 +25,7 @@ NAMES = ("kick", "sphere", "contact", "catch", "coil", "opamp", "pid")
 def modules(parts, tmp_path_factory):
     home = tmp_path_factory.mktemp("veriloga")
     compiled = {}
-    for name, text in (item for part in parts.values() for item in print_module(part).items()):
+    for name, text in (item for part in parts.values() for item in format_module(part).items()):
         (home / name).write_text(text)
         (compiled[name.removesuffix(".va")],) = openvaf.compile_va(str(home / name))
     return compiled
@@ -139,5 +139,5 @@ REFUSED = [
 def test_constructs_that_a_module_lacks_are_rejected():
     for card in REFUSED:
         with pytest.raises(UsageError) as caught:
-            print_module(part_of(card))
+            format_module(part_of(card))
         assert "part.lib:" in str(caught.value), card

@@ -1,6 +1,7 @@
 """Mistakes in netlists, lists and magnitudes whose advice is followed: the input then runs."""
 
 import re
+import warnings
 from pathlib import Path
 
 import pytest
@@ -244,6 +245,29 @@ def test_a_source_of_small_signals_without_an_analysis(cli):
     assert 'type = "ac"  and  stop = "100 kHz"' in done.stderr
     advised = ("--set", "analysis.type=ac", "--set", "analysis.stop=100 kHz")
     assert "has no effect" not in cli("run", "own.toml", *advised).stderr
+
+
+def test_keys_that_only_a_transient_uses_warn_in_other_analyses(tmp_path):
+    """Time steps exist, and ratings are compared with voltages, only in a transient."""
+    (tmp_path / "mine.lib").write_text(".subckt mine in\nR1 in 0 1k\n.ends\n")
+    parts = {
+        "s": {"part": "source", "ac": 1.0, "pins": {"out": "mine.in"}},
+        "mine": {
+            "part": "netlist", "file": str(tmp_path / "mine.lib"), "subckt": "mine",
+            "ratings": {"in": {"high": 0.5}},
+        },
+        "solver": {"max_step": 1e-6, "stop": 1e-3, "reltol": 1e-5},
+    }  # fmt: skip
+    small_signal = {"type": "ac", "start": 1e3, "stop": 1e4}
+    for analysis, wanted in ((small_signal, 3), ({"type": "transient", "stop": 1e-3}, 0)):
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            kc.load_scene(parts | {"analysis": analysis})
+        texts = {str(each.message) for each in caught}
+        unused = [text for text in texts if "has no effect in the ac analysis" in text]
+        assert len(unused) == wanted
+        named = re.findall("the key `(.*?)`", " ".join(unused))
+        assert sorted(named) == ["ratings", "solver.max_step", "solver.stop"][:wanted]
 
 
 @pytest.mark.parametrize(

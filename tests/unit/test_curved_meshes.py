@@ -268,7 +268,7 @@ def test_nodes_in_the_order_of_the_perimeter_are_refused(tmp_path):
     """Corners at every other place: their neighbours are no corners of a triangle."""
     path = tmp_path / "a.inp"
     path.write_text(f"*NODE\n{NODES}*ELEMENT, TYPE=CAX6\n1,1,2,3,4,5,6\n", encoding="utf-8")
-    with pytest.raises(UsageError, match="nodes on edges are far from their edges"):
+    with pytest.raises(UsageError, match="mid-edge nodes are far from their edges"):
         read_mesh(path, unit=1.0, dimension=2)
     path.write_text(f"*NODE\n{NODES}*ELEMENT, TYPE=CAX6\n1,1,3,5,2,4,6\n", encoding="utf-8")
     assert read_mesh(path, unit=1.0, dimension=2).mesh.nelements == 1

@@ -41,7 +41,7 @@ MISTAKES = {
     "pow": (HEAT, "content", "pow(temperature, 2)", "do not support this function", "write x^2"),
     "the name of the quantity": (FLUID, "content", "g*volume_velocity^2", "unknown name",
                                  "coordinate of 'volume_velocity' is flow"),
-    "a loss of a position": (MOTION, "content", "g*x^2", "no variable that causes", "x_rate"),
+    "a loss of a position": (MOTION, "content", "g*x^2", "no rate, voltage or current", "x_rate"),
 }  # fmt: skip
 
 
@@ -81,6 +81,21 @@ def test_only_an_instance_of_a_part_type_is_registered():
         with pytest.raises(kc.errors.UsageError, match="not a part type") as caught:
             kc.register_part(value)
         assert "DeclaredPart(declaration)" in caught.value.hint
+
+
+def test_a_method_with_a_name_of_version_0_2_is_an_error():
+    """The method would have no effect under its old name."""
+
+    class Swept(DeclaredPart):
+        def settable(self, part, scene):
+            return {}
+
+    declaration = Declaration("swept", "a part", Keys, MOTION, content="g*x_rate^2")
+    with pytest.raises(
+        kc.errors.UsageError, match="settable of part types is now called"
+    ) as caught:
+        kc.register_part(Swept(declaration))
+    assert caught.value.hint == "rename Swept.settable to settable_quantities"
 
 
 @pytest.mark.parametrize(

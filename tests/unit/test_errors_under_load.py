@@ -8,8 +8,8 @@ from support import (
     Port,
     ReductionsByOrder,
     compute_time_errors,
+    compute_time_response,
     find_last_change,
-    response,
 )
 
 PUSH = (Port("tip", "mechanical"),)
@@ -43,7 +43,7 @@ def test_responses_to_recorded_loads_are_those_of_scipy(dashpot):
     _, exact, _ = lsim(
         (A, B, np.c_[model.C, np.zeros((1, 4))], 0), np.interp(even, t, load[:, 0]), even
     )
-    found = response(model, t, load)
+    found = compute_time_response(model, t, load)
     np.testing.assert_allclose(found[:, 0], np.interp(t, even, exact), atol=3e-4 * np.ptp(exact))
 
 
@@ -98,7 +98,7 @@ def test_loads_that_cancel_count_by_themselves():
     exact = body(0.0)
     t = np.linspace(0, 5e-3, 4001)
     force = np.sin(600 * np.pi * t)
-    charge = response(exact, t, np.c_[force, 0 * t])[:, 1]
+    charge = compute_time_response(exact, t, np.c_[force, 0 * t])[:, 1]
     # quasi-static: the voltage that draws this charge back
     gain = 1e-7 + 4 / (2e3 * np.pi) ** 2
     load = np.c_[force, -charge / gain]

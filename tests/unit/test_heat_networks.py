@@ -10,7 +10,7 @@ from support import (
     HeatLadder,
     NodalCircuit,
     find_heat_ladder,
-    literal_value,
+    parse_literal,
     read_rom,
 )
 
@@ -47,7 +47,7 @@ def test_the_ladder_of_a_random_network_is_positive_and_equivalent(seed):
     s = 2j * np.pi * np.geomspace(1e-5, 1e7, 25)
     exact = foster_impedance(network, s)
     assert np.abs(ladder_impedance(ladder, s) / exact - 1).max() < 1e-12
-    found = ladder.linear(PORT).transfer(s.imag / (2 * np.pi))[:, 0, 0]
+    found = ladder.to_linear_model(PORT).transfer(s.imag / (2 * np.pi))[:, 0, 0]
     assert np.abs(found / exact - 1).max() < 1e-9
 
 
@@ -74,19 +74,19 @@ def test_equal_time_constants_are_one_mode():
 def test_only_ladder_matrices_are_recognised_as_a_ladder():
     network = random_network(4, 5)
     ladder = network.convert_to_ladder()
-    found = find_heat_ladder(ladder.linear(PORT))
+    found = find_heat_ladder(ladder.to_linear_model(PORT))
     np.testing.assert_allclose(found.resistance, ladder.resistance, rtol=1e-14)
     np.testing.assert_allclose(found.capacity, ladder.capacity, rtol=1e-9)
-    assert find_heat_ladder(network.linear(PORT)) is None
+    assert find_heat_ladder(network.to_linear_model(PORT)) is None
 
 
 @pytest.mark.parametrize("direct", [0.0, 0.25])
 def test_the_netlist_of_a_ladder_is_the_ladder(direct):
     ladder = HeatLadder(np.array([2.0, 5.0, 1.0]), np.array([0.1, 3.0, 40.0]), direct)
-    part = kc.subcircuit(ladder.linear(PORT), "ladder")
+    part = kc.subcircuit(ladder.to_linear_model(PORT), "ladder")
     start = "h1" if direct else "junction"
     cards = re.findall(r"(?m)^([RC]\d+) (\S+) (\S+) (\S+)$", part.text)
-    found = {name: (a, b, literal_value(value)) for name, a, b, value in cards}
+    found = {name: (a, b, parse_literal(value)) for name, a, b, value in cards}
     for k, (R, C) in enumerate(zip(ladder.resistance, ladder.capacity, strict=True), 1):
         node = start if k == 1 else f"h{k}"
         assert found[f"C{k}"][:2] == (node, "ambient")

@@ -10,7 +10,7 @@ import pytest
 SCRIPT = """
 import hashlib, sys, time
 from pathlib import Path
-from kc2spice.core.interrupt import end_on_signals
+from kc2spice.core.signal_handlers import end_on_signals
 with end_on_signals(0.2):
     try:
         Path(sys.argv[2]).write_text("ready")
@@ -39,7 +39,7 @@ main()
 """
 ENDED = """
 import signal, sys
-from kc2spice.core.interrupt import end_on_signals
+from kc2spice.core.signal_handlers import end_on_signals
 try:
     with end_on_signals():
         sys.exit(4)

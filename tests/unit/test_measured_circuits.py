@@ -347,7 +347,7 @@ def test_branches_survive_their_file(tmp_path):
     f, Y, _ = resonance("wide", 0.2, 100)
     model, _ = fit_one_port(f, Y, NOISE)
     network = recognise_parallel_branches(model)
-    again = recognise_parallel_branches(network.linear(model.certificate))
+    again = recognise_parallel_branches(network.to_linear_model(model.certificate))
     assert again == network
     assert 2j * np.pi * f * model.transfer(f)[:, 0, 0] == pytest.approx(network.admittance(f))
     for capacitance in (0.0, 2e-9):
@@ -357,7 +357,7 @@ def test_branches_survive_their_file(tmp_path):
             CircuitBranch(40.0, 0.0, 1e9),
         )
         network = ParallelBranches(capacitance, branches, CircuitBranch(5.0, 1e-6))
-        model = network.linear()
+        model = network.to_linear_model()
         again = recognise_parallel_branches(model)
         for branch, other in zip(branches, again.branches, strict=True):
             assert astuple(other) == pytest.approx(astuple(branch), rel=1e-12)

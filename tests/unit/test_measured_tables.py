@@ -106,7 +106,7 @@ def test_commas_between_thousands_and_before_decimals(tmp_path):
         ("freq (mhz),R (Ohm),X (Ohm)", "'mhz' may mean MHz or mHz"),
         ("freq (rpm),R (Ohm),X (Ohm)", "'freq .rpm.'|'rpm' is no unit"),
         ("freq (Hz),R (deg),X (Ohm)", r"column 'R \(deg\)': 'deg' is no unit of impedance"),
-        ("freq (Hz),Trace A Real,Trace A Imag", "unknown: 'Trace A Real', 'Trace A Imag'"),
+        ("freq (Hz),Trace A Real,Trace A Imag", "unknown columns: 'Trace A Real', 'Trace A Imag'"),
         ("freq (Hz),s11,phase (deg)", "column 's11' has no unit"),
         ("freq (Hz),R (Ohm)", "separators of the 3 columns"),
         ("freq (Hz),Cp (MF),D", "milli or mega"),

@@ -111,7 +111,8 @@ def test_impact_on_a_spring() -> None:
     force = np.where(touching, k * speed / w * np.sin(w * hit), 0.0)
     data = {"time": t, "sphere.y": y, "sphere.v": v, "contact.force": force}
     got = of_scene(Waveforms(data, {}), "impact")
-    # Samples are up to 40 ns apart: the parabola misses (w h)^4 / 400, the linear edge less.
+    # Samples are up to 40 ns apart: the parabola misses (w h)^4 / 400, the linear edge
+    # less.
     assert got["min_position_m"] == pytest.approx(-speed / w, rel=1e-6)
     assert got["time_of_min_s"] == pytest.approx(1e-6 + 4.5e-6, abs=1e-10)
     assert got["separation_time_s"] == pytest.approx(10e-6, abs=1e-10)

@@ -5,7 +5,7 @@ import runpy
 from pathlib import Path
 
 import pytest
-from support import Circuit, Element, Printer, literal_value, read_cards, read_lib
+from support import Circuit, Element, Printer, parse_literal, read_cards, read_lib
 
 NETLISTS = Path(__file__).parents[2] / "netlists"
 LIBRARIES = sorted(NETLISTS.glob("*/*.lib"))
@@ -59,7 +59,7 @@ def tokens(text):
     """Cards without blanks, brackets and continuation, and numbers as values: printing may change
     their spelling."""
     lines = [line for line in text.splitlines() if line.strip() and not line.startswith("*")]
-    joined = NUMBER.sub(lambda number: repr(literal_value(number[0])), "\n".join(lines))
+    joined = NUMBER.sub(lambda number: repr(parse_literal(number[0])), "\n".join(lines))
     joined = joined.replace("\n+", "")
     return [re.sub(r"[\s(){},]", "", card).lower() for card in joined.splitlines()]
 

@@ -47,7 +47,7 @@ from kc2spice.netlist.printers.symbol_layout import arrange_pins
 from kc2spice.netlist.printers.dialect_registry import list_dialect_names
 from kc2spice.physics import Declaration, DeclaredPart, branch
 from kc2spice.workflow.export import export_scene
-from kc2spice.workflow.verify.verify import verify_scenes
+from kc2spice.workflow.verify.scene_verification import verify_scenes
 
 
 class PipeKeys(kc.Section):

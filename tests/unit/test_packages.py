@@ -3,7 +3,7 @@
 import sys
 
 import pytest
-from support import doctor, packages
+from support import doctor, install_commands
 
 # First lines of /etc/os-release of several systems.
 DEBIAN = 'PRETTY_NAME="Debian GNU/Linux 12 (bookworm)"\nID=debian\n'
@@ -22,7 +22,7 @@ def system(monkeypatch, tmp_path):
         if release is not None:
             path.write_text(release)
         monkeypatch.setattr(sys, "platform", platform)
-        monkeypatch.setattr(packages, "_OS_RELEASE", path)
+        monkeypatch.setattr(install_commands, "_OS_RELEASE", path)
 
     return change
 
@@ -42,18 +42,18 @@ def system(monkeypatch, tmp_path):
 )
 def test_command_of_each_system(system, platform, release, command):
     system(platform, release)
-    assert packages.make_install_command("ngspice", "libngspice0") == command
+    assert install_commands.make_install_command("ngspice", "libngspice0") == command
 
 
 def test_windows_installs_ngspice_with_scoop(system):
     system("win32")
-    command = packages.make_install_command("ngspice")
+    command = install_commands.make_install_command("ngspice")
     assert command == "scoop bucket add extras; scoop install ngspice"
 
 
 def test_every_library_of_the_mesher_has_a_package_on_fedora(system):
     system("linux", FEDORA)
-    command = packages.make_install_command(*doctor._GMSH_LIBRARIES.values())
+    command = install_commands.make_install_command(*doctor._GMSH_LIBRARIES.values())
     assert command.startswith("dnf install mesa-libGLU ")
     assert len(command.split()) == 2 + len(doctor._GMSH_LIBRARIES)
 

@@ -5,6 +5,8 @@ import json
 import pytest
 from support import describe_part_types, list_schema_keys, load_part_types, load_scene, parse_toml
 
+import kc2spice as kc
+
 BY_FILE = {"body", "matrices"}  # their pins stand in files of the user
 NO_PINS = {"port_loads", "throw"}
 
@@ -63,6 +65,26 @@ def test_every_key_of_every_body_is_described(name):
     assert [
         k.name for k in list_schema_keys(load_part_types()[name].schema) if len(k.doc) < 5
     ] == []
+
+
+def test_probes_read_each_listed_result_of_a_resistor(docs, cli):
+    """The example of the resistor is 1 V across 50 Ohm: 20 mA and 20 mW."""
+    expected = {"v": 1.0, "i": 0.02, "current": 0.02, "power": 0.02}
+    assert set(docs["resistor"].results) == set(expected)
+    shown = " ".join(cli("scenes", "--part", "resistor").stdout.split())
+    assert all(f"PART.{result}" in shown for result in expected)
+    tables = parse_toml(docs["resistor"].example) | {"analysis": {"stop": 1e-3}}
+    probes = {f"{name}_x": {"of": f"resistor.{name}", "take": "final"} for name in expected}
+    metrics = kc.run({"name": "example", **tables, "probes": probes}).metrics
+    assert {name: metrics[f"{name}_x"] for name in expected} == pytest.approx(expected, rel=1e-6)
+
+
+def test_an_unknown_result_leads_to_the_list_of_results(cli):
+    failed = cli("explain", "loudspeaker_vented", "--set", "probes.stroke_m.of=woofer.nonsense")
+    assert "the scene has no such result" in failed.stderr
+    command = "kc2spice scenes --part loudspeaker"
+    assert f"next:     see {command}, which lists all names" in failed.stderr
+    assert "PART.cone.force" in cli(*command.split()[1:]).stdout
 
 
 def test_every_key_has_a_description_that_stands_alone():

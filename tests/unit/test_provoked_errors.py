@@ -242,7 +242,7 @@ def test_a_scene_as_a_deck_and_a_misspelt_suffix(cli):
         ('diameter = "14 mm"', 'radius = "7 mm"', 9, "use the key diameter"),
         ('material = "PZT-5A"', 'material = "PZT5A"', 8, "did you mean 'PZT-5A'?"),
         ('material = "PZT-5A"', 'material = "steel"', 1, 'material = "PZT-5A"'),
-        ('thickness = "0.2 mm"\n[analysis]', 'thickness = "0.2 m"\n[analysis]', 10, '"0.2 mm"'),
+        ('thickness = "0.2 mm"\n[analysis]', 'thickness = "0.2 m"\n[analysis]', 10, '"200 um"'),
         ('thickness = "0.2 mm"\n[analysis]', "[analysis]", 7, 'thickness = "100 um"'),
     ],
 )
@@ -260,7 +260,11 @@ def test_a_mistake_in_an_entry_of_a_list(cli, line, otherwise, place, advice):
 @pytest.mark.parametrize(
     ("text", "got", "advice"),
     [
-        ("freq,a\n{}", "contain no complete impedance; unknown: 'a'", "frequency_hz,real_ohm"),
+        (
+            "freq,a\n{}",
+            "contain no complete impedance; unknown columns: 'a'",
+            "frequency_hz,real_ohm",
+        ),
         ("frequency [Hz],|Z| [Ohm]\n{}", "only one half of a complex impedance", "column of phase"),
         ("", "the file is empty", "frequency_hz,real_ohm"),
         ("freq,a\n1,2\n", "below the first line 'freq,a'", "frequency_hz,real_ohm"),

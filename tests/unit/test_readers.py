@@ -581,6 +581,7 @@ def test_files_that_are_not_models_are_rejected(tmp_path, matrices, words):
         ('length = "ell"\n' + TIP, ("length", "mm")),
         ("symmetric = 1\n" + TIP, ("symmetric", "boolean")),
         ("damping = { ratio = 1 }\n" + TIP, ("damping", "at")),
+        ("damping = { ratio = [0.01, 0.02], at = [1, 5] }\n" + TIP, ("damping.ratio", "alpha")),
         (TIP + TIP, ("the same name",)),
         (TIP + 'unit = "a b"\n', ("unit",)),
         ("[[fixed]]\nnode = 301\n" + TIP, ("fixed[0]", "301")),
@@ -625,7 +626,7 @@ def test_a_square_c_beside_m_and_k_is_damping_or_outputs_by_word_only(tmp_path):
     for letter, matrix in {"M": mass, "C": C, "K": stiff, "B": load}.items():
         write_market(tmp_path / f"n.{letter}", matrix)
     for path in (tmp_path / "m.npz", tmp_path / "n.K"):
-        refused(path, "matrix C can be the damping matrix or the output matrix", "damping_matrix")
+        refused(path, "whether matrix C is the damping matrix or the output", "damping_matrix")
     side = sidecar(tmp_path, 'damping_matrix = "C"\n')
     damped = read_model(tmp_path / "m.npz", side)
     assert damped.outputs == ("y1",)
@@ -644,7 +645,7 @@ def test_a_square_c_beside_m_and_k_is_damping_or_outputs_by_word_only(tmp_path):
     side = sidecar(tmp_path, 'damping_matrix = "C"\n')
     np.savez(tmp_path / "e.npz", M=mass, C=C, E=C, K=stiff, B=load)
     refused(tmp_path / "e.npz", "no damping matrix of this name", side=side)
-    with pytest.raises(UsageError, match="matrix C can be the damping matrix"):
+    with pytest.raises(UsageError, match="whether matrix C is the damping matrix"):
         LinearModel(M=mass, C=C, K=stiff, B=load)
     assert LinearModel(M=mass, C=C, K=stiff, B=load, rayleigh=(0, 0)).pencil.is_undamped
     assert LinearModel(M=mass, C=np.eye(n), K=stiff, B=load).pencil.is_undamped

@@ -300,6 +300,24 @@ def test_a_large_definite_model_has_one_order_and_one_expansion_point(monkeypatc
     assert (np.abs(rom.transfer(frequency) - exact) <= 1e-3 * np.abs(exact)).all()
 
 
+@pytest.mark.parametrize("degree", [1, 2])
+def test_a_second_order_model_prints_unknowns_and_first_order_states(tmp_path, degree):
+    """Three unknowns of second order are six states of first order; both tables say which."""
+    K = 2 * np.eye(20) - np.eye(20, k=1) - np.eye(20, k=-1)
+    file, B = tmp_path / "chain.npz", np.eye(20)[:, :1]
+    second = {"M": np.eye(20), "E": 0.05 * K, "K": K, "B": B}
+    np.savez(file, **(second if degree == 2 else {"A": -K, "B": B, "C": B.T}))
+    words = ["reduce", str(file), "--band", "0", "0.05", "--order", "3"]
+    text = CliRunner().invoke(app, [*words, "-o", str(tmp_path / "out")]).stdout
+    row = next(line.split(maxsplit=1) for line in text.splitlines() if line.startswith("states"))
+    assert row[1].strip() == ("3 (6 of first order)" if degree == 2 else "3")
+    table = CliRunner().invoke(app, [*words, "--method", "compare"]).stdout.splitlines()
+    heading = " ".join(word for line in table[1:3] for word in line.split())
+    assert "first-order" in heading
+    pod = next(line for line in table if line.startswith("response POD "))
+    assert pod.removeprefix("response POD").split()[0] == str(3 * degree)
+
+
 def test_a_comparison_of_an_unstable_model_warns_and_has_its_exit_code(tmp_path):
     """Masses with negative damping: the table stands on stdout, as of any other model."""
     K = 2 * np.eye(20) - np.eye(20, k=1) - np.eye(20, k=-1)

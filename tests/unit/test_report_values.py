@@ -4,7 +4,7 @@ import re
 from dataclasses import astuple
 
 import pytest
-from support import RomKeys, describe_target, format_quantity, write_side_view_caption
+from support import RomKeys, describe_reduction_target, format_quantity, write_side_view_caption
 
 import kc2spice as kc
 
@@ -31,7 +31,7 @@ def test_a_ring_is_drawn_on_both_sides_of_its_hole():
 
 
 def test_descriptions_have_prefixes():
-    text = describe_target(RomKeys(band=("0 Hz", "500 kHz")))
+    text = describe_reduction_target(RomKeys(band=("0 Hz", "500 kHz")))
     assert text.endswith("band 0 Hz … 500 kHz")
     scene = kc.load_scene("kick_and_catch")
     notes = []

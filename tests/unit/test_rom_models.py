@@ -72,8 +72,8 @@ I2, B2 = np.eye(2), np.ones((2, 1))
         ({"M": I2, "K": I2 * 1j}, "matrix K is not a valid structural damping"),
         ({"M": I2 * np.nan, "K": I2}, "matrix M contains entries"),
         ({"M": I2, "K": sparse.csc_array(np.diag([1.0, np.inf]))}, "matrix K contains entries"),
-        ({"M": I2, "K": I2, "ports": (Port("a", "input"),)}, "the ports do not match"),
-        ({"M": I2, "K": I2, "ports": (Port("a", "input"), Port("A", "output"))}, "ports do not"),
+        ({"M": I2, "K": I2, "ports": (Port("a", "input"),)}, "ports do not match the matrices"),
+        ({"M": I2, "K": I2, "ports": (Port("a", "input"), Port("A", "output"))}, "the same name"),
     ],
 )
 def test_incomplete_models_are_refused(parts, says):

@@ -63,7 +63,7 @@ def test_the_certificate_states_where_inertia_ends_and_its_error():
     model = dataclasses.replace(model, certificate=certificate)
     light = make_highest_modes_massless(model)
     frequency = np.linspace(0.0, 1.0, 2001)
-    whole, less = model.linear(), light.linear()
+    whole, less = model.to_linear_model(), light.to_linear_model()
     exact = whole.transfer(frequency)[:, 0, 0]
     error = (abs(less.transfer(frequency)[:, 0, 0] - exact) / abs(exact)).max()
     more = light.certificate.error_estimate - certificate.error_estimate

@@ -5,8 +5,8 @@ import pytest
 from scipy.integrate import cumulative_trapezoid
 from support import (
     find_energy_frequency,
+    find_highest_frequency,
     find_waveform_frequency,
-    highest_frequency,
     load_scene,
     make_constant_waveform,
     make_linear_waveform,
@@ -75,4 +75,4 @@ def test_the_highest_frequency_of_a_scene_is_that_of_its_drives(analysis, exact)
         "load": {"part": "resistor", "resistance": 1.0},
         "analysis": analysis,
     })  # fmt: skip
-    assert highest_frequency(scene) == pytest.approx(exact, rel=0.05)
+    assert find_highest_frequency(scene) == pytest.approx(exact, rel=0.05)

@@ -11,7 +11,7 @@ from support import (
     RowStore,
     UsageError,
     _plot_histogram,
-    columns,
+    collect_columns,
     compute_yields,
     make_plan,
     write_csv,
@@ -40,7 +40,7 @@ def filled(path, order=range(6)):
     with opened(path) as store:
         for index in order:
             store.write_row(index, outcome(index))
-        return columns(store.outcomes, PLAN)
+        return collect_columns(store.outcomes, PLAN)
 
 
 def test_rows_are_sorted_and_exact(tmp_path):

@@ -214,7 +214,7 @@ RISE = 300 + 2 * ZTH.compute_step_response(TIME)
         ("time_s,temperature_k", TIME, RISE, {"power": 2, "network": "x"}, "this form of"),
         ("time_s,temperature_k", TIME - 10, RISE, {"power": 2}, "0 times after zero"),
         ("time_s,temperature_k", TIME, 0 * RISE + 300, {"power": 2}, "does not change"),
-        ("time_s,speed_k", TIME, RISE, {"power": 2}, "neither a temperature nor a Zth"),
+        ("time_s,speed_k", TIME, RISE, {"power": 2}, "neither a temperature nor a thermal"),
         ("time_s,zth_k_w", TIME, RISE, {"power": 2}, "with a thermal impedance"),
         ("time_s,zth_k_w", TIME, -RISE, {"power": None}, "falls"),
     ],

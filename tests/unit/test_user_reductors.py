@@ -1,11 +1,20 @@
 """Methods of reduction that a user adds: scale of vectors, and errors of what is no basis."""
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.linalg import eigh
-from support import UsageError, compare_methods, registry, subcircuit
+from support import (
+    SimulationError,
+    UsageError,
+    balanced_truncation,
+    band_limited_balancing,
+    compare_methods,
+    registry,
+    subcircuit,
+)
 
 import kc2spice as kc
 
@@ -281,6 +290,63 @@ def test_a_comparison_states_why_a_user_method_does_not_apply(monkeypatch):
     monkeypatch.setattr(method, "applies_to", lambda task: False)
     rows = reasons(M=np.eye(3), K=np.diag([1.0, 4.0, 9.0]), B=np.ones((3, 1)))
     assert rows["user method"] == "its applies_to() returns False"
+
+
+def test_irka_has_the_size_limit_of_the_balanced_models_that_it_starts_from():
+    """251 decoupled masses have 502 first-order states, counted by hand."""
+    n = 251
+    K, B = np.diag(np.linspace(1.0, 9.0, n)), np.ones((n, 2))
+    B[::2, 1] = -1.0
+    model = kc.LinearModel(M=np.eye(n), E=0.1 * K, K=K, B=B)
+    for method in ("IRKA", "balanced truncation of outputs as they are"):
+        with pytest.raises(UsageError, match="502 first-order states, more than 500"):
+            kc.reduce(model, order=4, band=(0, 0.1), method=method)
+
+
+def test_a_comparison_reports_the_number_and_name_of_each_method():
+    seen = []
+    compare_methods(
+        chain(1.0, 1.0), band=(0.0, 0.1), order=2, progress=lambda *item: seen.append(item)
+    )
+    names = registry.list_reductor_names()
+    texts = [text for _, _, text in seen if text.startswith("method ")]
+    assert texts == [f"method {k + 1} of {len(names)}: {name}" for k, name in enumerate(names)]
+
+
+def test_the_page_on_methods_states_their_size_limits():
+    """The numbers in the column of limits are those in the errors of the methods."""
+    page = (Path(__file__).parents[2] / "docs/how-to/own_reductor.md").read_text()
+    cells = [row.split(" | ") for row in page.splitlines() if row.startswith("| `")]
+    limits = {name.strip("| `"): re.findall(r"\d{3,}", limit) for name, _, limit, _ in cells}
+    assert set(limits) <= set(registry.list_reductor_names())
+    for name, size in {
+        "balanced truncation": balanced_truncation.MAX_STATES,
+        "balanced truncation by congruence": balanced_truncation.MAX_STATES,
+        "balanced truncation of outputs as they are": balanced_truncation.MAX_UNSCALED_STATES,
+        "balanced truncation over the band": band_limited_balancing.MAX_STATES,
+        "IRKA": balanced_truncation.MAX_UNSCALED_STATES,
+    }.items():
+        assert limits.pop(name) == [str(size)]
+    assert not any(limits.values())
+
+
+def test_a_basis_with_too_few_vectors_is_the_cause_in_the_error():
+    """Two modes of 40 lack the static compliance of the driven mass."""
+
+    def two_modes(task):
+        return task.project(vectors(task)[:, :2])
+
+    with pytest.raises(SimulationError, match="has only 2 vectors") as caught:
+        reduced(two_modes, tolerance=1e-6)
+    assert "with 2 basis vectors" in caught.value.got
+    assert "more vectors from basis()" in caught.value.hint
+    with pytest.raises(UsageError, match="basis of the reduction method has fewer") as caught:
+        reduced(two_modes, order=3)
+    assert caught.value.expected == "1 to 2"
+    few_points = kc.Reduction(chain(), band=(0, 0.1 * np.sqrt(1e15)), points=[0.0])
+    with pytest.raises(SimulationError, match=r"has only \d vector") as caught:
+        few_points.reduce(tolerance=1e-9)
+    assert "add expansion points" in caught.value.hint
 
 
 @pytest.mark.parametrize("key", ["rom.method", "disc.rom.method"])

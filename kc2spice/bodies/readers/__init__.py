@@ -18,7 +18,7 @@ import numpy as np
 
 from kc2spice.bodies.readers import program_formats, raw_matrices
 from kc2spice.bodies.readers import sidecar as _sidecar
-from kc2spice.bodies.readers.assemble import LabelledMatrices, assemble_model
+from kc2spice.bodies.readers.matrix_assembly import LabelledMatrices, assemble_model
 from kc2spice.bodies.readers.mesh import read_nodes
 from kc2spice.bodies.readers.parameters import get_default_values, make_model_parameter, make_term
 from kc2spice.bodies.readers.sidecar import Sidecar, TermEntry, read_sidecar

@@ -181,7 +181,10 @@ def read_title(text: str) -> ColumnTitle | None:
             first = next((m for m in meanings if not m.needs_unit), None)
             if first is None:
                 choices = list(map(_describe_quantity, meanings))
-                raise ValueError(f"column {text.strip()!r} has no unit: {' or '.join(choices)}")
+                raise ValueError(
+                    f"column {text.strip()!r} has no unit; its values can be "
+                    f"{' or '.join(choices)}, so add the unit to the title"
+                )
             return ColumnTitle(text, first, sign, None)
         units = parse_units(unit_text)
         for meaning in meanings:

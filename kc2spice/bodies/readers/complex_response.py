@@ -232,7 +232,9 @@ def combine_response(
         without a gain.
     """
     if len(titles) != len(numbers):
-        raise ValueError(f"{len(titles)} titles above {len(numbers)} columns of numbers")
+        raise ValueError(
+            f"the table has {len(titles)} titles above {len(numbers)} columns of numbers"
+        )
     columns = classify_columns(titles, numbers)
     _require_complete(titles, columns, shunt)
     frequency = _select_agreeing_column("f", columns.by_quantity["f"])
@@ -354,7 +356,7 @@ def _make_incomplete_error(titles: Sequence[str], columns: ClassifiedColumns) ->
         raise _make_half_impedance_error(titles, columns)
     missing_quantity = "complete impedance" if "f" in columns.by_quantity else "frequency"
     listed = ", ".join(map(repr, columns.unknown[:5]))
-    unknown_columns = f"; unknown: {listed}" if listed else ""
+    unknown_columns = f"; unknown columns: {listed}" if listed else ""
     names = ", ".join(titles[:5])
     names = names if len(names) <= MAX_TITLE_LENGTH else f"{names[:MAX_TITLE_LENGTH]}…"
     return ValueError(f"the columns {names} contain no {missing_quantity}{unknown_columns}")
@@ -395,10 +397,11 @@ def _select_agreeing_column(quantity: str, candidates: Sequence[Column]) -> Colu
 def _select_column_pair(
     combination: ColumnCombination, columns: ClassifiedColumns
 ) -> tuple[Column, Column]:
-    """Select the two table columns of a combination, from the same measuring channel.
+    """Select the two table columns that together determine a complex quantity.
 
-    If there are several candidates for the first column, the column of the same measuring channel
-    as the second column is selected.
+    An example of such a combination is the resistance and the reactance of an impedance. If there
+    are several candidates for the first column, the column of the same measuring channel as the
+    second column is selected.
 
     Raises
     ------

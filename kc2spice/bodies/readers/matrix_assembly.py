@@ -89,7 +89,7 @@ def _rename_damping_matrix(rows: LabelledMatrices) -> Mapping[str, Matrix]:
     if square and "M" in matrices and "E" not in matrices and settings.outputs is None:
         raise wrong(
             rows.where,
-            "matrix C can be the damping matrix or the output matrix",
+            "it is not stated whether matrix C is the damping matrix or the output matrix",
             f"a square C of {K.shape[0]} rows beside M and K",  # type: ignore[union-attr]
             "a damping matrix with the name E, or one row of C for each output",
             f'write damping_matrix = "C" into {rows.name}.toml, or outputs = "C" if every unknown '
@@ -144,7 +144,7 @@ def _complete_matrices(rows: LabelledMatrices) -> Mapping[str, Matrix]:
     halves = [k for k, matrix in square.items() if stores_one_triangle(matrix)]
     if symmetric is None and halves:
         hint = f"write symmetric = true into {rows.name}.toml, or false for triangular matrices"
-        problem = "the file contains only one triangle, but its header states 'general'"
+        problem = "the file contains one triangle of a matrix, but its header states 'general'"
         raise wrong(rows.where, problem, f"matrix {', '.join(halves)}", "the whole matrix", hint)
     if symmetric:
         for letter in halves:
@@ -272,8 +272,8 @@ class LabelledMatrices:
         kind = self.get_row_dofs(where).kind
         strange = np.setdiff1d(kind, TRANSLATIONS + ROTATIONS)
         if strange.size or "A" in self.matrices or "B" in self.matrices:
-            got = DOFS[int(strange[0])] if strange.size else "A or B"
-            expected = "displacements and rotations only, M and K"
+            got = DOFS[int(strange[0])] if strange.size else "matrix A or B"
+            expected = "matrices M and K, with displacements and rotations only"
             raise UsageError(
                 "this value cannot be converted to SI units",
                 where=where,
@@ -352,7 +352,7 @@ class LabelledMatrices:
             raise wrong(where, problem, f"column {place}", "C = B'", hint)
         return load
 
-    def ports(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[Port, ...]]:
+    def assemble_ports(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[Port, ...]]:
         """Return the matrices B, C and D of all ports, and the ports in TOML order.
 
         B and C contain all matrix rows, including the rows of fixed degrees of freedom.
@@ -412,13 +412,14 @@ def _assemble_mechanical(rows: LabelledMatrices) -> LinearModel:
     used = sum(abs(matrix).sum(axis=1) for matrix in operators.values())
     empty = np.flatnonzero(np.asarray(used) == 0)
     if empty.size:  # an unknown without entries in any matrix is a gap in the numbering
-        problem, expected = "a row is zero in all matrices", "no gaps in the numbering"
-        got = f"row {empty[0] + 1} of the free rows; zero rows in all: {empty.size}"
+        problem = "a row is zero in all matrices"
+        expected = "an entry in each row that is not fixed, in at least one matrix"
+        got = f"row {empty[0] + 1} of the rows that are not fixed; {empty.size} such rows in total"
         hint = None if rows.raw.dofs is None else "fix the degree of freedom in [[fixed]]"
         raise wrong(rows.where, problem, got, expected, hint)
-    B, C, D, ports = rows.ports()
+    B, C, D, ports = rows.assemble_ports()
     if not B[keep].any() or not C[:, keep].any():
-        expected = "B, C not zero, on degrees of freedom that are not fixed"
+        expected = "nonzero entries of B and C at degrees of freedom that are not fixed"
         hint = "apply the ports at free nodes, or delete the [[fixed]] entries there"
         raise wrong(
             rows.where,
@@ -467,7 +468,8 @@ def _assemble_piezoelectric(rows: LabelledMatrices) -> LinearModel:
     K, M, E = rows.matrices["K"], rows.matrices["M"], rows.matrices.get("E")
     if E is not None and any(settings.damping.rayleigh_factors):
         problem, hint = "damping is defined twice", "delete alpha and beta of the key `damping`"
-        raise wrong(settings.file_path, problem, None, "matrix E or damping", hint)
+        expected = "either matrix E or the key `damping`"
+        raise wrong(settings.file_path, problem, None, expected, hint)
     potential = rows.get_row_dofs(rows.where).kind == VOLT
     K, loss = _split_loss(rows, K, potential)
     occupied = rows.mask_fixed_rows()
@@ -477,8 +479,8 @@ def _assemble_piezoelectric(rows: LabelledMatrices) -> LinearModel:
         (place,) = rows.find_rows(entry, (VOLT,))
         if occupied[place].any():
             where = settings.locate_entry(entry)
-            expected = "nodes that are neither fixed nor of another port"
-            problem = "an electrode shares nodes with another port or with a fixed entry"
+            expected = "nodes that are neither fixed nor nodes of another port"
+            problem = "an electrode shares nodes with another port or with a [[fixed]] entry"
             hint = "delete the shared nodes from one of the two entries"
             raise UsageError(problem, where=where, expected=expected, hint=hint)
         column[place], occupied[place] = 1.0, True
@@ -545,7 +547,7 @@ def _split_loss(
     real, loss = (sparse.csc_array(part) for part in (K.real, K.imag))
     if abs(loss[potential]).max() > IMAGINARY_ROUNDING * abs(real[potential]).max():
         expected = "an imaginary part in the rows of displacements alone"
-        hint = "leave out dielectric losses, or give their real part"
+        hint = "export the permittivity without dielectric losses, that is its real part only"
         raise wrong(
             rows.where,
             "the damping in the rows of the potentials is not zero",

@@ -40,7 +40,7 @@ import numpy as np
 from scipy import sparse
 
 from kc2spice.bodies.readers import raw_matrices
-from kc2spice.core.extras import import_optional
+from kc2spice.core.optional_libraries import import_optional
 from kc2spice.rom.io import complete_triangle, parse_indices, parse_numbers
 
 LOSS_LETTER = "H"  # letter of the structural damping matrix H in the complex stiffness K + j H

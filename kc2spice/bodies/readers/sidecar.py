@@ -77,6 +77,7 @@ from pydantic import (
     StrictBool,
     StringConstraints,
     ValidationInfo,
+    field_validator,
     model_validator,
 )
 
@@ -334,7 +335,7 @@ class PortEntry(NodeSelection):
 
     @property
     def weights(self) -> dict[int, float]:
-        """Fraction of the port's force on each degree of freedom, keyed by its number."""
+        """Fraction of the port's force per degree of freedom, keyed by its number."""
         if self.dof is not None:
             return {self.dof: 1.0}
         if self.kind in SCALAR_DOFS:
@@ -372,6 +373,18 @@ class MatrixDamping(Section):
     ratio: Annotated[Finite, Field(ge=0)] | None = None
     at: Annotated[Finite, Field(gt=0)] | None = None
     loss_factor: Annotated[Finite, Field(ge=0)] = 0.0
+
+    @field_validator("ratio", "at", mode="before")
+    @classmethod
+    def _reject_two_ratios(cls, value: object) -> object:
+        """Reject a list, such as the two damping ratios that a meshed body accepts."""
+        if isinstance(value, list):
+            raise make_invalid_value_error(
+                "matrix files accept only one damping ratio at one frequency",
+                "a number",
+                hint="write alpha and beta instead of ratio and at",
+            )
+        return value
 
     @model_validator(mode="after")
     def _require_ratio_and_at(self) -> MatrixDamping:

@@ -114,7 +114,7 @@ def read_tables(text: str) -> list[TextTable]:
     if count > MAX_LINES:
         raise ValueError(f"the file has {count} lines, more than {MAX_LINES}")
     lines = split_lines(text)
-    runs, separator, most = list[_Run](), None, 0
+    runs, separator, most = list[_LineRange](), None, 0
     for candidate in (*SEPARATORS, None):
         trial = list(_find_numeric_line_ranges(lines, candidate))
         rows = max(map(attrgetter("rows"), trial), default=0)
@@ -143,7 +143,7 @@ def read_tables(text: str) -> list[TextTable]:
 
 
 @dataclass(frozen=True)
-class _Run:
+class _LineRange:
     """Range of lines that have equal numbers of fields and form a table.
 
     ``first`` is the index of the first line, and ``last`` the index after the last line. ``rows``
@@ -201,7 +201,7 @@ def _count_fields(line: str, separator: str | None) -> tuple[int, bool]:
     return len(fields), all(map(_is_number, fields))
 
 
-def _find_numeric_line_ranges(lines: list[str], separator: str | None) -> Iterator[_Run]:
+def _find_numeric_line_ranges(lines: list[str], separator: str | None) -> Iterator[_LineRange]:
     """Yield each range of numeric lines that have equal numbers of fields.
 
     A few rows in a range may contain words.
@@ -213,7 +213,7 @@ def _find_numeric_line_ranges(lines: list[str], separator: str | None) -> Iterat
         run = list(group)
         numeric_rows = sum(kinds[k][1] for k in run)
         if width > 0 and numeric_rows >= MIN_ROWS:
-            yield _Run(run[0], run[-1] + 1, numeric_rows, width)
+            yield _LineRange(run[0], run[-1] + 1, numeric_rows, width)
 
 
 def _describe_non_number(lines: list[str]) -> str:
@@ -230,7 +230,7 @@ def _describe_non_number(lines: list[str]) -> str:
     return ""
 
 
-def _build_table(lines: list[str], run: _Run, end: int, separator: str | None) -> TextTable:
+def _build_table(lines: list[str], run: _LineRange, end: int, separator: str | None) -> TextTable:
     """Make a table from a range of lines, with titles from the lines above it.
 
     The titles of the table are searched in the lines after the index ``end``, where the previous

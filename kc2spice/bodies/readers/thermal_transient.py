@@ -21,7 +21,7 @@ from kc2spice.bodies.readers.complex_response import (
     describe_unused,
     make_ambiguity_error,
 )
-from kc2spice.bodies.readers.measured import is_table, load_tables
+from kc2spice.bodies.readers.measured_admittance import is_table, load_tables
 from kc2spice.bodies.readers.raw_matrices import call_reader, is_file, make_unusable_error
 from kc2spice.bodies.readers.text_table import TextTable
 from kc2spice.core.equality import EqualByContent
@@ -119,7 +119,9 @@ def _find_transient(table: TextTable, path: Path) -> ThermalTransient:
     values = [column for name in TRANSIENT_QUANTITIES for column in by_quantity.get(name, ())]
     if not values:
         names = ", ".join(map(repr, map(str.strip, titles)))
-        raise ValueError(f"the columns {names} contain neither a temperature nor a Zth")
+        raise ValueError(
+            f"the columns {names} contain neither a temperature nor a thermal impedance Zth"
+        )
     for label, found in (("times", times), ("columns of a thermal transient", values)):
         if any(not np.array_equal(found[0].values, other.values) for other in found[1:]):
             raise make_ambiguity_error(

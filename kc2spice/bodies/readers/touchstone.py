@@ -83,7 +83,8 @@ def parse_touchstone(text: str, ports: int) -> MeasuredResponse:
     back = np.flatnonzero(np.diff(table[:, 0]) < 0)
     if len(values) % width and not back.size:
         raise ValueError(
-            f"{len(values)} numbers are not a multiple of {width}, the count for each frequency"
+            f"the file has {len(values)} numbers, but not a multiple of {width}, the number of "
+            "values for each frequency"
         )
     table = table[: back[0] + 1] if back.size else table
     a, b = table[:, 1::2], table[:, 2::2]

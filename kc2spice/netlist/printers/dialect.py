@@ -140,15 +140,18 @@ class Dialect(Printer, ABC):
         self.defined = {item.name.lower() for item in select_items(circuit.items, FunctionCard)}
         return super().format_file(circuit)
 
-    def print_cards_as_lines(self, items: Sequence[Item]) -> Iterator[str]:
+    def format_cards(self, items: Sequence[Item]) -> Iterator[str]:
         """Yield the text of each card, with certain commands merged into one card.
 
         The attribute ``joined`` contains the keywords of these commands.
         """
-        return super().print_cards_as_lines(_join_commands(items, self.joined))
+        return super().format_cards(_join_commands(items, self.joined))
 
     def card(self, item: Item) -> str:
-        """Return the text of one card."""
+        """Return the text of one netlist item without its comments.
+
+        The text may be empty.
+        """
         if isinstance(item, Parameters) and item.keyword != ".param":
             raise self.make_unsupported_error(item.written, f"the command {item.keyword}")
         if not isinstance(item, Directive):
@@ -310,7 +313,7 @@ class Dialect(Printer, ABC):
         return "\n".join([*lines, *comments])
 
     def save(self, vectors: list[str]) -> str:
-        """Return the ``.save`` card for a list of vectors."""
+        """Return the ``.save`` card, which selects the vectors that a run saves."""
         return "\n+ ".join([".save", *vectors])
 
     @abstractmethod

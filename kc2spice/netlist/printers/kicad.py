@@ -83,7 +83,7 @@ class Symbol:
     named_pins: bool = False
 
 
-def print_symbol_library(symbols: Iterable[Symbol]) -> str:
+def format_symbol_library(symbols: Iterable[Symbol]) -> str:
     """Return the text of a KiCad symbol library with several symbols."""
     return render_template("kicad.j2", symbols=list(symbols), grid=GRID, sheet=None)
 
@@ -224,7 +224,7 @@ def make_project(deck: Deck) -> dict[str, str]:
             "kicad_project.j2", name=deck.name, sheet=_make_uuid(deck.name, "sheet")
         ),
         f"{deck.name}.wbk": _write_workbook(deck, top, commands),
-        f"{LIBRARY}.kicad_sym": print_symbol_library(used),
+        f"{LIBRARY}.kicad_sym": format_symbol_library(used),
         "sym-lib-table": (
             "(sym_lib_table\n\t(version 7)\n"
             f'\t(lib (name "{LIBRARY}")(type "KiCad")(uri "${{KIPRJMOD}}/{LIBRARY}.kicad_sym")'

@@ -39,19 +39,22 @@ class Printer(ExpressionWriter):
 
     def format_file(self, circuit: Circuit) -> str:
         """Return the text of a file with all items of a circuit."""
-        lines = [*self.print_cards_as_lines(circuit.items), *_print_comments(circuit.closing)]
+        lines = [*self.format_cards(circuit.items), *_format_comments(circuit.closing)]
         return "\n".join(lines) + "\n"
 
-    def print_cards_as_lines(self, items: Sequence[Item]) -> Iterator[str]:
+    def format_cards(self, items: Sequence[Item]) -> Iterator[str]:
         """Yield the text of each card, after the comments above the card."""
         for item in items:
-            yield from _print_comments(item.notes)
+            yield from _format_comments(item.notes)
             self.where = item.where
             if card := self.card(item):
                 yield card if isinstance(item, Circuit) else _continue_card(card)
 
     def card(self, item: Item) -> str:
-        """Return the text of one netlist item without its comments; it may be empty."""
+        """Return the text of one netlist item without its comments.
+
+        The text may be empty.
+        """
         match item:
             case Element():
                 return self.format_element(item)
@@ -63,7 +66,7 @@ class Printer(ExpressionWriter):
                 law = self.format_word(f"{{{item.expression.strip('{}')}}}")
                 return f".func {name}({','.join(arguments)}) {law}"
             case Circuit():
-                body = (*self.print_cards_as_lines(item.items), *_print_comments(item.closing))
+                body = (*self.format_cards(item.items), *_format_comments(item.closing))
                 return "\n".join(
                     [_continue_card(self.write_subckt_card(item)), *body, f".ends {item.name}"]
                 )
@@ -140,7 +143,7 @@ class Printer(ExpressionWriter):
         return f"pwl({head},\n+ " + "\n+ ".join(lines) + ")"
 
 
-def _print_comments(notes: Iterable[str]) -> tuple[str, ...]:
+def _format_comments(notes: Iterable[str]) -> tuple[str, ...]:
     """Return the lines of comments, wrapped to the maximum line length."""
     return tuple(chain.from_iterable(map(wrap_comments, notes)))
 
@@ -168,13 +171,13 @@ def _locate_items(
     The iterator ``lines`` counts the lines.
     """
     for item in items:
-        _skip_lines(lines, len(_print_comments(item.notes)))
+        _skip_lines(lines, len(_format_comments(item.notes)))
         if isinstance(item, Circuit):
             head = _continue_card(printer.write_subckt_card(item))
             where = f"{file}:{next(lines)}"
             _skip_lines(lines, head.count("\n"))
             inner = tuple(_locate_items(item.items, printer, file, lines))
-            _skip_lines(lines, len(_print_comments(item.closing)) + 1)
+            _skip_lines(lines, len(_format_comments(item.closing)) + 1)
             yield replace(item, items=inner, where=where, written=head.replace("\n+", ""))
         elif card := printer.card(item):
             card = _continue_card(card)

@@ -32,8 +32,8 @@ from kc2spice.netlist.expression import (
     Number,
     Tree,
     find_probed_names,
-    literal_value,
     parse_expression,
+    parse_literal,
     parse_vector,
     substitute_names,
     walk_tree,
@@ -184,7 +184,7 @@ class VerilogWriter(ExpressionWriter):
         """Return the Verilog-A text of a function call."""
         if function == "pwl":
             name = f"table_{self.prefix}{self.part}_{len(self.module.functions)}"
-            numbers = [literal_value(self.write_tree(a), where=self.where) for a in arguments[1:]]
+            numbers = [parse_literal(self.write_tree(a), where=self.where) for a in arguments[1:]]
             points = [value for value in numbers if value is not None]
             at, f = points[::2], points[1::2]
             if len(points) < max(4, len(numbers)) or len(at) != len(f) or at != sorted(set(at)):
@@ -215,7 +215,7 @@ class VerilogWriter(ExpressionWriter):
         return super().write_call(spelled, arguments)
 
 
-def print_module(part: Subcircuit) -> dict[str, str]:
+def format_module(part: Subcircuit) -> dict[str, str]:
     """Return the Verilog-A module of a part as ``{name.va: text}``.
 
     Raises
@@ -397,7 +397,7 @@ def _read_constant_value(part: Element, names: VerilogWriter) -> str:
         return names.format_word(words[0])
     wave, _, inside = " ".join(words).rstrip(")").partition("(")
     listed = inside.replace(",", " ").split() if wave.strip().lower() == "pwl" else []
-    points = [literal_value(word, where=part.where) for word in listed]
+    points = [parse_literal(word, where=part.where) for word in listed]
     if points and None not in points and not any(points[1::2]):
         return "0.0"
     raise part.make_error("a module has no sources with waveforms")
@@ -407,7 +407,7 @@ def _write_switch_resistance(part: Element, names: VerilogWriter) -> str:
     """Return the resistance of a switch as an expression of its control voltage."""
     model = names.scope.models.get(part.model.lower())
     parameters = _SWITCH_DEFAULTS | (key_by_lower_name(model.parameters) if model else {})
-    numbers = {k: literal_value(v, where=names.where) for k, v in parameters.items()}
+    numbers = {k: parse_literal(v, where=names.where) for k, v in parameters.items()}
     if (
         not model
         or numbers.keys() != _SWITCH_DEFAULTS.keys()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from kc2spice.scene.highest_frequency import highest_frequency
+from kc2spice.scene.highest_frequency import find_highest_frequency
 from kc2spice.scene.model import GovernedScene
 
 AUDIO_END = 20e3  # Hz, upper end of the band if the sources have no highest frequency
@@ -25,6 +25,6 @@ def choose_acoustic_band(scene: GovernedScene) -> AcousticBand:
     analysis, the band begins at the lowest frequency of the analysis. The band spans at most four
     decades.
     """
-    high = highest_frequency(scene) or AUDIO_END
+    high = find_highest_frequency(scene) or AUDIO_END
     start = scene.analysis.start if scene.analysis.is_small_signal else 0.0
     return AcousticBand(max(start, high / MAX_BAND_RATIO), high)

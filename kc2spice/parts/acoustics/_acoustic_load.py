@@ -72,7 +72,7 @@ class AcousticLoad:
         sources = [[s.node, s.far_field.pressure, s.far_field.flow] for s in self.sources]
         return {"faces": list(self.faces), "branches": branches, "sources": sources}
 
-    def respond(self, frequency: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def compute_load_response(self, frequency: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Compute impedances and sound pressures per unit volume velocity [Pa s/m3].
 
         The impedances are pressures at the faces, an array of shape (frequencies, faces, faces).
@@ -175,7 +175,7 @@ def _add_part(
     entering = list[tuple[int, float]]()
     for item in network.elements:
         power = ADMITTANCE_POWERS.get(item.kind, 0)
-        value = network.value(item)
+        value = network.evaluate_element(item)
         for node, sign in ((item.plus, 1.0), (item.minus, -1.0)):
             if node == network.entry:
                 entering.append((len(branches), sign))

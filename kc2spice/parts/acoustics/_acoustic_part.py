@@ -27,7 +27,7 @@ from kc2spice.netlist.shared_cards import attach_comments
 from kc2spice.netlist.spelling import LEAK_RATE, format_comment, format_number, format_voltage
 from kc2spice.parts.acoustics._fluids import FluidKeys
 from kc2spice.parts.electronics.two_terminal_types import make_element_law
-from kc2spice.physics.symbolic import evaluate_tree, parse_simplified
+from kc2spice.physics.symbolic_algebra import evaluate_tree, parse_simplified
 from kc2spice.scene.model import (
     GROUND,
     BuiltScene,
@@ -100,13 +100,13 @@ class AcousticNetwork:
 
     @cached_property
     def values(self) -> dict[str, float]:
-        """Values of all parameters (by default) and constants, keyed by name."""
+        """Default values of all parameters, and values of all constants, keyed by name."""
         result = {param.name: param.default for param in self.params}
         for name, text in self.constants.items():
             result[name] = float(evaluate_tree(parse_simplified(text, name), result))
         return result
 
-    def value(self, item: AcousticElement) -> float:
+    def evaluate_element(self, item: AcousticElement) -> float:
         """Return the value of an acoustic element in SI units."""
         return float(evaluate_tree(item.tree, self.values))
 
@@ -140,7 +140,7 @@ class AcousticPart(PartType[FluidKeysT]):
     # --- pins and netlist -------------------------------------------------------------------------
 
     def pins(self, part: Part[FluidKeysT], scene: JoinedScene) -> tuple[Terminal, ...]:
-        """Return the pins in the order of the subcircuit."""
+        """Return the pins of the part in the order of its subcircuit."""
         ends = (
             replace(Terminal.from_domain(end, ACOUSTIC), required=True)
             for end in self.list_end_pins(part)
@@ -152,13 +152,13 @@ class AcousticPart(PartType[FluidKeysT]):
     def equilibrium_conditions(
         self, part: Part[FluidKeysT], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the equilibrium conditions: the paths of steady volume velocity."""
+        """Return the paths of steady volume velocity between the part's pins."""
         return EquilibriumConditions(self.steady_flow_paths(part))
 
     def subcircuits(
         self, part: Part[FluidKeysT], build: BuiltScene, header: Header
     ) -> tuple[Subcircuit, ...]:
-        """Return a tuple with the subcircuit of the part."""
+        """Return the subcircuit of the part, as a tuple of length 1."""
         from kc2spice.synthesis.header import (
             format_parameter_defaults,
             write_part_header,
@@ -197,7 +197,7 @@ class AcousticPart(PartType[FluidKeysT]):
     # --- results ----------------------------------------------------------------------------------
 
     def vectors(self, part: Part[FluidKeysT], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice vectors of the part's results, keyed by result name."""
+        """Return the ngspice expression of each result of the part, keyed by result name."""
         n, first = part.name, self.list_end_pins(part)[0]
         pressure, flow = ACOUSTIC.across, ACOUSTIC.through_variable
         across = format_voltage(build.get_net(part, first), build.get_net(part, AMBIENT)) or "v(0)"
@@ -210,12 +210,12 @@ class AcousticPart(PartType[FluidKeysT]):
         return result
 
     def law(self, part: Part[FluidKeysT], build: BuiltScene) -> laws.Equations:
-        """Return the model equations of the part."""
+        """Return the part's model equations, which are solved without a simulator."""
         n, network = part.name, self.network(part, build.scene)
         devices, at_node = [], defaultdict[str, list[str]](list)
         for item in network.elements:
             name = f"{n}_{item.card_name}"
-            devices.append(make_element_law(name, item.kind, network.value(item)))
+            devices.append(make_element_law(name, item.kind, network.evaluate_element(item)))
             at_node[item.plus].append(f"{name}.a")
             at_node[item.minus].append(f"{name}.b")
         first, *others = self.list_end_pins(part)
@@ -256,7 +256,7 @@ def _write_element(item: AcousticElement, *, noisy: bool) -> Iterator[Element]:
     card = Element.from_words(
         item.card_name, *ends, _write_scaled_value(item.value, scale), **words
     )
-    yield card.with_unit(ACOUSTIC.value_unit(ELEMENT_LETTERS[item.kind]))
+    yield card.with_unit(ACOUSTIC.find_value_unit(ELEMENT_LETTERS[item.kind]))
     if item.leak:
         yield Element.from_words(
             f"Gleak_{item.name}", *ends, *ends, _write_scaled_value(item.value, scale * LEAK_RATE)

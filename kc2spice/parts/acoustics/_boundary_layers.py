@@ -81,7 +81,9 @@ def evaluate_layer(layer: BoundaryLayer, q: np.ndarray) -> np.ndarray:
 def fit_boundary_layer(
     layer: BoundaryLayer, low: float, high: float, per_decade: int
 ) -> RelaxationSum:
-    """Return a sum of relaxations, fitted to the function of a boundary layer.
+    """Fit a sum of relaxations to one of the functions flow(q), heat(q) and layer(q).
+
+    The text at the top of this module defines the three boundary-layer functions.
 
     Parameters
     ----------

@@ -37,18 +37,18 @@ class DuctLaw(Device):
     channels: tuple[tuple[str, str, float, float], ...]
     walls: tuple[tuple[str, float, float], ...]
 
-    linear = True
+    is_linear = True
 
     @property
     def pins(self) -> tuple[LawPin, ...]:
-        """Pins of the duct: its ends, and the ambient pressure."""
+        """Pins at the ends of the duct, and the pin of the ambient pressure."""
         kind = ACOUSTIC.law_pin_kind
         ends = (LawPin(end, kind) for end in self.ends)
         return (*ends, LawPin(AMBIENT, kind, grounded=True))
 
     @property
     def across_inputs(self) -> tuple[AcrossInput, ...]:
-        """Pressure at each end of the duct, relative to the ambient pressure."""
+        """Inputs of the device: pressure at each end, relative to the ambient pressure."""
         return tuple(AcrossInput(end, AMBIENT) for end in self.ends)
 
     @property
@@ -63,7 +63,11 @@ class DuctLaw(Device):
 
     @cached_property
     def storing_flow_indices(self) -> tuple[int, ...]:
-        """Indices of the end flows that a compliance at the end stores."""
+        """Indices of the flows that include the time derivative of a stored quantity.
+
+        The flow into an end with a compliance includes the rate of the volume that the compliance
+        stores.
+        """
         return tuple(k for k, end in enumerate(self.ends) if self.nodes[end])
 
     @cached_property
@@ -75,7 +79,10 @@ class DuctLaw(Device):
 
     @property
     def state_scales(self) -> tuple[float, ...]:
-        """Scale of the absolute error of each state: 1e-9 m3/s or 1 mPa."""
+        """Typical magnitude of each state, which scales its integration error.
+
+        The magnitude of a volume velocity is 1e-9 m3/s, and the magnitude of a pressure 1 mPa.
+        """
         pressures = len(self.inner_node_names) + len(self.walls)
         return (1e-9,) * len(self.channels) + (1e-3,) * pressures
 
@@ -148,7 +155,7 @@ class DuctLaw(Device):
         return self._jacobian @ e, self._jacobian
 
     @cached_property
-    def _storage_slope(self) -> np.ndarray:
+    def _storage_jacobian(self) -> np.ndarray:
         """Jacobian matrix of the stored quantities: pressure impulses and volumes."""
         ends, count = len(self.ends), self._storage_coefficients.size
         result = np.zeros((count + len(self.storing_flow_indices), ends + count))
@@ -159,7 +166,7 @@ class DuctLaw(Device):
 
     def evaluate_storage(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
         """Return the stored pressure impulses and volumes, and their Jacobian matrix."""
-        return self._storage_slope @ e, self._storage_slope
+        return self._storage_jacobian @ e, self._storage_jacobian
 
     @cached_property
     def energy_forms(self) -> tuple[np.ndarray, np.ndarray]:
@@ -174,7 +181,9 @@ class DuctLaw(Device):
         lost = q.T @ (np.array(resistances)[:, None] * q)
         return stored, lost
 
-    def noise(self, s: complex, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
+    def compute_noise_weights(
+        self, s: complex, e: np.ndarray, mode: Any
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return the noise sources: pressures in channels, and flows into relaxations."""
         ends, channels = len(self.ends), len(self.channels)
         sources = channels + len(self.walls)

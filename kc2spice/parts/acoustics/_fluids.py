@@ -179,7 +179,8 @@ class FluidKeys(Section):
     motion: Literal["piston"] | None = Field(
         None,
         description=(
-            'Assumed motion of the body\'s face; with "piston", a run lists the effect of this '
-            "assumption on the sound level instead of a warning"
+            'Assumed motion of the body\'s face: "piston" if all points have the same '
+            "velocity. With this key, a run lists the effect of the assumption on the "
+            "sound level, and omits the warning"
         ),
     )

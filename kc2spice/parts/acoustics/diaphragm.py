@@ -98,7 +98,7 @@ class Diaphragm(DeclaredPartWithMass[DiaphragmKeys]):
     def figures(
         self, part: Part[DiaphragmKeys], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Figure]:
-        """Yield the figure of the displacement of the diaphragm."""
+        """Yield the chart of the diaphragm's displacement."""
         x = waves.data.get(f"{part.name}.x")
         if x is not None:
             caption = "Displacement of the diaphragm."

@@ -88,7 +88,7 @@ class DuctKeys(FluidKeys):
         None,
         ge=SMALLEST_AREA,
         le=LARGEST_AREA,
-        description="Cross-sectional area of the duct, which can replace the key `radius`",
+        description="Cross-sectional area of the duct; can be stated instead of the key `radius`",
     )
     losses: bool = Field(
         True,
@@ -203,7 +203,7 @@ class DuctPart(AcousticPart[DuctKeys]):
         return (("a", AMBIENT),) if self.is_closed(part) else (("a", FAR_END),)
 
     def pins(self, part: Part[DuctKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
-        """Return the pins in the order of the subcircuit."""
+        """Return the pins of the part in the order of its subcircuit."""
         result = []
         for pin in super().pins(part, scene):
             if pin.name == FAR_END and not scene.is_target(part.name, FAR_END):
@@ -313,7 +313,7 @@ class DuctPart(AcousticPart[DuctKeys]):
             yield Element.from_words(FAR_METER, "out", FAR_END, "0")
 
     def vectors(self, part: Part[DuctKeys], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice vectors of the part's results, keyed by result name."""
+        """Return the ngspice expression of each result of the part, keyed by result name."""
         n, flow = part.name, ACOUSTIC.through_variable
         near = f"{n}.{flow.symbol}"
         result = dict(super().vectors(part, build))
@@ -324,9 +324,10 @@ class DuctPart(AcousticPart[DuctKeys]):
         return result
 
     def law(self, part: Part[DuctKeys], build: BuiltScene) -> laws.Equations:
-        """Return the model equations of the whole duct as a single device.
+        """Return the part's model equations, which are solved without a simulator.
 
-        Separate devices for all elements of a duct would be hundreds of devices.
+        One device represents the complete duct, because separate devices for all elements would be
+        hundreds of devices.
         """
         n, network = part.name, self.network(part, build.scene)
         pins = {network.entry: "a"} | {node: pin for pin, node in network.exits.items()}
@@ -363,17 +364,17 @@ def make_duct_law(name: str, network: AcousticNetwork, pins: Mapping[str, str]) 
     channels, walls = list[tuple[str, str, float, float]](), list[tuple[str, float, float]]()
     for item in network.elements:
         start, end = (pins.get(node, node) for node in (item.plus, item.minus))
-        value, first = network.value(item), middles.get(item.plus)
+        value, first = network.evaluate_element(item), middles.get(item.plus)
         origin = "" if first is None else pins.get(first.plus, first.plus)
         if item.kind == RESISTANCE:
             middles[item.minus] = item
         elif item.kind == MASS:
-            friction = 0.0 if first is None else network.value(first)
+            friction = 0.0 if first is None else network.evaluate_element(first)
             channels.append((origin or start, end, friction, value))
         elif first is None:
             nodes[start] += value
         else:
-            walls.append((origin, network.value(first), value))
+            walls.append((origin, network.evaluate_element(first), value))
     for node in middles:
         nodes.pop(node, None)
     ends = tuple(end for end in ("a", FAR_END) if end in pins.values())

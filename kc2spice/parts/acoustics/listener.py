@@ -30,7 +30,7 @@ from kc2spice.parts.acoustics._far_field import (
 )
 from kc2spice.parts.acoustics.radiation import REFERENCE_DISTANCE, SOUND, RadiationKeys
 from kc2spice.scene.checks import Metric
-from kc2spice.scene.highest_frequency import highest_frequency
+from kc2spice.scene.highest_frequency import find_highest_frequency
 from kc2spice.scene.model import (
     GROUND,
     BuiltScene,
@@ -132,7 +132,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
     # --- scene ------------------------------------------------------------------------------------
 
     def pins(self, part: Part[ListenerKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
-        """Return the pins in the order of the subcircuit."""
+        """Return the pins of the part in the order of its subcircuit."""
         unit = ACOUSTIC.across.pin_unit
         count = len(self.list_radiating_surfaces(part, scene))
         inputs = (Terminal(name, unit, SIGNAL, required=True) for name in _list_input_names(count))
@@ -140,7 +140,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         return (*inputs, out, Terminal.from_domain(AMBIENT, ACOUSTIC, GROUND))
 
     def default_joins(self, part: Part[ListenerKeys], scene: GovernedScene) -> Mapping[str, str]:
-        """Return the default connections: from each input to the ``sound`` of a surface."""
+        """Return the default connections of the inputs to ``sound`` pins of surfaces."""
         sources = self.list_radiating_surfaces(part, scene)
         targets = (f"{source.name}.{SOUND}" for source in sources)
         return dict(zip(_list_input_names(len(sources)), targets, strict=True))
@@ -207,7 +207,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         scene: GovernedScene,
     ) -> None:
         """Warn about a listener in the near field, and about an angle without effect."""
-        keys, top = part.keys, highest_frequency(scene)
+        keys, top = part.keys, find_highest_frequency(scene)
         limit = min(map(self._find_largest_frequency, [part] * len(sources), sources))
         if scene.analysis.is_small_signal and top > limit:
             warnings.warn(
@@ -244,7 +244,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
     def subcircuits(
         self, part: Part[ListenerKeys], build: BuiltScene, header: Header
     ) -> tuple[Subcircuit, ...]:
-        """Return a tuple with the subcircuit of the part."""
+        """Return the subcircuit of the part, as a tuple of length 1."""
         from kc2spice.synthesis.header import (
             format_parameter_defaults,
             write_part_header,
@@ -276,7 +276,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
     # --- results ----------------------------------------------------------------------------------
 
     def vectors(self, part: Part[ListenerKeys], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice vectors of the part's results, keyed by result name."""
+        """Return the ngspice expression of each result of the part, keyed by result name."""
         sources = self.list_radiating_surfaces(part, build.scene)
         pressure = replace(
             build.get_pin_vector(part, OUT),
@@ -286,7 +286,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         return {f"{part.name}.{ACOUSTIC.across.symbol}": pressure}
 
     def law(self, part: Part[ListenerKeys], build: BuiltScene) -> laws.Equations:
-        """Return no equations, because the pressure is computed after a run."""
+        """Return empty model equations, because the pressure is computed after a run."""
         return laws.Equations()
 
     def corrected_waves(
@@ -337,7 +337,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
     def figures(
         self, part: Part[ListenerKeys], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Figure]:
-        """Yield the figures of the part for the report."""
+        """Yield the charts of the part for the report."""
         if build.scene.analysis.type != "ac" or self._is_level_probed(part, build.scene):
             return
         frequency, levels = waves["frequency"].real, self._compute_levels(part, build, waves)

@@ -40,7 +40,7 @@ from kc2spice.parts.acoustics._radiation_impedance import (
     list_elements,
 )
 from kc2spice.parts.acoustics._sound_filter import CORNER_RATIO, compute_low_pass_delay, delay_wave
-from kc2spice.scene.highest_frequency import highest_frequency
+from kc2spice.scene.highest_frequency import find_highest_frequency
 from kc2spice.scene.model import BuiltScene, GovernedScene, JoinedScene, Part, Scene, Terminal
 from kc2spice.scene.part_records import NeglectedEffect, PartResult
 from kc2spice.scene.parttype import register_part_type
@@ -65,7 +65,7 @@ class RadiationKeys(FluidKeys):
         None,
         ge=SMALLEST_AREA,
         le=LARGEST_AREA,
-        description="Area of the radiating surface, which can replace the key `radius`",
+        description="Area of the radiating surface; can be stated instead of the key `radius`",
     )
 
     @model_validator(mode="after")
@@ -137,7 +137,7 @@ stop = "20 kHz"
         return ((FACE, AMBIENT),)
 
     def pins(self, part: Part[RadiationKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
-        """Return the pins in the order of the subcircuit."""
+        """Return the pins of the part in the order of its subcircuit."""
         unit = ACOUSTIC.across.pin_unit
         return (*super().pins(part, scene), Terminal(SOUND, unit, SIGNAL, signal_out=True))
 
@@ -146,7 +146,7 @@ stop = "20 kHz"
         yield from super().problems(part, scene)
         if not scene.analysis.is_small_signal:
             return
-        highest, limit = highest_frequency(scene), part.keys.largest_frequency
+        highest, limit = find_highest_frequency(scene), part.keys.largest_frequency
         if highest > limit:
             ka = 2 * math.pi * highest * part.keys.surface_radius / part.keys.fluid.sound_speed
             warnings.warn(
@@ -201,7 +201,7 @@ stop = "20 kHz"
         )
 
     def vectors(self, part: Part[RadiationKeys], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice vectors of the part's results, keyed by result name."""
+        """Return the ngspice expression of each result of the part, keyed by result name."""
         level = part.keys.fluid.level_reference_pressure
         ends = format_voltage(build.get_net(part, SOUND), build.get_net(part, AMBIENT))
         sound = replace(
@@ -232,7 +232,7 @@ stop = "20 kHz"
         return {name: delay_wave(x, waves[name], [(1.0, -compute_low_pass_delay(corner))])}
 
     def law(self, part: Part[RadiationKeys], build: BuiltScene) -> laws.Equations:
-        """Return the model equations of the part."""
+        """Return the part's model equations, which are solved without a simulator."""
         equations = super().law(part, build)
         sound = {f"{part.name}.{SOUND}": _read_sound(part, equations)}
         return replace(equations, results={**equations.results, **sound})
@@ -249,7 +249,8 @@ stop = "20 kHz"
         yield NeglectedEffect("reflections", "the sound leaves into a free field", "not estimated")
         if keys.shape != "sphere":
             words = "an infinite baffle" if keys.shape == "baffled_piston" else "an endless tube"
-            yield NeglectedEffect("size of the baffle", words, "up to 6 dB at low frequencies")
+            size = "up to 6 dB at low frequencies, more if the back is open"
+            yield NeglectedEffect("size of the baffle", words, size)
             yield NeglectedEffect(
                 "shape of the motion", "all points have the same velocity", "not estimated"
             )

@@ -21,7 +21,7 @@ from kc2spice.parts.bodies._body_ports import (
     get_flow_name,
     get_wave_name,
     list_contacts_on_part,
-    mechanical_ports,
+    select_mechanical_ports,
     select_paired_ports,
 )
 from kc2spice.parts.bodies._linear_keys import LinearKeysT
@@ -270,14 +270,14 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
     def list_port_loads(
         self, part: Part[LinearKeysT], build: BuiltScene, waves: Waveforms
     ) -> dict[str, np.ndarray]:
-        """Return the load of each port of the model versus time, in SI units.
+        """Return the load of each port versus time or frequency, in SI units.
 
         A load is a voltage, an acceleration, or the sum of the forces of all parts that are
         connected to the port. Ports with an unrecorded force are left out.
         """
         ports, result = self.used_ports(part, build.scene), dict[str, np.ndarray]()
         names = [get_wave_name(part.name, ports, port) for port in ports]
-        still, acting = np.zeros(waves["time"].size), compute_pin_forces(build, waves)
+        still, acting = np.zeros(waves.scale.size), compute_pin_forces(build, waves)
         for name, port in zip(names, ports, strict=True):
             if not port.is_flow_driven:
                 wave = f"{name}.voltage" if port.is_paired else name
@@ -334,7 +334,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
             gap += result - took
         entries |= {"stored": float(stored[-1]), "damped": float(damped[-1])}
         if pressed := self.weights(part, build.scene) == COARSE_WEIGHTS:
-            forces = [*map(loads.__getitem__, list_names(mechanical_ports(model.ports)))]
+            forces = [*map(loads.__getitem__, list_names(select_mechanical_ports(model.ports)))]
             largest = np.abs(forces).max(axis=0, initial=0.0)
             last = np.flatnonzero(largest > ZERO_LOAD * largest.max(initial=0.0)).max(initial=0)
             gap = gap[: int(last) + 1]

@@ -233,7 +233,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         key = {**key, "box": [[item.key, item.low, item.high] for item in keys]}
 
         def build() -> ModelOverRanges:
-            """Return the reduced model over the parameter ranges."""
+            """Build the reduced model of the part over the parameter ranges."""
 
             def make_model_at_values(values: Mapping[str, float]) -> LinearModel:
                 """Return the full model for other values of the varied keys."""
@@ -287,7 +287,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
     def build(
         self, part: Part[LinearKeysT], scene: Scene, clock: StageTimer, full: bool = False
     ) -> LinearModel | None:
-        """Return the reduced model of the part, or the full model if ``full`` is true."""
+        """Build the reduced model of the part, or the full model if ``full`` is true."""
         if full:
             # The matrices of a full model cannot represent losses that are constant over frequency.
             return (
@@ -303,7 +303,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         tangent, constants = read_loss_tangent(part), has_complex_constants(part)
 
         def build() -> LinearModel:
-            """Return the reduced model of the part with its losses."""
+            """Build the reduced model of the part with its losses."""
             from kc2spice.rom.complex_constants import make_complex_constants_model
             from kc2spice.rom.error_estimate import choose_default_norm
             from kc2spice.rom.modal_models import add_dielectric_loss, make_highest_modes_massless
@@ -348,7 +348,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
                 return replace(make_complex_constants_model(modal, losses), **labels)
             if tangent:
                 modal = add_dielectric_loss(modal, tangent)
-            return replace(modal.linear(), **labels)
+            return replace(modal.to_linear_model(), **labels)
 
         kinds = (LinearModel, Certificate, Port)
         return load_or_build("body", model_key, build, classes=kinds, sources=self.source_modules())
@@ -444,7 +444,7 @@ def make_complex_constants(part: Part, model: LinearModel) -> ComplexConstants:
         where = f"{part.name}.damping.at"
         raise wrong(
             where,
-            "the body has no resonance, so the frequency of its complex constants is missing",
+            "the body has no resonance, so its damping needs a frequency",
             None,
             "the frequency at which Q factor and loss tangent apply",
             'add  at = "1 kHz"  to damping, with a frequency of your band',
@@ -501,7 +501,7 @@ def find_scene_band(part: Part, scene: Scene, full: LinearModel) -> tuple[float,
     return kind.limit_band(target.band, key, lambda: full)
 
 
-def describe_target(rom: RomKeys) -> str:
+def describe_reduction_target(rom: RomKeys) -> str:
     """Describe the order or tolerance and the band of a reduction as text."""
     low, high = rom.band
     target = f"order {rom.order}"

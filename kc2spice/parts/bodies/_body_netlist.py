@@ -40,7 +40,7 @@ class BodyNetlist(BodyModel[LinearKeysT]):
     noise = ("Rnoise",)
 
     def weights(self, part: Part[LinearKeysT], scene: DeclaredScene) -> StepWeights:
-        """Return the weights of the body's modes in the control of time steps.
+        """Return the weights of the body's modes in the simulator's time step control.
 
         If the time steps need not resolve the free ringing of the body, the weights are
         ``COARSE_WEIGHTS``.
@@ -66,7 +66,7 @@ class BodyNetlist(BodyModel[LinearKeysT]):
     def subcircuits(
         self, part: Part[LinearKeysT], build: BuiltScene, header: Header
     ) -> tuple[Subcircuit, ...]:
-        """Return a tuple with the subcircuit of the part."""
+        """Return the subcircuit of the part, as a tuple of length 1."""
         name = build.libraries[part.name]
         volts = self.rated_voltage(part, build)
         rating = f"{volts:.4g} V between {RATING_TEXT}" if volts else UNRATED
@@ -93,7 +93,7 @@ class BodyNetlist(BodyModel[LinearKeysT]):
         )
 
     def vectors(self, part: Part[LinearKeysT], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice vectors of the part's results, keyed by result name."""
+        """Return the ngspice expression of each result of the part, keyed by result name."""
         result: dict[str, PartResult] = {}
         ports = self.used_ports(part, build.scene)
         for port in ports:
@@ -126,7 +126,7 @@ class BodyNetlist(BodyModel[LinearKeysT]):
     def law(
         self, part: Part[LinearKeysT], build: BuiltScene
     ) -> laws.Equations | laws.MissingEquations:
-        """Return the model equations of the part, or the reason why they are missing."""
+        """Return the part's model equations, or the reason why they are missing."""
         model = build.model(part, LinearModel)
         ports, n, heated = model.ports, part.name, self.gives_off_heat(part, build.scene)
         heat, last = is_heat_model(model), self.reference_terminal(part, build.scene).name
@@ -159,7 +159,9 @@ class BodyNetlist(BodyModel[LinearKeysT]):
             law = laws.SecondOrderBody(n, diagonalise_heat_model(model), law_ports)
         else:
             modal = compute_resonators(model)
-            law = laws.SecondOrderBody(n, model if modal is None else modal.linear(), law_ports)
+            law = laws.SecondOrderBody(
+                n, model if modal is None else modal.to_linear_model(), law_ports
+            )
         joins = [(port.terminals[0], f"{n}.{port.name}") for port in ports]
         for pin in chain.from_iterable(port.terminals[1:] for port in ports):
             joins.append((pin, f"{n}.{pin}"))

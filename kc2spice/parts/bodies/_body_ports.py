@@ -142,7 +142,12 @@ class BodyPorts(TouchablePart[LinearKeysT]):
     def equilibrium_conditions(
         self, part: Part[LinearKeysT], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the equilibrium conditions: paths of steady flow to the reference pin."""
+        """Return the paths of steady flow from the body's pins to its reference pin.
+
+        Displacement, angle, temperature and pressure pins have a path. The pin ``heat``, through
+        which the losses leave the body, has no path. A reference pin ``base`` or ``ground`` is
+        replaced by ground.
+        """
         last = self.reference_terminal(part, scene)
         end = GROUND if last.name in (BASE, "ground") else last.name
         paths = super().equilibrium_conditions(part, scene).paths
@@ -178,14 +183,14 @@ class BodyPorts(TouchablePart[LinearKeysT]):
 
     def pins_with_mass(self, part: Part[LinearKeysT], scene: JoinedScene) -> tuple[str, ...]:
         """Return the displacement pins of the used mechanical ports, which move a mass."""
-        ports = mechanical_ports(self.used_ports(part, scene))
+        ports = select_mechanical_ports(self.used_ports(part, scene))
         return tuple(port.terminals[0] for port in ports)
 
     def contact_surface(
         self, part: Part[LinearKeysT], scene: GovernedScene, ports: tuple[str, ...] = ()
     ) -> ContactSurface | None:
         """Return the surface under a contact; None without mechanical ports."""
-        mechanical = list_names(mechanical_ports(self.ports(part, scene)))
+        mechanical = list_names(select_mechanical_ports(self.ports(part, scene)))
         names = ports or tuple(mechanical[:1])
         missing = [*filterfalse(mechanical.__contains__, names)]
         _reject_missing_ports(part, missing, mechanical, "mechanical ")
@@ -233,7 +238,7 @@ def find_required_ports(part: Part, scene: JoinedScene) -> set[str]:
     return result
 
 
-def mechanical_ports(ports: Iterable[Port]) -> list[Port]:
+def select_mechanical_ports(ports: Iterable[Port]) -> list[Port]:
     """Select the ``ports`` that have a displacement and a force."""
     return [port for port in ports if port.domain is TRANSLATION]
 
@@ -272,7 +277,7 @@ def list_inertial_pins(model: LinearModel) -> tuple[str, ...]:
     mass = model.pencil.make_dense().coefficients[2]
     yields = np.diag(model.D) + np.abs(model.B[~mass.any(axis=0)]).sum(axis=0)
     inputs = dict(zip(model.inputs, yields, strict=True))
-    ports = mechanical_ports(model.ports)
+    ports = select_mechanical_ports(model.ports)
     return tuple(port.terminals[0] for port in ports if inputs[port.name] <= 0)
 
 

@@ -31,6 +31,9 @@ TOLERANCE = 0.01  # relative tolerance of a resonance frequency and of a support
 # baffle.
 # Source of the dipole formula's error: F. M. Wiener, J. Acoust. Soc. Am. 23 (1951) 697.
 LARGEST_DIPOLE_KA = 1.5
+# Smallest ratio of mean to rms velocity of a face in a mode that radiates a volume velocity.
+# A smaller ratio is due to rounding errors, for example in a torsional mode.
+SMALLEST_PISTON_RATIO = 1e-6
 # Largest difference [dB] between the radiated powers of face and piston without a warning.
 # The tolerance of a sound level meter of class 2 (IEC 61672-1) has the same value.
 PISTON_TOLERANCE = 1.0
@@ -52,7 +55,10 @@ class FaceLevelEffects:
     shift : relative change of the resonance frequency by the near field of a face that works into
         other acoustic parts, infinite if unknown. ``near_field`` is the effect [dB] of ``shift`` on
         the level.
-    unbaffled : change [dB] of the level without a baffle, None if the body is not a thin disc.
+    size : product k a of wave number and radius of the piston in a baffle that represents the face,
+        None if the scene assumes no baffle.
+    unbaffled : change [dB] of the level without a baffle, None without a baffle or if ``size`` is
+        too large.
     detuned : change [dB] of the level at a frequency 1 % beside the resonance. ``detuned`` is None
         without electrodes or sound.
     halved : change [dB] of the level at half the Q factor, None without electrodes or sound.
@@ -69,6 +75,7 @@ class FaceLevelEffects:
     worst_frequency: float = 0.0
     shift: float = 0.0
     near_field: float = 0.0
+    size: float | None = None
     unbaffled: float | None = None
     detuned: float | None = None
     halved: float | None = None
@@ -102,14 +109,12 @@ def find_node_diameter(motion: FaceMotion, mode: int) -> float | None:
 
 def estimate_face_levels(face: LoadedFace) -> FaceLevelEffects | None:
     """Estimate how assumptions change a face's sound level; return None without modes."""
-    hertz, motion = face.compute_mode_motions()
-    select = np.abs(motion.displaced_volumes) > 0
+    hertz, motion, surface = face.compute_mode_motions()
+    select = motion.piston_ratios > SMALLEST_PISTON_RATIO
     hertz = hertz[select]
     if not hertz.size:
         return None
-    motion = FaceMotion(
-        motion.places, motion.areas, motion.normal[:, select], motion.axis, motion.axisymmetric
-    )
+    motion, surface = motion.select_motions(select), surface.select_motions(select)
     main, tone, level = 0, None, 0.0
     if face.is_audible:
         low = hertz[0] * LOWEST_SHARE
@@ -123,6 +128,10 @@ def estimate_face_levels(face: LoadedFace) -> FaceLevelEffects | None:
         node=find_node_diameter(motion, main),
     )
     result = _compare_with_piston(result, face, motion, hertz, main)
+    if result.size is not None and result.size <= LARGEST_DIPOLE_KA:
+        number = 2 * math.pi * result.resonance / face.facing.fluid.sound_speed
+        ratio = float(motion.compute_unbaffled_ratios(number, surface)[main])
+        result = replace(result, unbaffled=20 * math.log10(ratio))
     if tone is None:
         return result
     sides = face.compute_sound_levels(tone * np.array([1 - TOLERANCE, 1 + TOLERANCE])) - level
@@ -151,16 +160,13 @@ def _compare_with_piston(
     radius = facing.radiation.surface_radius
     ratios = [motion.compute_power_ratios(k, radius)[mode] for mode, k in enumerate(numbers)]
     power = 10 * np.log10(ratios)
-    worst, unbaffled = int(np.abs(power).argmax()), None
-    small = numbers[main] * radius <= LARGEST_DIPOLE_KA
-    if motion.axisymmetric and small and facing.radiation.shape == "baffled_piston":
-        unbaffled = 20 * math.log10(motion.compute_unbaffled_ratios(numbers[main])[main])
+    worst, baffled = int(np.abs(power).argmax()), facing.radiation.shape == "baffled_piston"
     return replace(
         result,
         power=float(power[main]),
         worst=float(power[worst]),
         worst_frequency=float(hertz[worst]),
-        unbaffled=unbaffled,
+        size=float(numbers[main] * radius) if baffled else None,
     )
 
 
@@ -219,8 +225,10 @@ def list_level_effects(
         yield make_neglected_effect(
             f"near field of {port}", "uniform pressure", _describe_near_field(levels)
         )
-    if levels.unbaffled is not None:
-        size = f"about {levels.unbaffled:+.0f} dB without a baffle"
+    if levels.size is not None:
+        size = f"not estimated at k a = {levels.size:.2g}, above {LARGEST_DIPOLE_KA:g}"
+        if levels.unbaffled is not None:
+            size = f"about {levels.unbaffled:+.0f} dB without a baffle"
         yield make_neglected_effect(f"baffle of {port}", "infinite and rigid", size)
     if levels.detuned is not None:
         size = f"{levels.detuned:+.1f} dB for a tone {percent:g} % beside it"

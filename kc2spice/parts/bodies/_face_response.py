@@ -77,13 +77,16 @@ class LoadedFace:
     end: float
     count: int = MAX_MODES
 
-    def compute_mode_motions(self) -> tuple[np.ndarray, FaceMotion]:
-        """Compute natural frequencies [Hz] and face motions of the lowest modes.
+    def compute_mode_motions(self) -> tuple[np.ndarray, FaceMotion, FaceMotion]:
+        """Compute natural frequencies [Hz] and motions of the lowest modes.
 
-        These modes are compared with a piston.
+        The first motion is the motion of the face, and the second the motion of the whole surface
+        of the body. These modes are compared with a piston.
         """
         hertz, z = compute_lowest_modes(self.device, self.count, self.end)
-        return hertz, sample_face_motion(self.device, self.device.faces[self.port], z)
+        facets = self.device.faces[self.port], self.device.solid.mesh.boundary_facets()
+        face, surface = (sample_face_motion(self.device, item, z) for item in facets)
+        return hertz, face, surface
 
     @property
     def is_audible(self) -> bool:
@@ -116,7 +119,7 @@ class LoadedFace:
         names = [port.name for port in ports]
         faces = [names.index(name) for name in self.joined]
         H = scale_losses(self._reduced_model, damping).transfer(f)[:, faces]
-        Z, sound = self.load.respond(f)
+        Z, sound = self.load.compute_load_response(f)
         loop = np.eye(len(faces)) + s[:, None, None] * H[:, :, faces] @ Z
         volume = np.linalg.solve(loop, H[:, :, [drive]])[..., 0]
         row = self.joined.index(self.port)

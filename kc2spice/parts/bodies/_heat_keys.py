@@ -34,8 +34,8 @@ class FilmKeys(Section):
     coefficient: FilmCoefficient = Field(
         ge=0,
         description=(
-            "Heat transfer coefficient between faces and fluid; a parameter of the netlist "
-            "if rom.parameters contains its range"
+            "Heat transfer coefficient between faces and fluid; becomes a parameter of "
+            "the netlist if rom.parameters contains a range for this key"
         ),
     )
     pin: Name | None = Field(
@@ -63,8 +63,7 @@ class InterfaceKeys(Section):
     between: tuple[str, str] = Field(
         examples=['["case", "chip"]'],
         description=(
-            "Two mesh groups, one on each side of the joint, with the names that the key "
-            "`materials` uses"
+            "Two mesh groups, one on each side of the joint, named as in the key `materials`"
         ),
     )
     resistance: InterfaceResistance = Field(
@@ -142,7 +141,9 @@ class HeatBodyKeys(MeshKeys):
     layers: tuple[LayerKeys, ...] = Field(
         (),
         max_length=50,
-        description="Layers of the heat-conducting body from top to bottom, which replace a mesh",
+        description=(
+            "Layers of the heat-conducting body from top to bottom; can be stated instead of a mesh"
+        ),
     )
     sources: dict[Name, str | HeatSourceKeys] = Field(
         default_factory=dict,

@@ -23,7 +23,7 @@ from kc2spice.parts.bodies import _body_figures
 from kc2spice.parts.bodies._body_checks import STATE_FACTOR, BodyChecks
 from kc2spice.parts.bodies._body_model import (
     BAND_MODES,
-    describe_target,
+    describe_reduction_target,
     get_reduction_settings,
     has_complex_constants,
     read_loss_tangent,
@@ -152,7 +152,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
     def figures(
         self, part: Part[LinearKeysT], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Figure | FileWriter]:
-        """Yield the figures of the part for the report."""
+        """Yield the charts of the part for the report."""
         yield from _body_figures.plot_port_waves(part.name, waves)
         z = compute_impedance(part, waves)
         if z is not None:
@@ -176,7 +176,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
             if self.find_least_band_end(part, scene) is None
             else f", or {BAND_MODES} natural frequencies"
         )
-        yield f"reduced to {describe_target(rom)}{reach}; ports {ports}"
+        yield f"reduced to {describe_reduction_target(rom)}{reach}; ports {ports}"
         unused = list_names(filterfalse(used.__contains__, self.ports(part, scene)))
         if unused:
             what = f"{part.name}: ports {', '.join(unused)}"
@@ -227,7 +227,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
         """
         if not self.discretisations:
             return
-        (key,), facts = self.discretisations, build.facts(part)
+        (key,), facts = self.discretisations, build.get_model_values(part)
         dimensions = self.dimensions(part)
         unknowns = facts.get("unknowns", 0.0) * STATE_FACTOR**dimensions
         most *= PLANE_UNKNOWN_RATIO if dimensions == 2 else 1.0

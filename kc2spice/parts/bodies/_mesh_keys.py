@@ -164,7 +164,7 @@ def mesh_path(part: Part[MeshKeys], scene: DeclaredScene) -> Path:
     ------
     UsageError : the path points outside the folder of the scene.
     """
-    return locate_file_in_folder(scene.home, str(part.keys.mesh), f"{part.name}.mesh")
+    return locate_file_in_folder(scene.get_folder(part), str(part.keys.mesh), f"{part.name}.mesh")
 
 
 def find_mesh_problems(part: Part[MeshKeys], scene: DeclaredScene) -> Iterator[UsageError]:

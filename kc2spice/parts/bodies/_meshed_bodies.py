@@ -3,8 +3,9 @@
 If the key ``fields`` is set, the full model computes stress and electric field from the waveforms
 at the ports (:mod:`kc2spice.bodies.fields`). The results for each material are the largest
 principal stress and the largest electric field, each with its limit. A run also draws the body at
-the instant of the largest stress, and writes the fields at this instant to a VTU file. An ``ac``
-analysis draws the shapes of the lowest modes.
+the instant of the largest stress, and writes the fields at this instant to a VTU file. In an ``ac``
+analysis, the results are the largest amplitudes at the largest resonances. An ``ac`` analysis also
+draws the shapes of the lowest modes.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.figure import Curve, Figure, FileWriter, Panel, Shape
 from kc2spice.core.mesh_error import list_limited_errors
 from kc2spice.core.progress import StageTimer
+from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.bodies._body_figures import draw_deformed_body, draw_modes
 from kc2spice.parts.bodies._linear_keys import FieldKeys, FieldKeysT
@@ -42,8 +44,8 @@ from kc2spice.scene.part_records import NeglectedEffect
 from kc2spice.scene.plausibility import check_layers
 
 if TYPE_CHECKING:
-    from kc2spice.bodies.device import BondedBlocks
     from kc2spice.bodies.fields import Extreme, NodalMotion
+    from kc2spice.bodies.solid_models import BondedBlocks
     from kc2spice.bodies.undamped_models import FiniteElementModel
 
 _COARSE_MESH_ADVICE = (
@@ -137,7 +139,7 @@ class MeshedBody(SoundingBody[FieldKeysT]):
     def problems(self, part: Part[FieldKeysT], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield an error for each invalid key of the part."""
         yield from super().problems(part, scene)
-        yield from find_field_problems(part, scene, shapes=True)
+        yield from find_field_problems(part, scene, harmonic=True)
 
     def metrics(
         self, part: Part[FieldKeysT], build: BuiltScene, waves: Waveforms
@@ -153,7 +155,10 @@ class MeshedBody(SoundingBody[FieldKeysT]):
             result[f"{quantity}_{of}"] = Metric(item.value, item.unit)
             if item.limit is not None:
                 result[f"{quantity}_limit_{of}"] = Metric(item.limit, item.unit)
-        return result | {"worst_stress_time_s": Metric(recovered.worst_stress.instant, "s")}
+        at = recovered.worst_stress.at
+        if "frequency" in waves:
+            return result | {"worst_stress_frequency_hz": Metric(at, "Hz")}
+        return result | {"worst_stress_time_s": Metric(at, "s")}
 
     def checks(
         self, part: Part[FieldKeysT], build: BuiltScene, waves: Waveforms
@@ -166,13 +171,15 @@ class MeshedBody(SoundingBody[FieldKeysT]):
             if item.limit is not None:
                 what = item.quantity.replace("_", " ")
                 name = f"{what} in {item.material} of {part.name}"
+                if "frequency" in waves:
+                    name += f" at {format_quantity(item.at, 'Hz')}"
                 advice = _FIELD_DESCRIPTIONS[item.quantity][-1]
                 yield Check(name, item.value, item.limit, item.unit, advice, "warn")
 
     def figures(
         self, part: Part[FieldKeysT], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Figure | FileWriter]:
-        """Yield the figures of the part for the report."""
+        """Yield the charts of the part, and functions that write further files."""
         yield from super().figures(part, build, waves)
         if part.keys.fields:
             from kc2spice.bodies.fields import compute_lowest_modes
@@ -193,16 +200,19 @@ class MeshedBody(SoundingBody[FieldKeysT]):
         if recovered is not None:
             from kc2spice.bodies.fields import write_vtu
 
-            yield _plot_extremes(part.name, recovered)
-            worst = recovered.worst_stress
+            harmonic, motion = "frequency" in waves, recovered.motion
+            if not harmonic:
+                yield _plot_extremes(part.name, recovered)
+            worst, device = recovered.worst_stress, motion.device
             summary = f"the instant of the worst stress: {1e-6 * worst.value:.3g} MPa in "
-            instants = {"": (worst.instant, summary + worst.material)}
+            place = format_quantity(worst.at, "Hz") if harmonic else f"{1e3 * worst.at:.4g} ms"
+            states = {"": (motion.get_sample(worst.sample), f"{place}, {summary}{worst.material}")}
             for k, t in enumerate(list_field_instants(part), 1):
-                instants[f"_{k}"] = t, "as chosen"
-            for stem, (t, what) in instants.items():
-                device, state = recovered.motion.device, recovered.motion.find_nearest_sample(t)
+                state = motion.find_nearest_sample(t)
+                states[f"_{k}"] = state, f"{1e3 * t:.4g} ms, as chosen"
+            for stem, (state, what) in states.items():
                 panel, factor = draw_deformed_body(device, *state)
-                caption = f"At {1e3 * t:.4g} ms, {what}; displacements times {factor:g}."
+                caption = f"At {what}; displacements times {factor:g}."
                 name = f"{part.name}_deformed{stem}"
                 yield Figure(name, f"Deformed {part.name}", caption, (panel,))
                 fields = partial(write_vtu, device=device, z=state[0], voltages=state[1])
@@ -211,20 +221,21 @@ class MeshedBody(SoundingBody[FieldKeysT]):
     def recover_inner_fields(
         self, part: Part[FieldKeysT], build: BuiltScene, waves: Waveforms
     ) -> RecoveredFields | None:
-        """Return motion, stress and electric field inside the body during a transient.
+        """Return motion, stress and electric field inside the body during a run.
 
-        The result is None without the key ``fields``, and in analyses other than a transient.
+        The result is None without the key ``fields``, and in analyses other than ``transient`` and
+        ``ac``.
 
         Raises
         ------
         UsageError : the run does not record the load of a port.
         """
-        if not part.keys.fields or "time" not in waves:
+        if not part.keys.fields or not {"time", "frequency"} & set(waves):
             return None
 
         def recover_fields() -> tuple[Waveforms, RecoveredFields]:
             """Compute the waveforms of the fields and their extremes in each material."""
-            from kc2spice.bodies.fields import find_extremes, recover_motion
+            from kc2spice.bodies.fields import find_extremes, recover_motion, recover_vibration
 
             loads = self.list_port_loads(part, build, waves)
             port_names = self.used_port_names(part, build.scene)
@@ -233,8 +244,13 @@ class MeshedBody(SoundingBody[FieldKeysT]):
                 expected = "contacts, springs, dampers, masses and sources"
                 problem = "fields cannot be computed, because some loads of the body are unknown"
                 raise wrong(f"{part.name}.fields", problem, got, expected)
-            motion = recover_motion(self.get_fe_model(part, build.scene), waves["time"], loads)
-            return waves, RecoveredFields(motion, tuple(find_extremes(motion)))
+            device = self.get_fe_model(part, build.scene)
+            if "time" in waves:
+                motion = recover_motion(device, waves["time"], loads)
+                return waves, RecoveredFields(motion, tuple(find_extremes(motion)))
+            motion = recover_vibration(device, waves["frequency"], loads)
+            extremes = find_extremes(motion, np.arange(motion.scale.size))
+            return waves, RecoveredFields(motion, tuple(extremes))
 
         # The stored result contains a reference to ``waves``, so no other object can get the same
         # ``id``, which is the key of the result.
@@ -243,19 +259,19 @@ class MeshedBody(SoundingBody[FieldKeysT]):
 
 
 def find_field_problems(
-    part: Part[FieldKeys], scene: GovernedScene, *, shapes: bool
+    part: Part[FieldKeys], scene: GovernedScene, *, harmonic: bool
 ) -> Iterator[UsageError]:
     """Yield the error of an invalid key ``fields``.
 
-    The key ``fields`` is valid only in transients. With the argument ``shapes``, ``fields = true``
-    is also valid in an ac analysis, which then draws mode shapes.
+    The key ``fields`` is valid only in transients. With the argument ``harmonic``, ``fields =
+    true`` is also valid in an ac analysis, which then computes amplitudes.
     """
     kind, instants = scene.analysis.type, list_field_instants(part)
-    drawn = shapes and kind == "ac" and not instants
-    if kind != "transient" and part.keys.fields and not drawn:
-        expected = "a transient, or false"
-        if shapes:
-            expected = "a transient, fields = true in ac for the shapes of modes, or false"
+    computed = harmonic and kind == "ac" and not instants
+    if kind != "transient" and part.keys.fields and not computed:
+        expected = "a transient analysis, or fields = false"
+        if harmonic:
+            expected = "a transient analysis, fields = true in an ac analysis, or fields = false"
         problem = "this value of fields needs a transient analysis"
         yield wrong(f"{part.name}.fields", problem, f"analysis {kind}", expected, "delete fields")
         return
@@ -269,7 +285,7 @@ def find_field_problems(
 
 def check_mesh(part: Part, build: BuiltScene) -> Iterator[Check]:
     """Yield checks of the mesh: its error estimates against their limits."""
-    for words, error, limit in list_limited_errors(build.facts(part)):
+    for words, error, limit in list_limited_errors(build.get_model_values(part)):
         name = f"mesh of {part.name}, {words}"
         yield Check(name, error, limit, "relative, estimated", _COARSE_MESH_ADVICE, "warn")
 
@@ -423,7 +439,7 @@ def _plot_extremes(name: str, recovered: RecoveredFields) -> Figure:
             continue
         curves, levels = [], dict[float, str]()
         for e in rows:
-            curves.append(Curve(e.material, 1e3 * e.time, 1e-6 * e.curve))
+            curves.append(Curve(e.material, 1e3 * e.scale, 1e-6 * e.curve))
             if e.limit and e.value > 0.2 * e.limit:
                 levels[1e-6 * e.limit] = "limit"
         panels.append(Panel("time in ms", label, tuple(curves), levels=tuple(levels.items())))

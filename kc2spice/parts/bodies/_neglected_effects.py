@@ -23,7 +23,7 @@ from kc2spice.scene.part_records import NeglectedEffect
 if TYPE_CHECKING:
     # Imported for annotations only, because the import of ``device`` also loads the finite
     # elements.
-    from kc2spice.bodies.device import Block
+    from kc2spice.bodies.solid_models import Block
 
 # Heat transfer coefficient [W/(m^2 K)] from a small surface to still air.
 # The coefficient includes convection and radiation of surfaces with sizes of 10 mm to 50 mm.

@@ -59,6 +59,10 @@ class SoundingBody(LinearBody[FieldKeysT]):
         """
         return {}
 
+    def has_mirror_planes(self, part: Part[FieldKeysT]) -> bool:
+        """Return whether the model contains only a part of the body, bounded by mirror planes."""
+        return False
+
     def facing_fluids(self, part: Part[FieldKeysT], scene: Scene) -> dict[str, FluidAtFace]:
         """Return the fluid in front of each radiating face, keyed by the name of its port."""
         from kc2spice.parts.bodies._face_response import FluidAtFace
@@ -129,7 +133,10 @@ class SoundingBody(LinearBody[FieldKeysT]):
         }
 
         def build() -> FaceLevelEffects | None:
-            """Estimate with the full model how assumptions change a face's sound level."""
+            """Estimate how assumptions about a face change its sound level.
+
+            The estimate is computed with the full model.
+            """
             face = LoadedFace(
                 self.get_fe_model(part, scene), port, facing, joined, load, end, count
             )
@@ -151,6 +158,9 @@ class SoundingBody(LinearBody[FieldKeysT]):
         from kc2spice.parts.bodies._face_levels import TOLERANCE, estimate_face_levels
 
         result = estimate_face_levels(face)
+        if result is not None and self.has_mirror_planes(part):
+            # The estimate without a baffle needs the shape of the whole face.
+            result = replace(result, size=None, unbaffled=None)
         if result is None or result.detuned is None:
             return result
         rings = self.make_models_on_rings(part, scene, result.node, (-TOLERANCE, TOLERANCE))
@@ -200,7 +210,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
     def figures(
         self, part: Part[FieldKeysT], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Figure | FileWriter]:
-        """Return the figures of the part for the report."""
+        """Return the charts of the part, and functions that write further files."""
         faces = self._plot_face_displacements(part, build, waves)
         return chain(super().figures(part, build, waves), faces)
 
@@ -226,13 +236,13 @@ class SoundingBody(LinearBody[FieldKeysT]):
         self, part: Part[FieldKeysT], build: BuiltScene, waves: Waveforms
     ) -> dict[str, np.ndarray]:
         """Return the mean displacement [m] of each face whose volume velocity is recorded."""
-        from kc2spice.bodies.device import get_area_name
+        from kc2spice.bodies.solid_models import get_area_key
         from kc2spice.parts.acoustics._displacement_figure import integrate_flow
 
         result, model = {}, build.model(part, LinearModel)
         for port in self.used_ports(part, build.scene):
             flow = get_flow_name(part.name, model.ports, port) if port.domain is ACOUSTIC else ""
-            area = model.facts.get(get_area_name(port.name))
+            area = model.facts.get(get_area_key(port.name))
             if flow in waves and area:
                 # A positive volume velocity into the pin of a face moves the face inwards.
                 result[port.name] = -integrate_flow(waves, waves[flow]) / area

@@ -107,7 +107,10 @@ def make_varied_key(
     low, high = min(ends), max(ends)
     signed = low * high > 0 or (from_zero and low == 0)
     if not signed or high - low < MIN_RELATIVE_WIDTH * abs(high) or not low <= value <= high:
-        expected = f"two different numbers of one sign, the part's value {value:g} between"
+        expected = (
+            "two different numbers of the same sign, whose range contains the value of the part, "
+            f"{value:g}"
+        )
         around = sorted((0.9 * value, 1.1 * value))
         hint = f"write for example  [{around[0]:g}, {around[1]:g}]" if value else None
         raise wrong(
@@ -158,7 +161,7 @@ def with_values(part: Part[LinearKeysT], values: Mapping[str, Any]) -> Part[Line
     except UsageError as error:
         got = error.message if error.got is None else f"{error.message}: {error.got}"
         problem = "the ranges of the parameters contain values that the part cannot have"
-        expected = "narrower ranges of possible parts in rom.parameters"
+        expected = "ranges in rom.parameters in which every value is valid for the part"
         hint = error.hint or f"narrow the ranges in {part.name}.{RANGES_KEY}"
         raise wrong(error.where, problem, got, expected, hint) from None
 

@@ -17,7 +17,7 @@ layers below the middle. The voltage thereby bends the tip up.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from itertools import accumulate, chain, pairwise, product
 from typing import Annotated, Any, Literal
@@ -25,7 +25,8 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, StringConstraints, model_validator
 
-from kc2spice.bodies.device import Block, BondedBlocks, Box, list_outer_faces
+from kc2spice.bodies.solid_models import Block, BondedBlocks, Box, list_outer_faces
+from kc2spice.core.domains import TRANSLATION
 from kc2spice.core.errors import wrong
 from kc2spice.core.key_errors import validate_table
 from kc2spice.core.quantities import (
@@ -38,17 +39,29 @@ from kc2spice.core.quantities import (
     Width,
     make_invalid_value_error,
 )
+from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.body_keys import BodyMeshKeys, DampingKeys
 from kc2spice.fem.materials import find_material
+from kc2spice.parts.bodies._body_ports import get_wave_name
 from kc2spice.parts.bodies._linear_keys import FieldKeys
 from kc2spice.parts.bodies._meshed_bodies import BondedBody
-from kc2spice.scene.model import Part
+from kc2spice.scene.checks import Check, RunEnergyBalance
+from kc2spice.scene.model import BuiltScene, Part, Scene
+from kc2spice.scene.part_records import NeglectedEffect
 from kc2spice.scene.parttype import register_part_type
 
 # Numbers of elements along and across the beam if ``mesh.refine`` is 1.
 ELEMENTS_ALONG = 20
 ELEMENTS_ACROSS = 4
 GRADING_RATIO = 1.6
+# Largest deflection for which a linear model is used without a warning, relative to the length of a
+# beam whose end can move along its axis. A beam with uniform curvature bends to an arc of a circle.
+# The linear deflection w of a cantilever with the length L is too large by the fraction (w/L)^2/3.
+MAX_LENGTH_SHARE = 0.1
+# Largest deflection without a warning, relative to the thickness of a beam or plate whose edges
+# cannot move. Stretching raises the stiffness of a clamped beam by the fraction 3/4 (w/h)^2 for the
+# deflection w and the thickness h: S. D. Senturia, Microsystem Design (2001), section 10.4.
+MAX_THICKNESS_SHARE = 0.2
 
 
 class BimorphLayer(Section):
@@ -64,12 +77,15 @@ class BimorphLayer(Section):
 class BimorphKeys(FieldKeys):
     """Keys of a layered beam, or of a quarter of a layered plate.
 
-    ``support`` is *cantilever* (clamped at x = 0), *clamped* (at both ends), *simply_supported*
-    (on knife edges under both ends), *free*, or *quarter*. A *quarter* is a quarter of a plate that
-    is clamped along all edges. The quarter is clamped at x = 0 and y = 0, and its other sides are
-    mirror planes. ``tip_mass`` is distributed evenly over the end face. ``points`` are additional
-    ports on the centre line of the top face, each stated as a distance from the clamp. For a
-    *quarter*, ``points`` are on the centre line of the whole plate.
+    ``support`` is *cantilever* (clamped at x = 0), *clamped* (at both ends), *simply_supported* (on
+    knife edges under both ends), *free*, or *quarter*. A *quarter* is a quarter of a plate that is
+    clamped along all edges. The quarter is clamped at x = 0 and y = 0, and its other sides are
+    mirror planes. The pin ``tip`` is the upward displacement of the end face. The pin ``base`` is
+    the upward acceleration of the support. If nothing is joined to ``base``, the netlist instead
+    has a pin ``base`` for the reference of all displacements. ``tip_mass`` is distributed evenly
+    over the end face. ``points`` are additional ports on the centre line of the top face, each
+    stated as a distance from the clamp. For a *quarter*, ``points`` are on the centre line of the
+    whole plate.
     """
 
     length: Extent = Field(gt=0, description="Free length of the beam, without its clamped ends")
@@ -78,7 +94,12 @@ class BimorphKeys(FieldKeys):
         examples=['[{ material = "PZT-5A", thickness = "0.2 mm" }]'], min_length=1
     )
     wiring: Literal["series", "parallel"] | None = Field(
-        None, description="Electrical connection of the two ceramic layers of the beam"
+        None,
+        description=(
+            "Electrical connection of the ceramic layers of the beam: series (default) "
+            "with poling towards the middle, or parallel, in which two layers are both "
+            "poled downwards"
+        ),
     )
     tip_mass: Mass = Field(
         0.0, ge=0, description="Mass at the tip of the beam, distributed evenly over the end face"
@@ -86,8 +107,8 @@ class BimorphKeys(FieldKeys):
     support: Literal["cantilever", "clamped", "simply_supported", "free", "quarter"] = Field(
         "cantilever",
         description=(
-            "Mechanical support of the beam; quarter is a quarter of a plate that is clamped "
-            "along all edges"
+            "Mechanical support of the beam; the value quarter selects one quarter of a "
+            "plate that is clamped along all edges"
         ),
     )
     points: dict[
@@ -104,8 +125,8 @@ class BimorphKeys(FieldKeys):
         ge=1,
         le=64,
         description=(
-            "Number of surface patches in each row; the patches divide the bottom face into "
-            "equal strips with the ports patch1, patch2, …"
+            "Number of surface patches in each row; the patches divide the bottom face "
+            "into equal strips. The ports of the patches are patch1, patch2, …"
         ),
     )
     rows: Count | None = Field(
@@ -277,6 +298,66 @@ class Bimorph(BondedBody[BimorphKeys]):
     def describe_support(self, part: Part[BimorphKeys]) -> str:
         """Return a description of the support for the list of neglected effects."""
         return f"support is {part.keys.support}, ideal"
+
+    def list_neglected_effects(
+        self, part: Part[BimorphKeys], scene: Scene
+    ) -> Iterator[NeglectedEffect]:
+        """Yield the neglected effects of the body, including large rotations."""
+        yield from super().list_neglected_effects(part, scene)
+        what, why = f"{part.name}: large deflection", "linear strains, small rotations"
+        yield NeglectedEffect(what, why, "checked after the run")
+
+    def has_mirror_planes(self, part: Part[BimorphKeys]) -> bool:
+        """Return whether the model is a quarter of a plate."""
+        return part.keys.support == "quarter"
+
+    def checks(
+        self, part: Part[BimorphKeys], build: BuiltScene, waves: Waveforms
+    ) -> Iterator[Check | RunEnergyBalance]:
+        """Yield the checks of the body, and the check that its deflection is small."""
+        yield from super().checks(part, build, waves)
+        yield from self._check_deflection(part, build, waves)
+
+    def _check_deflection(
+        self, part: Part[BimorphKeys], build: BuiltScene, waves: Waveforms
+    ) -> Iterator[Check]:
+        """Yield the check of the largest recorded deflection, relative to length or thickness.
+
+        The deflection of a radiating face or of a patch is the mean over its area. A free beam has
+        no check, because its displacements include rigid-body motions. A beam with a part of type
+        ``stretch`` has no check of the stretching, which this part includes.
+        """
+        keys, ports = part.keys, self.used_ports(part, build.scene)
+        if keys.support == "free" or build.scene.analysis.type == "noise":
+            return
+        deflections = list(self._face_displacements(part, build, waves).values())
+        for port in ports:
+            name = get_wave_name(part.name, ports, port)
+            if port.domain is TRANSLATION and name in waves:
+                deflections.append(waves[name])
+        if not deflections:
+            return
+        largest = max(float(np.abs(wave).max()) for wave in deflections)
+        if keys.support in ("clamped", "quarter"):
+            joined = chain.from_iterable(
+                build.scene.list_joined_pins(part.name, port.terminals[0]) for port in ports
+            )
+            if any(build.scene.parts[name].type.name == "stretch" for name, _ in joined):
+                return
+            size = sum(layer.thickness for layer in keys.layers)
+            limit, unit = MAX_THICKNESS_SHARE, "of the thickness"
+            change = f"stretching stiffens it by about {75 * (largest / size) ** 2:.2g} %"
+            action = "add patches and a part of type stretch, or lower the drive"
+        else:
+            # Both halves of a simply supported beam bend like cantilevers.
+            size, unit = keys.length, "of the length"
+            if keys.support == "simply_supported":
+                size, unit = size / 2, "of half the length"
+            limit = MAX_LENGTH_SHARE
+            change = f"about {100 * (largest / size) ** 2 / 3:.2g} % of it is an error of linearity"
+            action = "lower the drive"
+        name = f"largest deflection of {part.name}"
+        yield Check(name, largest / size, limit, unit, f"{change}; {action}", "warn")
 
 
 register_part_type(Bimorph())

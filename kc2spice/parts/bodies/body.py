@@ -34,7 +34,7 @@ from typing import Annotated, Any, Literal, TypeAlias
 import numpy as np
 from pydantic import Field, StringConstraints, ValidationInfo, model_validator
 
-from kc2spice.bodies import device as fe
+from kc2spice.bodies import solid_models as fe
 from kc2spice.bodies.undamped_models import FiniteElementModel
 from kc2spice.core.cache import load_or_build
 from kc2spice.core.domains import ACCELERATION, ACOUSTIC, ELECTRICAL, ROTATION, TRANSLATION
@@ -113,8 +113,8 @@ class SupportKeys(Section):
     axes: Annotated[str, StringConstraints(pattern="^[xyz]{1,3}$")] = Field(
         "xyz",
         description=(
-            "Axes along which the clamped nodes cannot move; x is the radius of an "
-            "axisymmetric mesh"
+            "Axes along which the clamped nodes cannot move; in an axisymmetric mesh, x "
+            "is the radial axis"
         ),
     )
 
@@ -228,22 +228,20 @@ class PolingKeys(Section):
     axis: Vector = Field(
         (0.0, 0.0, 1.0),
         description=(
-            "Direction of the axis to which the radial and circumferential components of the "
-            "poling refer"
+            "Direction of the cylinder axis that defines the components of the key `direction`"
         ),
     )
     through: Point = Field(
         (0.0, 0.0, 0.0),
         description=(
-            "Point on the axis to which the radial and circumferential components of the "
-            "poling refer"
+            "Point on the cylinder axis that defines the components of the key `direction`"
         ),
     )
     file: Annotated[str, StringConstraints(min_length=1, max_length=255)] | None = Field(
         None,
         description=(
-            "CSV file in the scene's folder that lists the poling direction of each element, "
-            "or at points of the body"
+            "CSV file in the scene's folder that lists poling directions, either for "
+            "elements or for points of the body"
         ),
     )
 
@@ -295,8 +293,8 @@ class AxesKeys(Section):
     kind: Literal["cartesian", "cylindrical"] = Field(
         "cartesian",
         description=(
-            "Kind of the material axes: cartesian, or cylindrical with radial first, "
-            "circumferential second and axial third axis"
+            "Kind of the material axes: cartesian, or cylindrical (first axis radial, "
+            "second circumferential, third axial)"
         ),
     )
 
@@ -372,8 +370,8 @@ class BodyKeys(MeshKeys):
     axes: dict[str, AxesKeys] = Field(
         default_factory=dict,
         description=(
-            "Material axes of each mesh group: the vectors x and z, or the vector z and the "
-            "origin of cylindrical axes"
+            "Material axes of each mesh group: a table with the vectors x and z, or for "
+            "cylindrical axes with the vector z and the point `origin`"
         ),
     )
     fixed: tuple[str | SupportKeys, ...] = Field(
@@ -522,7 +520,7 @@ def build_fe_model(
     with name_part_in_errors(where):
         result = read_groups(keys, home, keys.split_count)
         solid = _make_solid(keys, result, _read_polings(keys, home, result))
-        assembled = fe.make_device(solid, _make_boundary_conditions(keys, result, solid))
+        assembled = fe.make_damped_model(solid, _make_boundary_conditions(keys, result, solid))
     axes = ("radius", "height") if keys.axisymmetric else "xyz"
     sides = zip(axes, 1e3 * np.ptp(result.mesh.p, axis=1), strict=True)
     facts = dict(assembled.model.facts)
@@ -790,7 +788,7 @@ class Body(MeshedBody[BodyKeys]):
         yield from find_mesh_problems(part, scene)
 
     def notes(self, part: Part[BodyKeys], scene: Scene) -> Iterator[str | NeglectedEffect]:
-        """Yield the size of the mesh and the notes of linear bodies, for the report."""
+        """Yield the mesh size, the assumptions of the model and the neglected effects."""
         sides = self.compute_side_lengths(part, scene)
         yield " x ".join(map("{:.4g}".format, np.multiply(1e3, sides))) + " mm"
         yield from super().notes(part, scene)
@@ -839,7 +837,7 @@ class Body(MeshedBody[BodyKeys]):
     def figures(
         self, part: Part[BodyKeys], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Figure | FileWriter]:
-        """Yield the figure of the mesh and the figures of all meshed bodies."""
+        """Yield the chart of the mesh, then the charts and files of all meshed bodies."""
         curve = load_or_build(
             "outline",
             self.make_full_model_key(part, build.scene),
@@ -854,7 +852,7 @@ class Body(MeshedBody[BodyKeys]):
 
     def make_fe_model(self, part: Part[BodyKeys], scene: GovernedScene) -> FiniteElementModel:
         """Build the finite-element model on the mesh from the user's file."""
-        return build_fe_model(part.keys, scene.home, part.name)
+        return build_fe_model(part.keys, scene.get_folder(part), part.name)
 
 
 def _find_poling_paths(part: Part[BodyKeys], scene: DeclaredScene) -> dict[str, Path]:
@@ -862,7 +860,7 @@ def _find_poling_paths(part: Part[BodyKeys], scene: DeclaredScene) -> dict[str, 
     result = {}
     for group, file in part.keys.poling_files.items():
         where = f"{part.name}.poling.{group}"
-        result[where] = locate_file_in_folder(scene.home, file, where)
+        result[where] = locate_file_in_folder(scene.get_folder(part), file, where)
     return result
 
 

@@ -22,7 +22,7 @@ from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
-from kc2spice.bodies.device import Block, BondedBlocks, Box, list_outer_faces
+from kc2spice.bodies.solid_models import Block, BondedBlocks, Box, list_outer_faces
 from kc2spice.bodies.undamped_models import FiniteElementModel
 from kc2spice.core.errors import UsageError, wrong
 from kc2spice.core.key_errors import validate_table

@@ -128,7 +128,7 @@ class HeatGeometry:
         return compute_node_shares(self.solid.geometry, facets=group.members)
 
 
-def make_heat_device(keys: HeatBodyKeys, home: Path, where: str = "heat_body") -> HeatModel:
+def assemble_heat_model(keys: HeatBodyKeys, home: Path, where: str = "heat_body") -> HeatModel:
     """Mesh a heat body from its keys, and assemble the full heat model.
 
     Raises
@@ -319,16 +319,17 @@ dc = "1 W"
     def problems(self, part: Part[HeatBodyKeys], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield an error for each invalid key of the part."""
         yield from super().problems(part, scene)
-        yield from find_field_problems(part, scene, shapes=False)
+        yield from find_field_problems(part, scene, harmonic=False)
         if part.keys.mesh is not None:
             yield from find_mesh_problems(part, scene)
 
     def equilibrium_conditions(
         self, part: Part[HeatBodyKeys], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the equilibrium conditions: the pin pairs with a steady heat flow.
+        """Return the paths of steady heat flow from the body's pins.
 
-        If no path inside the body leads to the pin ``ambient``, heat flows between the other pins.
+        If the body conducts heat to its surroundings, each path leads to the reference pin, such as
+        ``ambient``. Otherwise, a path leads from each further pin to the first pin.
         """
         rest = super().equilibrium_conditions(part, scene)
         if part.keys.has_path_to_surroundings:
@@ -391,7 +392,7 @@ dc = "1 W"
 
         def make_full_heat_model() -> HeatModel:
             """Build the full heat model of the body."""
-            return make_heat_device(part.keys, scene.home, part.name)
+            return assemble_heat_model(part.keys, scene.get_folder(part), part.name)
 
         return scene.workspace.get_or_compute(f"device {self.name}", key, make_full_heat_model)
 
@@ -471,7 +472,7 @@ dc = "1 W"
         return replace(model, facts={**model.facts, **exact})
 
     def vectors(self, part: Part[HeatBodyKeys], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice vectors of the port results, keyed by result name.
+        """Return the ngspice expression of each port result, keyed by result name.
 
         If a port is connected to only one part, the heat flow into the port is also a result.
         """
@@ -487,7 +488,7 @@ dc = "1 W"
     ) -> Mapping[str, object]:
         """Return the metrics: port thermal resistances and peak material temperatures."""
         result: dict[str, object] = dict(super().metrics(part, build, waves))
-        for name, value in build.facts(part).items():
+        for name, value in build.get_model_values(part).items():
             if name.startswith(RESISTANCE_PREFIX):
                 result[name] = Metric(value, "K/W")
         field = self.make_temperature_field(part, build, waves)
@@ -507,7 +508,11 @@ dc = "1 W"
     def figures(
         self, part: Part[HeatBodyKeys], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Figure | FileWriter]:
-        """Yield plots of the temperatures and of the thermal impedance."""
+        """Yield the charts of the part, and functions that write further files.
+
+        The charts show the temperatures, the thermal impedance and the temperature field. The files
+        contain the temperature field at the same instants.
+        """
         yield from _plot_temperatures(part.name, waves)
         yield from _plot_thermal_impedance(part.name, build.model(part, LinearModel))
         field = self.make_temperature_field(part, build, waves)

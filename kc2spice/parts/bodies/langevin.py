@@ -18,7 +18,14 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from kc2spice.bodies.device import BACK_FACE, FRONT_FACE, Block, BondedBlocks, Box, RadiatingFace
+from kc2spice.bodies.solid_models import (
+    BACK_FACE,
+    FRONT_FACE,
+    Block,
+    BondedBlocks,
+    Box,
+    RadiatingFace,
+)
 from kc2spice.core.errors import wrong
 from kc2spice.core.key_errors import validate_table
 from kc2spice.core.quantities import (
@@ -229,7 +236,7 @@ def _make_blocks(body: LangevinKeys, where: str) -> list[Block]:
     """Return the blocks of a bolted transducer: rings, front mass, back mass and bolt."""
     result: list[Block] = []
 
-    def add(
+    def add_block(
         piece: PieceKeys, key: str, radii: tuple[float, float], low: float, high: float, up: int = 1
     ) -> None:
         """Add a block between two heights, with a poling direction.
@@ -244,7 +251,9 @@ def _make_blocks(body: LangevinKeys, where: str) -> list[Block]:
     rings, bolt = body.rings, body.bolt
     core, ring = bolt.diameter / 2, (rings.inner / 2, rings.outer / 2)
     for i in range(rings.count):
-        add(rings, f"rings[{i}]", ring, i * rings.thickness, (i + 1) * rings.thickness, (-1) ** i)
+        add_block(
+            rings, f"rings[{i}]", ring, i * rings.thickness, (i + 1) * rings.thickness, (-1) ** i
+        )
     if not result[0].material.is_piezoelectric:
         problem = "the rings are not piezoelectric"
         raise wrong(
@@ -257,15 +266,15 @@ def _make_blocks(body: LangevinKeys, where: str) -> list[Block]:
     height = rings.count * rings.thickness
     thread = height + (bolt.depth or body.front[0].length)
     for i, step in enumerate(body.front):
-        add(step, f"front[{i}]", (0.0, step.diameter / 2), height, height + step.length)
+        add_block(step, f"front[{i}]", (0.0, step.diameter / 2), height, height + step.length)
         height += step.length
     height = 0.0
     for i, step in enumerate(body.back):
-        add(step, f"back[{i}]", (0.0, step.diameter / 2), height - step.length, height)
+        add_block(step, f"back[{i}]", (0.0, step.diameter / 2), height - step.length, height)
         height -= step.length
-    add(bolt, "bolt", (0.0, core), height, thread)
+    add_block(bolt, "bolt", (0.0, core), height, thread)
     if bolt.head_diameter is not None and bolt.head_length is not None:
-        add(bolt, "bolt", (0.0, bolt.head_diameter / 2), height - bolt.head_length, height)
+        add_block(bolt, "bolt", (0.0, bolt.head_diameter / 2), height - bolt.head_length, height)
     return result
 
 

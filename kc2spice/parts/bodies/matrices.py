@@ -38,7 +38,10 @@ class MatricesKeys(LinearKeys):
     )
     sidecar: FileName | None = Field(
         None,
-        description="TOML file that describes the ports of the matrices; by default NAME.toml",
+        description=(
+            "TOML file that describes the ports of the matrices; by default the name of "
+            "the matrix file with the extension .toml"
+        ),
     )
 
 
@@ -108,7 +111,7 @@ class Matrices(LinearBody[MatricesKeys]):
         self, part: Part[MatricesKeys], scene: DeclaredScene
     ) -> tuple[Path, Path | None]:
         """Return the paths of the matrix file and of its TOML file (or None)."""
-        name, home, keys = part.name, scene.home, part.keys
+        name, home, keys = part.name, scene.get_folder(part), part.keys
         sidecar = (
             None
             if keys.sidecar is None

@@ -19,7 +19,11 @@ from kc2spice.core.figure import Shape
 from kc2spice.core.quantities import Count, Section, Time, Voltage, make_invalid_value_error, si
 from kc2spice.core.waveforms import Waveforms, integrate_cumulatively
 from kc2spice.fem.materials import find_material
-from kc2spice.parts.bodies._body_model import MODEL_SOURCES, describe_target, get_reduction_settings
+from kc2spice.parts.bodies._body_model import (
+    MODEL_SOURCES,
+    describe_reduction_target,
+    get_reduction_settings,
+)
 from kc2spice.parts.bodies._body_ports import find_required_ports
 from kc2spice.parts.bodies._linear_keys import FieldKeys
 from kc2spice.parts.bodies._meshed_bodies import MeshedBody
@@ -48,7 +52,7 @@ from kc2spice.synthesis.mode_cards import COARSE_WEIGHTS, THROWING_WEIGHTS, Step
 # from the cache and do not need these modules.
 # Most runs do not need these modules, because they read their models from the cache.
 if TYPE_CHECKING:
-    from kc2spice.bodies.pressure import LocalCompliance, PressureBasis
+    from kc2spice.bodies.contact_pressure import LocalCompliance, PressureBasis
     from kc2spice.bodies.undamped_models import FiniteElementModel
 
 # frequency [Hz] at which the default damping of the paper's chip is a ratio of 1 %
@@ -135,7 +139,9 @@ class PiezoStackKeys(StackKeys, FieldKeys):
     electrical: Literal["open", "short", "driven"] = Field(
         "driven",
         description=(
-            "Electrical condition of the stack's anode if no other part is connected to the anode"
+            "Electrical state of the stack's anode if no other part is connected to the "
+            "anode: open, short-circuited (short), or driven by the pulse `drive` "
+            "(driven)"
         ),
     )
     rated_field: Annotated[float, si("V/m")] = Field(
@@ -309,12 +315,13 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
     def numerics(
         self, part: Part[PiezoStackKeys], scene: WiredScene
     ) -> Iterator[NumericalRequirements]:
-        """Yield the solver tolerances that a ringing chip or a low kick requires.
+        """Yield requirements on time step and tolerances for contacts of the chip.
 
-        Ringing increases the phase error of the trapezoidal rule. A kick with a low voltage
-        closes fewer contact rings, so its launch velocity depends more on each time step. At 40 to
-        60 V, the relative error of the launch velocity is ten times the error at 100 V with the
-        same tolerances. The error of the launch velocity is proportional to reltol^0.55.
+        Ringing of the chip and kicks with a low voltage require tighter tolerances. Ringing
+        increases the phase error of the trapezoidal rule. A kick with a low voltage closes fewer
+        contact rings, so its launch velocity depends more on each time step. At 40 to 60 V, the
+        relative error of the launch velocity is ten times the error at 100 V with the same
+        tolerances. The error of the launch velocity is proportional to reltol^0.55.
         """
         if not scene.list_parts("contact"):
             return
@@ -336,7 +343,7 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
         )
 
     def weights(self, part: Part[PiezoStackKeys], scene: DeclaredScene) -> StepWeights:
-        """Return the weights of the chip's modes in the control of time steps.
+        """Return the weights of the body's modes in the simulator's time step control.
 
         After a downward kick, the chip rings until it hits the sphere.
         """
@@ -345,7 +352,7 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
     def largest_indentations(
         self, part: Part[PiezoStackKeys], scene: GovernedScene
     ) -> Iterator[LargestIndentation]:
-        """Yield an upper bound [m] of the indentation, from the chip's dynamic stroke."""
+        """Yield an upper bound of the indentation, which is the chip's dynamic stroke."""
         voltage = find_highest_voltage(part, scene)
         if voltage:
             stroke = compute_free_stroke(part.keys, voltage)
@@ -445,7 +452,7 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
         # The stress under the contact is computed separately, because the mesh of the chip does not
         # resolve it.
         if part.keys.fields and shape is not None:
-            from kc2spice.bodies.pressure import UNITS, compute_stresses_under_force
+            from kc2spice.bodies.contact_pressure import UNITS, compute_stresses_under_force
 
             contacts = scene.list_parts_with_schema("contact", ContactKeys)
             name = next(c.name for c in contacts if c.keys.shape == "pressure")
@@ -478,7 +485,8 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
         used, last = count_used_rings(part, scene), keys.mesh.rings
         ports = "a patch of pressure as port" if pressed else f"{used} rings as ports"
         detail = f"quarter chip, {keys.layers} layers, {describe_mounting(keys)}, "
-        yield f"{detail}reduced to {describe_target(rom)}, anode {keys.electrical}, {ports}"
+        target = describe_reduction_target(rom)
+        yield f"{detail}reduced to {target}, anode {keys.electrical}, {ports}"
         yield from self.list_neglected_effects(part, scene)
         if keys.mounting == "roller":
             why = "its bottom face slides without friction on a plane"
@@ -550,7 +558,7 @@ def find_pressure_basis(part: Part[PiezoStackKeys], scene: DeclaredScene) -> Pre
     """
     for contact in scene.list_parts_with_schema("contact", ContactKeys):
         if contact.keys.shape == "pressure" and contact.keys.a in (None, part.name):
-            from kc2spice.bodies.pressure import choose_pressure_basis
+            from kc2spice.bodies.contact_pressure import choose_pressure_basis
 
             return choose_pressure_basis(
                 contact.keys.spacing, float(compute_ring_radii(part.keys)[-1])
@@ -605,7 +613,7 @@ def find_highest_voltage(part: Part[PiezoStackKeys], scene: DeclaredScene) -> fl
     if keys.drive is not None and keys.electrical == "driven":
         return abs(keys.drive.voltage)
     drivers = scene.list_parts("half_bridge", "amplifier", "charge_drive")
-    result = [part.type.rails(part)[1] for part in drivers]
+    result = [max(map(abs, part.type.rails(part))) for part in drivers]
     for source in scene.parts.values():
         wave = source.type.voltage(source, scene)
         if wave is not None:
@@ -624,7 +632,7 @@ def compute_free_stroke(keys: StackKeys, voltage: float) -> float:
 
 def _find_compliance(part: Part[PiezoStackKeys], shape: PressureBasis) -> LocalCompliance:
     """Return the local compliance of the top face, from the cache if possible."""
-    from kc2spice.bodies.pressure import LocalCompliance, compute_local_compliance
+    from kc2spice.bodies.contact_pressure import LocalCompliance, compute_local_compliance
 
     chip = part.keys.model_dump(mode="json", include=CHIP_KEYS - {"damping"})
     return load_or_build(

@@ -9,6 +9,10 @@ from pydantic import Field
 
 from kc2spice.core.quantities import Current, Length, Section, Time, si
 
+# Largest permitted fraction of the run during which the current is at its limit.
+# While the current is at its limit, the controller has no effect.
+MAX_SATURATED_SHARE = 0.9
+
 
 class PidKeys(Section):
     """Keys of a PID controller with limited output.
@@ -20,22 +24,24 @@ class PidKeys(Section):
     kp: Annotated[float, si("A/m")] = Field(
         5e4,
         ge=0,
-        description="Proportional gain of the PID controller, from height error to coil current",
+        description=(
+            "Proportional gain of the PID controller: coil current divided by height error"
+        ),
     )
     ki: Annotated[float, si("A/(m s)")] = Field(
         10.0,
         ge=0,
         description=(
-            "Integral gain of the PID controller, from the time integral of the height error "
-            "to coil current"
+            "Integral gain of the PID controller: coil current divided by the time "
+            "integral of the height error"
         ),
     )
     kd: Annotated[float, si("A s/m")] = Field(
         20.0,
         ge=0,
         description=(
-            "Derivative gain of the PID controller, from the rate of the height error to "
-            "coil current"
+            "Derivative gain of the PID controller: coil current divided by the rate of "
+            "change of the height error"
         ),
     )
     rolloff: Time = Field(
@@ -61,8 +67,8 @@ class PidKeys(Section):
     disable_at: tuple[Time, ...] = Field(
         (),
         description=(
-            "Times at which the controller is disabled: one after each time in enable_at, "
-            "except after the last"
+            "Times at which the controller is disabled: one time after each time in "
+            "`enable_at` except the last"
         ),
     )
     of: str | None = Field(

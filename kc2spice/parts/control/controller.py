@@ -48,8 +48,8 @@ class ControllerKeys(Section):
     file: FileName | None = Field(
         None,
         description=(
-            "Python file in the scene's folder with the function of the controller; runs "
-            "only with the option --trust"
+            "Python file in the scene's folder that contains the controller's function; a "
+            "run needs the option --trust"
         ),
     )
     function: str = Field(
@@ -103,7 +103,7 @@ wiring = "parallel"
 """
 
     def pins(self, part: Part[ControllerKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
-        """Return the pins in the order of the subcircuit."""
+        """Return the pins of the part in the order of its subcircuit."""
         keys = part.keys
         inputs = (
             Terminal(name, keys.units.get(name, "um"), "-", required=True) for name in keys.inputs
@@ -138,7 +138,7 @@ wiring = "parallel"
             )
 
     def cards(self, part: Part[ControllerKeys], build: BuiltScene) -> tuple[Item, ...]:
-        """Return the netlist cards of the part in the deck."""
+        """Return the cards of the part at the top level of the deck."""
         out, ret = build.get_net(part, "out"), build.get_net(part, "ret")
         if part.keys.output == "voltage":
             return (Element.from_words(f"V{part.name}", out, ret, "EXTERNAL"),)
@@ -155,11 +155,11 @@ wiring = "parallel"
         yield part.name.lower(), "held"
 
     def law(self, part: Part[ControllerKeys], build: BuiltScene) -> MissingEquations:
-        """Return the reason why the controller has no model equations."""
+        """Return the reason why the part has no model equations."""
         return MissingEquations("its equations are a Python function")
 
     def vectors(self, part: Part[ControllerKeys], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice vectors of the part's results, keyed by result name."""
+        """Return the ngspice expression of each result of the part, keyed by result name."""
         return {
             f"{part.name}.{name}": build.get_pin_vector(part, name) for name in part.keys.inputs
         }
@@ -167,7 +167,7 @@ wiring = "parallel"
     def settable_quantities(
         self, part: Part[ControllerKeys], build: BuiltScene
     ) -> Mapping[str, SampledSource]:
-        """Return the settable source, whose value the Python function computes."""
+        """Return the output source, whose value the Python function sets."""
         keys = part.keys
         sources = {}
         for name in keys.inputs:
@@ -212,7 +212,7 @@ wiring = "parallel"
             hint = "read the file; if you trust every line of it, repeat with --trust"
             problem = "this scene runs a Python file, which needs --trust"
             raise part.wrong("file", problem, keys.file, hint=hint)
-        path = build.scene.home / keys.file
+        path = build.scene.get_folder(part) / keys.file
         if not path.is_file():
             hint = f"write the function {keys.function}(time, inputs) into this file"
             raise part.wrong("file", "this file does not exist", str(path), hint=hint)

@@ -17,7 +17,7 @@ from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Param, make_positive_parameter
 from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.transforms import merge_helpers
-from kc2spice.parts.control._pid_keys import PidKeys
+from kc2spice.parts.control._pid_keys import MAX_SATURATED_SHARE, PidKeys
 from kc2spice.parts.electronics._template_parts import GAIN_BANDWIDTH, make_opamp_subcircuit
 from kc2spice.parts.magnetics.ring_magnet_coils import RingMagnetCoilsKeys, get_result_prefix
 from kc2spice.parts.mechanics import sphere
@@ -48,9 +48,6 @@ SUPPLY_VOLTAGE = 400.0  # smallest supply voltage [V] of the output stage
 SUPPLY_RATIO = 1.2  # ratio of supply voltage to required output voltage
 ENABLE_EDGE = 1e-8  # s, rise and fall time of the enable signal
 DISCHARGE_TIME = 1e-6  # s, time constant of the integral's decay in a disabled controller
-# Largest permitted fraction of the run during which the current is at its limit.
-# While the current is at its limit, the controller has no effect.
-MAX_SATURATED_SHARE = 0.9
 
 
 # Parameters of the netlist for gains: required nonzero gain, parameter name, unit, description.
@@ -159,7 +156,9 @@ def make_pid_subcircuit(
     """
     declared = declare_control(control, output=output)
     if control.form == "ideal":
-        return make_declared_subcircuit(header, name, declared, declared.values(control))
+        return make_declared_subcircuit(
+            header, name, declared, declared.compute_parameter_values(control)
+        )
     limit = control.current_limit
     sense = min(SENSE_RESISTANCE, MAX_COMMAND / limit) if output else SENSE_RESISTANCE
     supply = max(SUPPLY_VOLTAGE, 100.0 * math.ceil(SUPPLY_RATIO * limit * (load + sense) / 100.0))
@@ -214,11 +213,11 @@ class Pid(PartType[PidKeys]):
         return {f"{part.name}_enable": {"part": "source", "pwl": tuple(points), "pins": pins}}
 
     def pins(self, part: Part[PidKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
-        """Return the pins in the order of the subcircuit."""
+        """Return the pins of the part in the order of its subcircuit."""
         return _list_pins(not _drives_external_circuit(part, scene))
 
     def default_joins(self, part: Part[PidKeys], scene: GovernedScene) -> Mapping[str, str]:
-        """Return the default connections: sphere to input, output to coils."""
+        """Return the default connections of the pins to the sphere and the coils."""
         ball = sphere.find_controlled_sphere(part, scene)
         joins = {} if ball is None else {"y": f"{ball.name}.y"}
         if not _drives_external_circuit(part, scene):
@@ -266,7 +265,7 @@ class Pid(PartType[PidKeys]):
     def subcircuits(
         self, part: Part[PidKeys], build: BuiltScene, header: Header
     ) -> tuple[Subcircuit, ...]:
-        """Return a tuple with the subcircuit of the part."""
+        """Return the subcircuit of the part, as a tuple of length 1."""
         local = not _drives_external_circuit(part, build.scene)
         load = float(
             build.model(_find_driven_coils(part, build.scene), MagnetostaticTable).resistance.sum()
@@ -275,7 +274,7 @@ class Pid(PartType[PidKeys]):
         return (make_pid_subcircuit(header, part.keys, output=local, load=load, name=name),)
 
     def vectors(self, part: Part[PidKeys], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice vectors of the part's results, keyed by result name."""
+        """Return the ngspice expression of each result of the part, keyed by result name."""
         node = "error" if part.keys.form == "ideal" else "e"
         error = PartResult(f"v(x{part.name.lower()}.{node})", 1.0 / SENSOR_GAIN, "m")
         result = {f"{part.name}.error": error}
@@ -285,14 +284,14 @@ class Pid(PartType[PidKeys]):
         return result
 
     def law(self, part: Part[PidKeys], build: BuiltScene) -> laws.Equations | laws.MissingEquations:
-        """Return the equations of the ideal controller, without op-amp errors."""
+        """Return the model equations of the ideal controller, without op-amp errors."""
         keys, n, scene = part.keys, part.name, build.scene
         if build.get_net(part, "ref") != "0":
             return laws.MissingEquations("its pin ref is not connected to ground")
         external = _drives_external_circuit(part, scene)
         declared = declare_control(keys, output=not external)
         height = sphere.find_height_offset(part, "y", scene)
-        values = declared.values(keys) | {"setpoint": keys.setpoint - height}
+        values = declared.compute_parameter_values(keys) | {"setpoint": keys.setpoint - height}
         controller = DeclaredLaw(n, declared, tuple(values.values()))
         error = laws.scale_wave(f"{n}.y", -DISPLACEMENT.factor, keys.setpoint - height)
         results = {f"{n}.error": error}

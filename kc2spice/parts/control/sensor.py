@@ -20,8 +20,8 @@ from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.shared_cards import attach_comments
 from kc2spice.netlist.spelling import format_number
 from kc2spice.parts.mechanics import sphere
-from kc2spice.physics.cards import get_state_node
 from kc2spice.physics.declaration import Declaration, displacement, measured
+from kc2spice.physics.declaration_cards import get_state_node
 from kc2spice.physics.law import DeclaredLaw
 from kc2spice.physics.part import make_declared_subcircuit
 from kc2spice.scene.model import (
@@ -108,7 +108,7 @@ dc = "1 um"
 """
 
     def pins(self, part: Part[SensorKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
-        """Return the pins in the order of the subcircuit."""
+        """Return the pins of the part in the order of its subcircuit."""
         return (
             Terminal.signal("of", DISPLACEMENT, required=True),
             Terminal.signal("out", DISPLACEMENT, signal_out=True),
@@ -131,7 +131,7 @@ dc = "1 um"
     def subcircuits(
         self, part: Part[SensorKeys], build: BuiltScene, header: Header
     ) -> tuple[Subcircuit, ...]:
-        """Return a tuple with the subcircuit of the part."""
+        """Return the subcircuit of the part, as a tuple of length 1."""
         d, keys = declare_sensor(part.keys), part.keys
         cards: tuple[Item, ...] = ()
         size = DISPLACEMENT.pin_value_per_si_unit * keys.noise
@@ -151,10 +151,14 @@ dc = "1 um"
                 Element.from_words("Inoise", "ref", "out", "DC", "0", wave),
             ))  # fmt: skip
         name = build.libraries[part.name]
-        return (make_declared_subcircuit(header, name, d, d.values(Section()), more=cards),)
+        return (
+            make_declared_subcircuit(
+                header, name, d, d.compute_parameter_values(Section()), more=cards
+            ),
+        )
 
     def settable_quantities(self, part: Part[SensorKeys], build: BuiltScene) -> Mapping[str, float]:
-        """Return the settable initial state of the sensor: the measured sphere's height."""
+        """Return the initial voltage of the sensor's state: the height of the sphere."""
         start = sphere.find_initial_height(part, "of", build.scene)
         if start is None:
             return {}
@@ -163,18 +167,18 @@ dc = "1 um"
         }
 
     def vectors(self, part: Part[SensorKeys], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice vectors of the part's results, keyed by result name."""
+        """Return the ngspice expression of each result of the part, keyed by result name."""
         return {f"{part.name}.y": build.get_pin_vector(part, "out")}
 
     def law(
         self, part: Part[SensorKeys], build: BuiltScene
     ) -> laws.Equations | laws.MissingEquations:
-        """Return the model equations of the part."""
+        """Return the part's model equations, which are solved without a simulator."""
         if part.keys.noise:
             return laws.MissingEquations("its noise is a random waveform of the simulator")
         n, d = part.name, declare_sensor(part.keys)
         height = sphere.find_height_offset(part, "of", build.scene)
-        values = d.values(Section()) | {"offset": part.keys.offset + height}
+        values = d.compute_parameter_values(Section()) | {"offset": part.keys.offset + height}
         declared_law = DeclaredLaw(n, d, tuple(values.values()))
         pins = tuple((pin, f"{n}.{pin}") for pin in ("of", "out", "ref"))
         result = laws.scale_wave(f"{n}.out", DISPLACEMENT.factor)

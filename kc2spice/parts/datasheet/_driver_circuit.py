@@ -218,7 +218,7 @@ def _add_sound(terms: _DeclarationTerms, sides: tuple[str, ...], area: float) ->
             terms.coenergy.append(f"{sign}sd*x*{pressure}")
 
 
-def declare_motor(
+def declare_massless_driver(
     params: tuple[Param, ...], driver: SpeakerParameters, sides: tuple[str, ...] = ()
 ) -> Declaration:
     """Return the declaration of a loudspeaker driver without its moving mass."""

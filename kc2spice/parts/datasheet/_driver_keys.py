@@ -47,8 +47,8 @@ class LoudspeakerKeys(ConductorKeys, NumberedKeys):
         None,
         gt=0,
         description=(
-            "Inductance of the voice coil, in parallel with `ke` and `rss` if stated; by "
-            "default `re` times 1 us, or none with `ke` or `rss`"
+            "Inductance of the voice coil, in parallel with `ke` and `rss`. Default: `re` "
+            "times 1 us, or no inductance if `ke` or `rss` is stated"
         ),
     )
     leb: Inductance | None = Field(
@@ -151,9 +151,9 @@ class LoudspeakerKeys(ConductorKeys, NumberedKeys):
         gt=0,
         lt=1,
         description=(
-            "Relative increase of the suspension's compliance for each decrease of the "
-            "frequency by a factor of 2.718; by default the compliance is constant. `cms` "
-            "and `rms` apply at the frequency `fs`"
+            "Relative increase of the suspension's compliance if the frequency decreases "
+            "by the factor e (2.718); by default the compliance is constant. `cms` and "
+            "`rms` apply at the frequency `fs`"
         ),
     )
     xmax: Length | None = Field(

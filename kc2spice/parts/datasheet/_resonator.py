@@ -197,7 +197,7 @@ class ResonatorPart(NumberedPart[KeysT]):
         """Return the netlist parameters, and the expressions of the circuit elements."""
 
     def shared_data(self, part: Part[KeysT], scene: GovernedScene) -> Resonator:
-        """Return the data that other parts use: the elements of the resonator circuit."""
+        """Return the elements of the resonator circuit, which other parts read."""
         return self.resonator(part)
 
     def circuit(self, part: Part[KeysT], scene: GovernedScene) -> Resonator:
@@ -208,7 +208,7 @@ class ResonatorPart(NumberedPart[KeysT]):
         return record.shared_data
 
     def pins(self, part: Part[KeysT], scene: JoinedScene) -> tuple[Terminal, ...]:
-        """Return the pins in the order of the subcircuit."""
+        """Return the pins of the part in the order of its subcircuit."""
         plus, minus = self.ends
         rated = getattr(part.keys, "rated_voltage", None)
         joined = scene.is_target(part.name, minus)
@@ -219,17 +219,14 @@ class ResonatorPart(NumberedPart[KeysT]):
         )
 
     def equilibrium_conditions(self, part: Part[KeysT], scene: WiredScene) -> EquilibriumConditions:
-        """Return the equilibrium conditions: the paths of steady flow.
-
-        No path includes the pin ``heat``.
-        """
+        """Return the paths of steady flow between the pins, except the pin ``heat``."""
         paths = super().equilibrium_conditions(part, scene).paths
         return EquilibriumConditions(tuple(path for path in paths if HEAT not in path))
 
     def subcircuits(
         self, part: Part[KeysT], build: BuiltScene, header: Header
     ) -> tuple[Subcircuit, ...]:
-        """Return a tuple with the subcircuit of the part."""
+        """Return the subcircuit of the part, as a tuple of length 1."""
         from kc2spice.synthesis.header import (
             format_parameter_defaults,
             write_part_header,
@@ -260,7 +257,7 @@ class ResonatorPart(NumberedPart[KeysT]):
     # --- results ----------------------------------------------------------------------------------
 
     def vectors(self, part: Part[KeysT], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice vectors of the part's results, keyed by result name."""
+        """Return the ngspice expression of each result of the part, keyed by result name."""
         result, (plus, minus) = {}, self.ends
         nets = (
             (sign, build.get_net(part, end)) for sign, end in zip(("", "-"), self.ends, strict=True)
@@ -274,7 +271,7 @@ class ResonatorPart(NumberedPart[KeysT]):
         return result
 
     def law(self, part: Part[KeysT], build: BuiltScene) -> laws.Equations:
-        """Return the model equations of the part."""
+        """Return the part's model equations, which are solved without a simulator."""
         from kc2spice.rom.linear_model import LinearModel, Port  # loads slowly
 
         circuit, n, (plus, minus) = self.circuit(part, build.scene), part.name, self.ends
@@ -307,7 +304,7 @@ class ResonatorPart(NumberedPart[KeysT]):
         return {} if z is None else compute_impedance_metrics(waves["frequency"].real, z)
 
     def figures(self, part: Part[KeysT], build: BuiltScene, waves: Waveforms) -> Iterator[Figure]:
-        """Yield the figures of the part for the report."""
+        """Yield the charts of the part for the report."""
         from kc2spice.parts.bodies._body_figures import IMPEDANCE_CAPTION, plot_impedances
         from kc2spice.parts.bodies._linear_body import compute_impedance
 

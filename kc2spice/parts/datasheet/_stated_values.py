@@ -59,7 +59,7 @@ class StatedValues:
     rounding: Mapping[str, float]
 
     def solve(self) -> np.ndarray:
-        """Solve the stated values for the unknowns, in SI units.
+        """Compute the unknowns in SI units from the values that the data sheet states.
 
         Raises
         ------
@@ -77,7 +77,7 @@ class StatedValues:
         """Return the tolerance of one stated value, as a difference of logarithms."""
         return math.log1p(self.tolerance.get(key, self.rounding.get(key, VALUE_ROUNDING)))
 
-    def text(self, key: str, value: float) -> str:
+    def format_stated_value(self, key: str, value: float) -> str:
         """Return a data-sheet value as the text ``key = value unit``."""
         return f"{key} = {value:.5g} {self.units[key.partition('[')[0]]}".rstrip()
 
@@ -158,7 +158,7 @@ class StatedValues:
                 raise UsageError(
                     "this value is too small or too large",
                     where=f"{self.part}.{key}",
-                    got=self.text(key, value),
+                    got=self.format_stated_value(key, value),
                     expected=f"{SMALLEST_VALUE:g} to {1 / SMALLEST_VALUE:g} {unit}".rstrip(),
                     hint="check the value and its unit",
                 )
@@ -197,9 +197,10 @@ class StatedValues:
             :2
         ]
         nearest = (
-            self.text(key, math.exp(self._compute_logarithm(key, x))) for key in (first, second)
+            self.format_stated_value(key, math.exp(self._compute_logarithm(key, x)))
+            for key in (first, second)
         )
-        stated = (self.text(key, self.stated[key]) for key in (first, second))
+        stated = (self.format_stated_value(key, self.stated[key]) for key in (first, second))
         raise UsageError(
             "no circuit has these values",
             where=f"{self.part}.{first}",
@@ -258,7 +259,8 @@ class StatedValues:
                 implied = [key for key in self.relations if key not in self.stated]
                 key = max(implied, key=lambda key: abs(self._compare_circuits(key, x, other)))
                 values = [
-                    self.text(key, math.exp(self._compute_logarithm(key, y))) for y in (x, other)
+                    self.format_stated_value(key, math.exp(self._compute_logarithm(key, y)))
+                    for y in (x, other)
                 ]
                 raise UsageError(
                     "these values fit more than one circuit",
@@ -283,7 +285,9 @@ class StatedValues:
         """Return the error for two values that contradict each other."""
         implied = {name: self._drop_value(name) for name in (key, other)}
         texts = {
-            name: self.text(name, math.exp(rest._compute_logarithm(name, rest._fitted_logarithms)))
+            name: self.format_stated_value(
+                name, math.exp(rest._compute_logarithm(name, rest._fitted_logarithms))
+            )
             for name, rest in implied.items()
         }
         changes = {
@@ -293,7 +297,7 @@ class StatedValues:
             for name, rest in implied.items()
         }
         redundant = min(changes, key=changes.__getitem__)
-        stated = [self.text(name, self.stated[name]) for name in (key, other)]
+        stated = [self.format_stated_value(name, self.stated[name]) for name in (key, other)]
         return UsageError(
             f"{key} contradicts {other}",
             where=f"{self.part}.{key}",

@@ -264,7 +264,7 @@ stop = "10 kHz"
         level = "c0" if keys.c_low is None else "c_low"
         total, fixed = ["1"], []
         for n, end in enumerate(ends):
-            ratio, loss = _choose_ratio_key(keys, modes), _choose_loss_key(keys, modes)
+            ratio, loss = _choose_capacitance_key(keys, modes), _choose_loss_key(keys, modes)
             for key in ("fs", ratio, loss):
                 params.append(_make_mode_parameter(keys, circuit, key, n, end))
             slow = f"/(1-{keys.c_low_at**2!r}/(fs{end}*fs{end}))"
@@ -363,7 +363,7 @@ def _choose_initial_unknowns(keys: BvdKeys, modes: int) -> np.ndarray:
     return np.concatenate([[c0], fs, cm, rm])
 
 
-def _choose_ratio_key(keys: BvdKeys, modes: int) -> str:
+def _choose_capacitance_key(keys: BvdKeys, modes: int) -> str:
     """Choose the netlist parameter that determines the motional capacitances."""
     if keys.cm:
         return "cm"

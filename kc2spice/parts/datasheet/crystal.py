@@ -43,8 +43,8 @@ class CrystalKeys(RatedKeys):
     f: Frequency = Field(
         gt=0,
         description=(
-            "Nominal frequency of the crystal: the series resonance, or with the key `cl` "
-            "the resonance with this load capacitance"
+            "Nominal frequency of the crystal: the series resonance, or the resonance "
+            "with the load capacitance `cl` if this key is stated"
         ),
     )
     cl: Capacitance | None = Field(

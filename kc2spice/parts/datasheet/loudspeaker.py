@@ -11,6 +11,7 @@ import numpy as np
 from kc2spice.core import laws
 from kc2spice.core.errors import list_candidates
 from kc2spice.core.figure import Figure
+from kc2spice.core.probe_values import find_response_maximum
 from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import make_positive_parameter
@@ -22,7 +23,7 @@ from kc2spice.parts.datasheet._driver_circuit import (
     SemiInductance,
     SpeakerParameters,
     compute_baffle_air_mass,
-    declare_motor,
+    declare_massless_driver,
     declare_moving_mass,
 )
 from kc2spice.parts.datasheet._driver_keys import (
@@ -92,7 +93,7 @@ def _read_semi_inductance(part: Part[LoudspeakerKeys]) -> SemiInductance | None:
         if keys.leb is not None:
             raise part.wrong(
                 "leb",
-                "this inductance belongs to a voice coil with a semi-inductance",
+                "the key leb applies only to a voice coil with a semi-inductance",
                 f"{keys.leb:g} H without ke and rss",
                 "leb together with ke or rss",
                 "rename leb to le, or enter ke",
@@ -129,7 +130,8 @@ def _require_area_and_mass(part: Part[LoudspeakerKeys], driver: SpeakerParameter
             "mms",
             "the moving mass is smaller than the mass of the air that moves with the cone",
             f"{1e3 * driver.mms:.4g} g",
-            f"more than {1e3 * load:.4g} g, 16/3 rho a^3 of a cone of {1e4 * driver.sd:.4g} cm2",
+            f"more than the air mass of {1e3 * load:.4g} g, which is 16/3 rho a^3 for a cone of "
+            f"{1e4 * driver.sd:.4g} cm2",
             "check the units of mms and sd",
         )
 
@@ -163,10 +165,10 @@ stop = "1 kHz"
 """
 
     def shared_data(self, part: Part[LoudspeakerKeys], scene: GovernedScene) -> SpeakerParameters:
-        """Return the data that other parts use: the parameters of the loudspeaker."""
-        return self.solve(part)
+        """Return the parameters of the loudspeaker, which other parts read."""
+        return self.solve_parameters(part)
 
-    def solve(self, part: Part[LoudspeakerKeys]) -> SpeakerParameters:
+    def solve_parameters(self, part: Part[LoudspeakerKeys]) -> SpeakerParameters:
         """Compute the driver parameters from the data-sheet keys of the part."""
         keys = part.keys
         stated = {key: value for key in DRIVER_UNITS if (value := getattr(keys, key)) is not None}
@@ -216,7 +218,7 @@ stop = "1 kHz"
         """Return the driver parameters, from the record of the scene if available."""
         record = scene.get_record(part)
         if record is None or not isinstance(record.shared_data, SpeakerParameters):
-            return self.solve(part)
+            return self.solve_parameters(part)
         return record.shared_data
 
     def make_declaration(self, part: Part[LoudspeakerKeys], scene: GovernedScene) -> Declaration:
@@ -234,10 +236,13 @@ stop = "1 kHz"
         sides = _list_joined_sides(part, scene)
         if sides:
             _require_area_and_mass(part, driver)
-        return declare_motor(tuple(params), driver, sides)
+        return declare_massless_driver(tuple(params), driver, sides)
 
     def pins(self, part: Part[LoudspeakerKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
-        """Return the pins of the loudspeaker; the pin ``cone`` may stay unconnected."""
+        """Return the pins of the part in the order of its subcircuit.
+
+        The pin ``cone`` may stay unconnected.
+        """
         pins = super().pins(part, scene)
         return tuple(replace(pin, required=False) if pin.name == "cone" else pin for pin in pins)
 
@@ -258,11 +263,11 @@ stop = "1 kHz"
     def equilibrium_conditions(
         self, part: Part[LoudspeakerKeys], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the equilibrium condition: the suspension carries a steady force."""
+        """Return the path of the steady suspension force, from ``cone`` to ``frame``."""
         return EquilibriumConditions((self.moving_pins,), inertial_pins=self.moving_pins[:1])
 
     def vectors(self, part: Part[LoudspeakerKeys], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice vectors of the part's results, keyed by result name.
+        """Return the ngspice expression of each result of the part, keyed by result name.
 
         The results are the results of the declaration, and the current and voltage of the voice
         coil.
@@ -275,7 +280,7 @@ stop = "1 kHz"
         return result
 
     def law(self, part: Part[LoudspeakerKeys], build: BuiltScene) -> laws.Equations:
-        """Return the model equations of the part."""
+        """Return the part's model equations, which are solved without a simulator."""
         equations, n = super().law(part, build), part.name
         results = dict(equations.results)
         if f"{n}.{COIL}" in results:
@@ -316,13 +321,18 @@ stop = "1 kHz"
             "frequency_hz": Metric(frequency.tolist(), "Hz"),
             "impedance_ohm": Metric(np.abs(z).tolist(), "Ohm"),
         }
+        size = np.abs(z)
+        if 0 < np.argmax(size) < len(size) - 1:  # the frequency range contains the maximum
+            peak, largest = find_response_maximum(frequency, size)
+            rows["largest_impedance_hz"] = Metric(peak, "Hz")
+            rows["largest_impedance_ohm"] = Metric(largest, "Ohm")
         share = compute_efficiency(part, build.scene, waves)
         return rows if share is None else rows | {"efficiency": Metric(share.tolist(), "")}
 
     def figures(
         self, part: Part[LoudspeakerKeys], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Figure]:
-        """Yield the figures of the part for the report."""
+        """Yield the charts of the part for the report."""
         result = self._compute_impedances(part, waves)
         if result is not None:
             how = f"as the circuit shows it at {part.name}: maximum at resonance."

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
+import numpy as np
 from pydantic import Field
 
 from kc2spice.core.errors import UsageError
 from kc2spice.core.quantities import Inductance, Ratio, Resistance, Section, Time, Voltage
+from kc2spice.core.waveforms import Waveforms
 from kc2spice.fem.thermal_materials import find_resistance_coefficient
 from kc2spice.netlist.circuit import Param, make_positive_parameter
 from kc2spice.netlist.spelling import round_to_digits
@@ -20,7 +22,16 @@ from kc2spice.parts.datasheet._resonator import (
 )
 from kc2spice.physics import Declaration, DeclaredPart, current, voltage
 from kc2spice.physics.conductors import ConductorKeys
-from kc2spice.scene.model import GovernedScene, JoinedScene, Part, Scene, Terminal, WiredScene
+from kc2spice.scene.checks import Metric
+from kc2spice.scene.model import (
+    BuiltScene,
+    GovernedScene,
+    JoinedScene,
+    Part,
+    Scene,
+    Terminal,
+    WiredScene,
+)
 from kc2spice.scene.part_records import NeglectedEffect, NumericalRequirements
 from kc2spice.scene.parttype import register_part_type
 
@@ -28,6 +39,7 @@ from kc2spice.scene.parttype import register_part_type
 CURRENT_RISE_SHARE = 0.9
 # time from one end of the armature's travel to the middle, divided by the time constant
 HALF_WAY_TIME = math.log(2)
+CONTACT_POSITION = 0.5  # position of the armature, from 0 to 1, at which the contacts switch
 
 
 class RelayKeys(ConductorKeys, NumberedKeys):
@@ -130,6 +142,28 @@ def solve_timing(part: Part[RelayKeys]) -> RelayTiming:
     return RelayTiming(keys.inductance, (keys.operate_time - electrical) / HALF_WAY_TIME)
 
 
+def measure_delay(time: np.ndarray, cause: np.ndarray, effect: np.ndarray) -> float | None:
+    """Return the time [s] between the rise of a cause and of its effect through zero.
+
+    The result is None if the cause or the effect does not rise through zero exactly once.
+
+    Examples
+    --------
+    >>> time = np.array([0.0, 1.0, 2.0, 3.0])
+    >>> measure_delay(time, np.array([-1.0, 1.0, 1.0, 1.0]), np.array([-1.0, -1.0, -1.0, 1.0]))
+    2.0
+    """
+    moments = []
+    for wave in (cause, effect):
+        rises = np.flatnonzero((wave[:-1] < 0) & (wave[1:] >= 0))
+        if len(rises) != 1:
+            return None
+        k = int(rises[0])
+        share = wave[k] / (wave[k] - wave[k + 1])
+        moments.append(float(time[k] + share * (time[k + 1] - time[k])))
+    return moments[1] - moments[0]
+
+
 def declare_relay(params: tuple[Param, ...], changeover: bool) -> Declaration:
     """Return the declaration of the coil, the armature and the contacts of a relay.
 
@@ -194,7 +228,7 @@ pins = { a = "relay.com", b = "gnd" }
 """
 
     def shared_data(self, part: Part[RelayKeys], scene: GovernedScene) -> RelayTiming:
-        """Return the data that other parts use: coil inductance and time constant."""
+        """Return coil inductance and armature time constant, which other parts read."""
         return solve_timing(part)
 
     def problems(self, part: Part[RelayKeys], scene: GovernedScene) -> Iterator[UsageError]:
@@ -239,23 +273,47 @@ pins = { a = "relay.com", b = "gnd" }
         return declare_relay(params, keys.changeover)
 
     def pins(self, part: Part[RelayKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
-        """Return the pins of the coil and of the contacts.
+        """Return the pins of the part in the order of its subcircuit.
 
-        The pins of the contacts may stay unconnected.
+        The pins ``no`` and ``nc`` of the contacts may stay unconnected.
         """
         pins = super().pins(part, scene)
         return tuple(replace(p, required=False) if p.name in ("no", "nc") else p for p in pins)
 
     def numerics(self, part: Part[RelayKeys], scene: WiredScene) -> Iterator[NumericalRequirements]:
-        """Yield a time step that resolves the motion of the armature.
+        """Yield requirements on the time step, to resolve the motion of the armature.
 
-        A smaller Newton tolerance is also yielded if necessary.
+        A smaller Newton tolerance is also required if necessary.
         """
         yield from super().numerics(part, scene)
         times = solve_timing(part)
         yield NumericalRequirements(
             f"a tenth of the time constant of {part.name}", 0.1 * times.armature
         )
+
+    def metrics(
+        self, part: Part[RelayKeys], build: BuiltScene, waves: Waveforms
+    ) -> Mapping[str, object]:
+        """Return the largest coil current, and the operate and release times of a transient.
+
+        A time is absent if the relay does not operate or release exactly once. The release time is
+        also absent without the key ``inductance``, because the inductance from the operate time is
+        too large.
+        """
+        keys = part.keys
+        columns = [waves.data.get(f"{part.name}.{result}") for result in ("v", "i", "armature")]
+        if "time" not in waves or any(column is None for column in columns):
+            return {}
+        volts, amperes, armature = map(np.asarray, columns)
+        result = {"coil_current_a": Metric(float(np.abs(amperes).max()), "A")}
+        time, travel = waves["time"], armature - CONTACT_POSITION
+        times = {"operate_time_s": measure_delay(time, volts - keys.pick_up, travel)}
+        if keys.inductance is not None:
+            times["release_time_s"] = measure_delay(time, keys.release - volts, -travel)
+        for name, delay in times.items():
+            if delay is not None:
+                result[name] = Metric(delay, "s")
+        return result
 
     def notes(self, part: Part[RelayKeys], scene: Scene) -> Iterator[str | NeglectedEffect]:
         """Yield the assumptions of the model and the effects that it neglects."""

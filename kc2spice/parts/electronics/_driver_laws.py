@@ -39,12 +39,12 @@ SATURATION_CURRENT = 1e-14  # saturation current [A] of the diodes from source t
 THERMAL_VOLTAGE = BOLTZMANN * DEFAULT_TEMPERATURE / ELEMENTARY_CHARGE  # V, at 27 C
 
 
-def declare_amplifier(parameters: Iterable[Param], sink: float) -> Declaration:
-    """Return the declaration of an amplifier with a voltage gain of 20.
+def declare_amplifier(parameters: Iterable[Param]) -> Declaration:
+    """Return the declaration of an amplifier whose output voltage follows the command.
 
-    The parameter ``rail`` is the upper rail. ``sink`` [V] is the lower rail. Two voltage dividers
-    divide the command and the feedback by 20. The feedback divider connects ``drive`` to ``ref``
-    with 20 kOhm.
+    The parameters ``rail`` and ``negative_rail`` are the upper and the lower rail. Two voltage
+    dividers divide the command and the feedback by 20. The feedback divider connects ``drive`` to
+    ``ref`` with 20 kOhm.
     """
     return Declaration(
         "amplifier",
@@ -54,7 +54,9 @@ def declare_amplifier(parameters: Iterable[Param], sink: float) -> Declaration:
         content=f"0.5*(drive - out)^2/{SERIES_PARAMETER} + 0.5*drive^2/20000 - drive*delivered",
         signals={"delivered": _write_output_current("drive")},
         states={
-            "compensation": _write_compensation_rate("(command - v_drive)/20", str(sink), "rail")
+            "compensation": _write_compensation_rate(
+                "(command - v_drive)/20", "negative_rail", "rail"
+            )
         },
         given=tuple(parameters),
         constants={SERIES_PARAMETER: "resistance", "unity": f"{FULL_TURN}*20*bandwidth"},
@@ -256,7 +258,7 @@ def build_driver_equations(
     ``NAME.i``. The output current flows through the last resistor, from ``inner_node`` to the first
     terminal.
     """
-    values, pins = declared.values(Section()), ("command", *terminals)
+    values, pins = declared.compute_parameter_values(Section()), ("command", *terminals)
     results = {f"{name}.{pin}": laws.scale_wave(f"{name}.{pin}") for pin in pins}
     conductance = 1.0 / values[SERIES_PARAMETER]
     ends = ((conductance, f"{name}.{inner_node}"), (-conductance, f"{name}.{pins[1]}"))

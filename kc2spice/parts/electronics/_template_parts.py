@@ -19,11 +19,12 @@ from kc2spice.core import laws
 from kc2spice.core.errors import UsageError
 from kc2spice.core.magnets import MagnetostaticTable
 from kc2spice.core.quantities import BOLTZMANN, DEFAULT_TEMPERATURE, Current, Section, Voltage
+from kc2spice.core.si_prefix_format import format_quantity
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.netlist.circuit import Param, make_positive_parameter
 from kc2spice.netlist.library import Header, Subcircuit
 from kc2spice.netlist.transforms import merge_helpers
-from kc2spice.parts.control._pid_keys import PidKeys
+from kc2spice.parts.control._pid_keys import MAX_SATURATED_SHARE, PidKeys
 from kc2spice.parts.electronics._driver_laws import (
     OUTPUT_RESISTANCE,
     STATIC_GAIN,
@@ -44,7 +45,7 @@ from kc2spice.scene.model import (
     Terminal,
     WiredScene,
 )
-from kc2spice.scene.part_records import PartResult
+from kc2spice.scene.part_records import NeglectedEffect, PartResult
 from kc2spice.synthesis.header import ROOM_TEXT, render_library
 
 GAIN_BANDWIDTH = 1e9  # Hz, gain-bandwidth product of a fast decompensated amplifier
@@ -95,19 +96,19 @@ class TemplatePart(PartType[KeysT]):
     constants: ClassVar[Mapping[str, float]] = {}
 
     def pins(self, part: Part[KeysT], scene: JoinedScene) -> tuple[Terminal, ...]:
-        """Return the pins in the order of the subcircuit."""
+        """Return the pins of the part in the order of its subcircuit."""
         return self.fixed
 
     def template_values(
         self, part: Part[KeysT], build: BuiltScene
     ) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
         """Return the netlist parameters, and other values that the template needs."""
-        return parameters(part.keys), _NOTHING
+        return make_key_parameters(part.keys), _NOTHING
 
     def subcircuits(
         self, part: Part[KeysT], build: BuiltScene, header: Header
     ) -> tuple[Subcircuit, ...]:
-        """Return a tuple with the subcircuit of the part."""
+        """Return the subcircuit of the part, as a tuple of length 1."""
         params, values = self.template_values(part, build)
         if build.has_noise and isinstance(part.keys, InputNoise):
             values = {**values, "input_noise": part.keys}
@@ -133,7 +134,7 @@ class TemplatePart(PartType[KeysT]):
         )
 
 
-def parameters(keys: Section, *names: str) -> tuple[Param, ...]:
+def make_key_parameters(keys: Section, *names: str) -> tuple[Param, ...]:
     """Return keys of the part as positive netlist parameters; by default all keys.
 
     ``names`` selects the keys.
@@ -187,6 +188,11 @@ RAIL_MARGIN = 1e-3
 OVERDRIVE_ADVICE = (
     "its load drives it beyond its rails, where diodes of a real output would conduct"
 )
+SWITCHING_ADVICE = (
+    "the driver switches, and a linear analysis describes only its state at the operating point: "
+    "use a transient analysis"
+)
+MIN_COMMAND = 1.0  # V; below this largest command, the tolerance of the command is constant
 
 
 class CoilLoad(NamedTuple):
@@ -230,6 +236,10 @@ class Driver(TemplatePart[KeysT]):
 
     opamp: ClassVar[Level | None] = "slew"
     inner_node: ClassVar[str] = "drive"
+    # relation of the output to the command
+    function: ClassVar[str]
+    # names of the keys that set the lower and the upper rail
+    rail_keys: ClassVar[tuple[str, str]] = ("rail", "rail")
     terminals: tuple[str, ...] = ("out",)
     fixed = make_driver_pins("out")
     validity = "27 C (transistors: .options temp); no heating, ageing or failure"
@@ -243,7 +253,7 @@ class Driver(TemplatePart[KeysT]):
         """Return the declaration of the driver's circuit for its netlist parameters."""
 
     def law(self, part: Part[KeysT], build: BuiltScene) -> laws.Equations | laws.MissingEquations:
-        """Return the model equations of the part."""
+        """Return the part's model equations, which are solved without a simulator."""
         if build.has_noise:
             return laws.MissingEquations("its equations do not include noise")
         if build.get_net(part, "ref") != "0":
@@ -264,34 +274,181 @@ class Driver(TemplatePart[KeysT]):
         )
 
     def vectors(self, part: Part[KeysT], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice vectors of the part's results, keyed by result name."""
-        if build.scene.analysis.type != "transient":
+        """Return the ngspice expression of each result of the part, keyed by result name.
+
+        In an ac analysis, ngspice has no complex current of a resistor. The current is therefore
+        the voltage across ``Rout``, divided by its resistance, except in transients.
+        """
+        kind, n = build.scene.analysis.type, part.name
+        if build.has_noise or (kind != "transient" and self.opamp != "slew"):
             return {}
         result = list_pin_voltages(part, build, ("command", *self.terminals))
-        read = f"@r.x{part.name.lower()}.rout[i]"
-        return result | {f"{part.name}.i": PartResult(read, 1.0, "A", self.terminals[:1])}
+        read, factor = f"@r.x{n.lower()}.rout[i]", 1.0
+        if kind != "transient":
+            net = build.get_net(part, self.terminals[0])
+            read = f"v(x{n.lower()}.{self.inner_node})" + f"-v({net})" * (net != "0")
+            factor = 1.0 / self.get_series_resistance(part)
+        return result | {f"{n}.i": PartResult(read, factor, "A", self.terminals[:1])}
+
+    def get_series_resistance(self, part: Part[KeysT]) -> float:
+        """Return the resistance [Ohm] of ``Rout``, from ``inner_node`` to the first terminal."""
+        return float(part.keys.resistance)  # type: ignore[attr-defined]
+
+    def compute_control_variables(
+        self, part: Part[KeysT], waves: Waveforms
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the set voltage [V] of the amplifier's control loop, and its actual voltage."""
+        raise NotImplementedError
+
+    def read_pin(self, part: Part[KeysT], waves: Waveforms, pin: str) -> np.ndarray:
+        """Return the voltage [V] of a pin, which is zero without a result: at the pin ``ref``."""
+        return waves.data.get(f"{part.name}.{pin}", np.zeros(waves.scale.shape))
+
+    def compute_inner_voltage(
+        self, part: Part[KeysT], waves: Waveforms, resistance: float = 0.0
+    ) -> np.ndarray:
+        """Return the voltage [V] of ``inner_node``, before an output ``resistance`` [Ohm]."""
+        total = self.get_series_resistance(part) + resistance
+        volts = self.read_pin(part, waves, self.terminals[0])
+        return np.asarray(volts + total * waves[f"{part.name}.i"])
 
     def checks(self, part: Part[KeysT], build: BuiltScene, waves: Waveforms) -> Iterator[Check]:
-        """Yield the check that the amplifier's output voltage stays between its rails.
+        """Yield the checks of the output voltage at and beyond the rails.
 
         A load could drive the output beyond the rails. The checked voltage is the voltage before
-        the output resistances. A bridge is not checked, because its diodes keep the voltage within
-        the rails.
+        the output resistances. The diodes of a bridge keep its voltage within the rails.
         """
-        name, i = f"{part.name}.{self.terminals[0]}", f"{part.name}.i"
-        if self.opamp == "slew" and {"time", name, i} <= set(waves.data):
+        if f"{part.name}.i" not in waves or build.scene.analysis.is_small_signal:
+            return
+        if self.opamp == "slew" and "time" in waves:
             low, high = self.rails(part)
-            inner = (
-                waves[name] + (getattr(part.keys, "resistance", 0.0) + OUTPUT_RESISTANCE) * waves[i]
-            )
+            inner = self.compute_inner_voltage(part, waves, OUTPUT_RESISTANCE)
             yield make_rails_check(
                 part.name, inner, low, high, RAIL_MARGIN * (high - low), OVERDRIVE_ADVICE
             )
+        yield from self._check_clipping(part, build, waves)
 
-    def notes(self, part: Part[KeysT], scene: Scene) -> Iterator[str]:
+    def check_operating_point(
+        self, part: Part[KeysT], build: BuiltScene, point: Waveforms
+    ) -> Iterator[Check]:
+        """Yield the check that the output is not at a rail at the operating point."""
+        if f"{part.name}.i" in point:
+            yield from self._check_clipping(part, build, point)
+
+    def find_clipping(self, part: Part[KeysT], waves: Waveforms) -> tuple[np.ndarray, np.ndarray]:
+        """Return at which points the output clips at the lower rail, and at the upper rail.
+
+        The output clips if its voltage is at a rail, and the command requests a voltage beyond
+        this rail.
+        """
+        low, high = self.rails(part)
+        inner = self.compute_inner_voltage(part, waves, OUTPUT_RESISTANCE)
+        wanted, actual = self.compute_control_variables(part, waves)
+        margin = RAIL_MARGIN * (high - low)
+        slack = RAIL_MARGIN * max(MIN_COMMAND, float(np.abs(wanted).max()))
+        return (
+            (inner <= low + margin) & (wanted < actual - slack),
+            (inner >= high - margin) & (wanted > actual + slack),
+        )
+
+    def _check_clipping(
+        self, part: Part[KeysT], build: BuiltScene, waves: Waveforms
+    ) -> Iterator[Check]:
+        """Yield the check that the output does not clip at a rail."""
+        if self.opamp is None:
+            return
+        scale, sides = waves.scale.real, self.find_clipping(part, waves)
+        clipped = (sides[0] | sides[1]).astype(float)
+        share, first = float(clipped.mean()), int(np.argmax(clipped))
+        unit, where = "of the points", ""
+        if "time" in waves:
+            share, unit = float(np.trapezoid(clipped, scale) / np.ptp(scale)), "of the time"
+            where = f" from {format_quantity(scale[first], 's')} on"
+        elif "sweep" in waves:
+            where = f" at the swept value {scale[first]:.4g}"
+        side = int(sides[1][first])
+        advice = (
+            f"the output is at its rail of {format_quantity(self.rails(part)[side], 'V')}{where}, "
+            f"and the command requests a voltage beyond this rail: lower the command, or increase "
+            f"the magnitude of {part.key_prefix}.{self.rail_keys[side]}"
+        )
+        action = build.scene.checks.saturation
+        limit = self.get_permitted_clipping(part, build)
+        yield Check(f"clipping of {part.name}", share, limit, unit, advice, action)
+
+    def get_permitted_clipping(self, part: Part[KeysT], build: BuiltScene) -> float:
+        """Return the largest permitted fraction of the run during which the output clips."""
+        return 0.0
+
+    def check_amplitudes(
+        self, part: Part[KeysT], build: BuiltScene, point: Waveforms | None, waves: Waveforms
+    ) -> Iterator[Check]:
+        """Yield the checks that ac amplitudes are within rails, current limit and slew rate.
+
+        The limit of an amplitude is the distance from the operating point to the nearer limit.
+        Without a known operating point, the operating point is assumed in the middle between both
+        limits, where the permitted amplitudes are largest. The amplitude of the slope at the
+        frequency f is ``2 pi f`` times the amplitude of the voltage.
+        """
+        n, action = part.name, build.scene.checks.saturation
+        if self.opamp != "slew":
+            yield Check(f"switching of {n}", 1.0, 0.0, "", SWITCHING_ADVICE, action)
+        if f"{n}.i" not in waves:
+            return
+        (low, high), parameters = self.rails(part), self.template_values(part, build)[0]
+        limits = {parameter.name: parameter.default for parameter in parameters}
+        voltage, current = (high + low) / 2, 0.0
+        if point is not None and f"{n}.i" in point:
+            voltage = float(self.compute_inner_voltage(part, point, OUTPUT_RESISTANCE)[-1])
+            current = float(point[f"{n}.i"][-1])
+        side = int(high - voltage < voltage - low)
+        rail, bias = format_quantity((low, high)[side], "V"), format_quantity(voltage, "V")
+        distance = max(min(high - voltage, voltage - low), 0.0)
+        reserve = max(limits["current_limit"] - abs(current), 0.0)
+        volts = self.compute_inner_voltage(part, waves, OUTPUT_RESISTANCE)
+        frequency = waves["frequency"].real
+        nearest = f"the rail of {rail} next to the operating point of {bias}"
+        rows = (
+            ("voltage", volts, distance, "V", nearest, self.rail_keys[side]),
+            ("current", waves[f"{n}.i"], reserve, "A", "the current limit", "current_limit"),
+            (
+                "slope",
+                2 * np.pi * frequency * volts,
+                limits["slew"],
+                "V/s",
+                "the slew rate",
+                "slew",
+            ),
+        )
+        for what, wave, limit, unit, neglected, key in rows:
+            worst = int(np.argmax(np.abs(wave)))
+            advice = (
+                f"the amplitude is largest at {format_quantity(frequency[worst], 'Hz')}, and a "
+                f"linear analysis neglects {neglected}: lower the amplitude of the source"
+            )
+            if key in type(part.keys).model_fields:
+                advice += f", or increase the magnitude of {part.key_prefix}.{key}"
+            name = f"output {what} of {n}"
+            yield Check(name, float(np.abs(wave[worst])), limit, unit, advice, action)
+
+    def notes(self, part: Part[KeysT], scene: Scene) -> Iterator[str | NeglectedEffect]:
         """Yield the assumptions of the model and the effects that it neglects."""
-        settings = (f"{key} {value:g}" for key, value in part.keys if value is not None)
-        yield f"{self.name}, " + ", ".join(settings)
+        units = {key.name: key.unit for key in list_schema_keys(type(part.keys))}
+        settings = (
+            f"{key} {format_quantity(value, units[key] or '')}"
+            for key, value in part.keys
+            if value is not None
+        )
+        low, high = (format_quantity(volts, "V") for volts in self.rails(part))
+        between = f"the output voltage stays between {low} and {high}"
+        yield f"{self.name}, {self.function}; {between}; " + ", ".join(settings)
+        if scene.analysis.is_small_signal:
+            effect, size = "switching", "not estimated"
+            if self.opamp == "slew":
+                effect = "rails, current limit and slew rate"
+            if self.opamp == "slew" and scene.analysis.type == "ac":
+                size = "checks compare the amplitudes of the output with these limits"
+            yield NeglectedEffect(effect, "the analysis is linear", size)
 
 
 class CoilDriver(Driver[KeysT]):
@@ -316,12 +473,20 @@ class CoilDriver(Driver[KeysT]):
         """Return netlist parameters and template values that suit the coils ``load``."""
 
     def default_joins(self, part: Part[KeysT], scene: GovernedScene) -> Mapping[str, str]:
-        """Return the default connection of the pin ``command`` to a controller output.
+        """Return the default connection of the pin ``command`` to the controller.
 
         The pin ``command`` is connected to the only controller of the scene.
         """
         control = scene.find_only_part("pid")
         return {} if control is None else {"command": f"{control.name}.command"}
+
+    def get_permitted_clipping(self, part: Part[KeysT], build: BuiltScene) -> float:
+        """Return the largest permitted fraction of the run during which the output clips.
+
+        A controller that commands the driver corrects the effect of short clipping.
+        """
+        control = _find_joined_part(part, "command", build.scene, "pid")
+        return 0.0 if control is None else MAX_SATURATED_SHARE
 
     def compute_coil_load(self, part: Part[KeysT], build: BuiltScene) -> CoilLoad:
         """Compute the load of the driver: the coils at its terminals.

@@ -79,7 +79,7 @@ class Diode(TemplatePart[DiodeKeys]):
         return params, {}
 
     def law(self, part: Part[DiodeKeys], build: BuiltScene) -> laws.Equations:
-        """Return the model equations of the part."""
+        """Return the part's model equations, which are solved without a simulator."""
         junction = Junction(part.name, *part.keys.model_dump().values())
         ends = tuple((pin.name, f"{part.name}.{pin.name}") for pin in self.fixed)
         flow = junction.flows[0].pin
@@ -87,12 +87,12 @@ class Diode(TemplatePart[DiodeKeys]):
         return laws.Equations((junction,), ends, results)
 
     def vectors(self, part: Part[DiodeKeys], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice vectors of the part's results, keyed by result name."""
+        """Return the ngspice expression of each result of the part, keyed by result name."""
         read, ends = f"@d.x{part.name.lower()}.djunction[id]", (("cathode",), ("anode",))
         return {f"{part.name}.i": PartResult(read, 1.0, "A", *ends)}
 
     def numerics(self, part: Part[DiodeKeys], scene: WiredScene) -> Iterator[NumericalRequirements]:
-        """Yield a tighter solver tolerance for all analyses except transients.
+        """Yield a requirement on the Newton tolerance in analyses other than transients.
 
         Newton's method needs a tighter tolerance, because the equation of the diode is exponential.
         """

@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any, ClassVar
 
+import numpy as np
 from pydantic import Field
 
 from kc2spice.core import laws
@@ -21,7 +22,7 @@ from kc2spice.core.quantities import (
     Time,
     Voltage,
 )
-from kc2spice.core.waveforms import make_sine_waveform
+from kc2spice.core.waveforms import Waveforms, make_sine_waveform
 from kc2spice.netlist.circuit import Param, make_positive_parameter
 from kc2spice.parts.control.pid import SENSE_RESISTANCE
 from kc2spice.parts.electronics._driver_laws import (
@@ -32,12 +33,13 @@ from kc2spice.parts.electronics._driver_laws import (
     declare_pwm_drive,
 )
 from kc2spice.parts.electronics._template_parts import (
+    RAIL_MARGIN,
     CoilDriver,
     CoilLoad,
     Driver,
     InputNoise,
     make_driver_pins,
-    parameters,
+    make_key_parameters,
 )
 from kc2spice.physics.declaration import Declaration
 from kc2spice.scene.model import (
@@ -49,11 +51,25 @@ from kc2spice.scene.model import (
 from kc2spice.scene.part_records import HighestFrequency, NumericalRequirements
 from kc2spice.scene.parttype import register_part_type
 
+DEFAULT_NEGATIVE_RAIL = -10.0  # V
+
 
 class AmplifierKeys(InputNoise):
-    """Keys of a high-voltage amplifier with a class-AB output stage and a gain of 20."""
+    """Keys of a high-voltage amplifier whose output voltage follows the command.
+
+    The gain from the command to the output is 1, because a divider by 20 precedes an amplifier
+    stage with a gain of 20.
+    """
 
     rail: Voltage = Field(120.0, gt=0, description="Positive supply voltage of the amplifier")
+    negative_rail: Voltage | None = Field(
+        None,
+        le=0,
+        description=(
+            "Negative supply voltage of the amplifier, below which the output voltage cannot "
+            f"fall; by default {DEFAULT_NEGATIVE_RAIL:g} V"
+        ),
+    )
     resistance: Resistance = Field(
         2.0, gt=0, description="Series resistance between the amplifier and the piezoelectric chip"
     )
@@ -71,22 +87,37 @@ class AmplifierKeys(InputNoise):
 class Amplifier(Driver[AmplifierKeys]):
     """Part type ``amplifier``: high-voltage amplifier with limited slew rate.
 
-    The amplifier also limits its output current.
+    The gain from the command to the output is 1. The amplifier also limits its output current.
     """
 
     name, title = "amplifier", "high-voltage amplifier with slew rate and current limit"
+    function = "the output voltage follows the command with a gain of 1"
     schema = AmplifierKeys
     template, heading = "driver_amplifier", "high-voltage amplifier for the chip"
     noise = ("R", "Rout")
-    constants: ClassVar = {"sink": -10}  # V, the lower rail
+    rail_keys = ("negative_rail", "rail")
+
+    def template_values(
+        self, part: Part[AmplifierKeys], build: BuiltScene
+    ) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
+        """Return the netlist parameters, and the lower rail as a number of the template."""
+        names = set(AmplifierKeys.model_fields) - {"negative_rail"}
+        return make_key_parameters(part.keys, *names), {"negative_rail": self.rails(part)[0]}
 
     def declare_circuit(self, parameters: tuple[Param, ...]) -> Declaration:
         """Return the declaration of the amplifier's circuit."""
-        return declare_amplifier(parameters, self.constants["sink"])
+        return declare_amplifier(parameters)
+
+    def compute_control_variables(
+        self, part: Part[AmplifierKeys], waves: Waveforms
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the command, and the voltage of the feedback divider's upper end."""
+        return self.read_pin(part, waves, "command"), self.compute_inner_voltage(part, waves)
 
     def rails(self, part: Part[AmplifierKeys]) -> tuple[float, float]:
         """Return the lowest and highest output voltage [V] of the amplifier."""
-        return self.constants["sink"], part.keys.rail
+        low = part.keys.negative_rail
+        return DEFAULT_NEGATIVE_RAIL if low is None else low, part.keys.rail
 
 
 class ChargeDriveKeys(InputNoise):
@@ -104,8 +135,8 @@ class ChargeDriveKeys(InputNoise):
         1e-6,
         gt=0,
         description=(
-            "Capacitance in series with the piezoelectric chip, whose voltage measures the "
-            "charge of the chip"
+            "Capacitance of the capacitor in series with the piezoelectric chip; the "
+            "voltage of the capacitor measures the charge of the chip"
         ),
     )
     rail: Voltage = Field(
@@ -131,6 +162,7 @@ class ChargeDrive(Driver[ChargeDriveKeys]):
     """Part type ``charge_drive``: charge control of a floating capacitive load."""
 
     name, title = "charge_drive", "charge drive for a floating capacitive load"
+    function = "the charge of the load is the key capacitance times the command"
     schema = ChargeDriveKeys
     template, heading = "driver_charge", "charge drive for the chip"
     noise = ("Rout", "Rsense", "Rchip")
@@ -139,6 +171,13 @@ class ChargeDrive(Driver[ChargeDriveKeys]):
     def declare_circuit(self, parameters: tuple[Param, ...]) -> Declaration:
         """Return the declaration of the charge drive's circuit."""
         return declare_charge_drive(parameters)
+
+    def compute_control_variables(
+        self, part: Part[ChargeDriveKeys], waves: Waveforms
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the set voltage and the actual voltage of the sense capacitor."""
+        target = part.keys.capacitance / part.keys.sense * self.read_pin(part, waves, "command")
+        return target, self.read_pin(part, waves, "cathode")
 
     def rails(self, part: Part[ChargeDriveKeys]) -> tuple[float, float]:
         """Return the negative and the positive supply voltage [V]."""
@@ -187,6 +226,7 @@ class HalfBridge(Driver[HalfBridgeKeys]):
     """Part type ``half_bridge``: half-bridge with gate resistors and reservoir."""
 
     name, title = "half_bridge", "half-bridge with gate resistors and reservoir"
+    function = "the output is 0 V or the rail, and switches where the command crosses half the rail"
     schema = HalfBridgeKeys
     template, heading = "driver_half_bridge", "half-bridge for the chip"
     noise = ("Rout", "Rsupply", "Rhigh", "Rlow")
@@ -221,10 +261,14 @@ class LinearDriverKeys(InputNoise):
     )
 
 
+LINEAR_SERIES_RESISTANCE = 1.0  # Ohm, ``Rout`` of the template ``driver_linear``
+
+
 class LinearDrive(CoilDriver[LinearDriverKeys]):
     """Part type ``linear_drive``: linear amplifier as a current source for coils."""
 
     name, title = "linear_drive", "current source for coils, linear amplifier between two rails"
+    function = "the coil current is the command divided by 100 Ohm"
     schema = LinearDriverKeys
     template, heading = "driver_linear", "current source for the coils"
     noise = ("R", "Rout", "Rsense")
@@ -234,6 +278,16 @@ class LinearDrive(CoilDriver[LinearDriverKeys]):
     def declare_circuit(self, parameters: tuple[Param, ...]) -> Declaration:
         """Return the declaration of the linear current source's circuit."""
         return declare_linear_drive(parameters, self.constants["sense"])
+
+    def get_series_resistance(self, part: Part[LinearDriverKeys]) -> float:
+        """Return the resistance [Ohm] of ``Rout``."""
+        return LINEAR_SERIES_RESISTANCE
+
+    def compute_control_variables(
+        self, part: Part[LinearDriverKeys], waves: Waveforms
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the command, and the voltage of the sense resistor."""
+        return self.read_pin(part, waves, "command"), self.read_pin(part, waves, "ret")
 
     def rails(self, part: Part[LinearDriverKeys]) -> tuple[float, float]:
         """Return the negative and the positive supply voltage [V]."""
@@ -253,7 +307,7 @@ class LinearDrive(CoilDriver[LinearDriverKeys]):
         limit = make_positive_parameter(
             "current_limit", 2 * load.current, "A", "largest output current"
         )
-        return (*parameters(keys, "rail", "slew"), limit), {
+        return (*make_key_parameters(keys, "rail", "slew"), limit), {
             "inductance": load.inductance,
             "resistance": resistance,
             "bandwidth": keys.bandwidth,
@@ -294,6 +348,7 @@ class PwmDrive(CoilDriver[PwmKeys]):
     """Part type ``pwm_drive``: switched H-bridge as a current source for coils."""
 
     name, title = "pwm_drive", "current source for coils, pulse-width modulated H-bridge"
+    function = "the coil current is the command divided by 100 Ohm"
     schema = PwmKeys
     template, heading = "driver_pwm", "H-bridge for the coils"
     opamp = "pole"
@@ -307,6 +362,23 @@ class PwmDrive(CoilDriver[PwmKeys]):
     def declare_circuit(self, parameters: tuple[Param, ...]) -> Declaration:
         """Return the declaration of the switched current source's circuit."""
         return declare_pwm_drive(parameters, **self.constants)
+
+    def rails(self, part: Part[PwmKeys]) -> tuple[float, float]:
+        """Return the lowest and highest voltage [V] of each leg: 0 and the supply voltage."""
+        return 0.0, part.keys.rail
+
+    def find_clipping(self, part: Part[PwmKeys], waves: Waveforms) -> tuple[np.ndarray, np.ndarray]:
+        """Return at which points the bridge does not switch, for the lower and the upper rail.
+
+        The modulator clips if the voltage of a leg stays at a rail for more than one period of the
+        carrier.
+        """
+        (low, high), leg = self.rails(part), self.compute_inner_voltage(part, waves)
+        margin, period = RAIL_MARGIN * (high - low), 1 / part.keys.frequency
+        return (
+            _select_long_intervals(leg <= low + margin, waves["time"], period),
+            _select_long_intervals(leg >= high - margin, waves["time"], period),
+        )
 
     def law(self, part: Part[PwmKeys], build: BuiltScene) -> laws.Equations | laws.MissingEquations:
         """Return the model equations of the circuit and of the carrier waveform.
@@ -351,7 +423,7 @@ class PwmDrive(CoilDriver[PwmKeys]):
             * self.constants["carrier"]
             / SENSE_RESISTANCE
         )
-        return parameters(keys, "rail", "frequency", "resistance", "edge"), {
+        return make_key_parameters(keys, "rail", "frequency", "resistance", "edge"), {
             "inductance": load.inductance,
             "coil_resistance": resistance,
             "bandwidth": keys.bandwidth,
@@ -360,7 +432,7 @@ class PwmDrive(CoilDriver[PwmKeys]):
         }
 
     def numerics(self, part: Part[PwmKeys], scene: WiredScene) -> Iterable[NumericalRequirements]:
-        """Return the longest time step and highest frequency for the PWM carrier."""
+        """Return requirements on the time step, to resolve the PWM carrier and its edges."""
         f, edge = part.keys.frequency, part.keys.edge
         what = f"a tenth of a period of the carrier of {part.name}"
         return (NumericalRequirements(what, 0.1 / f, 1 / edge),)
@@ -370,6 +442,18 @@ class PwmDrive(CoilDriver[PwmKeys]):
     ) -> HighestFrequency:
         """Return a function that computes the highest relevant ripple frequency [Hz]."""
         return partial(_compute_ripple_frequency, float(part.keys.frequency))
+
+
+def _select_long_intervals(selected: np.ndarray, t: np.ndarray, duration: float) -> np.ndarray:
+    """Return the selected points whose interval is longer than ``duration`` [s].
+
+    ``selected`` and the times ``t`` [s] are arrays of shape (n,).
+    """
+    result = selected.copy()
+    turns = np.diff(np.r_[0, selected.astype(int), 0])
+    for first, end in zip(np.flatnonzero(turns > 0), np.flatnonzero(turns < 0), strict=True):
+        result[first:end] = t[end - 1] - t[first] > duration
+    return result
 
 
 def _compute_ripple_frequency(carrier: float, constant: float) -> float:

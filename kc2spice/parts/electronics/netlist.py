@@ -6,6 +6,7 @@ The netlist is checked before a simulator reads it.
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -21,12 +22,12 @@ from kc2spice.core.errors import UsageError, did_you_mean, list_candidates, unkn
 from kc2spice.core.laws import MissingEquations
 from kc2spice.core.quantities import Section, Slew, Voltage
 from kc2spice.core.waveforms import Waveforms
+from kc2spice.netlist.card_parser import read_cards
 from kc2spice.netlist.circuit import Pin
 from kc2spice.netlist.importer import Syntax, translate_circuit
 from kc2spice.netlist.include_scan import read_included_netlist, read_untrusted_netlist
 from kc2spice.netlist.library import Header, Subcircuit
-from kc2spice.netlist.read import read_cards
-from kc2spice.netlist.scope import Scope, build_scope, has_vector
+from kc2spice.netlist.scope import Scope, build_scope, conducts_to_ground, has_vector
 from kc2spice.netlist.spelling import require_name as checked
 from kc2spice.parts.electronics._template_parts import (
     RAIL_MARGIN,
@@ -122,8 +123,8 @@ class NetlistKeys(Section):
     ratings: dict[str, PinRating] = Field(
         default_factory=dict,
         description=(
-            "Permitted voltages and slew rates of the pins, { PIN = { low, high, slew } }, "
-            "which each run checks"
+            "Permitted voltages and slew rates of the pins, which each run checks: a "
+            "table { PIN = { low, high, slew } }"
         ),
     )
 
@@ -146,7 +147,7 @@ class Netlist(PartType[NetlistKeys]):
     source = "yours"
 
     def pins(self, part: Part[NetlistKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
-        """Return the pins in the order of the subcircuit."""
+        """Return the pins of the part in the order of its subcircuit."""
         result = []
         for name in _read_pins(part, scene):
             unit, flow = PIN_KINDS[part.keys.units.get(name, "V/A")]
@@ -157,15 +158,19 @@ class Netlist(PartType[NetlistKeys]):
         return tuple(result)
 
     def default_joins(self, part: Part[NetlistKeys], scene: GovernedScene) -> Mapping[str, str]:
-        """Return the default connection of a user's driver circuit to a controller.
+        """Return the default connection of the pin ``command`` to the controller.
 
-        The pin ``command`` is connected to the output of the controller.
+        Only a driver circuit of the user has this connection.
         """
         control = scene.find_only_part("pid")
         commanded = part.at[1:2] == ("driver",) and "drive" in part.pins
         if control is None or not commanded or "command" not in _read_pins(part, scene):
             return {}
         return {"command": f"{control.name}.command"}
+
+    def conducts_to_ground(self, part: Part[NetlistKeys], scene: DeclaredScene) -> bool:
+        """Return whether the subcircuit, or a nested subcircuit, contains the ground node."""
+        return conducts_to_ground(_read_subcircuit(part, scene))
 
     def problems(self, part: Part[NetlistKeys], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield an error for each invalid key of the part."""
@@ -205,6 +210,12 @@ class Netlist(PartType[NetlistKeys]):
                 expected=f"of {part.name}: {list_candidates(node, choices)}",
                 hint=did_you_mean(node, choices) or f'write  of = "{part.name}.{choices[0]}"',
             )
+        if part.keys.ratings and scene.analysis.type != "transient":
+            warnings.warn(
+                f"{part.name}: the key `ratings` has no effect in the {scene.analysis.type} "
+                "analysis: only a transient compares voltages with the ratings",
+                stacklevel=2,
+            )
         for name in part.keys.ratings:
             if name not in pins:
                 yield part.wrong(
@@ -218,7 +229,7 @@ class Netlist(PartType[NetlistKeys]):
     def has_ac_source(self, part: Part[NetlistKeys], scene: DeclaredScene) -> bool:
         """Return whether the netlist contains a source with an ``ac`` amplitude."""
         return _read_subcircuits(
-            part.keys.file, scene.home, _read_modification_time(part, scene)
+            part.keys.file, scene.get_folder(part), _read_modification_time(part, scene)
         ).excites
 
     def subcircuit_name(self, part: Part[NetlistKeys], scene: Scene) -> str:
@@ -228,8 +239,9 @@ class Netlist(PartType[NetlistKeys]):
     def subcircuits(
         self, part: Part[NetlistKeys], build: BuiltScene, header: Header
     ) -> tuple[Subcircuit, ...]:
-        """Return a tuple with the subcircuit of the part."""
-        result = read_included_netlist(part.keys.file, build.scene.home, trust=build.trust)
+        """Return the subcircuit of the part, as a tuple of length 1."""
+        folder = build.scene.get_folder(part)
+        result = read_included_netlist(part.keys.file, folder, trust=build.trust)
         pins = tuple(Pin(t.name, t.unit, t.flow) for t in build.scene.pins(part.name))
         text, file = result.text, result.file
         title = text.partition("\n")[0].lstrip("* ")
@@ -243,7 +255,7 @@ class Netlist(PartType[NetlistKeys]):
         return MissingEquations("its equations are a netlist of the user")
 
     def vectors(self, part: Part[NetlistKeys], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice vectors of the part's results, keyed by result name.
+        """Return the ngspice expression of each result of the part, keyed by result name.
 
         The results are the voltages of pins with ratings, and the pins, currents and inner nodes
         that probes measure.
@@ -288,6 +300,10 @@ class Netlist(PartType[NetlistKeys]):
     def notes(self, part: Part[NetlistKeys], scene: Scene) -> Iterator[str]:
         """Yield the assumptions of the model and the effects that it neglects."""
         yield f".subckt {part.keys.subckt} of {part.keys.file}"
+        for pin in scene.pins(part.name):
+            joined = pin.name in part.pins or scene.is_target(part.name, pin.name)
+            if pin.default is not None and not joined:
+                yield f"{pin.name} of {part.name} is joined to {pin.default} by default"
 
 
 def make_driver_table(
@@ -345,13 +361,13 @@ def _read_pins(part: Part[NetlistKeys], scene: DeclaredScene) -> tuple[str, ...]
     ------
     UsageError : the file cannot be read, or does not contain the subcircuit.
     """
-    file = part.keys.file
+    file, folder = part.keys.file, scene.get_folder(part)
     try:
-        known = _read_subcircuits(file, scene.home, _read_modification_time(part, scene)).pins
+        known = _read_subcircuits(file, folder, _read_modification_time(part, scene)).pins
     except UsageError as error:
         if error.where in (
             Path(file).name,
-            (scene.home / file).name,
+            (folder / file).name,
         ):  # the error concerns the whole file, not a single line
             error.where, error.got = f"{part.name}.file", error.got or repr(file)
         raise
@@ -374,7 +390,7 @@ def _read_pins(part: Part[NetlistKeys], scene: DeclaredScene) -> tuple[str, ...]
             f"the subcircuit of a driver has no pin {missing[0]}",
             where=".".join(map(str, (*part.at, "subckt"))),
             got=f"pins {' '.join(pins)}",
-            expected=f"command, {', '.join(part.pins)}, and ref if it has a reference",
+            expected=f"command, {', '.join(part.pins)}, and ref if the driver has a reference",
             hint=f"rename a pin of .subckt {part.keys.subckt} to {missing[0]}",
         )
     return pins
@@ -409,7 +425,7 @@ def _write_inner_vector(node: str, part: str = "") -> str:
 
 def _read_subcircuit(part: Part[NetlistKeys], scene: DeclaredScene) -> Scope:
     """Return the elements and nodes of the part's subcircuit."""
-    flat = read_untrusted_netlist(part.keys.file, scene.home)
+    flat = read_untrusted_netlist(part.keys.file, scene.get_folder(part))
     tree = translate_circuit(read_cards(flat.text, flat.file), part.keys.syntax)
     result = build_scope(tree).find_subcircuit(part.keys.subckt)
     if result is None:
@@ -419,7 +435,7 @@ def _read_subcircuit(part: Part[NetlistKeys], scene: DeclaredScene) -> Scope:
 
 def _read_modification_time(part: Part[NetlistKeys], scene: DeclaredScene) -> int:
     """Return the modification time [ns] of the netlist file; 0 without the file."""
-    path = scene.home / part.keys.file
+    path = scene.get_folder(part) / part.keys.file
     return path.stat().st_mtime_ns if path.is_file() else 0
 
 

@@ -21,8 +21,8 @@ from kc2spice.core.spectrum import find_waveform_frequency
 from kc2spice.core.toml_text import clip_text, format_toml
 from kc2spice.core.untrusted_files import locate_file_in_folder, read_bounded
 from kc2spice.core.waveforms import PulseKeys, SineKeys, Waveform, Waveforms
+from kc2spice.netlist.card_parser import split_words
 from kc2spice.netlist.circuit import Element, Item
-from kc2spice.netlist.read import split_words
 from kc2spice.netlist.spelling import format_number, format_voltage
 from kc2spice.scene.checks import Check
 from kc2spice.scene.model import (
@@ -78,7 +78,7 @@ class SourceKind(NamedTuple):
     @property
     def value_unit(self) -> str:
         """Unit of the value in the netlist card; empty for the default unit of the card."""
-        return self.domain.value_unit(self.letter)
+        return self.domain.find_value_unit(self.letter)
 
     @property
     def prescribed_symbol(self) -> str:
@@ -270,7 +270,7 @@ class Source(PartType[SourceKeys]):
     source = "ideal source"
 
     def pins(self, part: Part[SourceKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
-        """Return the pins in the order of the subcircuit."""
+        """Return the pins of the part in the order of its subcircuit."""
         pins = SOURCE_TYPES[part.keys.kind].domain.units
         return (
             Terminal("out", *pins, required=True, kind_key="kind"),
@@ -294,7 +294,7 @@ class Source(PartType[SourceKeys]):
     def numerics(
         self, part: Part[SourceKeys], scene: WiredScene
     ) -> Iterator[NumericalRequirements]:
-        """Yield the time step, edges and period that the waveform requires."""
+        """Yield requirements on the time step, to resolve edges and periods of the wave."""
         yield from list_waveform_numerics(part.name, part.keys.waveform)
         pulse = part.keys.pulse
         if pulse is not None and pulse.count is None and pulse.period:
@@ -318,7 +318,7 @@ class Source(PartType[SourceKeys]):
     def equilibrium_conditions(
         self, part: Part[SourceKeys], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the conditions that the source sets for the equilibrium at t = 0.
+        """Return the constraint or the constant load that the source imposes at t = 0.
 
         A source of an across quantity prescribes the difference of this quantity between its pins.
         A source of a through quantity loads its pins with a constant flow.
@@ -336,7 +336,7 @@ class Source(PartType[SourceKeys]):
         return EquilibriumConditions(loaded_pins=("out", "ret") if constant else ())
 
     def cards(self, part: Part[SourceKeys], build: BuiltScene) -> tuple[Item, ...]:
-        """Return the netlist cards of the part in the deck."""
+        """Return the cards of the part at the top level of the deck."""
         kind = SOURCE_TYPES[part.keys.kind]
         ends = [build.get_net(part, "out"), build.get_net(part, "ret")]
         if kind.letter == "I":  # the source pushes current out of "out" and back into "ret"
@@ -361,7 +361,7 @@ class Source(PartType[SourceKeys]):
     def settable_quantities(
         self, part: Part[SourceKeys], build: BuiltScene
     ) -> Mapping[str, SweptSource]:
-        """Return the settable source, which a dc sweep of the key ``dc`` varies."""
+        """Return the source whose value a dc sweep of the key ``dc`` sets."""
         kind = SOURCE_TYPES[part.keys.kind]
         if _sweeps_back(part, build.scene):
             return {
@@ -372,7 +372,7 @@ class Source(PartType[SourceKeys]):
         return {"dc": SweptSource(f"{kind.letter}{part.name}", kind.netlist_factor)}
 
     def vectors(self, part: Part[SourceKeys], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice vectors of the part's results, keyed by result name."""
+        """Return the ngspice expression of each result of the part, keyed by result name."""
         n, kind, result = part.name, SOURCE_TYPES[part.keys.kind], {}
         flow = kind.domain.through_variable
         name, factor, unit = f"{n}.{flow.symbol}", flow.factor, flow.unit
@@ -406,7 +406,7 @@ class Source(PartType[SourceKeys]):
         yield Check(name, off, MAX_DEVIATION, "of its swing", advice, wiring=True)
 
     def law(self, part: Part[SourceKeys], build: BuiltScene) -> laws.Equations:
-        """Return the model equations of the part."""
+        """Return the part's model equations, which are solved without a simulator."""
         n, keys = part.name, part.keys
         wave, size = keys.waveform, complex(keys.amplitude)
         unloaded = keys.kind == "voltage" and _drives_only_signals(part, build)

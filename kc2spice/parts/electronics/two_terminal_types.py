@@ -30,8 +30,8 @@ from kc2spice.physics.declaration import (
     voltage,
 )
 from kc2spice.physics.law import DeclaredLaw
-from kc2spice.physics.part import DeclaredPart, branch_voltage
-from kc2spice.physics.symbolic import (
+from kc2spice.physics.part import DeclaredPart, format_branch_voltage
+from kc2spice.physics.symbolic_algebra import (
     ONE,
     ZERO,
     differentiate_tree,
@@ -190,7 +190,7 @@ class LinearElement(DeclaredPart[KeysT]):
 
     def _evaluate(self, part: Part[KeysT], tree: Tree) -> float:
         """Return the value of an expression at the part's key values."""
-        return float(evaluate_tree(tree, self.declaration.values(part.keys)))
+        return float(evaluate_tree(tree, self.declaration.compute_parameter_values(part.keys)))
 
     def is_subcircuit(self, part: Part[KeysT], scene: DeclaredScene) -> bool:
         """Return whether the element is a subcircuit, which its pin ``heat`` requires."""
@@ -199,7 +199,10 @@ class LinearElement(DeclaredPart[KeysT]):
     def subcircuits(
         self, part: Part[KeysT], build: BuiltScene, header: Header
     ) -> tuple[Subcircuit, ...]:
-        """Return the subcircuit of an element with a connected pin ``heat``, or nothing."""
+        """Return the subcircuit of the element if its pin ``heat`` is connected.
+
+        Otherwise, the result is empty.
+        """
         return super().subcircuits(part, build, header) if is_heated(part, build.scene) else ()
 
     def list_inner_names(self, part: Part[KeysT], scene: WiredScene) -> Iterator[tuple[str, ...]]:
@@ -211,7 +214,7 @@ class LinearElement(DeclaredPart[KeysT]):
         yield from ((f"R{n}", "noise"), (f"G{n}", "noise"), (n.lower(), "noise"))
 
     def cards(self, part: Part[KeysT], build: BuiltScene) -> tuple[Item, ...]:
-        """Return the netlist cards of the part in the deck."""
+        """Return the cards of the part at the top level of the deck."""
         if is_heated(part, build.scene):
             return super().cards(part, build)
         a, b = build.get_net(part, "a"), build.get_net(part, "b")
@@ -223,13 +226,13 @@ class LinearElement(DeclaredPart[KeysT]):
             silent = self._letter == "R" and not (self._has_loss and self._has_si_units)
             words = {"noisy": "0"} if build.has_noise and silent else {}
             card = Element.from_words(f"{self._letter}{part.name}", a, b, value, **words)
-            return (card.with_unit(self.branch.domain.value_unit(self._letter)), *noise)
+            return (card.with_unit(self.branch.domain.find_value_unit(self._letter)), *noise)
         inner = build.get_inner_name(part, part.name.lower(), "metered")
         return (
             Element.from_words(_name_meter(part, build), a, inner, "0"),
             Element.from_words(
                 f"C{part.name}", inner, b, self._evaluate(part, admittance)
-            ).with_unit(self.branch.domain.value_unit("C")),
+            ).with_unit(self.branch.domain.find_value_unit("C")),
             *(() if self.branch.is_motion else self._write_leak_card(part, build, a, b)),
             *(self._write_noise_cards(part, build, a, b) if build.has_noise else ()),
         )
@@ -286,10 +289,10 @@ class LinearElement(DeclaredPart[KeysT]):
         return Element.from_words(R, node, "0", value), Element.from_words(G, a, b, node, "0", gain)
 
     def vectors(self, part: Part[KeysT], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice vectors of the part's results, keyed by result name."""
+        """Return the ngspice expression of each result of the part, keyed by result name."""
         if is_heated(part, build.scene):
             return super().vectors(part, build)
-        across, n, b = branch_voltage(build, part, self.branch), part.name, self.branch
+        across, n, b = format_branch_voltage(build, part, self.branch), part.name, self.branch
         voltage, flow = b.domain.across, b.domain.through_variable
         if self._letter == "R":
             admittance = multiply_trees(Number(f"{voltage.factor:g}"), self.admittance_term[1])

@@ -3,12 +3,12 @@
 from pydantic import Field
 
 from kc2spice.core.quantities import EPSILON_0, Length, Ratio, Stiffness
-from kc2spice.parts.mechanics import _stop
+from kc2spice.parts.mechanics import _mechanical_stop
 from kc2spice.physics import Declaration, DeclaredPart, displacement, voltage
 from kc2spice.scene.parttype import register_part_type
 
 
-class CombDriveKeys(_stop.StopKeys):
+class CombDriveKeys(_mechanical_stop.StopKeys):
     """Keys of an electrostatic comb drive.
 
     The capacitance of the comb drive is ``C = 2 fingers eps0 thickness (overlap + x) / gap``. The
@@ -48,10 +48,10 @@ register_part_type(
             "electrostatic comb drive, with a stop",
             CombDriveKeys,
             (voltage("v", "plus", "minus"), displacement("x", "a", "b")),
-            constants={"eps0": repr(EPSILON_0)} | _stop.STOP_CONSTANTS,
-            energy=_stop.write_stop_energy("x - travel"),
+            constants={"eps0": repr(EPSILON_0)} | _mechanical_stop.STOP_CONSTANTS,
+            energy=_mechanical_stop.write_stop_energy("x - travel"),
             stops={"the stop": "x - travel"},
-            forces={"x": _stop.write_stop_loss("x - travel", "x_rate")},
+            forces={"x": _mechanical_stop.write_stop_loss("x - travel", "x_rate")},
             coenergy="fingers*eps0*thickness*(overlap + x)*v^2/gap",
             limits={"the overlap": "overlap + x"},
             neglected=(
@@ -65,7 +65,7 @@ register_part_type(
                     "the fingers stay in the middle of their gaps",
                     "not estimated",
                 ),
-                _stop.STOP_NEGLECTED,
+                _mechanical_stop.STOP_NEGLECTED,
             ),
             rating="not known; compare the field v / gap with the breakdown of what is in the gap",
         )

@@ -8,7 +8,7 @@ capacitance ``C = permittivity eps0 A / d``. With the key ``fringing``, C is the
 strip of width w and thickness t above a plane at the distance d. The capacitance per length of the
 strip is ``eps0 permittivity (w/d + 0.77 + 1.06 (w/d)^(1/4) + 1.06 (t/d)^(1/2))`` (N. van der Meijs,
 J. T. Fokkema, Integration 2 (1984) 85). Beyond the displacement ``travel``, a stop acts on the
-patch (:mod:`kc2spice.parts.mechanics._stop`).
+patch (:mod:`kc2spice.parts.mechanics._mechanical_stop`).
 
 The gas film is a rectangle of length l and width w that is vented on all sides (J. J. Blech, J.
 Lubr. Technol. 105 (1983) 615). The pressure of the gas film is a series of the terms ``sin(m pi x /
@@ -53,11 +53,11 @@ from kc2spice.core.quantities import (
 from kc2spice.core.spectrum import find_energy_frequency
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.parts.bodies._linear_body import LinearBody
-from kc2spice.parts.mechanics import _stop
+from kc2spice.parts.mechanics import _mechanical_stop
 from kc2spice.physics import Declaration, DeclaredPart, displacement, voltage
-from kc2spice.physics.symbolic import evaluate_tree
+from kc2spice.physics.symbolic_algebra import evaluate_tree
 from kc2spice.scene.checks import Check, Gate, Metric, RunEnergyBalance
-from kc2spice.scene.highest_frequency import highest_frequency
+from kc2spice.scene.highest_frequency import find_highest_frequency
 from kc2spice.scene.model import (
     BuiltScene,
     DeclaredScene,
@@ -117,8 +117,8 @@ class SqueezeFilmKeys(Section):
         ge=1,
         le=MAX_BRANCHES,
         description=(
-            "Number of series terms for the force of the gas film; by default 3 to 100, "
-            "depending on `tolerance` and the scene's highest frequency"
+            "Number of terms in the series for the force of the gas film; by default 3 to "
+            "100, depending on `tolerance` and the scene's highest frequency"
         ),
     )
     tolerance: Ratio = Field(
@@ -126,13 +126,13 @@ class SqueezeFilmKeys(Section):
         gt=1e-6,
         lt=0.5,
         description=(
-            "Largest relative error of the film force at the highest frequency of the scene, "
-            "caused by truncating the series"
+            "Largest permitted relative error of the film force due to the truncated "
+            "series, at the highest frequency of the scene"
         ),
     )
 
 
-class GapKeys(_stop.StopKeys):
+class GapKeys(_mechanical_stop.StopKeys):
     """Keys of a gap between the face of a body and a fixed electrode.
 
     ``a`` is the name of a body with a row of patches, a port such as ``beam.tip``, or a list of
@@ -142,12 +142,12 @@ class GapKeys(_stop.StopKeys):
     a: str | tuple[str, ...] = Field(
         examples=['"BODY"'],
         description=(
-            "Name of the body with surface patches opposite the electrode, or a list of the "
-            "body's ports"
+            "Name of the body whose surface patches face the fixed electrode, or a list "
+            "of ports of the body"
         ),
     )
     area: Annotated[float, si("m2")] = Field(
-        gt=0, description="Total area of the electrode opposite all patches"
+        gt=0, description="Area of the fixed electrode, summed over all patches of the body"
     )
     gap: Length = Field(
         gt=0, description="Width of the gap between body and electrode at rest, without voltage"
@@ -168,8 +168,7 @@ class GapKeys(_stop.StopKeys):
     shares: tuple[float, ...] | None = Field(
         None,
         description=(
-            "Fraction of the total electrode area that each patch covers; by default equal "
-            "fractions"
+            "Fraction of the electrode area opposite each patch; by default all fractions are equal"
         ),
     )
     fringing: FringingKeys | None = Field(
@@ -195,12 +194,12 @@ class PatchedPart(DeclaredPart[KeysT]):
     """
 
     def pins(self, part: Part[KeysT], scene: JoinedScene) -> tuple[Terminal, ...]:
-        """Return the pins in the order of the subcircuit."""
+        """Return the pins of the part in the order of its subcircuit."""
         pins = super().pins(part, scene)
         return tuple(replace(pin, required=pin.name in ("plus", HEAT)) for pin in pins)
 
     def default_joins(self, part: Part[KeysT], scene: GovernedScene) -> Mapping[str, str]:
-        """Return the body port to which each patch pin is connected by default."""
+        """Return the default connections of the patch pins to ports of the body."""
         return {f"p{k}": port for k, port in enumerate(list_patch_ports(part, scene), 1)}
 
 
@@ -223,17 +222,18 @@ class Gap(PatchedPart[GapKeys]):
     def build(
         self, part: Part[GapKeys], scene: Scene, clock: StageTimer, full: bool = False
     ) -> int | None:
-        """Return the number of gas-film branches in the more accurate reference model.
+        """Return the number of gas-film branches of the reference model, or None.
 
-        Return None for the model of the netlist. With ``full``, the gas film has
-        :data:`REFINEMENT_RATIO` times as many branches as in the netlist.
+        The result is None for the model of the netlist. With ``full``, the gas film of the
+        reference model has :data:`REFINEMENT_RATIO` times as many branches as in the netlist.
         """
         return REFINEMENT_RATIO * count_film_branches(part, scene) or None if full else None
 
     def law(self, part: Part[GapKeys], build: BuiltScene) -> laws.Equations:
-        """Return the model equations, with the same pins as the netlist.
+        """Return the part's model equations, which are solved without a simulator.
 
-        A reference model with more film branches has additional pins, which are omitted.
+        The equations have the same pins as the netlist. A reference model with more film branches
+        has additional pins, which are omitted.
         """
         result, known = super().law(part, build), set(list_names(build.scene.pins(part.name)))
         return replace(result, pins=tuple(pair for pair in result.pins if pair[0] in known))
@@ -242,7 +242,7 @@ class Gap(PatchedPart[GapKeys]):
         self, part: Part[GapKeys], scene: GovernedScene, branches: int
     ) -> Declaration:
         """Return the declaration of a gap with a given number of gas-film branches."""
-        keys, top = part.keys, highest_frequency(scene) if part.keys.film else 0.0
+        keys, top = part.keys, find_highest_frequency(scene) if part.keys.film else 0.0
         return _declare_gap(
             keys.model_dump_json(), len(list_patch_ports(part, scene)), branches, top
         )
@@ -261,7 +261,7 @@ class Gap(PatchedPart[GapKeys]):
             )
 
     def vectors(self, part: Part[GapKeys], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice vectors of the part's results, keyed by result name.
+        """Return the ngspice expression of each result of the part, keyed by result name.
 
         The forces at the pins of the gas film are zero, and are not among the results.
         """
@@ -286,7 +286,7 @@ class Gap(PatchedPart[GapKeys]):
         if "sweep" not in waves or waves.scale.size < 2 or set(recorded) != set(d.coordinates):
             return
         (branch,) = (b for b in d.branches if b.kind == "voltage")
-        unit = d.values(part.keys) | recorded | {branch.name: 1.0}
+        unit = d.compute_parameter_values(part.keys) | recorded | {branch.name: 1.0}
         capacitance = np.asarray(evaluate_tree(d.derive_stored_quantity(branch), unit))
         rises = np.diff(capacitance) * -np.sign(np.diff(np.abs(recorded[branch.name])))
         name, most = f"{part.name} where nothing rests", float(rises.max() / capacitance.max())
@@ -359,7 +359,7 @@ def count_film_branches(part: Part[GapKeys], scene: GovernedScene) -> int:
         return 0
     if keys.film.branches is not None:
         return keys.film.branches
-    top = highest_frequency(scene)
+    top = find_highest_frequency(scene)
     for count in range(MIN_BRANCHES, MAX_BRANCHES):
         if compute_truncation_error(keys.film, keys.gap, count, top) <= keys.film.tolerance:
             return count
@@ -432,7 +432,7 @@ def _declare_gap(text: str, count: int, film_branches: int, top: float) -> Decla
     """
     keys = GapKeys.model_validate_json(text)
     shares = keys.shares or (1 / count,) * count
-    numbers: dict[str, float | str] = {"eps0": EPSILON_0, **_stop.STOP_CONSTANTS}
+    numbers: dict[str, float | str] = {"eps0": EPSILON_0, **_mechanical_stop.STOP_CONSTANTS}
     sign = "-" if keys.side == "below" else "+"
     branches = [voltage("v", "plus", "minus")]
     gaps, capacitances, energy, damping = [], [], [], []
@@ -453,8 +453,8 @@ def _declare_gap(text: str, count: int, film_branches: int, top: float) -> Decla
         capacitances.append(capacitance)
         damping.append(f"0.5*rest*share{k}/{gap}^3*x{k}_rate^2")
         indentation = f"{sign}1*x{k} - travel"
-        energy.append(_stop.write_stop_energy(indentation, f"share{k}*"))
-        forces[f"x{k}"] = _stop.write_stop_loss(indentation, f"x{k}_rate", f"share{k}*")
+        energy.append(_mechanical_stop.write_stop_energy(indentation, f"share{k}*"))
+        forces[f"x{k}"] = _mechanical_stop.write_stop_loss(indentation, f"x{k}_rate", f"share{k}*")
         stops[f"the stop of patch {k}"] = indentation
         limits[f"what is left of the gap at patch {k}"] = f"gap - {sign}1*x{k}"
     if keys.fringing is not None:
@@ -514,7 +514,7 @@ def _list_neglected_effects(
             "of the order of gap at rest / remaining gap",
         )
     yield "tilt within a patch", "one displacement each", "more patches show it"
-    yield _stop.STOP_NEGLECTED
+    yield _mechanical_stop.STOP_NEGLECTED
 
 
 def _compute_series_terms(film: SqueezeFilmKeys) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -5,12 +5,12 @@ from typing import Annotated
 from pydantic import Field
 
 from kc2spice.core.quantities import EPSILON_0, Length, Ratio, Stiffness, si
-from kc2spice.parts.mechanics import _stop
+from kc2spice.parts.mechanics import _mechanical_stop
 from kc2spice.physics import Declaration, DeclaredPart, displacement, voltage
 from kc2spice.scene.parttype import register_part_type
 
 
-class ParallelPlateKeys(_stop.StopKeys):
+class ParallelPlateKeys(_mechanical_stop.StopKeys):
     """Keys of two parallel plates with the coenergy ``C v^2 / 2``.
 
     The capacitance is ``C = permittivity eps0 area / (gap - x)``. A voltage therefore increases the
@@ -40,10 +40,10 @@ register_part_type(
             "electrostatic actuator of two parallel plates, with a stop",
             ParallelPlateKeys,
             (voltage("v", "plus", "minus"), displacement("x", "a", "b")),
-            constants={"eps0": repr(EPSILON_0)} | _stop.STOP_CONSTANTS,
-            energy=_stop.write_stop_energy("x - travel"),
+            constants={"eps0": repr(EPSILON_0)} | _mechanical_stop.STOP_CONSTANTS,
+            energy=_mechanical_stop.write_stop_energy("x - travel"),
             stops={"the stop": "x - travel"},
-            forces={"x": _stop.write_stop_loss("x - travel", "x_rate")},
+            forces={"x": _mechanical_stop.write_stop_loss("x - travel", "x_rate")},
             coenergy="0.5*eps0*permittivity*area*v^2/(gap - x)",
             limits={"the gap": "gap - x"},
             neglected=(
@@ -53,7 +53,7 @@ register_part_type(
                     "of the order of gap / width",
                 ),
                 ("squeezed air", "a damper between a and b stands for it", "not estimated"),
-                _stop.STOP_NEGLECTED,
+                _mechanical_stop.STOP_NEGLECTED,
             ),
             rating="not known; compare v / (gap - x) with the breakdown of what is in the gap",
         )

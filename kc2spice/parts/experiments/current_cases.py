@@ -77,18 +77,18 @@ class CurrentCases(PartType[CurrentCasesKeys]):
         return {"analysis": sweep}
 
     def pins(self, part: Part[CurrentCasesKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
-        """Return the pins in the order of the subcircuit."""
+        """Return the pins of the part in the order of its subcircuit."""
         height = Terminal.signal("y", DISPLACEMENT, signal_out=True)
         return height, Terminal.make_rate_pin("v", TRANSLATION, GROUND)
 
     def governed_parts(
         self, part: Part[CurrentCasesKeys], scene: DeclaredScene
     ) -> Mapping[str, Governed]:
-        """Return the parts that this part controls: a moved sphere and copied coils."""
+        """Return the sphere as moved by this part, and the coils as copied by this part."""
         return {_find_sphere(part, scene): "moved", _find_coils(part, scene).name: "copied"}
 
     def cards(self, part: Part[CurrentCasesKeys], build: BuiltScene) -> tuple[Item, ...]:
-        """Return the netlist cards of the part in the deck."""
+        """Return the cards of the part at the top level of the deck."""
         library, y = build.libraries[_find_coils(part, build.scene).name], build.get_net(part, "y")
         height = Element.from_words(build.get_inner_name(part, "Vheight"), y, "0", "0")
         cards: list[Line] = [height.with_unit(DISPLACEMENT.pin_unit)]
@@ -119,7 +119,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
     def settable_quantities(
         self, part: Part[CurrentCasesKeys], build: BuiltScene
     ) -> Mapping[str, SweptSource]:
-        """Return the settable height of the sphere, which the dc sweep varies."""
+        """Return the source of the sphere's height, whose value the dc sweep sets."""
         keys = _find_coils(part, build.scene).keys
         heights = keys.y_min + keys.shift, keys.y_max + keys.shift
         return {
@@ -129,7 +129,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
         }
 
     def vectors(self, part: Part[CurrentCasesKeys], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice vectors of the part's results, keyed by result name."""
+        """Return the ngspice expression of each result of the part, keyed by result name."""
         result = {f"{_find_sphere(part, build.scene)}.y": build.get_pin_vector(part, "y")}
         for k, name in enumerate(_list_force_names(part, build)):
             result[name] = PartResult(

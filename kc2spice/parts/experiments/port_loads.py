@@ -108,11 +108,11 @@ class PortLoads(PartType[PortLoadsKeys]):
     def governed_parts(
         self, part: Part[PortLoadsKeys], scene: DeclaredScene
     ) -> Mapping[str, Governed]:
-        """Return the loaded body, which this part copies once for each loaded port."""
+        """Return the loaded body as copied by this part, once for each loaded port."""
         return {find_loaded_body(part, scene).name: "copied"}
 
     def cards(self, part: Part[PortLoadsKeys], build: BuiltScene) -> tuple[Item, ...]:
-        """Return the netlist cards of the part in the deck."""
+        """Return the cards of the part at the top level of the deck."""
         body, name = find_loaded_body(part, build.scene), partial(build.get_inner_name, part)
         rings, library = _list_loaded_rings(body, build.scene), build.libraries[body.name]
         is_open = body.keys.electrical == "open"
@@ -154,7 +154,7 @@ class PortLoads(PartType[PortLoadsKeys]):
         yield from zip(("Vload", "load", "Cload", "Fload"))
 
     def vectors(self, part: Part[PortLoadsKeys], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice vectors of the responses, keyed by ``INPUT>OUTPUT``.
+        """Return the ngspice expression of each response, keyed by ``INPUT>OUTPUT``.
 
         The response of a contact ring is its displacement [m]. The response of the anode is its
         charge [C], or its voltage [V] if the anode is open.
@@ -211,7 +211,7 @@ class PortLoads(PartType[PortLoadsKeys]):
     def figures(
         self, part: Part[PortLoadsKeys], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Figure]:
-        """Yield the figures of the part for the report."""
+        """Yield the charts of the part for the report."""
         f = waves["frequency"].real / 1e3
         rings = _list_loaded_rings(find_loaded_body(part, build.scene), build.scene)
         curves = tuple(Curve(ring, f, np.abs(waves[f"{ring}>{ring}"])) for ring in rings)
@@ -222,7 +222,7 @@ class PortLoads(PartType[PortLoadsKeys]):
     def law(
         self, part: Part[PortLoadsKeys], build: BuiltScene
     ) -> laws.Equations | laws.MissingEquations | None:
-        """Return the model equations of all copies of the body, one for each loaded port.
+        """Return the model equations of the body's copies, one for each loaded port.
 
         A large voltage source in series with a very small capacitance applies a unit charge.
         """

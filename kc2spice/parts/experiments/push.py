@@ -78,12 +78,12 @@ class Push(TouchablePart[PushKeys]):
         return {"analysis": {"type": "dc", "sweep": f"{part.name}.depth", "points": points}}
 
     def pins(self, part: Part[PushKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
-        """Return the pins in the order of the subcircuit."""
+        """Return the pins of the part in the order of its subcircuit."""
         bottom = Terminal.signal("bottom", DISPLACEMENT, signal_out=True)
         return bottom, Terminal.make_rate_pin("v", TRANSLATION, GROUND)
 
     def governed_parts(self, part: Part[PushKeys], scene: DeclaredScene) -> Mapping[str, Governed]:
-        """Return the only governed part: the sphere, whose position this part prescribes."""
+        """Return the sphere as moved by this part, which prescribes its position."""
         return {find_sphere(part, scene).name: "moved"}
 
     def problems(self, part: Part[PushKeys], scene: GovernedScene) -> Iterator[UsageError]:
@@ -96,14 +96,14 @@ class Push(TouchablePart[PushKeys]):
             yield part.wrong("depth", problem, f"{part.keys.depth:g} m", expected)
 
     def cards(self, part: Part[PushKeys], build: BuiltScene) -> tuple[Item, ...]:
-        """Return the netlist cards of the part in the deck."""
+        """Return the cards of the part at the top level of the deck."""
         drive = Element.from_words(f"V{part.name}", build.get_net(part, "bottom"), "0", "0")
         return (drive.with_unit(DISPLACEMENT.pin_unit),)
 
     def settable_quantities(
         self, part: Part[PushKeys], build: BuiltScene
     ) -> Mapping[str, SweptSource]:
-        """Return the depth as the quantity that the dc sweep varies."""
+        """Return the source of the depth, whose value the dc sweep sets."""
         return {
             "depth": SweptSource(
                 f"V{part.name}", -DISPLACEMENT.pin_value_per_si_unit, (0.0, part.keys.depth)
@@ -113,16 +113,16 @@ class Push(TouchablePart[PushKeys]):
     def largest_indentations(
         self, part: Part[PushKeys], scene: GovernedScene
     ) -> Iterator[LargestIndentation]:
-        """Yield the largest indentation of the contact: the depth in the last step."""
+        """Yield the largest indentation: the depth at the end of the dc sweep."""
         yield LargestIndentation(part.keys.depth, f"{part.name}.depth")
 
     def vectors(self, part: Part[PushKeys], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice vectors of the part's results, keyed by result name."""
+        """Return the ngspice expression of each result of the part, keyed by result name."""
         bottom = build.get_pin_vector(part, "bottom")
         return {f"{part.name}.depth": replace(bottom, factor=-bottom.factor)}
 
     def numerics(self, part: Part[PushKeys], scene: WiredScene) -> Iterator[NumericalRequirements]:
-        """Yield solver tolerances that resolve the moments at which contact rings close."""
+        """Yield requirements on tolerances, to resolve when contact rings close."""
         last = "1e-09", "the law is piecewise linear, so the last iteration is exact"
         if _find_contact(part, scene).keys.shape == "pressure":
             last = "1e-12", "the law is curved, and this is the error of the last iteration"
@@ -161,7 +161,7 @@ class Push(TouchablePart[PushKeys]):
         yield Gate("static force", f"{pair.part.name}.force", limits, measure, is_main=True)
 
     def law(self, part: Part[PushKeys], build: BuiltScene) -> laws.Equations:
-        """Return the model equations of the part."""
+        """Return the part's model equations, which are solved without a simulator."""
         n = part.name
         source = laws.IdealSource(n, "displacement", make_constant_waveform(0.0))
         results = {f"{n}.depth": laws.scale_wave(f"{n}.out", -1.0)}

@@ -57,7 +57,7 @@ class Throw(_contact_surfaces.TouchablePart[ThrowKeys]):
     source = "initial state"
 
     def cards(self, part: Part[ThrowKeys], build: BuiltScene) -> tuple[Item, ...]:
-        """Return the netlist cards of the part in the deck."""
+        """Return no cards, because the part only sets an initial state."""
         return ()
 
     def problems(self, part: Part[ThrowKeys], scene: GovernedScene) -> Iterator[UsageError]:
@@ -76,11 +76,11 @@ class Throw(_contact_surfaces.TouchablePart[ThrowKeys]):
     def governed_parts(
         self, part: Part[ThrowKeys], scene: DeclaredScene
     ) -> Mapping[str, InitialState]:
-        """Return the sphere as a governed part, with its initial velocity and gap."""
+        """Return the initial velocity and gap that this part sets for the sphere."""
         return {find_sphere(part, scene).name: InitialState(part.keys.velocity, part.keys.gap)}
 
     def numerics(self, part: Part[ThrowKeys], scene: WiredScene) -> Iterator[NumericalRequirements]:
-        """Yield a tighter charge tolerance (``chgtol``) for slow impacts.
+        """Yield a requirement on the charge tolerance ``chgtol`` for slow impacts.
 
         The tolerance ``chgtol`` is proportional to the impact speed.
         """
@@ -90,7 +90,7 @@ class Throw(_contact_surfaces.TouchablePart[ThrowKeys]):
     def largest_indentations(
         self, part: Part[ThrowKeys], scene: GovernedScene
     ) -> Iterator[_contact_surfaces.LargestIndentation]:
-        """Yield the largest indentation of the contact at the impact speed."""
+        """Yield the largest indentation by the impact of the thrown sphere."""
         ball, speed = find_sphere(part, scene), _compute_impact_speed(part, scene)
         why, mass = f"impact at {speed:.3g} m/s", ball.keys.mass
         yield from _contact_surfaces.estimate_impact_indentation(ball, mass, scene, speed, why)
@@ -136,7 +136,7 @@ class Throw(_contact_surfaces.TouchablePart[ThrowKeys]):
         yield Gate("separation time", "separation_time_s", time, "absolute", "s")
 
     def law(self, part: Part[ThrowKeys], build: BuiltScene) -> laws.Equations:
-        """Return no equations, because the part only sets the initial state of the sphere."""
+        """Return empty model equations, because the part only sets an initial state."""
         return laws.Equations()
 
     def notes(self, part: Part[ThrowKeys], scene: Scene) -> Iterator[str]:

@@ -19,7 +19,7 @@ from kc2spice.physics.declaration import (
     TEMPERATURE,
     write_resistance_ratio,
 )
-from kc2spice.physics.symbolic import evaluate_tree, parse_simplified
+from kc2spice.physics.symbolic_algebra import evaluate_tree, parse_simplified
 from kc2spice.scene.checks import Check, Metric, RunEnergyBalance
 
 # largest permitted error of the heat due to the time steps, relative to the heat

@@ -54,7 +54,7 @@ from kc2spice.physics.conductors import ConductorKeys
 from kc2spice.physics.declaration import Branch
 from kc2spice.physics.part import list_newton_numerics
 from kc2spice.scene.checks import Check, Gate, Metric, RunEnergyBalance
-from kc2spice.scene.highest_frequency import highest_frequency
+from kc2spice.scene.highest_frequency import find_highest_frequency
 from kc2spice.scene.model import (
     BuiltScene,
     GovernedScene,
@@ -167,8 +167,8 @@ class MovingBodyKeys(ConductorKeys):
         gt=1e-8,
         lt=0.1,
         description=(
-            "Largest permitted relative error of flux and force, from which the number of "
-            "current loops is computed"
+            "Largest permitted relative error of flux and force; determines the number of "
+            "current loops"
         ),
     )
 
@@ -178,14 +178,16 @@ class MovingConductorKeys(ConductionKeys, MovingBodyKeys):
 
     shape: Literal["disc", "sphere"] = Field(
         "disc",
-        description="Shape of the moving body: disc or sphere; a disc with a hole is a ring",
+        description=(
+            "Shape of the moving body: sphere, or disc; a ring is a disc with the key `inner`"
+        ),
     )
     frequency: Frequency | None = Field(
         None,
         gt=0,
         description=(
             "Highest frequency at which the model resolves eddy currents; by default the "
-            "highest frequency of the analysis and the sources, at least 1 kHz"
+            "highest frequency of analysis and sources, but at least 1 kHz"
         ),
     )
     rings: Annotated[Count, RefinementRule(2.0, model=True, mesh=True)] = Field(
@@ -292,7 +294,7 @@ class MovingBody(DeclaredPart[MovingT]):
     rating: ClassVar[str]
 
     def numerics(self, part: Part[MovingT], scene: WiredScene) -> Iterator[NumericalRequirements]:
-        """Return the numerical requirements of a dc sweep of the body's height."""
+        """Return requirements on the Newton tolerance in a dc sweep of the body's height."""
         return list_newton_numerics(part, scene)
 
     def make_declaration(self, part: Part[MovingT], scene: GovernedScene) -> Declaration:
@@ -347,8 +349,8 @@ class MovingBody(DeclaredPart[MovingT]):
             obstacles.append((f"magnets.{name}", "magnet", _make_cross_section(magnet)))
         for where, obstacle, w in obstacles:
             apart = w.radius - w.width / 2 >= keys.radius or w.radius + w.width / 2 <= keys.inner
-            over = w.y + w.height / 2 + _body_height(keys) / 2
-            under = w.y - w.height / 2 - _body_height(keys) / 2
+            over = w.y + w.height / 2 + _compute_body_height(keys) / 2
+            under = w.y - w.height / 2 - _compute_body_height(keys) / 2
             if not (apart or keys.y_min >= over or keys.y_max <= under):
                 got = f"a centre of mass from y_min = {keys.y_min:g} m to y_max = {keys.y_max:g} m"
                 expected = f"y_min of at least {over:g} m, or y_max of at most {under:g} m"
@@ -383,7 +385,7 @@ class MovingBody(DeclaredPart[MovingT]):
         rings = (REFINEMENT_RATIO if full else 1) * getattr(keys, "rings", 1)
         if full and frequency:
             frequency = REFINEMENT_RATIO * max(
-                frequency, highest_frequency(scene, _find_shortest_time_constant(part, scene))
+                frequency, find_highest_frequency(scene, _find_shortest_time_constant(part, scene))
             )
 
         def build() -> LoopModel:
@@ -449,7 +451,7 @@ class MovingBody(DeclaredPart[MovingT]):
         yield from super().checks(part, build, waves)
 
     def figures(self, part: Part[MovingT], build: BuiltScene, waves: Waveforms) -> Iterator[Figure]:
-        """Yield the figures of the part for the report."""
+        """Yield the charts of the part for the report."""
         y = waves.data.get(f"{part.name}.y")
         if y is not None and "time" in waves:
             path = Curve(part.name, 1e3 * waves["time"], 1e3 * y)
@@ -532,7 +534,8 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
         return float(
             part.keys.frequency
             or max(
-                MIN_FREQUENCY, highest_frequency(scene, _find_shortest_time_constant(part, scene))
+                MIN_FREQUENCY,
+                find_highest_frequency(scene, _find_shortest_time_constant(part, scene)),
             )
         )
 
@@ -629,7 +632,13 @@ def _divide_body(keys: MovingConductorKeys, rings: int, frequency: float) -> Rin
 
     The rings resolve the skin depth at ``frequency`` [Hz].
     """
-    box = keys.inner, keys.radius, -_body_height(keys) / 2, _body_height(keys) / 2, rings
+    box = (
+        keys.inner,
+        keys.radius,
+        -_compute_body_height(keys) / 2,
+        _compute_body_height(keys) / 2,
+        rings,
+    )
 
     def is_inside_sphere(r: np.ndarray, z: np.ndarray) -> np.ndarray:
         """Return whether each point lies in the sphere."""
@@ -716,7 +725,7 @@ def _outline_body(part: Part[MovingT], scene: Scene) -> Iterator[Shape]:
     kind: Literal["metal", "magnet"] = "metal" if hasattr(keys, "conductivity") else "magnet"
     shape = "sphere" if sphere else "disc"
     label = f"{part.name}: {shape} of {format_quantity(2 * keys.radius, 'm')}"
-    height = _body_height(keys)
+    height = _compute_body_height(keys)
     if not keys.inner:
         yield Shape(0.0, y, 2 * keys.radius, height, kind, label, round=sphere)
         return
@@ -725,7 +734,7 @@ def _outline_body(part: Part[MovingT], scene: Scene) -> Iterator[Shape]:
         yield Shape(x, y, width, height, kind, label if side > 0 else "")
 
 
-def _body_height(keys: MovingBodyKeys) -> float:
+def _compute_body_height(keys: MovingBodyKeys) -> float:
     """Return the axial dimension [m] of the body."""
     return 2 * keys.radius if keys.thickness is None else keys.thickness
 

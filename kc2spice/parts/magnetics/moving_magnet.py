@@ -51,8 +51,7 @@ class MovingMagnetKeys(MagnetisationKeys, MovingBodyKeys):
         1.0,
         ge=1,
         description=(
-            "Relative recoil permeability of the moving magnet: remanence divided by mu_0 "
-            "times the coercivity"
+            "Relative recoil permeability of the moving magnet: remanence / (mu_0 * coercivity)"
         ),
     )
     tolerance: Annotated[Ratio, RefinementRule(0.1, model=True)] = Field(
@@ -60,8 +59,8 @@ class MovingMagnetKeys(MagnetisationKeys, MovingBodyKeys):
         gt=1e-8,
         lt=0.1,
         description=(
-            "Largest permitted relative error of flux and force, from which the degree of "
-            "the power series is computed"
+            "Largest permitted relative error of flux and force; determines the degree of "
+            "the power series"
         ),
     )
 

@@ -9,13 +9,13 @@ from pydantic import Field
 
 from kc2spice.core.quantities import MU_0, Current, Length, Ratio, Resistance, Stiffness, si
 from kc2spice.fem.thermal_materials import find_resistance_coefficient
-from kc2spice.parts.mechanics import _stop
+from kc2spice.parts.mechanics import _mechanical_stop
 from kc2spice.physics import Declaration, DeclaredPart, current, displacement
 from kc2spice.physics.conductors import ConductorKeys
 from kc2spice.scene.parttype import register_part_type
 
 
-class ReluctanceKeys(ConductorKeys, _stop.StopKeys):
+class ReluctanceKeys(ConductorKeys, _mechanical_stop.StopKeys):
     """Keys of a magnetic circuit that attracts an iron armature.
 
     The flux is ``(turns i + magnet) / (core + gaps (gap - x) / (MU_0 area))`` with the current i
@@ -61,10 +61,10 @@ register_part_type(
             "magnet or coil that pulls iron across air gaps, with a stop",
             ReluctanceKeys,
             (current("i", "plus", "minus"), displacement("x", "a", "b")),
-            constants={"mu0": repr(MU_0)} | _stop.STOP_CONSTANTS,
-            energy=_stop.write_stop_energy("x - travel"),
+            constants={"mu0": repr(MU_0)} | _mechanical_stop.STOP_CONSTANTS,
+            energy=_mechanical_stop.write_stop_energy("x - travel"),
             stops={"the stop": "x - travel"},
-            forces={"x": _stop.write_stop_loss("x - travel", "x_rate")},
+            forces={"x": _mechanical_stop.write_stop_loss("x - travel", "x_rate")},
             coenergy="0.5*(turns*i + magnet)^2/(core + gaps*(gap - x)/(mu0*area))",
             content="0.5*resistance*i^2",
             limits={"the gap": "gap - x"},
@@ -72,7 +72,7 @@ register_part_type(
                 ("saturation and hysteresis", "the core is linear", "compare flux / area with 1 T"),
                 ("leakage, fringing", "all flux crosses the gaps", "of the order of gap / width"),
                 ("eddy currents in the core", "the flux follows at once", "not estimated"),
-                _stop.STOP_NEGLECTED,
+                _mechanical_stop.STOP_NEGLECTED,
             ),
             conductors=("i",),
             temperature_coefficient=find_resistance_coefficient("copper"),

@@ -232,9 +232,9 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
         return {f"{part.name}_driver": {**table, "pins": pins}}
 
     def pins(self, part: Part[RingMagnetCoilsKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
-        """Return the pins in the order of the subcircuit."""
+        """Return the pins of the part in the order of its subcircuit."""
         thermal = HEAT_TERMINALS if is_heated(part, scene) else ()
-        if not has_real_coils(part, scene):
+        if not has_drive_circuit(part, scene):
             rest = None if _is_driven(part, scene) else "gnd"
             return (
                 *(replace(end, default=rest) for end in SERIES_PINS[:2]),
@@ -249,9 +249,9 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
     def equilibrium_conditions(
         self, part: Part[RingMagnetCoilsKeys], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the equilibrium conditions of the coils: paths to ground.
+        """Return the paths to ground from the pins of the coils, except ``heat``.
 
-        Every pin except ``heat`` has a path to ground.
+        Only displacement and temperature pins have a path.
         """
         clamps = super().equilibrium_conditions(part, scene).paths
         return EquilibriumConditions(tuple(path for path in clamps if HEAT not in path))
@@ -259,7 +259,7 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
     def default_joins(
         self, part: Part[RingMagnetCoilsKeys], scene: GovernedScene
     ) -> Mapping[str, str]:
-        """Return the default connections of ``y`` and ``v`` to the sphere.
+        """Return the default connections of the pins ``y`` and ``v`` to the sphere.
 
         If another part prescribes the motion of the sphere, ``y`` and ``v`` are connected to this
         part.
@@ -315,7 +315,10 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
                 f"rest height {radius:g} m",
                 f"between {keys.y_min:g} and {keys.y_max:g} m",
             )
-            hint = f"{part.name}.y_min and {part.name}.y_max set the table's range"
+            hint = (
+                f"extend the table by {part.name}.y_min and {part.name}.y_max, so that its range "
+                "contains the rest height"
+            )
             yield ball.wrong(
                 "radius", "the radius is outside of the force table", got, expected, hint
             )
@@ -334,7 +337,7 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
     def largest_indentations(
         self, part: Part[RingMagnetCoilsKeys], scene: GovernedScene
     ) -> Iterator[LargestIndentation]:
-        """Yield the indentation by a sphere that falls from the upper table end."""
+        """Yield the largest indentation by a sphere that falls from the height ``y_max``."""
         sphere = find_sphere(part, scene)
         drop = 2 * scene.gravity * (part.keys.y_max - sphere.keys.radius)
         speed = math.sqrt(max(0.0, drop))
@@ -403,7 +406,7 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
     def subcircuits(
         self, part: Part[RingMagnetCoilsKeys], build: BuiltScene, header: Header
     ) -> tuple[Subcircuit, ...]:
-        """Return a tuple with the subcircuit of the part."""
+        """Return the subcircuit of the part, as a tuple of length 1."""
         keys, name, apart = (
             part.keys,
             build.libraries[part.name],
@@ -422,7 +425,7 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
     def vectors(
         self, part: Part[RingMagnetCoilsKeys], build: BuiltScene
     ) -> Mapping[str, PartResult]:
-        """Return the ngspice vectors of the part's results, keyed by result name."""
+        """Return the ngspice expression of each result of the part, keyed by result name."""
         if not _is_driven(part, build.scene):
             return {}
         prefix, inst = get_result_prefix(part), f"x{part.name.lower()}"
@@ -430,7 +433,7 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
             f"{prefix}.lower.current": PartResult(f"v({inst}.i)", -1.0, "A"),
             f"{prefix}.upper.current": PartResult(f"v({inst}.i)", 1.0, "A"),
         }
-        if has_real_coils(part, build.scene):
+        if has_drive_circuit(part, build.scene):
             for k, name in enumerate(result, 1):
                 result[name] = PartResult(f"v({inst}.i{k})", 1.0, "A")
             up, lp = build.get_net(part, "up"), build.get_net(part, "lp")
@@ -456,9 +459,9 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
         }
 
     def law(self, part: Part[RingMagnetCoilsKeys], build: BuiltScene) -> laws.Equations:
-        """Return the model equations of the part."""
+        """Return the part's model equations, which are solved without a simulator."""
         n, scene, table = part.name, build.scene, build.model(part, MagnetostaticTable)
-        prefix, apart = get_result_prefix(part), has_real_coils(part, scene)
+        prefix, apart = get_result_prefix(part), has_drive_circuit(part, scene)
         stated, ends = (
             coils.declare_resistive_coils(),
             (("drive.through", -1.0), ("drive.through", 1.0)),
@@ -560,7 +563,7 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
             advice = "the coils overheat: use less current, or a thicker or shorter wire"
             limit = compute_rated_heating(part.keys)
             yield Check(f"rating of {part.name}", heating, limit, "A2 s", advice, "warn")
-        coarse = estimate_interpolation_error(
+        coarse = compute_spline_error(
             build.model(part, MagnetostaticTable), find_largest_current(part, build.scene)
         )
         name, action = f"field of {part.name} between its positions", build.scene.checks.range
@@ -570,14 +573,14 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
         of, limits = f"{find_sphere(part, build.scene).name}.y", {"rom_vs_fom": MAX_SPLINE_ERROR}
         words = f"height over its way, {DENSITY_RATIO} times the positions of {part.name}"
         yield Gate(words, of, limits, "travel", discretisation=True)
-        for words, error in list_mesh_errors(build.facts(part)).items():
+        for words, error in list_mesh_errors(build.get_model_values(part)).items():
             if error > MAX_SPLINE_ERROR:
                 name, advice = f"mesh of {part.name}, {words}", f"raise {part.name}.refine"
                 yield Check(name, error, MAX_SPLINE_ERROR, "relative, estimated", advice, "warn")
         table, travel = build.model(part, MagnetostaticTable), float(np.ptp(y))
-        remedy = f"lower {part.name}.y_min to {_format_end(y.min())}"
+        remedy = f"lower {part.name}.y_min to {_suggest_table_end(y.min())}"
         if y.max() - table.y[-1] >= table.y[0] - y.min():
-            remedy = f"raise {part.name}.y_max to {_format_end(y.max())}"
+            remedy = f"raise {part.name}.y_max to {_suggest_table_end(y.max())}"
         from kc2spice.fem.magnet_field import get_air_section
 
         _, floor, _, ceiling = get_air_section(part.keys)
@@ -598,7 +601,7 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
     def figures(
         self, part: Part[RingMagnetCoilsKeys], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Figure | FileWriter]:
-        """Yield the figures of the part for the report."""
+        """Yield the charts of the part, and functions that write further files."""
         prefix = get_result_prefix(part)
         currents = _list_coil_currents(part, waves)
         if "time" in waves and len(currents) == len(COIL_NAMES):
@@ -613,7 +616,7 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
             panels[-1] = replace(panels[-1], x="time in ms")
             caption = f"Currents in the coils of {part.name}."
             yield Figure(f"{part.name}_currents", "Coil currents", caption, tuple(panels))
-        if has_real_coils(part, build.scene):
+        if has_drive_circuit(part, build.scene):
             yield plot_impedance(part, build)
         yield plot_force(part, build)
         table, alone = (
@@ -629,7 +632,7 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
     ) -> Iterator[str | NeglectedEffect]:
         """Yield the assumptions of the model and the effects that it neglects."""
         yield f"{part.keys.positions} heights, force quadratic in both coil currents (exact)"
-        if has_real_coils(part, scene):
+        if has_drive_circuit(part, scene):
             yield "coils with R, L(y), M(y) and back-EMF"
         keys, radius = part.keys, find_sphere(part, scene).keys.radius
         diffusion = MU_0 * keys.mu_r * MAGNET_CONDUCTIVITY * (radius / np.pi) ** 2
@@ -647,7 +650,7 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
         if heated:
             _, why, size = ONE_TEMPERATURE
             yield NeglectedEffect("different temperatures of the two coils", why, size)
-        if _is_driven(part, scene) and not has_real_coils(part, scene):
+        if _is_driven(part, scene) and not has_drive_circuit(part, scene):
             yield NeglectedEffect(
                 "coil voltage and inductance"
                 if heated
@@ -700,7 +703,7 @@ def get_result_prefix(part: Part[RingMagnetCoilsKeys]) -> str:
     return "coil" if part.name == "catch" else part.name
 
 
-def has_real_coils(part: Part[RingMagnetCoilsKeys], scene: DeclaredScene) -> bool:
+def has_drive_circuit(part: Part[RingMagnetCoilsKeys], scene: DeclaredScene) -> bool:
     """Return whether a drive circuit is connected to the coils.
 
     Coils with a drive circuit have inductance and back-EMF in the model.
@@ -711,10 +714,10 @@ def has_real_coils(part: Part[RingMagnetCoilsKeys], scene: DeclaredScene) -> boo
 
 def _has_coil_terminals(part: Part[RingMagnetCoilsKeys], scene: DeclaredScene) -> bool:
     """Return whether the netlist of the part has separate terminals for both coils."""
-    return has_real_coils(part, scene) or bool(scene.list_parts("current_cases"))
+    return has_drive_circuit(part, scene) or bool(scene.list_parts("current_cases"))
 
 
-def _format_end(height: float) -> str:
+def _suggest_table_end(height: float) -> str:
     """Suggest an end of the force table in mm, 5 % or more beyond a height [m]."""
     return f"{math.ceil(abs(1.05e3 * height)) * (1 if height > 0 else -1)} mm"
 
@@ -786,7 +789,7 @@ def find_largest_current(part: Part[RingMagnetCoilsKeys], scene: JoinedScene) ->
     return float(max(limits, default=1.0 if _is_driven(part, scene) else 0.0))
 
 
-def estimate_interpolation_error(table: MagnetostaticTable, current: float) -> float:
+def compute_spline_error(table: MagnetostaticTable, current: float) -> float:
     """Return the error estimate of the force spline, relative to the largest force.
 
     The largest force occurs at currents up to ``current`` [A] in both coils. If the distance
@@ -799,15 +802,15 @@ def estimate_interpolation_error(table: MagnetostaticTable, current: float) -> f
     values = table.coefficients
     largest = float(np.abs(_compute_force_contributions(values, current)).sum(axis=0).max())
 
-    def estimate_interpolation_error(step: int) -> float:
+    def compute_spline_error(step: int) -> float:
         """Return the relative error of a spline through every ``step``-th height."""
         result = interpolate_by_splines(table.y[::step], values[::step])(table.y)
         off = _compute_force_contributions(result - values, current)
         return float(np.abs(off).sum(axis=0).max()) / largest
 
-    half = estimate_interpolation_error(2)
+    half = compute_spline_error(2)
     known = half > 0.0 and table.y[::4].size >= 4
-    return half / (min(8.0, max(1.0, estimate_interpolation_error(4) / half)) if known else 1.0)
+    return half / (min(8.0, max(1.0, compute_spline_error(4) / half)) if known else 1.0)
 
 
 def compute_distance_outside(table: MagnetostaticTable, y: np.ndarray) -> float:

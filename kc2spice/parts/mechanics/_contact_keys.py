@@ -48,8 +48,8 @@ class ContactKeys(Section):
     a: str | tuple[str, ...] | None = Field(
         None,
         description=(
-            "Lower side of the contact: a body, its ports, or gnd; by default the only body. "
-            "Upward motion of this side closes the gap"
+            "Lower side of the contact: a body, ports of a body, or gnd; by default the "
+            "only body. Upward motion of this side closes the gap"
         ),
     )
     b: str | None = Field(
@@ -62,7 +62,8 @@ class ContactKeys(Section):
     gap: Length = Field(
         0.0,
         description=(
-            "Contact gap at rest, in addition to the gap between the surfaces of the geometry"
+            "Gap of the contact at rest, in addition to the distance between the surfaces "
+            "in the geometry"
         ),
     )
     inertia: Literal["massless", "lumped"] = Field(
@@ -75,8 +76,8 @@ class ContactKeys(Section):
     shape: Literal["rings", "pressure"] = Field(
         "rings",
         description=(
-            "Contact ports of the body: rings of mesh nodes, or basis functions of the "
-            "pressure under a sphere"
+            "Contact ports of the body: rings of mesh nodes (rings), or basis functions "
+            "of the contact pressure under a sphere (pressure)"
         ),
     )
     spacing: Annotated[Length, RefinementRule(0.5, model=True, when=(("shape", "pressure"),))] = (
@@ -92,8 +93,8 @@ class ContactKeys(Section):
     law: Literal["linear", "hertz"] = Field(
         "linear",
         description=(
-            "Contact law: force = penalty * indentation (linear), or for a sphere at one "
-            "port 4/3 E* sqrt(R) indentation^(3/2) (hertz)"
+            "Contact law: linear with force = penalty * indentation, or hertz (sphere at "
+            "one port) with force = 4/3 E* sqrt(R) indentation^(3/2)"
         ),
     )
     modulus: Pressure | None = Field(
@@ -125,8 +126,8 @@ class ContactKeys(Section):
         0.0,
         ge=0,
         description=(
-            "Coulomb friction coefficient of the sliding between the pins `slide` and "
-            "`rail`; equal on both flanks of a groove"
+            "Coulomb friction coefficient for sliding of the pin `slide` on the pin "
+            "`rail`; the same coefficient applies to both flanks of a groove"
         ),
     )
     creep: Velocity = Field(

@@ -24,7 +24,7 @@ from kc2spice.scene.model import (
 )
 
 if TYPE_CHECKING:
-    from kc2spice.bodies.pressure import IndentationLaw, LocalCompliance, PressureBasis
+    from kc2spice.bodies.contact_pressure import IndentationLaw, LocalCompliance, PressureBasis
     from kc2spice.core.waveforms import Waveforms
 
 FLOOR_PORT = "floor"  # name of the port of a fixed rigid plane
@@ -119,7 +119,7 @@ class TouchablePart(PartType[KeysT]):
     def largest_indentations(
         self, part: Part[KeysT], scene: GovernedScene
     ) -> Iterable[LargestIndentation]:
-        """Return the largest indentations that the part can cause in contacts."""
+        """Return the largest indentations of contacts that the part can cause."""
         return ()
 
 
@@ -240,12 +240,12 @@ class ContactPair:
             return ports
         if rings == "needed":
             return ports[
-                : max(1, int(np.count_nonzero(self.gaps < self.deepest_penetration.depth)))
+                : max(1, int(np.count_nonzero(self.gaps < self.largest_indentation.depth)))
             ]
         return ports[:rings]
 
     @cached_property
-    def deepest_penetration(self) -> LargestIndentation:
+    def largest_indentation(self) -> LargestIndentation:
         """Largest indentation [m] that any part of the scene can cause in the contact."""
         parts, by = self.scene.parts, self.scene.movers.get(self.upper_surface.part)
         able = parts.values() if by is None else [parts[by]]
@@ -310,7 +310,7 @@ class ContactPair:
             ]
             if not spherical or len(self.lower_surface.ports) > 1:
                 got = f"{len(self.lower_surface.ports)} ports, {len(spherical)} spheres"
-                expected, hint = "a sphere against one port or another sphere", 'law = "linear"'
+                expected, hint = "two spheres, or a sphere at one port", 'write  law = "linear"'
                 problem = "the law of Hertz applies only to a sphere at one port"
                 raise self.part.wrong("law", problem, got, expected, hint)
             value, power = 4 / 3 * self._combined_modulus / math.sqrt(sum(spherical)), 1.5
@@ -333,19 +333,20 @@ class ContactPair:
         compliance = 0.0
         for side in (self.lower_surface, self.upper_surface):
             if side.modulus is None:
-                expected = 'a pressure such as "110 GPa", or a material of both sides'
+                expected = 'a pressure such as "110 GPa", or a material for each side'
                 problem = f"the modulus of {side.part} is not known"
                 hint = 'add  modulus = "110 GPa"  with the combined modulus of both materials'
                 raise self.part.wrong("modulus", problem, expected=expected, hint=hint)
             compliance += 1 / side.modulus
         return 1 / compliance
 
-    # --- pressure (kc2spice.bodies.pressure) ------------------------------------------------------
+    # --- pressure (kc2spice.bodies.contact_pressure)
+    # ------------------------------------------------------
 
     @cached_property
     def pressure_basis(self) -> PressureBasis:
         """Piecewise linear basis functions for the pressure on the patch of side ``a``."""
-        from kc2spice.bodies.pressure import choose_pressure_basis
+        from kc2spice.bodies.contact_pressure import choose_pressure_basis
 
         return choose_pressure_basis(self.keys.spacing, self.lower_surface.patch)
 
@@ -380,7 +381,7 @@ class ContactPair:
 
         The sum of these forces is ``force``.
         """
-        from kc2spice.bodies.pressure import solve_contact_forces
+        from kc2spice.bodies.contact_pressure import solve_contact_forces
 
         assert self.upper_surface.radius is not None
         depths = np.linspace(0.0, self.contact_force.depth, 1000)
@@ -397,9 +398,10 @@ class ContactPair:
         The estimate is 0 for a contact with rings. The estimate is proportional to the largest
         relative change of the force with basis functions of half the width. The forces are compared
         at indentations between half of the largest indentation of the scene and the largest
-        indentation. Both forces include the compliance of the patch.
+        indentation. Both forces are computed from the compliance of the complete contact patch plus
+        the local compliance of the basis functions.
         """
-        from kc2spice.bodies.pressure import choose_pressure_basis
+        from kc2spice.bodies.contact_pressure import choose_pressure_basis
 
         if self.keys.shape != "pressure":
             return 0.0
@@ -411,7 +413,7 @@ class ContactPair:
             law = _get_indentation_law(
                 shape, result.compliance + result.patch, self.upper_surface.radius
             )
-            deepest = min(self.deepest_penetration.depth or math.inf, law.depth)
+            deepest = min(self.largest_indentation.depth or math.inf, law.depth)
             forces.append(law.force(np.linspace(0.5, 1.0, 50) * deepest))
         return REFINEMENT_LIMIT * float(np.abs(forces[1] / forces[0] - 1).max())
 
@@ -465,7 +467,7 @@ def _get_indentation_law(
 @lru_cache(maxsize=8)
 def _fit_cached_law(nodes: bytes, compliance: bytes, radius: float) -> IndentationLaw:
     """Fit an indentation law to a pressure basis and a compliance, both as bytes."""
-    from kc2spice.bodies.pressure import PressureBasis, fit_indentation_law
+    from kc2spice.bodies.contact_pressure import PressureBasis, fit_indentation_law
 
     shape = PressureBasis(np.frombuffer(nodes))
     matrix = np.frombuffer(compliance).reshape(len(shape.nodes) - 1, -1)

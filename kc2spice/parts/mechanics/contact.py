@@ -28,8 +28,8 @@ from kc2spice.parts.mechanics._contact_surfaces import (
     make_pair,
 )
 from kc2spice.physics import Declaration, DeclaredPart
-from kc2spice.physics.cards import get_meter_name, name_force_node
 from kc2spice.physics.contact import SPACING_NOTE, ContactForce, declare_contact
+from kc2spice.physics.declaration_cards import get_meter_name, name_force_node
 from kc2spice.physics.loss_heat import list_heat_vectors
 from kc2spice.physics.part import make_pins
 from kc2spice.rom.linear_model import LinearModel
@@ -100,7 +100,7 @@ class Contact(DeclaredPart[ContactKeys]):
     schema = ContactKeys
 
     def shared_data(self, part: Part[ContactKeys], scene: GovernedScene) -> ContactPair:
-        """Return the pair of contact surfaces for use by other parts."""
+        """Return the pair of contact surfaces, which other parts read."""
         return ContactPair(part, scene)
 
     def make_declaration(self, part: Part[ContactKeys], scene: GovernedScene) -> Declaration:
@@ -111,7 +111,7 @@ class Contact(DeclaredPart[ContactKeys]):
         return _declare_pair(pair, pair.contact_force, under, part.keys.groove)
 
     def pins(self, part: Part[ContactKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
-        """Return the pins in the order of the subcircuit."""
+        """Return the pins of the part in the order of its subcircuit."""
         law = ContactForce(1.0, damping=part.keys.damping, friction=part.keys.friction)
         d = self._with_heat_pin(_declare_pair(make_pair(part, scene), law), part, scene)
         ends = {"rail": "gnd", "base": "gnd", AMBIENT: "gnd"}
@@ -138,7 +138,7 @@ class Contact(DeclaredPart[ContactKeys]):
     def equilibrium_conditions(
         self, part: Part[ContactKeys], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the equilibrium conditions: paths to ground, and between touching sides."""
+        """Return the paths of steady force: pins to ground, and between touching sides."""
         pair = make_pair(part, scene)
         pins = ("base", *["va"] * pair.lower_surface.is_rigid, *["v"] * pair.upper_surface.is_rigid)
         clamps = [*product(pins, (GROUND,))]
@@ -153,7 +153,7 @@ class Contact(DeclaredPart[ContactKeys]):
     def numerics(
         self, part: Part[ContactKeys], scene: WiredScene
     ) -> Iterator[NumericalRequirements]:
-        """Yield tighter solver tolerances for damped and nonlinear contact laws.
+        """Yield requirements on tolerances for damped and nonlinear contact laws.
 
         With the trapezoidal rule, the errors at closing and at opening cancel only for a linear
         spring. In tests with the tighter tolerances, rebound speeds had relative errors of 1.5e-4.
@@ -192,7 +192,7 @@ class Contact(DeclaredPart[ContactKeys]):
             assert pair.contact_force  # raises an error if the law does not fit both sides
 
     def vectors(self, part: Part[ContactKeys], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice vectors of the part's results, keyed by result name."""
+        """Return the ngspice expression of each result of the part, keyed by result name."""
         n, pair, d = (
             part.name,
             make_pair(part, build.scene),
@@ -257,7 +257,7 @@ class Contact(DeclaredPart[ContactKeys]):
     def figures(
         self, part: Part[ContactKeys], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Figure]:
-        """Yield the figures of the part for the report."""
+        """Yield the charts of the part for the report."""
         force = waves.data.get(f"{part.name}.force")
         if force is None:
             return
@@ -279,7 +279,7 @@ class Contact(DeclaredPart[ContactKeys]):
         yield Figure(f"{part.name}_force", f"Contact of {sides}", caption, (panel,))
 
     def law(self, part: Part[ContactKeys], build: BuiltScene) -> laws.Equations:
-        """Return the model equations of the part."""
+        """Return the part's model equations, which are solved without a simulator."""
         n, pair, result = part.name, make_pair(part, build.scene), super().law(part, build)
         forces = [result.results[f"{n}.force.{port}"].terms[0][1] for port in pair.ports]
         sums = {}
@@ -341,8 +341,8 @@ class Contact(DeclaredPart[ContactKeys]):
         if count < len(a.ports):
             why = f"{part.name}.rings = {part.keys.rings}"
             if part.keys.rings == "needed":
-                why = f"open up to {pair.gaps[count]:.3g} m; {pair.deepest_penetration.why}: "
-                why += f"{pair.deepest_penetration.depth:.3g} m"
+                why = f"open up to {pair.gaps[count]:.3g} m; {pair.largest_indentation.why}: "
+                why += f"{pair.largest_indentation.depth:.3g} m"
             last = f" to {a.ports[-1]}" if count + 1 < len(a.ports) else ""
             error = "none while they stay open, checked after the run"
             yield NeglectedEffect(f"contact at {a.ports[count]}{last}", why, error)
@@ -379,7 +379,7 @@ def _check_pressure(pair: ContactPair) -> Iterator[UsageError]:
     part, a, b = pair.part, pair.lower_surface, pair.upper_surface
     hint = 'delete this key, or write  shape = "rings"'
     if a.compliance is None:
-        expected = "a piezo_stack, whose contact names no port"
+        expected = "a part of type piezo_stack, in the key a without the name of a port"
         yield part.wrong("shape", "this body has no pressure port", a.ports[0], expected, hint)
     elif not part.keys.spacing < a.patch / 4:
         got, expected = f"{part.keys.spacing:g} m", f"less than {a.patch / 4:g} m"
@@ -387,7 +387,7 @@ def _check_pressure(pair: ContactPair) -> Iterator[UsageError]:
         yield part.wrong("spacing", problem, got, expected)
     if b.radius is None or b.radius <= a.patch:
         got = "no sphere" if b.radius is None else f"a radius of {b.radius:g} m"
-        expected = f"a sphere of more than {a.patch:g} m, the outermost ring"
+        expected = f"a sphere with a radius above {a.patch:g} m, the radius of the outermost ring"
         yield part.wrong("shape", "a contact by pressure needs a sphere", got, expected, hint)
     for key, default in (("law", "linear"), ("groove", None)):
         if (got := getattr(part.keys, key)) != default:

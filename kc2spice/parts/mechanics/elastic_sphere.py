@@ -34,7 +34,11 @@ from kc2spice.scene.settings import RomKeys
 from kc2spice.synthesis.mode_cards import COARSE_WEIGHTS, StepWeights
 
 if TYPE_CHECKING:
-    from kc2spice.bodies.pressure import LocalCompliance, PressureBasis, TransverselyIsotropicSphere
+    from kc2spice.bodies.contact_pressure import (
+        LocalCompliance,
+        PressureBasis,
+        TransverselyIsotropicSphere,
+    )
 
 # Upper end of the frequency band, divided by the lowest natural frequency.
 # With a ratio of 2, the frequency band contains the radial mode of the sphere.
@@ -156,7 +160,7 @@ elastic = true
         self, part: Part[ElasticSphereKeys], scene: GovernedScene, clock: StageTimer
     ) -> LinearModel:
         """Build the full-order finite-element model of the elastic sphere."""
-        from kc2spice.bodies.pressure import make_sphere_model
+        from kc2spice.bodies.contact_pressure import make_sphere_model
 
         shape = make_pair(_find_contact(part, scene), scene).pressure_basis
         with clock.time_stage("assemble", f"mesh and matrices of {part.name}"):
@@ -183,10 +187,11 @@ elastic = true
         )
 
     def weights(self, part: Part[ElasticSphereKeys], scene: DeclaredScene) -> StepWeights:
-        """Return weights for the step-size control that ignore ringing in free flight.
+        """Return the weights of the body's modes in the simulator's time step control.
 
-        Time steps that resolve the ringing in free flight would be eight times as many, at a
-        damping ratio of 0.01 %.
+        With these weights, time steps do not resolve the ringing in free flight. Time steps that
+        resolve the ringing in free flight would be eight times as many, at a damping ratio of 0.01
+        %.
         """
         return COARSE_WEIGHTS
 
@@ -214,7 +219,7 @@ elastic = true
         self, part: Part[ElasticSphereKeys], scene: GovernedScene, shape: PressureBasis
     ) -> LocalCompliance:
         """Return the local compliance of the sphere for a pressure basis."""
-        from kc2spice.bodies.pressure import LocalCompliance, compute_sphere_compliance
+        from kc2spice.bodies.contact_pressure import LocalCompliance, compute_sphere_compliance
 
         key = {**self.make_full_model_key(part, scene), "pressure_basis": shape.nodes.tolist()}
         arguments, kinds = (
@@ -234,7 +239,7 @@ def _make_elastic_sphere(
     part: Part[ElasticSphereKeys], scene: DeclaredScene
 ) -> TransverselyIsotropicSphere:
     """Return the sphere's radius, material and losses for the finite-element model."""
-    from kc2spice.bodies.pressure import TransverselyIsotropicSphere
+    from kc2spice.bodies.contact_pressure import TransverselyIsotropicSphere
 
     owner = scene.parts[part.keys.of].with_schema(SphereKeys)
     return TransverselyIsotropicSphere(
@@ -259,7 +264,7 @@ def _find_contact(part: Part[ElasticSphereKeys], scene: GovernedScene) -> Part[C
     ]
     if len(result) != 1:
         got = ", ".join(c.name for c in result) or "none"
-        expected = 'one, with shape = "pressure" and a body in a'
+        expected = 'one contact with shape = "pressure", and with the name of a body in its key a'
         raise owner.wrong(
             "elastic",
             "an elastic sphere needs exactly one contact",
@@ -276,7 +281,7 @@ def _find_contact(part: Part[ElasticSphereKeys], scene: GovernedScene) -> Part[C
         hint = f'set {contact.name}.shape = "pressure", or {owner.name}.elastic = false'
         raise contact.wrong("shape", problem, contact.keys.shape, "pressure", hint)
     if damping := contact.keys.damping:
-        expected = f"0, and {owner.name}.elastic.damping"
+        expected = f"0, with the damping of the sphere in {owner.name}.elastic.damping"
         raise contact.wrong(
             "damping",
             "damping of the contact does not apply to an elastic sphere",

@@ -49,15 +49,15 @@ class MassKeys(Section):
     position: Length = Field(
         0.0,
         description=(
-            "Position of the mass at t = 0, by default 0. Without position and velocity, a "
-            "mass with a support begins in equilibrium"
+            "Position of the mass at t = 0, by default 0. If neither position nor "
+            "velocity is stated, a mass with a support starts in equilibrium"
         ),
     )
     velocity: Velocity = Field(
         0.0,
         description=(
-            "Velocity of the mass at t = 0, by default 0. Without position and velocity, a "
-            "mass with a support begins in equilibrium"
+            "Velocity of the mass at t = 0, by default 0. If neither position nor "
+            "velocity is stated, a mass with a support starts in equilibrium"
         ),
     )
 
@@ -129,7 +129,7 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
     follows_frames = True
 
     def default_joins(self, part: Part[MassKeys], scene: GovernedScene) -> Mapping[str, str]:
-        """Return the default connections of the acceleration pins.
+        """Return the default connections of the acceleration pins to pins of the body.
 
         The acceleration pins are connected to the acceleration pins of the body.
         """
@@ -140,7 +140,7 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
     def equilibrium_conditions(
         self, part: Part[MassKeys], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the equilibrium conditions of the mass; its weight acts on the pin ``a``."""
+        """Return the path from ``base`` to ground, and the weight at the pin ``a``."""
         falls = part.keys.weight and scene.gravity
         return EquilibriumConditions(
             (("base", GROUND),), loaded_pins=("a",) if falls else (), inertial_pins=("a",)
@@ -154,7 +154,7 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
             yield part.wrong("", problem, got, expected, "delete position and velocity")
 
     def settable_quantities(self, part: Part[MassKeys], build: BuiltScene) -> Mapping[str, float]:
-        """Return the initial displacement and velocity of the mass as node voltages."""
+        """Return the initial node voltages for displacement and velocity of the mass."""
         state = self.initial_motion(part, build)
         if state is None:
             return {}
@@ -189,8 +189,8 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
                 moved = other.type.name == part.type.name or other.is_body
                 if moved or scene.records[name].rest.ideal:
                     problem = (
-                        "position and velocity of this mass are those of the part that it "
-                        "is fixed to"
+                        "this mass is fixed to another part, which determines position and "
+                        "velocity of the mass"
                     )
                     hint = "delete position and velocity, or connect both parts by a stiff spring"
                     got, expected = f"{name}.{pin} on the same net", "neither position nor velocity"

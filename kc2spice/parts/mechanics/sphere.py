@@ -102,8 +102,9 @@ class SphereKeys(Section):
     elastic: bool | dict[str, Any] | None = Field(
         None,
         description=(
-            "Whether the sphere is elastic, or a table of damping, mesh and rom; requires "
-            "contact.shape = pressure; by default the sphere is rigid"
+            "True for an elastic sphere, or a table with the keys damping, mesh and rom "
+            "of an elastic sphere; requires contact.shape = pressure. By default the "
+            "sphere is rigid"
         ),
     )
     velocity: Velocity = Field(
@@ -197,7 +198,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         return {_name_elastic_part(part): {**keys, **table}}
 
     def pins(self, part: Part[SphereKeys], scene: JoinedScene) -> tuple[Terminal, ...]:
-        """Return the pins in the order of the subcircuit."""
+        """Return the pins of the part in the order of its subcircuit."""
         declared = (
             ()
             if _has_prescribed_motion(part, scene)
@@ -243,7 +244,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
     def governed_parts(
         self, part: Part[SphereKeys], scene: DeclaredScene
     ) -> Mapping[str, InitialState]:
-        """Return the sphere as a governed part if its keys set a velocity or a height."""
+        """Return the initial velocity and height of the sphere, unless both are zero."""
         keys = part.keys
         moving = keys.velocity or keys.height
         return {part.name: InitialState(keys.velocity, keys.height)} if moving else {}
@@ -251,9 +252,9 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
     def equilibrium_conditions(
         self, part: Part[SphereKeys], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the equilibrium conditions of the sphere.
+        """Return the path from ``base`` to ground, and the weight at the pin ``v``.
 
-        The weight of the sphere loads the pin ``v``.
+        A sphere with prescribed motion has no path and no weight.
         """
         if _has_prescribed_motion(part, scene):
             return EquilibriumConditions()
@@ -262,9 +263,9 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         )
 
     def settable_quantities(self, part: Part[SphereKeys], build: BuiltScene) -> Mapping[str, float]:
-        """Return the initial displacement and velocity of a sphere without support.
+        """Return the initial node voltages of a sphere without support, which are zero.
 
-        Initial displacement and initial velocity are zero.
+        The sphere begins at rest, and just touches the body below.
         """
         joined = build.scene.list_joined_pins(part.name, "v")
         if (
@@ -277,7 +278,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         return {build.get_net(part, "v"): 0.0, build.get_net(part, "bottom"): 0.0}
 
     def vectors(self, part: Part[SphereKeys], build: BuiltScene) -> Mapping[str, PartResult]:
-        """Return the ngspice vectors of the part's results, keyed by result name."""
+        """Return the ngspice expression of each result of the part, keyed by result name."""
         return {f"{part.name}.{pin}": build.get_pin_vector(part, pin) for pin in ("y", "v")}
 
     def main_metrics(self, part: Part[SphereKeys], build: BuiltScene) -> Mapping[str, ProbeKeys]:
@@ -347,7 +348,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
     def figures(
         self, part: Part[SphereKeys], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Figure]:
-        """Yield the figures of the part for the report."""
+        """Yield the charts of the part for the report."""
         y = waves.data.get(f"{part.name}.y")
         if y is None or "time" not in waves:
             return
@@ -379,7 +380,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         return begin.height, begin.velocity
 
     def law(self, part: Part[SphereKeys], build: BuiltScene) -> laws.Equations:
-        """Return the model equations of the part."""
+        """Return the part's model equations, which are solved without a simulator."""
         n, result = part.name, super().law(part, build)
         height = laws.scale_wave(f"{n}.bottom", constant=part.keys.radius)
         bottom = f"{n}.bottom"

@@ -64,7 +64,7 @@ class BalancedTruncation(Reductor):
         self.name = "balanced truncation" + ("" if scaled else " of outputs as they are")
 
     def obstacle(self, task: ReductionTask) -> str:
-        """Return the reason why the method does not apply to a model, "" if it applies."""
+        """Explain why the method does not apply to the model; return "" if it applies."""
         reason = explain_no_gramians(task)
         if reason or self.scaled:
             return reason

@@ -49,7 +49,7 @@ class BandLimitedBalancing(Reductor):
     congruence = False
 
     def obstacle(self, task: ReductionTask) -> str:
-        """Return the reason why the method does not apply to a model, "" if it applies."""
+        """Explain why the method does not apply to the model; return "" if it applies."""
         reason = explain_no_gramians(task) or explain_too_large(
             task.first_order_response.pencil.size, MAX_STATES
         )
@@ -58,7 +58,7 @@ class BandLimitedBalancing(Reductor):
         return "the eigenvectors of the model are too close to each other for fast samples"
 
     def basis(self, task: ReductionTask) -> ReducedBasis | None:
-        """Return the basis that balances the model over the band."""
+        """Return the basis that balances the model over the band, or None."""
         return task.get_shared_value(self.name, lambda: self._balance(task))
 
     def _balance(self, task: ReductionTask) -> ReducedBasis | None:
@@ -67,7 +67,7 @@ class BandLimitedBalancing(Reductor):
         step = 1 if task.norm == "pointwise" else PEAK_NORM_STEP
         frequency, (H, entries) = estimator.frequency[::step], estimator.exact_response_and_scales
         inputs, outputs = _compute_weights(
-            frequency, entries.compute_error_divisors(H[::step], estimator.min_divisor_share)
+            frequency, entries.compute_error_divisors(H[::step], estimator.min_relative_divisor)
         )
         s = 1j * frequency / task.band[1]
         controllable = _compute_sum_root(response.states(s) * inputs[:, None, :])

@@ -46,7 +46,7 @@ class Reductor(ABC):
     no_basis: str = "its basis() returns None"
 
     def obstacle(self, task: ReductionTask) -> str:
-        """Return the reason why the method does not apply to a model, "" if it applies."""
+        """Explain why the method does not apply to the model; return "" if it applies."""
         return ""
 
     def applies_to(self, task: ReductionTask) -> bool:
@@ -58,7 +58,9 @@ class Reductor(ABC):
 
     @abstractmethod
     def basis(self, task: ReductionTask) -> ReducedBasis | None:
-        """Return the basis, usually ``task.project(V)``, or None if no basis exists.
+        """Return the reduction basis, or None if the method cannot compute a basis.
+
+        The basis is usually ``task.project(V)`` with basis vectors V.
 
         Parameters
         ----------

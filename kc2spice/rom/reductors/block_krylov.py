@@ -53,7 +53,7 @@ class BlockKrylov(Reductor):
     reference = "Schütz, Maeter and Bechtold, Actuators 10 (2021) 279, section 2.3"
 
     def obstacle(self, task: ReductionTask) -> str:
-        """Return the reason why the method does not apply to a model, "" if it applies.
+        """Explain why the method does not apply to the model; return "" if it applies.
 
         The method needs a positive definite K, and proportional or no damping.
         """
@@ -68,7 +68,7 @@ class BlockKrylov(Reductor):
         return "its stiffness matrix is not positive definite"
 
     def basis(self, task: ReductionTask) -> ReducedBasis:
-        """Return nested Krylov vectors and the projection of the full-order model."""
+        """Return the basis of Krylov vectors, with the projected full-order model."""
         if not task.intermediate.proof:  # for a prescribed order, the Krylov basis is already known
             V = task.intermediate.basis
             return ReducedBasis(task, task.intermediate.pencil, vectors=V, coordinates="full order")
@@ -132,7 +132,7 @@ class BlockArnoldi:
         self._right_sides: np.ndarray = B
 
     def vectors(self, count: int) -> np.ndarray:
-        """Return the first ``count`` basis vectors, or all if there are fewer vectors."""
+        """Return the first ``count`` basis vectors, or all vectors if there are fewer."""
         while self._basis.vectors.shape[1] < count and self._right_sides.shape[1]:
             columns, _ = self._basis.extend(self._solve(self._right_sides))
             self._right_sides = self._mass(columns)
@@ -159,7 +159,7 @@ class OrthonormalBasis:
 
     @property
     def vectors(self) -> np.ndarray:
-        """Basis vectors V (n, k), orthonormal with ``V'KV = 1``."""
+        """Basis vectors V (n, k), orthonormal in the stiffness matrix: ``V'KV = 1``."""
         return self._vectors[:, : self._count]
 
     @property
@@ -168,9 +168,10 @@ class OrthonormalBasis:
         return self._images[:, : self._count]
 
     def extend(self, candidates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Extend the basis by candidates (n, m); return the new columns of V and ``K V``.
+        """Add vectors to the basis; return the new columns of V and of ``K V``.
 
-        Candidates that depend linearly on earlier vectors are omitted.
+        The vectors ``candidates`` (n, m) are first made orthonormal. Candidates that depend
+        linearly on earlier vectors are omitted.
         """
         lengths = np.sqrt(np.einsum("ki,ki->i", candidates, self._stiffness(candidates)))
         # One matrix product for the whole block is much faster than one product for each column.

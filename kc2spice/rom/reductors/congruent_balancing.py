@@ -49,7 +49,7 @@ class CongruentBalancing(Reductor):
     no_basis = NOT_STABLE_TEXT
 
     def obstacle(self, task: ReductionTask) -> str:
-        """Return the reason why the method does not apply to a model, "" if it applies."""
+        """Explain why the method does not apply to the model; return "" if it applies."""
         core = task.pencil_without_rigid_modes
         if core.degree == 2:
             return "the model is of second order"

@@ -57,7 +57,7 @@ class ExactSamples:
         self._right, self._images = np.empty((n, 0)), np.empty((n, 0))
         self._left = np.empty((n, 0))
 
-    def add(self, frequency: float) -> None:
+    def add_sample(self, frequency: float) -> None:
         """Solve the full model at ``frequency`` [Hz], and add the solutions as samples.
 
         Raises
@@ -74,7 +74,7 @@ class ExactSamples:
         self._images = np.hstack([self._images, *split_real_parts(image / size)])
         self._left = np.hstack([self._left, *split_real_parts(y / np.linalg.norm(y, axis=0))])
 
-    def model(self) -> tuple[Pencil, float]:
+    def find_best_projection(self) -> tuple[Pencil, float]:
         """Return the most accurate oblique projection, and its error at the samples.
 
         The error is the largest relative error at the samples.
@@ -118,10 +118,10 @@ def reduce_by_samples(
     known = ExactSamples(full)
     every = make_frequency_grid(band, CANDIDATE_FREQUENCIES, True)
     for k in np.unique(np.linspace(0, len(every) - 2, FIRST_SAMPLES).astype(int)):
-        known.add(float(every[k]))
-    last = Response(known.model()[0])
-    known.add(float(band[1]))
-    model, _ = known.model()
+        known.add_sample(float(every[k]))
+    last = Response(known.find_best_projection()[0])
+    known.add_sample(float(band[1]))
+    model, _ = known.find_best_projection()
     recent = [np.inf]
     while len(known.frequency) < MAX_SAMPLES:
         before = Response(model)
@@ -134,10 +134,10 @@ def reduce_by_samples(
             axis=(1, 2)
         )
         worst = int(np.argmax(change))
-        known.add(float(points[worst]))
+        known.add_sample(float(points[worst]))
         error = float(known.compute_relative_errors(H[worst] - known.H[-1], known.H[-1]).max())
         last = before
-        model, fit = known.model()
+        model, fit = known.find_best_projection()
         recent = [*recent[-1:], max(error, fit)]
         if max(recent) <= target or (
             len(known.frequency) > MAX_SAMPLES // 2 and max(recent) <= limit
@@ -152,7 +152,7 @@ def reduce_by_samples(
         )
     proof = f"compared with refined solutions of the full model at {len(known.frequency)} "
     response = Response(model)
-    at, ratio = response.select_in_band(band)
+    at, ratio = response.select_band_resonances(band)
     at = at * (1 + FLANK_DISTANCE * (ratio < MIN_DAMPING_RATIO)) if at.size else np.array(band)
     proof += "frequencies" + describe_uncertainty(
         at, estimate_rounding_uncertainty(full, at), 2 * limit

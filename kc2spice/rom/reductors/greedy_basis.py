@@ -47,16 +47,16 @@ class GreedyBasis:
         self.points = 0
         self.change = np.inf
         sketch = np.random.default_rng(0).standard_normal((SKETCH_SIZE, pencil.size))
-        self._sides = [_Sketch(sketch, pencil.coefficients, pencil.B)]
+        self._sides = [_ResidualSketch(sketch, pencil.coefficients, pencil.B)]
         if self.two_sided:
             dual = pencil.make_dual()
-            self._sides.append(_Sketch(sketch, dual.coefficients, dual.B))
+            self._sides.append(_ResidualSketch(sketch, dual.coefficients, dual.B))
         self._used: list[complex] = []
         self.turn = np.empty((0, 0))
         self.response = Response(pencil.project(self.basis))
         self._previous = self.response
         self.static = False
-        self.static = static and self._add_static()
+        self.static = static and self._add_static_responses()
 
     def add_checked_point(self, s: complex) -> tuple[float, bool]:
         """Return the projected model's error at ``s``, and add the solution to the basis.
@@ -100,9 +100,9 @@ class GreedyBasis:
             )
         measure = size.max(axis=(1, 2))
         if self.points % 2:
-            measure = self._sides[0].residual(s, self.turn @ self.response.states(s))
+            measure = self._sides[0].estimate_residual(s, self.turn @ self.response.states(s))
             if self.two_sided:
-                measure = measure * self._sides[1].residual(
+                measure = measure * self._sides[1].estimate_residual(
                     s, self.response.dual_response.states(s)
                 )
         return complex(s[np.argmax(np.where(fresh, measure, -1.0))])
@@ -111,7 +111,7 @@ class GreedyBasis:
         """Return candidate frequencies [Hz] for the next expansion point."""
         return sample_band(self.response, self.band, CANDIDATE_FREQUENCIES, self.static)
 
-    def _add_static(self) -> bool:
+    def _add_static_responses(self) -> bool:
         """Add the static responses to the basis, or return False if none exist."""
         b = self.pencil.B
         try:
@@ -196,7 +196,7 @@ class GreedyBasis:
         return self.basis @ self.turn
 
 
-class _Sketch:
+class _ResidualSketch:
     """Estimator of residuals ``b - P(s) V x(s)`` from random sums of the equations."""
 
     def __init__(self, sketch: np.ndarray, coefficients: tuple[Any, ...], b: np.ndarray) -> None:
@@ -205,13 +205,13 @@ class _Sketch:
         self._b = sketch @ b
 
     def extend(self, columns: np.ndarray) -> None:
-        """Update the sketched products for new basis vectors ``columns`` (n, k)."""
+        """Add the sketched products of the new basis vectors ``columns`` (n, k)."""
         self._images = [
             np.hstack([image, rows @ columns])
             for image, rows in zip(self._images, self._rows, strict=True)
         ]
 
-    def residual(self, s: np.ndarray, x: np.ndarray) -> np.ndarray:
+    def estimate_residual(self, s: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Return the largest relative residual of all right-hand sides at each ``s``."""
         product = sum(s[:, None, None] ** k * (image @ x) for k, image in enumerate(self._images))
         size = np.linalg.norm(self._b, axis=0) + np.finfo(float).tiny

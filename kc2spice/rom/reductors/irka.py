@@ -11,9 +11,11 @@ import numpy as np
 from kc2spice.rom.pencil import Pencil, make_explicit_pencil
 from kc2spice.rom.reduced_basis import ReducedBasis, ReductionTask
 from kc2spice.rom.reductors.balanced_truncation import (
+    MAX_UNSCALED_STATES,
     NOT_STABLE_TEXT,
     BalancedTruncation,
     explain_no_gramians,
+    explain_too_large,
 )
 from kc2spice.rom.reductors.base import Reductor
 from kc2spice.rom.response import Response
@@ -61,16 +63,20 @@ class Irka(Reductor):
     no_basis = NOT_STABLE_TEXT
 
     def obstacle(self, task: ReductionTask) -> str:
-        """Return the reason why the method does not apply to a model, "" if it applies.
+        """Explain why the method does not apply to the model; return "" if it applies.
 
-        The iteration starts from balanced truncation, which needs Gramians.
+        The iteration starts from balanced truncation with unscaled inputs and outputs. The size
+        limit of this balanced truncation also limits the computing time of the iteration.
         """
-        return explain_no_gramians(task)
+        return explain_no_gramians(task) or explain_too_large(
+            task.first_order_response.pencil.size, MAX_UNSCALED_STATES
+        )
 
     def basis(self, task: ReductionTask) -> ReducedBasis | None:
-        """Return the locally optimal models of all orders, computed at their first use.
+        """Return locally optimal models of all orders, or None if none exists.
 
-        Return None if the full model is not strictly stable.
+        The models are computed at their first use. The result is None if the full model is not
+        strictly stable.
         """
         start = BalancedTruncation(scaled=False).basis(task)
         if start is None:

@@ -73,7 +73,7 @@ class RationalKrylov(Reductor):
         self.points = None if points is None else _require_frequencies(points)
 
     def basis(self, task: ReductionTask) -> ReducedBasis:
-        """Return the projection on Krylov vectors, in the order of expansion points."""
+        """Return the basis of Krylov vectors, in the order of their expansion points."""
         if self.points is not None:
             search = GreedyBasis(task.pencil_without_rigid_modes, task.band, static=False)
             for s in 2j * np.pi * self.points:
@@ -138,7 +138,7 @@ def reduce_by_rational_krylov(
         confirmations = confirmations + 1 if max(error, search.change) <= target else 0
         timer.end_step(max(error, search.change))
         if search.points == MANY_POINTS + 1 and pencil.size >= LARGE_UNKNOWNS:
-            modes = search.response.select_in_band(band)[0].size
+            modes = search.response.select_band_resonances(band)[0].size
             advice = "use a narrower band, a larger tolerance or proportional damping"
             warnings.warn(
                 f"the reduction takes more than {MANY_POINTS} factorisations for at least {modes} "

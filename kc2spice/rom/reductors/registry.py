@@ -137,6 +137,15 @@ def find_reductor(method: str | Reductor) -> Reductor:
     return _reductors[method]
 
 
+def advise_more_vectors(reductor: Reductor) -> str:
+    """Return the hint for the user of a method whose basis has too few vectors."""
+    if isinstance(reductor, RationalKrylov) and reductor.points is not None:
+        return "add expansion points, or use a larger tolerance"
+    if type(reductor) in map(type, _BUILT_IN):
+        return "leave method out, so that kc2spice selects a method"
+    return "return more vectors from basis(), or use a larger tolerance"
+
+
 def list_suited_reductors(task: ReductionTask) -> list[Reductor]:
     """Return the default methods for a task: response POD and balanced truncation.
 

@@ -108,7 +108,7 @@ class ResponsePod(Reductor):
         H = task.response.transfer(s[inside])
         base = (
             task.estimator.exact_response_and_scales[1].compute_error_divisors(
-                H, task.estimator.min_divisor_share
+                H, task.estimator.min_relative_divisor
             )
             + np.finfo(float).tiny
         )

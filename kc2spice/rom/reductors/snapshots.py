@@ -51,7 +51,7 @@ class SnapshotFrequencies(NamedTuple):
         return np.asarray(2j * np.pi * np.r_[self.inside, self.above])
 
     def weights(self, inside: np.ndarray | float = 1.0, above: float = 1.0) -> np.ndarray:
-        """Return the weights of all snapshots.
+        """Return the weight of each snapshot, in the band and above the band.
 
         ``inside`` contains the weights of the snapshots in the band. The weights above the band are
         multiplied by ``above``.
@@ -80,7 +80,7 @@ def choose_snapshots(
     there are no snapshots above the band.
     """
     low, high = estimator.band
-    at, ratio = response.select_in_band(estimator.band)
+    at, ratio = response.select_band_resonances(estimator.band)
     frequency = make_frequency_grid((low, high), GRID_POINTS, estimator.static)
     frequency = np.union1d(frequency, sample_resonances(at, ratio, np.array([0.0, 1.0])))
     if tail is None:

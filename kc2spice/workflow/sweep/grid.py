@@ -266,11 +266,11 @@ class SweepPoints:
 
     @property
     def size(self) -> int:
-        """Number of points."""
+        """Number of points of the sweep."""
         return prod(self.block_sizes)
 
     def values(self, index: int) -> dict[str, Any]:
-        """Return the values of all keys at one point of the sweep.
+        """Return the value of each key at one point of the sweep.
 
         ``index`` is a number from 0 to size - 1.
         """
@@ -382,7 +382,7 @@ def _require_common_length(lengths: Mapping[str, int], where: str) -> int:
             "the keys have different numbers of values",
             where=where,
             got=got,
-            expected="one number",
+            expected="the same number of values for each key",
             hint=f"write {min(lengths.values())} values for each key",
         )
     return next(iter(lengths.values()))

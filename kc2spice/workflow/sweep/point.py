@@ -39,7 +39,7 @@ from kc2spice.scene.scene_file import list_gallery
 from kc2spice.workflow.decks import prepare_deck
 from kc2spice.workflow.edited_parts import replace_key_value
 from kc2spice.workflow.models import find_value_units, replace_parts
-from kc2spice.workflow.simulate import Run, simulate_deck
+from kc2spice.workflow.simulation import Run, simulate_deck
 from kc2spice.workflow.sweep.grid import PARAMETER_KEY
 
 # pattern of the error message if a signal of the operating system ended the simulator

@@ -15,7 +15,7 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from kc2spice.core.errors import UsageError, unknown
-from kc2spice.core.extras import import_optional
+from kc2spice.core.optional_libraries import import_optional
 from kc2spice.core.toml_text import format_toml
 from kc2spice.core.waveforms import quote_csv_cell
 from kc2spice.workflow.sweep.grid import SweepPoints
@@ -101,7 +101,7 @@ class RowStore:
         try:
             self._rows.execute("insert or replace into row values (?, ?)", row)
         except sqlite3.Error as error:
-            hint = "the rows so far are kept: make room and give the same command again"
+            hint = "free disk space, then repeat the command; the rows written before are kept"
             message = f"this file cannot be written: {error}"
             raise UsageError(message, where=str(self.path), hint=hint) from None
         self._store_outcome(point, outcome)
@@ -148,7 +148,7 @@ def require_columns(outcome: PointResult, names: Sequence[str], scene: str) -> N
         )
 
 
-def columns(
+def collect_columns(
     outcomes: Mapping[int, PointResult], plan: SweepPoints, metrics: Sequence[str] = ()
 ) -> dict[str, list[Any]]:
     """Return the columns of a sweep table: swept keys, metrics and status.

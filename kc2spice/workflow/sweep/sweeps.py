@@ -26,8 +26,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from kc2spice.core import __version__
 from kc2spice.core.errors import UsageError, unknown
-from kc2spice.core.extras import import_optional
 from kc2spice.core.files import stage_directory
+from kc2spice.core.optional_libraries import import_optional
 from kc2spice.core.progress import Progress, ignore_progress
 from kc2spice.core.toml_text import format_toml
 from kc2spice.core.untrusted_files import MAX_TEXT_BYTES, decode_text, parse_toml, read_bounded
@@ -55,7 +55,7 @@ from kc2spice.workflow.sweep.point import (
 )
 from kc2spice.workflow.sweep.row_store import (
     RowStore,
-    columns,
+    collect_columns,
     require_columns,
     write_csv,
     write_parquet,
@@ -367,7 +367,7 @@ def run_sweep(
     workers : callable
         Function without arguments that returns a context manager. The context manager yields an
         executor and the number of points to run at a time. See
-        :func:`kc2spice.workflow.sweep.workers.make_local_worker_pool` and
+        :func:`kc2spice.workflow.sweep.workers.make_local_pool_opener` and
         :func:`kc2spice.workflow.sweep.workers.make_dask_connector`.
     progress : callable, optional
         Called as ``progress(stage, done, text)`` after each point.
@@ -468,7 +468,7 @@ def _write_tables(
     """Write table, figures and page of a sweep, and return the summary of the sweep."""
     from kc2spice.report.sweep_page import compute_yields, write_sweep
 
-    table = columns(rows.outcomes, definition.plan, definition.metrics)
+    table = collect_columns(rows.outcomes, definition.plan, definition.metrics)
     name = get_table_file_name(table_format)
     shares = compute_yields(table, definition.plan.keys) if definition.plan.random else {}
     plan = definition.describe()

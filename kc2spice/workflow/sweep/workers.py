@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from kc2spice.core.errors import MissingToolError
-from kc2spice.core.extras import import_optional
+from kc2spice.core.optional_libraries import import_optional
 
 # Function that returns a context manager; the function is called again if an executor is lost.
 # The context manager opens an executor, and yields the executor and the number of workers.
@@ -52,7 +52,7 @@ def is_lost_worker(error: BaseException) -> bool:
     )
 
 
-def make_local_worker_pool(count: int) -> Workers:
+def make_local_pool_opener(count: int) -> Workers:
     """Return a function that opens a pool of worker processes on this machine.
 
     The pool has ``count`` processes.

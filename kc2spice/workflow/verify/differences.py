@@ -17,7 +17,7 @@ from kc2spice.scene.checks import Check, Gate
 from kc2spice.scene.metrics import compute_metrics
 from kc2spice.scene.model import BuiltScene
 from kc2spice.scene.results import collect_powers
-from kc2spice.workflow.simulate import correct_waves
+from kc2spice.workflow.simulation import correct_waves
 
 # smallest reference of a relative error, as a fraction of the largest value
 MIN_REFERENCE_SHARE = 1e-6

@@ -1,10 +1,10 @@
 """Transient with full models, as a correction of the reduced models' solution.
 
-An integrator with equal steps (:mod:`kc2spice.reference.fixed_step`) solves the scene with full and
-with reduced models. The difference between the two solutions is added to the exact solution with
-the reduced models. The time steps cause nearly the same error in both solutions, so that most of
-this error cancels in the difference. A second difference, with steps twice as long, shows the
-remaining error.
+An integrator with equal steps (:mod:`kc2spice.reference.fixed_step_integrator`) solves the scene
+with full and with reduced models. The difference between the two solutions is added to the exact
+solution with the reduced models. The time steps cause nearly the same error in both solutions, so
+that most of this error cancels in the difference. A second difference, with steps twice as long,
+shows the remaining error.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from kc2spice.core.laws import PortBody, evaluate_combinations
 from kc2spice.core.progress import StageTimer
 from kc2spice.core.waveforms import Waveforms
 from kc2spice.equations.networks import Network
-from kc2spice.reference.fixed_step import integrate_steps
-from kc2spice.reference.integrate import Trajectory
+from kc2spice.reference.fixed_step_integrator import integrate_steps
+from kc2spice.reference.radau_integrator import Trajectory
 from kc2spice.reference.system import System, assemble_system
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.scene.model import BuiltScene
-from kc2spice.workflow.verify.bodies import choose_verified_band
+from kc2spice.workflow.verify.body_verification import choose_verified_band
 from kc2spice.workflow.verify.law_solution import LawSolution
 
 # Number of time steps per period of the highest frequency in the band of a reduced model.

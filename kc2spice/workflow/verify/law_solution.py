@@ -17,8 +17,8 @@ from kc2spice.equations.networks import Network, get_law_name
 from kc2spice.equations.replay import select_networks_to_solve
 from kc2spice.equations.scene_laws import get_scene_laws
 from kc2spice.reference import equilibrium
-from kc2spice.reference.integrate import Trajectory, solve_transient
-from kc2spice.reference.small_signal import solve_ac, solve_noise
+from kc2spice.reference.radau_integrator import Trajectory, solve_transient
+from kc2spice.reference.small_signal_analysis import solve_ac, solve_noise
 from kc2spice.reference.system import assemble_system
 from kc2spice.scene.model import BuiltScene
 from kc2spice.scene.results import NOISE_WAVE

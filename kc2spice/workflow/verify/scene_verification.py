@@ -36,9 +36,9 @@ from kc2spice.scene.resolve import resolve
 from kc2spice.sim.ngspice import find_ngspice
 from kc2spice.workflow.decks import prepare_deck
 from kc2spice.workflow.refine import MAX_MESH_UNKNOWNS, MEMORY_SHARE, estimate_factor_bytes
-from kc2spice.workflow.simulate import run_simulation
+from kc2spice.workflow.simulation import run_simulation
 from kc2spice.workflow.verdict import form_verdict
-from kc2spice.workflow.verify.bodies import verify_body
+from kc2spice.workflow.verify.body_verification import verify_body
 from kc2spice.workflow.verify.differences import (
     OutputDeviation,
     Solution,

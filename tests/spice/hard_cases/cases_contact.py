@@ -25,7 +25,7 @@ def flat_chip_below_the_sphere(bench):
     """
     model, gap, velocity, stop = chip(6), 1e-6, -1.0, 10e-6
     parts = [
-        subcircuit(model.linear(), "kick", HEADER),
+        subcircuit(model.to_linear_model(), "kick", HEADER),
         declared(HEADER, "contact", declare_contact(RINGS, (0.0,) * 6, ContactForce(4e8)), {}),
         declared(HEADER, "sphere", declare_sphere(MASS, 1e-3, 0.0, velocity, gap), {}),
     ]
@@ -101,14 +101,14 @@ def second_kick_during_the_flight(bench):
     few, study = chip(6), kick(f"kick.drive.voltage={voltage}", "solver.stop=0.11 ms")
     deck = deck_of(study, few)
     once = " 10k)"  # the pulse's period
-    assert deck.files[deck.main].count(once) == 1
-    text = deck.files[deck.main].replace(once, " 50u)")
+    assert deck.files[deck.main_file_name].count(once) == 1
+    text = deck.files[deck.main_file_name].replace(once, " 50u)")
     waves = bench.run(replace(deck, text=text, options=()))
     edges = np.array([0.0, 0.1, 25.0, 25.1]) * 1e-6
-    corners = np.r_[0.0, 10e-6 + edges, 60e-6 + edges, study.stop]
+    corners = np.r_[0.0, 10e-6 + edges, 60e-6 + edges, study.stop_time]
     volts = np.r_[0.0, np.tile([0.0, voltage, voltage, 0.0], 2), 0.0]
-    weight = np.array([[0.0, -MASS * 9.81], [study.stop, -MASS * 9.81]])
+    weight = np.array([[0.0, -MASS * 9.81], [study.stop_time, -MASS * 9.81]])
     oracle = Kick(few.omega, few.damp, few.gain, RADII[1], 1e-3, MASS, 4e8,
                   np.stack([corners, volts], axis=1), weight)  # fmt: skip
-    _, _, speeds, _ = oracle.flight(STEP, study.stop)
+    _, _, speeds, _ = oracle.flight(STEP, study.stop_time)
     return relative(waves["sphere.v"][-1], speeds[-1])

@@ -32,7 +32,7 @@ def damped_mode_after_a_voltage_step(bench):
 
 def _struck(bench, one, periods):
     """Displacement of ring 0 of a one-mode chip after 10 V, its times, its static part."""
-    part = subcircuit(one.linear(), "kick", HEADER, ports=("ring0", "anode"))
+    part = subcircuit(one.to_linear_model(), "kick", HEADER, ports=("ring0", "anode"))
     stop = periods * 2 * np.pi / one.omega[0]
     cards = f"""Vstep a 0 PULSE(0 10 0 1e-09 1e-09 1)
 Xkick a 0 r 0 kick
@@ -59,7 +59,7 @@ def flight_of_50_ms(bench):
 def ideal_source_charges_the_chip(bench):
     """1 ns edge of 100 V: the charge is ``C0 V`` and what the modes add (matrix exponential)."""
     model = chip(6)
-    part = subcircuit(model.linear(), "kick", HEADER, ports=("anode",))
+    part = subcircuit(model.to_linear_model(), "kick", HEADER, ports=("anode",))
     cards = """Vstep a 0 PULSE(0 100 0 1e-09 1e-09 1)
 Xkick a 0 0 kick
 Fcharge 0 charge Vstep -1
@@ -111,5 +111,5 @@ def ports_named_like_inner_nodes(bench):
     model, names = chip(6), ("q1", "charge")
     ports = [Port(name, "mechanical", "um", "N") for name in names]
     model = replace(model, ports=(*ports, *model.ports[2:]))
-    subcircuit(model.linear(), "kick", HEADER, ports=(*names, "anode"))
+    subcircuit(model.to_linear_model(), "kick", HEADER, ports=(*names, "anode"))
     return 0.0

@@ -156,7 +156,7 @@ def reference(scene):
         event.terminal, event.direction = True, way
     last = int(np.searchsorted(times, touched)) + 1
     start = [heights[last], speeds[last], 0.0]
-    span = begin + times[last], scene.stop
+    span = begin + times[last], scene.stop_time
     done = solve_ivp(
         rate, span, start, "LSODA", max_step=5e-6, rtol=1e-9, atol=1e-12, events=events
     )

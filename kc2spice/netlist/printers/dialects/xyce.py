@@ -9,7 +9,7 @@ from itertools import filterfalse
 
 from kc2spice.netlist.circuit import Directive, Element
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.expression import Number, Tree, literal_value
+from kc2spice.netlist.expression import Number, Tree, parse_literal
 from kc2spice.netlist.printers.dialect import COMMON, Dialect
 from kc2spice.netlist.printers.dialect_registry import register_dialect
 from kc2spice.netlist.scope import GROUND_NAMES
@@ -81,7 +81,7 @@ class Xyce(Dialect):
             return (f".nodeset {guesses}\n" if guesses else "") + self._limit_steps(card)
         if card.keyword != ".ac" or not card.words:
             return card.text
-        numbers = [literal_value(word, where=card.where) for word in card.words[1:]]
+        numbers = [parse_literal(word, where=card.where) for word in card.words[1:]]
         per = {"dec": 10.0, "oct": 2.0}.get(card.words[0].lower())
         if per is None or len(numbers) != 3 or None in numbers:
             return card.text
@@ -105,7 +105,7 @@ class Xyce(Dialect):
             *numbers,
             *["0", format_number(LOOP_TIME_STEP)][len(numbers) - 2 :],
         ]
-        largest = literal_value(ceiling, where=card.where)
+        largest = parse_literal(ceiling, where=card.where)
         if largest is None or largest > LOOP_TIME_STEP:
             ceiling = format_number(LOOP_TIME_STEP)
         return " ".join([card.keyword, step, stop, start, ceiling, *words])
@@ -135,7 +135,10 @@ class Xyce(Dialect):
         return (extreme, vector, f"OUTPUT={_SCALE_NAMES[kind]}") if kind in _SCALE_NAMES else ()
 
     def save(self, vectors: list[str]) -> str:
-        """Return the ``.print`` card that writes the saved vectors to the raw file."""
+        """Return the ``.print`` card, which selects the vectors that a run saves.
+
+        Xyce writes these vectors to the raw file.
+        """
         kind = self.analysis.keyword.removeprefix(".").upper()
         return "\n+ ".join([f".print {kind} format=raw", *vectors])
 
@@ -145,8 +148,8 @@ class Xyce(Dialect):
         Xyce has no hysteresis.
         """
         parameters = " ".join(f"{key.upper()}={value}" for key, value in values.items())
-        band = literal_value(values.get("vh", "0"), where=self.where)
-        middle = literal_value(values.get("vt", "0"), where=self.where)
+        band = parse_literal(values.get("vh", "0"), where=self.where)
+        middle = parse_literal(values.get("vt", "0"), where=self.where)
         if band != 0.0:
             raise self.make_unsupported_error(parameters, "a switch with hysteresis")
         if middle is None:
@@ -182,7 +185,7 @@ def _tighten_reltol(word: str) -> str:
     name, _, value = word.partition("=")
     if name.lower() != "reltol":
         return word
-    reltol = literal_value(value, where="reltol")
+    reltol = parse_literal(value, where="reltol")
     return (
         f"{name}={format_rounded(MAX_RELTOL if reltol is None else min(reltol / 10, MAX_RELTOL))}"
     )
