@@ -251,8 +251,8 @@ def law(build):
     scene = build.scene
     kick, sphere = keys_of(scene, "piezo_stack"), keys_of(scene, "sphere")
     model = compute_resonators(build.model(scene.list_parts("piezo_stack")[0], LinearModel))
-    rings = [k for k, port in enumerate(model.assemble_ports) if port.kind == "mechanical"]
-    (anode,) = (k for k, port in enumerate(model.assemble_ports) if port.kind == "electrical")
+    rings = [k for k, port in enumerate(model.ports) if port.kind == "mechanical"]
+    (anode,) = (k for k, port in enumerate(model.ports) if port.kind == "electrical")
     static = model.D.copy()
     static[anode, anode] = 0.0
     if np.any(static) or np.any(model.omega <= 0.0) or model.massless:

@@ -30,7 +30,7 @@ from support import laws as L
 def touching(name: str, stiffness: float) -> DeclaredLaw:
     """A spring that pin ``a`` closes upwards against pin ``b``."""
     stated = declare_contact(("a",), (0.0,), ContactForce(stiffness), rigid=(False, False))
-    return DeclaredLaw(name, stated, tuple(stated.values(stated.keys()).values()))
+    return DeclaredLaw(name, stated, tuple(stated.compute_parameter_values(stated.keys()).values()))
 
 
 def mass(

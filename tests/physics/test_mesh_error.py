@@ -297,7 +297,7 @@ def test_run_explain_and_header_state_the_error(tmp_path):
     (tmp_path / "s.toml").write_text(COARSE)
     build = build_models(load_scene(tmp_path / "s.toml"), StageTimer())
     part = build.scene.parts["uni"]
-    facts = build.facts(part)
+    facts = build.get_model_values(part)
     for word, (name, right) in zip(
         ("resonance", "stroke", "capacitance"), RIGHT.items(), strict=True
     ):

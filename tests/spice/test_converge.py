@@ -99,7 +99,7 @@ def test_meshes_are_refined_within_limits_that_are_stated_first(monkeypatch):
     done = refine.converge_to_budget(
         own, StageTimer(lambda stage, done, text: said.append((stage, text)))
     )
-    facts = own.build.facts(scene.parts["disc"])
+    facts = own.build.get_model_values(scene.parts["disc"])
     assert 250 < facts["unknowns"] < 1000  # four times as many are too many
     assert said[0][0] == "error budget"
     assert "up to 1 000 unknowns and" in said[0][1]
@@ -141,7 +141,9 @@ def test_the_error_at_the_limit_is_that_of_each_metric(monkeypatch):
     for name, error in true.items():
         assert done.final.errors[name] >= error, name
     mesh = max(
-        list_mesh_errors(done.final.run.build.facts(exact.build.scene.parts["disc"])).values()
+        list_mesh_errors(
+            done.final.run.build.get_model_values(exact.build.scene.parts["disc"])
+        ).values()
     )
     assert true["impedance_ohm"] > 5 * mesh
 

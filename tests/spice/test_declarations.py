@@ -364,7 +364,8 @@ def test_the_cards_of_a_contact_are_its_law(kind, dialect):
 def test_the_law_of_a_contact_follows_its_declaration(kind):
     normal = NORMALS[kind]
     stated_ = pressing(normal)
-    own = law.DeclaredLaw("law", stated_, tuple(stated_.values(stated_.keys()).values()))
+    values = stated_.compute_parameter_values(stated_.keys())
+    own = law.DeclaredLaw("law", stated_, tuple(values.values()))
     for x, rate, slide, wanted in touching(normal):
         known = {"p": x[0] + GAPS[0], "q": x[1] + GAPS[1], "slide": 0.0}
         speeds = {"p": rate[0], "q": rate[1], "slide": slide}

@@ -325,7 +325,7 @@ def test_a_law_with_a_step_is_not_linear():
         (voltage("v", "a", "b"),),
         content="above(v - 1)*v",
     )
-    assert not stepped.linear
+    assert not stepped.is_linear
     assert "V(a,b)-1>0" in "\n".join(Printer().format_cards(write_subcircuit_items(stepped)))
 
 

@@ -63,7 +63,7 @@ def network_of(scene):
         loaded = load_scene(scene)
     part = loaded.parts["drawn"]
     network = part.type.network(part, loaded)
-    elements = [(item.card_name, item.plus, item.minus, network.value(item))
+    elements = [(item.card_name, item.plus, item.minus, network.evaluate_element(item))
                 for item in network.elements]  # fmt: skip
     return elements, [network.entry, *network.exits.values()]
 

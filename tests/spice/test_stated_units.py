@@ -85,8 +85,8 @@ def test_kicad_shows_values_with_their_units(tmp_path):
 @pytest.mark.parametrize("domain", CONSERVATIVE, ids=lambda domain: domain.name)
 def test_products_of_value_units_are_those_of_the_pins(domain):
     if domain.units == SPICE_UNITS:
-        assert not any(domain.value_unit(letter) for letter in "VIRCL")
+        assert not any(domain.find_value_unit(letter) for letter in "VIRCL")
         return
     across, flow = domain.units
-    assert (domain.value_unit("V"), domain.value_unit("I")) == (across, flow)
-    assert re.sub(r"[()]", "", domain.value_unit("R")) == f"{across}/{flow}"
+    assert (domain.find_value_unit("V"), domain.find_value_unit("I")) == (across, flow)
+    assert re.sub(r"[()]", "", domain.find_value_unit("R")) == f"{across}/{flow}"
