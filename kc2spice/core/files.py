@@ -76,9 +76,9 @@ def stage_directory(out: Path | str) -> Iterator[Path]:
     # os.path returns False for a path in a directory without permission; pathlib raises an error.
     nearest = next(filter(os.path.exists, (out, *out.parents)))
     if not os.path.isdir(nearest):
-        raise _make_write_error(typed, nearest, "a file, not a directory")
+        raise make_write_error(typed, nearest, "a file, not a directory")
     if not os.access(nearest, os.W_OK | os.X_OK):
-        raise _make_write_error(typed, nearest, "no permission to write")
+        raise make_write_error(typed, nearest, "no permission to write")
     # The work directory is created next to the output directory ``out`` if possible.
     # The work directory is inside ``out`` if only ``out`` is writable, or if ``out`` is a mount
     # point.
@@ -88,7 +88,7 @@ def stage_directory(out: Path | str) -> Iterator[Path]:
     try:
         work = Path(tempfile.mkdtemp(prefix=prefix, suffix=_WORK_SUFFIX, dir=nearest))
     except OSError as error:
-        raise _make_write_error(typed, nearest, error.strerror or str(error)) from None
+        raise make_write_error(typed, nearest, error.strerror or str(error)) from None
     try:
         with lock_path(work):
             _delete_abandoned_directories(work, prefix)
@@ -97,16 +97,16 @@ def stage_directory(out: Path | str) -> Iterator[Path]:
             except OSError as error:
                 if error.errno not in DISK_FULL_ERRORS:
                     raise
-                raise _make_write_error(typed, nearest, error.strerror or str(error)) from None
+                raise make_write_error(typed, nearest, error.strerror or str(error)) from None
             try:
                 _publish_files(work, out)
             except OSError as error:
-                raise _make_write_error(typed, out, error.strerror or str(error)) from None
+                raise make_write_error(typed, out, error.strerror or str(error)) from None
     finally:
         shutil.rmtree(work, ignore_errors=True)
 
 
-def _make_write_error(typed: str, directory: Path, reason: str) -> UsageError:
+def make_write_error(typed: str, directory: Path, reason: str) -> UsageError:
     """Make the error for an output path that cannot be written.
 
     ``typed`` is the user's text.

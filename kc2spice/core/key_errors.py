@@ -344,6 +344,11 @@ def _explain_whole_number(invalid: _InvalidValue) -> Explanation:
     return "not a whole number", "a whole number, without quotes", hint
 
 
+def _explain_boolean(invalid: _InvalidValue) -> Explanation:
+    """Explain the error that a value is neither true nor false."""
+    return "not true or false", "true or false, without quotes", f"write  {invalid.path[-1]} = true"
+
+
 def _explain_limit(invalid: _InvalidValue) -> Explanation:
     """Explain the error that a number exceeds a limit of its key."""
     limit = ", ".join(f"{_LIMIT_SIGNS[key]} {bound:g}" for key, bound in invalid.context.items())
@@ -570,6 +575,8 @@ _EXPLANATIONS: Mapping[str, Callable[[_InvalidValue], Explanation]] = {
     "float_parsing": _explain_number,
     "string_type": _explain_text,
     "int_type": _explain_whole_number,
+    "bool_type": _explain_boolean,
+    "bool_parsing": _explain_boolean,
     "dict_type": _explain_table,
     "model_type": _explain_table,
     "tuple_type": _explain_list,

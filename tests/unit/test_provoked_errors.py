@@ -89,6 +89,10 @@ def rows(text):
          "--set KEY=FIRST:LAST:POINTS"),
         ("sweep impact --set impact.velocity=normal(-1,0.1)", "normal needs three values",
          "normal(-1,0.1)", "write normal(-1,0.1,50)"),
+        ("sweep impact --set impact.velocity=normal(-1,0.1,5,6)", "normal needs three values",
+         "normal(-1,0.1,5,6)", "write normal(-1,0.1,50)"),
+        ("run harvester --set beam.fields=maybe", "not true or false", "'maybe'",
+         "write  fields = true"),
         ("sweep impact --set impact.velocity=-1:-0.2:x", "not a number of points", "'x'",
          "write -1:-0.2:5"),
         ("sweep impact --set impact.velocity=-1:-0.2:5:6", "a range needs a first value",
@@ -164,6 +168,13 @@ def test_a_mistake_on_the_command_line(cli, tmp_path, words, head, got, advice):
     assert got in found.get("got", "")
     assert advice in found["next"]
     assert "Usage:" not in done.stderr
+
+
+def test_a_sweep_into_a_file_advises_another_path(cli):
+    done = cli("sweep", "impact", "--set", "impact.velocity=-1:-0.5:3", "--out", "/dev/null/x")
+    assert done.exit_code == 2
+    assert "this path cannot be written" in done.stderr
+    assert "choose another --out" in done.stderr
 
 
 @pytest.mark.parametrize(

@@ -92,8 +92,8 @@ def split_range(text: str) -> tuple[str, list[str]]:
                 got=text,
                 expected=f"{call[1]}({last})",
                 hint=f"write {call[1]}({','.join([*words[:2], '50'])}) for 50 points"
-                if len(words) == 2
-                else None,
+                if len(words) >= 2
+                else f"write the three values, such as {call[1]}(1,2,50)",
             )
         return call[1], words
     words = _split_words(text, ":")

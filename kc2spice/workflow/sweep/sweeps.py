@@ -26,7 +26,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from kc2spice.core import __version__
 from kc2spice.core.errors import UsageError, unknown
-from kc2spice.core.files import stage_directory
+from kc2spice.core.files import make_write_error, stage_directory
 from kc2spice.core.optional_libraries import import_optional
 from kc2spice.core.progress import Progress, ignore_progress
 from kc2spice.core.toml_text import format_toml
@@ -456,9 +456,7 @@ def _open_row_store(definition: Sweep, out: Path, table_format: str) -> RowStore
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise UsageError(
-            f"this directory cannot be created: {error.strerror}", where=str(out)
-        ) from None
+        raise make_write_error(str(out), out, error.strerror or str(error)) from None
     return RowStore(out / ROWS_FILE, definition.plan.size, definition.digest)
 
 
