@@ -51,7 +51,8 @@ MAX_LEAK_RATIO = 2.0
 SOLVER_ROUNDING = 1e-9  # largest difference of two direct solutions of a full model
 # number of solutions in random units from which rounding errors are estimated
 ROUNDING_TRIALS = 3
-ROUNDING_MARGIN = 3.0  # safety factor of the estimated rounding errors
+# smallest accepted ratio of a limit to the rounding errors of the full model
+ROUNDING_MARGIN = 10.0
 NETLIST_ROUNDING = 1e-9  # rounding error of a response that ngspice sums from modes
 MODEL_ROUNDING = 1e-11  # rounding error of the response of a reduced model
 
@@ -115,7 +116,7 @@ def _check_against_full_model(
     given: Sequence[int],
     findings: VerificationResult,
 ) -> float:
-    """Check the error of a reduced model against its full model; return the error.
+    """Check a reduced model against its full model; return its largest error.
 
     ``at`` [Hz] are the frequencies of the comparison. ``exact`` is the response of the full model.
     Frequencies at which the rounding errors of ``exact`` exceed the limit are omitted with a note,
@@ -235,7 +236,7 @@ def _compute_storage_flow(rom: LinearModel, frequency: np.ndarray) -> np.ndarray
 def _convert_to_hybrid_parameters(
     H: np.ndarray, given: Sequence[int]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Convert thermal responses to hybrid parameters, for given port temperatures.
+    """Convert thermal responses to use temperatures as inputs at the ports ``given``.
 
     The result consists of three matrices. The first matrix contains the responses of the other
     ports to their heat flows. The second matrix contains the responses of the other ports to the

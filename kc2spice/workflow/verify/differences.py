@@ -60,7 +60,7 @@ def complete_solution(waves: Waveforms, build: BuiltScene) -> Solution:
 def list_gate_checks(
     gates: Iterable[tuple[str, Gate]], pair: str, ours: Solution, exact: Solution
 ) -> tuple[list[Check], float | None]:
-    """Check two solutions against each gate; return checks and the largest difference.
+    """Compare two solutions; return a check for each gate and the largest difference.
 
     A gate is a pass limit. In the record of a verification, the error of a pair of solutions is the
     largest difference of a main gate.
@@ -106,7 +106,7 @@ def compute_gate_difference(gate: Gate, ours: Solution, exact: Solution) -> floa
 def _compute_wave_difference(
     gate: Gate, waves: Waveforms, exact: Waveforms, names: Sequence[str]
 ) -> float:
-    """Return the difference of waves between two solutions, as the gate measures it.
+    """Return the difference of waves between two solutions, in the gate's measure.
 
     ``names`` are the compared waves. The key ``measure`` of the gate defines how the difference is
     measured.
@@ -148,7 +148,7 @@ def _find_largest_relative_change(a: np.ndarray, b: np.ndarray) -> float:
 def align_wave(
     waves: Waveforms, exact: Waveforms, name: str
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the common points of two solutions, and one wave of both at these points.
+    """Return common points of two solutions, and one wave of both at these points.
 
     The points are the points of the coarser solution, within the times that both solutions contain.
     """

@@ -53,7 +53,7 @@ def with_full_models(build: BuiltScene, clock: StageTimer) -> BuiltScene | None:
 def with_finer_models(
     build: BuiltScene, parts: Iterable[str], clock: StageTimer
 ) -> BuiltScene | None:
-    """Return the build with a finer discretisation of some parts; None without any.
+    """Return the build with finer discretisations of parts; None if no part has one.
 
     The result is None if no part has a finer discretisation. Examples are a squeezed gas film with
     more branches and a conductor with more current loops.

@@ -60,7 +60,7 @@ class FullSolution:
 def add_differences(
     exact: LawSolution, differences: Sequence[FullModelDifference], end: float
 ) -> Waveforms:
-    """Add the differences of full models to the solution with reduced models.
+    """Return the solution with full models: reduced-model results plus differences.
 
     Points around events that the steps do not resolve are left out.
     """
@@ -91,7 +91,7 @@ class FullModelDifference:
     events: tuple[float, ...]
 
     def mask_equal_modes(self, time: np.ndarray) -> np.ndarray:
-        """Return a mask of the times at which both solutions are in the same mode.
+        """Return a mask of times at which the devices in both solutions have equal modes.
 
         The mask has one entry for each ``time``. The mask is false within the step that contains an
         event. The mask is also false next to a step at whose end only one model has changed its
@@ -118,7 +118,7 @@ def list_port_bodies(network: Network) -> list[PortBody]:
 def solve_full_differences(
     network: Network, build: BuiltScene, exact: LawSolution, clock: StageTimer, thorough: bool
 ) -> tuple[FullModelDifference, FullModelDifference, str]:
-    """Return the differences of full and reduced models, with steps ``h`` and ``2 h``.
+    """Return the full-model differences for two step sizes, and a text on the steps.
 
     Returns the difference of the models with steps ``h``, the difference with steps ``2 h``, and a
     text that describes the steps.
@@ -180,7 +180,7 @@ def solve_full_differences(
 def find_last_rest(
     bodies: list[PortBody], run: Trajectory, span: float
 ) -> tuple[float, Callable[[System, np.ndarray], np.ndarray] | None]:
-    """Find the last time [s] at rest, and a function that computes the state then.
+    """Return the last time [s] at rest, and a function that computes the rest state.
 
     The returned time precedes the first change of a load. Until the returned time, the full and the
     reduced models agree. The time is 0 and the function None if a load changes at once, or if no

@@ -151,7 +151,7 @@ def _list_included_subcircuits(flat: FlatCircuit) -> tuple[Subcircuit, ...]:
 
 
 def _with_exported_ports(scene: Scene, libraries: Sequence[Subcircuit]) -> Scene:
-    """Return the scene with the ports of bodies that exported libraries contain.
+    """Return the scene with all declared ports if the exported libraries have them.
 
     The library of an export has all declared ports of a body, including unconnected ports.
     """
@@ -296,7 +296,7 @@ class _Verification:
     def _compare_with_finer_laws(
         self, waves: Waveforms, solutions: Mapping[str, Solution], seconds: float
     ) -> None:
-        """Compare the solution of the equations with one of finer discretisations.
+        """Compare the solution of the equations with that of finer discretisations.
 
         Only parts with an error limit for their discretisation get a finer discretisation. The
         integration takes at most ``seconds`` [s], unless the verification is thorough.
@@ -429,8 +429,9 @@ class _Verification:
     def _add_run_checks(self) -> None:
         """Add checks of the ngspice run to the findings.
 
-        Checks that can fail a run, and checks of jumps, are added. In a transient, a check of a
-        discretisation is also added if no finer solution was computed.
+        Checks that can fail a run, and checks of jumps, are added. The error of a discretisation in
+        a transient is normally checked with a finer solution of the equations. If this solution was
+        not computed, the check of the ngspice run is added instead.
         """
         unsolved = []
         for check in self.verdict.checks:
@@ -462,7 +463,7 @@ class _Verification:
             )
 
     def _summarise_errors(self) -> None:
-        """Add the reduction error, and the model size of a single body, to the metrics."""
+        """Record the reduction error and, for a single body, its sizes as metrics."""
         result, bodies = self.outcome, self.build.scene.bodies
         if "rom_vs_fom" in result.errors:
             result.metrics["rom_error"] = result.errors["rom_vs_fom"]
