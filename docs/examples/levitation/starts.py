@@ -70,7 +70,7 @@ def steady(current=20.0, conductivity=3.4e7, radius=65e-3, thickness=3e-3, turns
     admittance = np.linalg.inv(np.diag(body.resistance / conductivity) + s * body.inductance)
 
     def ratio(y: float) -> float:
-        flux = [np.subtract(*(c.coupling(body.r, body.z + h) for c in coils))
+        flux = [np.subtract(*(c.couple_circles(body.r, body.z + h) for c in coils))
                 for h in (y - 2e-5, y, y + 2e-5)]  # fmt: skip
         induced = -admittance @ (s * flux[1] * current)
         force = 0.5 * np.real(np.conj(induced) @ (flux[2] - flux[0]) / 4e-5 * current)
