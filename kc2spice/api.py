@@ -436,7 +436,7 @@ class Result:
         return self._require_scale("frequency")
 
     def _require_scale(self, scale: str) -> np.ndarray:
-        """Return the values of the independent variable ``scale``; reject other variables."""
+        """Return the independent variable's values; raise an error unless it is ``scale``."""
         if self.scale != scale:
             raise UsageError(
                 f"this result is not a function of {scale}",

@@ -116,7 +116,7 @@ class PressureBasis(EqualByContent):
         return np.asarray(np.sqrt(self._integrate_powers(2) / self._integrate_powers(0)))
 
     def compute_pressure(self, shares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the pressures of a unit force that the basis functions share.
+        """Return the pressures of a unit force, given each basis function's share of it.
 
         ``shares`` contains the share of the force of each function. The first array contains the
         radii [m] of the nodes, and the second array the pressures [1/m^2] at these nodes.
@@ -152,7 +152,7 @@ def choose_pressure_basis(spacing: float, patch: float) -> PressureBasis:
 
 @dataclass(frozen=True, eq=False)
 class LocalCompliance(EqualByContent):
-    """Compliance of pressure basis functions beyond the compliance of the whole patch.
+    """Compliance of pressure basis functions, in addition to that of the whole patch.
 
     ``compliance`` (n, n) [m/N] is the additional compliance matrix of the basis functions.
     ``patch`` [m/N] is the compliance of the patch.
@@ -163,7 +163,7 @@ class LocalCompliance(EqualByContent):
 
     @property
     def rigid_force_shares(self) -> np.ndarray:
-        """Shares of a force for which all basis functions have the same displacement.
+        """Share of each basis function in a force that displaces all functions equally.
 
         The returned array of n shares has the shape (n,).
         """

@@ -36,7 +36,8 @@ from kc2spice.fem.enrichment import (
 from kc2spice.linalg.factor import Factor, factorise
 from kc2spice.rom.pencil import SchurComplement
 
-# largest number of rounds; a round solves for the additional functions, then for the mesh
+# Largest number of rounds of the iteration. Each round first computes corrections with the
+# additional shape functions only, then corrections with the unknowns of the mesh only.
 MAX_ROUNDS = 4
 # the iteration ends after a round in which the relative change of the corrections is at most this
 CONVERGED_CHANGE = 0.1
@@ -148,7 +149,7 @@ class EnrichedModel:
     solve_shifted: Callable[[np.ndarray], np.ndarray]
 
     def extend_responses(self, z: np.ndarray, voltages: np.ndarray) -> tuple[Pair, Pair]:
-        """Extend mesh responses by zeros for the additional functions; compute residuals.
+        """Extend mesh responses by zeros for the additional functions; return residuals.
 
         The additional functions have the value zero in the extended responses. ``z`` of shape (n,
         k) contains the responses of the mesh under the ``voltages`` of shape (e, k). Return two

@@ -92,7 +92,7 @@ class FaceMotion:
     axisymmetric: bool
 
     def select_motions(self, select: np.ndarray) -> FaceMotion:
-        """Return the face with only some of its motions."""
+        """Return the face with only the selected motions."""
         return replace(self, normal=self.normal[:, select])
 
     @property
@@ -206,7 +206,7 @@ class FaceMotion:
     def compute_unbaffled_ratios(
         self, wave_number: float, surface: FaceMotion | None = None
     ) -> np.ndarray:
-        """Return the ratio of the far fields without and with a baffle, for each motion.
+        """Return the far field without a baffle relative to that with one, per motion.
 
         The returned ratio is for the sound pressure on the axis of the face, for small k a. The
         docstring of this module contains the formula. ``surface`` is the whole surface of the body

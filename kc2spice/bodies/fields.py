@@ -188,7 +188,7 @@ def compute_lowest_modes(
 def _compute_modes(
     device: FiniteElementModel, span: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Compute modes, frequencies and damping of the model in a Krylov basis.
+    """Compute modes, with frequencies and damping, by projection on a Krylov basis.
 
     Return the mass-normalised modes of shape (n, q), their frequencies [rad/s] of shape (q,), and
     their damping [1/s] of shape (q,). The damping is the diagonal of the modal damping matrix.
@@ -247,7 +247,7 @@ def _project_model(device: FiniteElementModel, V: np.ndarray) -> LinearModel:
 
 
 class FieldProbe:
-    """Evaluator of stress and electric field at equal local points of all elements.
+    """Evaluator of stress and electric field at the same local points of each element.
 
     The local points are the same in every element. The local points are the nodes of the element,
     or the Gauss points if ``gauss`` is true.
@@ -430,7 +430,7 @@ def find_extremes(motion: NodalMotion, selected: np.ndarray | None = None) -> li
 def _evaluate_quantity(
     quantity: str, T: np.ndarray, E: np.ndarray, poling: np.ndarray, states: np.ndarray
 ) -> np.ndarray:
-    """Compute a stress or field whose extremes are searched, from stress and field.
+    """Compute one quantity, such as the principal stress, from stress and field.
 
     ``T`` and ``E`` contain the stress and the electric field at each point for a unit value of each
     state. Return an array of shape (states, points).
@@ -455,7 +455,7 @@ def _choose_instants(motion: NodalMotion, count: int) -> np.ndarray:
 
 
 def _compute_energies(motion: NodalMotion) -> tuple[np.ndarray, np.ndarray]:
-    """Return a measure of the energy of each sample, and the sum of the squared voltages.
+    """Return an energy measure and the sum of the squared voltages for each sample.
 
     The first array is the sum of the elastic energy and of the sum of the squared voltages, each
     relative to its largest value.

@@ -144,7 +144,7 @@ def make_heat_model(solid: HeatSolid, setup: HeatBoundaryConditions) -> HeatMode
 
 
 def _get_resistance_key(port: Port) -> str:
-    """Return the name of a port's thermal resistance in the ``facts`` of a model."""
+    """Return the key of a port's thermal resistance in the ``facts`` of a model."""
     return f"{RESISTANCE_PREFIX}{port.name}_k_per_w"
 
 
@@ -231,7 +231,7 @@ def _has_thermal_path(setup: HeatBoundaryConditions) -> bool:
 
 
 def estimate_energy_errors(solid: HeatSolid, temperatures: np.ndarray) -> np.ndarray:
-    """Estimate the mesh error of ``T'K T`` for each column of nodal temperatures T.
+    """Estimate mesh errors of ``T'K T`` (nodal temperatures T, conductance matrix K).
 
     ``temperatures`` have the shape (nodes, columns); the estimates have the shape (columns,). The
     heat flow density ``q = -k grad T`` jumps between elements. ``q*`` is the projection of q on

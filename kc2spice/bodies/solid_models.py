@@ -64,7 +64,7 @@ FREE_STEPS = ("assembly", 1.0), ("static responses and resonances", 11.0), ("mes
 
 @dataclass(frozen=True, eq=False)
 class PortLoad:
-    """Port of a force or a pressure, and the nodal forces of its unit load.
+    """Unit load of a force or pressure port: the port and the nodal forces.
 
     ``weights`` (d nodes,) are the nodal forces of a unit load. ``facets`` are the facets on which a
     pressure acts.
@@ -76,7 +76,7 @@ class PortLoad:
 
 
 def make_pressure_load(port: Port, solid: Solid, facets: np.ndarray) -> PortLoad:
-    """Return a port for the pressure on the ``facets``, and its nodal forces.
+    """Return a pressure port with the nodal forces of a unit pressure on the facets.
 
     The pressure p acts against the outward normal n: the nodal forces are ``-p int N n dS`` with
     the shape functions N. The output of the port is the displaced volume ``-int u n dS``.
@@ -85,7 +85,7 @@ def make_pressure_load(port: Port, solid: Solid, facets: np.ndarray) -> PortLoad
 
 
 def get_area_key(port: str) -> str:
-    """Return the name of an acoustic port's area [m^2] in the ``facts`` of a model."""
+    """Return the key of an acoustic port's area [m^2] in the ``facts`` of a model."""
     return f"area_{port}_m2"
 
 
@@ -338,7 +338,7 @@ def compute_rigid_body_modes(solid: Solid, centre: np.ndarray) -> np.ndarray:
 def _constrain_displacements(
     solid: Solid, setup: BoundaryConditions
 ) -> tuple[sparse.csc_array, list[tuple[Port, np.ndarray]]]:
-    """Compute the map from free unknowns to displacements, and loads of rigid faces.
+    """Return the map from unknowns to displacements, and the loads of rigid faces.
 
     The map is the matrix ``P`` of ``u = P z``. Each load is a pair: a port of a rigid face, and the
     load vector of this port. A load vector has the shape (unknowns,).
@@ -370,7 +370,7 @@ def _constrain_displacements(
 def _constrain_potentials(
     K_pp: sparse.csc_array, setup: BoundaryConditions
 ) -> tuple[sparse.csc_array, sparse.csc_array, list[Port]]:
-    """Compute the maps from unknowns and voltages to potentials, and electrical ports.
+    """Return the maps from unknowns and voltages to potentials, and electrical ports.
 
     The maps are the matrices ``Q`` and ``R`` of ``phi = Q p + R V``.
     """
@@ -631,7 +631,7 @@ class BondedBlocks:
         return spans.reshape(len(spans), -1)
 
     def _mesh_blocks(self, grid: Sequence[np.ndarray], near: float) -> Solid:
-        """Mesh the blocks with grid cells; each cell has the material of its block."""
+        """Make a mesh of the grid cells inside the blocks, each with its block's material."""
         mesh = (MeshQuad if len(grid) == 2 else MeshHex).init_tensor(*grid)
         middle = mesh.p[:, mesh.t].mean(axis=1)
         materials = {block.material.name: block.material for block in self.blocks}

@@ -260,7 +260,7 @@ def make_layer_materials(
 
 
 def _mask_fixed_displacements(kick: StackKeys, solid: Solid) -> np.ndarray:
-    """Return a mask of the displacements that symmetry or the mounting fixes.
+    """Return a mask of displacements that are zero due to symmetry or the mounting.
 
     Entry ``3 node + axis`` of the mask is for the displacement of a node along an axis.
     """
@@ -277,7 +277,7 @@ def _mask_fixed_displacements(kick: StackKeys, solid: Solid) -> np.ndarray:
 def _find_electrodes(
     spans: np.ndarray, faces: np.ndarray, solid: Solid
 ) -> tuple[dict[str, np.ndarray], Profile | None]:
-    """Find electrode nodes, and potentials of the nodes between electrodes in a level.
+    """Find the nodes of both electrodes, and potentials of nodes between electrodes.
 
     ``spans`` contains the number of ceramic layers in each level; the number is 0 in a cap.
     ``faces`` [m] contains the heights of the lower and upper faces of the levels. A level of
@@ -323,7 +323,7 @@ def _make_patch_force(solid: Solid, pressure: Profile) -> PortLoad:
     """
 
     def pressure_load(v, w):  # type: ignore[no-untyped-def]
-        """Return the integrand of the work that the pressure does on a test function."""
+        """Return the pressure times a test function, the integrand of the load vector."""
         return np.interp(np.hypot(w.x[0], w.x[1]), *pressure, right=0.0) * v
 
     share = LinearForm(pressure_load).assemble(

@@ -49,7 +49,7 @@ class OutputRecipient:
         return nullcontext(ignore_progress if self.quiet or self.as_json else _print_limits)
 
     def print_json_if_requested(self, record: Any, out: Path | None = None) -> bool:
-        """Print ``record`` as JSON if requested; return whether tables must be printed."""
+        """Print ``record`` as JSON if requested; return True if tables must be printed."""
         if self.as_json:
             location = {} if out is None else {"directory": str(out.absolute())}
             print(json.dumps({**record, **location} if location else record))
@@ -57,7 +57,10 @@ class OutputRecipient:
 
 
 def _print_limits(stage: str, done: float | None, text: str) -> None:
-    """Print the limits of the error budget, but no progress of other stages."""
+    """Print the size limits of refined meshes; print no other progress messages.
+
+    The error budget is the only stage whose messages contain these limits.
+    """
     if stage == ERROR_BUDGET:
         print(f"{stage}: {text}", file=sys.stderr)
 
@@ -118,7 +121,7 @@ def _describe_remaining_time(seconds: float) -> str:
 
 @contextmanager
 def report_errors() -> Iterator[None]:
-    """Print one message for an exception in the ``with`` block, then exit by its code."""
+    """Print an exception of the ``with`` block as one message; exit with its code."""
     warnings.showwarning = lambda message, *_, **__: print(
         f"kc2spice: warning: {message}", file=sys.stderr, flush=True
     )

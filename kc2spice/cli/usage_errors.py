@@ -120,7 +120,7 @@ def _make_parser_error(command: Any, error: Any, typed: list[str]) -> UsageError
 
 
 def _convert_to_hertz(words: Sequence[str]) -> list[str]:
-    """Convert words such as ``20k`` to Hz; return no words if one is not a frequency."""
+    """Convert words such as ``20k`` to texts in Hz; return an empty list if one fails."""
     from kc2spice.core.quantities import convert_quantity  # slow import
 
     with contextlib.suppress(UsageError):
@@ -181,7 +181,7 @@ def _make_unknown_option_error(command: Any, name: str, line: str) -> UsageError
 
 
 def _make_missing_value_error(param: Any, name: str, typed: list[str]) -> UsageError:
-    """Make the error for an option without a value, or of a flag with a value."""
+    """Make the error for an option without a value, or for a flag with a value."""
     words = _find_option_words(param, typed)
     if getattr(param, "is_flag", False):
         got = next((word for word in typed if word.startswith(f"{name}=")), name)
@@ -193,6 +193,10 @@ def _make_missing_value_error(param: Any, name: str, typed: list[str]) -> UsageE
             hint=f"write {name} alone",
         )
     expected = f"{name} {param.metavar}"
+    if param.name == "dialect":
+        from kc2spice.netlist.printers.dialect_registry import list_dialect_names
+
+        expected = f"{name} with one of {', '.join(list_dialect_names())}"
     got = " ".join([name, *words])
     count = param.nargs
     problem = "the value is missing" if count == 1 else f"this option needs {count} values"

@@ -85,7 +85,7 @@ def name_arguments(error: UsageError, overrides: str = "overrides") -> None:
 
 
 def _translate_error(error: UsageError, translate: Callable[[str], str]) -> None:
-    """Apply a translation function to the message, expected values and hint."""
+    """Apply a translation function to message, expected values and hint of an error."""
     error.message = translate(error.message)
     error.expected = error.expected and translate(error.expected)
     error.hint = error.hint and translate(error.hint)
@@ -93,7 +93,7 @@ def _translate_error(error: UsageError, translate: Callable[[str], str]) -> None
 
 @contextmanager
 def naming_arguments(overrides: str = "overrides") -> Iterator[None]:
-    """Replace command options by Python arguments in errors from the ``with`` block."""
+    """Name Python arguments in place of command options in errors of a ``with`` block."""
     try:
         yield
     except UsageError as error:
@@ -103,7 +103,7 @@ def naming_arguments(overrides: str = "overrides") -> Iterator[None]:
 
 @contextmanager
 def naming_options(names: Iterable[str]) -> Iterator[None]:
-    """Replace Python arguments by command options in errors from the ``with`` block."""
+    """Name command options in place of Python arguments in errors of a ``with`` block."""
     try:
         yield
     except UsageError as error:

@@ -51,7 +51,7 @@ def find_cache_dir() -> Path:
 
 @cache
 def _find_home_directory() -> Path:
-    """Return the user's home directory, or a private temporary directory without one.
+    """Return the home directory, or a private temporary one if the user has none.
 
     A user without an account, as in some containers, has no home directory. The private directory
     has a random name, because a fixed name in the shared temporary directory could belong to
@@ -199,7 +199,7 @@ def _delete_unused_entries(root: Path) -> None:
 
 
 def _load_entry(path: Path, known: Mapping[str, type]) -> tuple[Any] | None:
-    """Return a tuple with the cached result; None for an unreadable entry."""
+    """Return the cached result in a tuple of one item; None for an unreadable entry."""
     if not path.exists():
         return None
     try:

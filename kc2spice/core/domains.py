@@ -54,7 +54,7 @@ class Quantity:
 
     @property
     def pin_value_per_si_unit(self) -> float:
-        """Number of volts (or amperes) on a pin that represent one SI unit."""
+        """Number of volts or amperes on a pin that represents one SI unit of the quantity."""
         return float(f"{1 / self.factor:.15g}")
 
 
@@ -117,12 +117,12 @@ class Domain:
 
     @property
     def flow_unit(self) -> str:
-        """Unit that 1 A through a pin represents, ``-`` for a signal."""
+        """Unit that 1 A through a pin represents; ``-`` for signals."""
         return SIGNAL if self.through is None else self.through.pin_unit
 
     @property
     def admittance(self) -> float:
-        """Circuit admittance [A/V] that represents an SI admittance of 1 in this domain."""
+        """Admittance [A/V] in the netlist that represents an admittance of 1 in SI units."""
         return (
             1.0 if self.through is None else self.across.factor * self.through.pin_value_per_si_unit
         )
@@ -133,7 +133,7 @@ class Domain:
         return self.across.pin_unit, self.flow_unit
 
     def find_value_unit(self, letter: str) -> str:
-        """Return the unit of a V, I, R, C or L value; empty for the electrical domain.
+        """Return the unit of a V, I, R, C or L value; empty if the domain is electrical.
 
         Examples
         --------
@@ -172,17 +172,17 @@ class Domain:
 
     @property
     def can_be_metered(self) -> bool:
-        """Whether the two quantities at one pin determine the power through this pin."""
+        """Whether the across and the through quantity at a pin determine its power."""
         return self.is_conservative and self.power != "velocity of the frame * through"
 
     @property
     def law_pin_kind(self) -> str:
-        """Kind of the domain's pins in the reference solver; ``signal`` for accelerations."""
+        """Kind of the domain's pins in the reference solver: domain name or ``signal``."""
         return "signal" if self.power == "velocity of the frame * through" else self.name
 
     @property
     def quantities(self) -> Iterator[tuple[Quantity, Side]]:
-        """Quantities that a source can prescribe, each with its side: across or through."""
+        """Quantities that a source can prescribe, each with ``across`` or ``through``."""
         yield self.across, "across"
         if self.through is not None:
             yield self.through, "through"

@@ -135,7 +135,7 @@ _LIMIT_ACTIONS = {
 
 
 def advise_limit(where: str | None, expected: str | None) -> str | None:
-    """Advise how to change a key, so that its value satisfies the stated limit.
+    """Return advice on how to change a key so that its value satisfies a limit.
 
     >>> advise_limit("gap.travel", "less than the gap, 1e-06 m")
     'lower travel below 1e-06 m'

@@ -107,7 +107,7 @@ class Shape:
 
 
 def select_window(t: np.ndarray, first: float, last: float) -> np.ndarray:
-    """Return a mask of the times from ``first`` to ``last``, plus one time per side.
+    """Mask the times from ``first`` to ``last``, and one more time on each side.
 
     The mask also contains one more time on each side. The boolean mask has the same shape (n,) as
     the times ``t``.

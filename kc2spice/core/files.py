@@ -45,7 +45,7 @@ def suggest_file(path: Path) -> str | None:
 
 
 def _suggest_stem(path: Path, names: Sequence[str]) -> str | None:
-    """Suggest the file whose name without suffix is most similar to that of ``path``."""
+    """Suggest the file name that is most similar to ``path``, both without suffix."""
     import difflib  # difflib is imported here, because most runs do not need it
 
     stems = {Path(name).stem.lower(): name for name in reversed(names)}
@@ -191,7 +191,7 @@ def list_earlier_files(out: Path) -> set[str]:
 
 
 def _rank_main_file(path: Path) -> int:
-    """Return the rank of a main result file by its suffix; -1 for other files.
+    """Return the rank of a file's suffix among main result files; -1 for other files.
 
     The position of other suffixes is -1.
     """

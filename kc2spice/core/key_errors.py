@@ -223,7 +223,7 @@ def _explain_missing_key(invalid: _InvalidValue) -> Explanation:
 
 
 def _replace_unknown_key(word: str, missing: Sequence[str]) -> str:
-    """Suggest to replace an unknown key by the only missing key, or to delete it."""
+    """Return the hint to replace an unknown key by the missing key, or to delete it."""
     if len(missing) == 1:
         return f"write {missing[0]} in place of {word}, because the key {missing[0]} is missing"
     return f"delete {word}"
@@ -387,7 +387,7 @@ def _explain_table(invalid: _InvalidValue) -> Explanation:
 
 
 def _suggest_table(invalid: _InvalidValue, form: str) -> str:
-    """Suggest a table in which the typed value becomes the value of a likely key."""
+    """Suggest to write a table, with the typed value under its most likely key."""
     schema, place, path, value = invalid.schema, invalid.schema_path, invalid.path, invalid.value
     if isinstance(value, (Mapping, list)) or len(path) <= 1:
         key = _find_choice_key(schema, place, value)

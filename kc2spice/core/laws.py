@@ -411,7 +411,7 @@ class Device(ABC):
     def small_signal_derivatives(
         self, s: complex, e: np.ndarray, mode: Any
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Compute the derivatives for small signals ``exp(s t)`` at the operating point.
+        """Compute the derivatives of outputs and storage for small signals ``exp(s t)``.
 
         The first returned array (k, m) contains the derivatives of the k outputs with respect to
         the m inputs. The second array contains the derivatives of the stored quantities, with one
@@ -521,7 +521,7 @@ class PortBody(Device):
 
     @cached_property
     def _load_ports(self) -> tuple[LawPort, ...]:
-        """Ports whose input is one of the loads of the model."""
+        """Ports with a load, that is all ports except pure outputs."""
         return tuple(port for port in self.ports if port.kind != "output")
 
     @cached_property
@@ -622,7 +622,7 @@ class PortBody(Device):
         return direct + output @ H @ load
 
     def evaluate_storage(self, e: np.ndarray, mode: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the stored charges of the body, and their derivatives by the inputs."""
+        """Return the body's stored charges, and their derivatives with respect to inputs."""
         load, stored, _, _ = self._port_matrices
         slope = stored @ mode.H @ load
         return slope @ e + stored @ mode.free, slope

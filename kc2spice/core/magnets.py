@@ -237,7 +237,7 @@ class MagnetostaticTable(EqualByContent):
 
     @cached_property
     def splines(self) -> PiecewisePolynomial:
-        """Not-a-knot cubic splines of the six force coefficients as functions of height.
+        """Cubic splines (not-a-knot) of the six force coefficients over the height.
 
         With 41 heights, the splines are as accurate as the finite elements. Splines with other end
         conditions, and monotone interpolants, are less accurate.

@@ -61,14 +61,14 @@ def select_mesh_errors(facts: Mapping[str, float]) -> dict[str, float]:
 
 
 def _list_estimated_errors(facts: Mapping[str, float]) -> Iterator[tuple[MeshQuantity, float]]:
-    """Yield each mesh-dependent result of a model with its estimated mesh error."""
+    """Yield each quantity whose mesh error is estimated, together with this error."""
     for name, item in MESH_QUANTITIES.items():
         if f"{MESH_ERROR_PREFIX}{name}" in facts:
             yield item, facts[f"{MESH_ERROR_PREFIX}{name}"]
 
 
 def describe_mesh_errors(facts: Mapping[str, float]) -> str:
-    """Describe the estimated mesh errors in percent; the text is empty without errors.
+    """Describe the estimated mesh errors in percent; return an empty text without any.
 
     Parameters
     ----------

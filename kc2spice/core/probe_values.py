@@ -167,7 +167,7 @@ def find_response_maximum(frequency: np.ndarray, size: np.ndarray) -> tuple[floa
 
 
 def find_response_minimum(frequency: np.ndarray, size: np.ndarray) -> float:
-    """Return the magnitude of the minimum of a frequency response.
+    """Return the smallest magnitude of a frequency response.
 
     The minimum may lie between two points. The function computes the maximum of the reciprocal
     response.

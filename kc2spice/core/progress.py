@@ -49,7 +49,7 @@ def follow_stage(progress: Progress, name: str, text: str) -> Iterator[Callable[
     start = time.perf_counter()
 
     def report(remaining: float, step: str) -> None:
-        """Report the completed fraction of the stage from the remaining time [s]."""
+        """Report the completed fraction of a stage, computed from its remaining time [s]."""
         elapsed = time.perf_counter() - start
         LOGGER.debug("%s: %s, about %.3g s remain", name, step, remaining)
         progress(name, elapsed / (elapsed + remaining), f"{text}, {step}")
@@ -107,7 +107,7 @@ class ConvergenceTimer:
         self._start = time.perf_counter()
 
     def end_step(self, error: float) -> None:
-        """Report the remaining time after a step that ended with the given error."""
+        """Record the error of a completed step, and report the remaining time."""
         self._errors.append(error)
         count, remaining = len(self._errors), self.remaining_steps()
         per_step = (time.perf_counter() - self._start) / count

@@ -21,7 +21,7 @@ from pydantic_core import PydanticCustomError
 
 from kc2spice.core.domains import QUANTITIES
 from kc2spice.core.errors import UsageError, did_you_mean
-from kc2spice.core.unit_spelling import give_example, suggest_spelling
+from kc2spice.core.unit_spelling import give_example, is_range_or_list, suggest_spelling
 from kc2spice.core.units import MAX_QUANTITY_LENGTH, parse_quantity, parse_unit
 
 AIR_DENSITY = 1.204  # kg/m3 at 20 °C and 1013 hPa
@@ -61,6 +61,8 @@ def convert_quantity(value: object, si: str, *, where: str | None = None) -> flo
         message = (
             "this value is not a finite number" if isinstance(error, OverflowError) else str(error)
         )
+        if is_range_or_list(value):
+            message = "this key accepts one value, not a range or a list"
         expected = expected if si else "a plain number"
         hint = suggest_spelling(value, si)
         raise UsageError(message, where=where, got=got, expected=expected, hint=hint) from None
@@ -239,7 +241,7 @@ GateTime = Annotated[float, BeforeValidator(partial(_parse_number_with_unit, "s"
 
 @dataclass(frozen=True)
 class RefinementRule:
-    """Rule that refines a numerical setting, for higher accuracy in more time.
+    """Rule by which a numerical setting is refined for a more accurate, slower run.
 
     One refinement step multiplies the value of the key by ``factor``. If ``spaces`` is true, the
     key is a number of points, and ``factor`` multiplies the number of intervals between the points.

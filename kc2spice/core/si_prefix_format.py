@@ -87,7 +87,7 @@ def _format_with_prefix(value: float, unit: str, digits: int, power: int) -> str
 
 
 def format_ratio(value: float | None) -> str:
-    """Format a ratio with two digits; print a rounding error as ``0``.
+    """Format a ratio with two digits; write ``0`` if it is only a rounding error.
 
     Examples
     --------

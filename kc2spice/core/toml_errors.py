@@ -161,7 +161,7 @@ def _quote_line(lines: Sequence[str], number: int) -> str:
 
 
 def _find_error_position(text: str, message: str) -> tuple[float, float]:
-    """Find the line and column of a TOML error in the message of the parser."""
+    """Find line and column of a TOML error from the message of the parser."""
     if match := re.search(r"at line (\d+), column (\d+)\)", message):
         return float(match[1]), float(match[2])
     return math.inf, 0.0
@@ -177,7 +177,7 @@ def _find_line_number(text: str, message: str) -> int | None:
 
 
 def _measure_parser_position(lines: Sequence[str], repair: _Repair) -> tuple[float, float]:
-    """Return the line and column at which the parser stops after a repair of the text."""
+    """Return the line and column that the parser reaches after a repair of the text."""
     changed = [*lines[: repair.number - 1], repair.line, *lines[repair.number :]]
     text = "\n".join(changed) + "\n"
     try:

@@ -54,6 +54,11 @@ _EXAMPLES = {
 }  # fmt: skip
 
 
+def is_range_or_list(value: object) -> bool:
+    """Return whether a text is a range such as 1 g:2 g:5, or a list such as 1 g,2 g."""
+    return isinstance(value, str) and _SEVERAL_VALUES.match(value) is not None
+
+
 def give_example(si: str) -> str:
     """Return a quantity of usual size in a unit that belongs to the SI unit ``si``.
 

@@ -42,8 +42,8 @@ from kc2spice.core.errors import Kc2spiceError, UsageError
 _PATH_PART = re.compile(r"\w[\w .+-]{0,127}(?<![ .])")
 _UNSAFE_CHARACTER = re.compile(r"[^A-Za-z0-9_.+-]")
 _MAX_ITEM_BYTES = 1_000_000  # largest size of one array element in bytes (number or text)
-# Largest size of a text file in bytes. A scene has a few kilobytes, and larger files may be an
-# attack.
+# Largest size of a text file in bytes, and largest length of a TOML text in characters. A scene
+# has a few kilobytes, and larger files may be an attack.
 MAX_TEXT_BYTES = 1_000_000
 MAX_NESTING = 32  # largest nesting depth of tables and arrays
 LONGEST_KEY = 200  # largest number of characters in one part of a dotted key
@@ -357,7 +357,7 @@ def call_in_child(
 
 
 def _explain_exit(path: Path, code: int, memory: int) -> Exception:
-    """Return the exception that describes the failure of the child process."""
+    """Return the error that describes how the child process failed."""
     try:
         kind, attributes = json.loads(path.read_bytes())
     except (OSError, ValueError):

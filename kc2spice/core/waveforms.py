@@ -234,12 +234,12 @@ class Waveform:
 
     @cached_property
     def _slopes_between_corners(self) -> np.ndarray:
-        """Slopes between neighbouring corners, with a zero slope before and after."""
+        """Slopes between neighbouring corners; the first and the last entry are zero."""
         times, values = self._corner_points
         return np.concatenate(([0.0], np.diff(values) / np.diff(times), [0.0]))
 
     def _fold_time(self, t: Any) -> np.ndarray:
-        """Return the times within the first period that correspond to other times."""
+        """Shift times by whole periods into the first period of the waveform."""
         t, first = np.asarray(t, dtype=float), self.points[0][0]
         if self.period is None:
             return t
@@ -432,7 +432,7 @@ Function = Waveform | RecordedWave
 
 
 def _round_difference(first: float, last: float) -> float:
-    """Return ``last - first``, rounded to as few digits as its rounding error permits."""
+    """Return ``last - first`` with the fewest digits that its rounding error permits."""
     exact = last - first
     slack = 2 * np.spacing(max(abs(first), abs(last)))
     rounded = (float(f"{exact:.{digits}g}") for digits in range(1, 17))

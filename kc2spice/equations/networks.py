@@ -51,7 +51,7 @@ class Network:
         return frozenset(map(attrgetter("name"), self.laws))
 
     def is_fully_driven_by(self, driven: set[str]) -> bool:
-        """Return whether each net except ground has at least one driven pin.
+        """Return whether all nets except ground have a driven pin and no law is a body.
 
         ``driven`` contains the driven pins. The result is also false if the network contains a
         body, or if ``driven`` is empty.
@@ -98,7 +98,7 @@ def split_networks(
 def connect_sensors(
     laws: Sequence[Law], joins: Mapping[str, tuple[str, ...]]
 ) -> tuple[list[Law], dict[str, tuple[str, ...]]]:
-    """Insert a sensor where a signal input is joined to a voltage or a displacement.
+    """Insert a sensor on each net that joins a signal pin to another kind of pin.
 
     The output of the sensor equals the node voltage in the netlist. 1 V on the node represents a
     voltage of 1 V or a displacement of 1 um.

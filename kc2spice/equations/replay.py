@@ -26,7 +26,7 @@ SHORTEST_INTERVAL = 1e-6
 
 
 def find_replayed_nets(laws: SceneLaws) -> dict[str, str] | None:
-    """Find the nets that join parts without a law to parts with laws, and their kinds.
+    """Return the kind of each net that joins parts without a law to parts with laws.
 
     Sources on these nets replace the parts without a law. Each source reproduces the voltage,
     displacement or signal of the net that ngspice computed. A net is not in the result if a law

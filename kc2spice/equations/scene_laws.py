@@ -185,7 +185,7 @@ class SceneLaws:
 
     @cached_property
     def _parts_with_loaded_signals(self) -> frozenset[str]:
-        """Names of the parts that prescribe a signal on a net with other kinds of pins.
+        """Names of the parts whose signal output is on a net with other kinds of pins.
 
         The other pins load the net with a current or a force.
         """
@@ -203,7 +203,7 @@ class SceneLaws:
 def _add_quantity_names(
     part: str, results: Mapping[str, WaveCombination]
 ) -> dict[str, WaveCombination]:
-    """Add a second name to the results of a part, such as ``r.current`` for ``r.i``.
+    """Add second names to results of a part, such as ``r.current`` for ``r.i``.
 
     For example, the current ``r.i`` is also named ``r.current``.
     """

@@ -50,7 +50,7 @@ class PolingTable(EqualByContent):
     def select_rows(
         self, numbers: np.ndarray, middles: np.ndarray, members: np.ndarray
     ) -> np.ndarray:
-        """Return the index of the table row that applies to each selected element.
+        """Return the index of the table row with the poling of each selected element.
 
         ``members`` contains the indices of the selected elements. ``numbers`` (elements,) contains
         the numbers of all elements in the mesh file. ``middles`` (elements, d) contains the centres

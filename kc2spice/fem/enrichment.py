@@ -79,7 +79,7 @@ class Enrichment:
         return int(self.numbers.max()) + 1
 
     def mask_dielectric_functions(self) -> np.ndarray:
-        """Return a mask of the functions in piezoelectric and dielectric materials."""
+        """Return a mask of the cubic functions in piezoelectric or dielectric materials."""
         field = np.array([m.is_piezoelectric or m.dielectric for m in self.solid.materials])
         result = np.zeros(self.function_count, bool)
         result[self.numbers[:, field[self.solid.owner]]] = True
@@ -112,7 +112,7 @@ class EnrichedOperators:
     M_nodes: sparse.csr_array
 
     def scale(self, factor: float) -> EnrichedOperators:
-        """Return a copy in which each matrix is multiplied by a factor."""
+        """Return a copy whose matrices are multiplied by a factor."""
         return EnrichedOperators(*(factor * getattr(self, field.name) for field in fields(self)))
 
 
@@ -256,7 +256,7 @@ def _evaluate_quadrilateral_functions(corners: np.ndarray, X: np.ndarray) -> lis
 def _number_functions(
     solid: Solid, functions: Sequence[ShapeFunction]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the numbers and the signs of the cubic functions in all elements.
+    """Return the number and the sign of each cubic function in each element.
 
     Both arrays have the shape (local functions, elements). The function on an edge or face between
     two elements has the same number in both elements.
@@ -312,7 +312,7 @@ def _tabulate_functions(
 def _split_by_material(
     solid: Solid, local: int, more: int
 ) -> Iterator[tuple[Material, np.ndarray]]:
-    """Yield each material with a limited number of its elements at a time.
+    """Yield pairs of a material and a limited number of its elements.
 
     The element matrices of these elements need at most ``CHUNK_BYTES`` bytes.
     """
@@ -420,7 +420,7 @@ def _look_up_unknowns(unknowns: np.ndarray, numbers: np.ndarray) -> np.ndarray:
 
 
 class _SparseSum:
-    """Sparse matrix to which element matrices are added."""
+    """Sum of element matrices, stored as one sparse matrix."""
 
     def __init__(self, shape: tuple[int, int]) -> None:
         self.matrix = sparse.csr_array(shape)

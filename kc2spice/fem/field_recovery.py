@@ -45,7 +45,7 @@ NEIGHBOUR_PENALTY = 0.5
 
 @dataclass(frozen=True, eq=False)
 class EnergyProducts:
-    """Energy products of k solutions and of their errors.
+    """Energy products between k solutions, and between the errors of the solutions.
 
     The energy products are matrices [J] of shape (k, k). ``solution`` contains the energy products
     of the solutions, and ``error`` the energy products of the errors. ``spread`` is the sum of the
@@ -237,7 +237,7 @@ def _sample_fields(
 
 
 def _number_patches(solid: Solid) -> tuple[np.ndarray, np.ndarray]:
-    """Return the number of the patch that belongs to each corner of each element.
+    """Return the patch number of each corner of each element, and the patch centres.
 
     The numbers have the shape (elements, corners). A corner on the boundary between pieces of the
     mesh has one patch in each piece. The second returned array (patches, d) contains the position

@@ -80,7 +80,7 @@ def list_local_functions(basis: skfem.Basis) -> Iterator[tuple[np.ndarray, np.nd
 
 
 def _split_by_material(solid: HeatSolid) -> Iterator[tuple[ThermalMaterial, np.ndarray]]:
-    """Yield each material with at most ``CHUNK_SIZE`` of its elements at a time."""
+    """Yield pairs of a material and at most ``CHUNK_SIZE`` of its elements."""
     for number, material in enumerate(solid.materials):
         cells = np.flatnonzero(solid.geometry.owner == number)
         for start in range(0, len(cells), CHUNK_SIZE):
@@ -110,7 +110,7 @@ def assemble_heat(solid: HeatSolid) -> tuple[sparse.csc_array, sparse.csc_array]
 
 
 def assemble_faces(solid: HeatSolid, facets: np.ndarray) -> sparse.csc_array:
-    """Assemble the matrix [m^2] of ``int v T dS`` (test function v, temperature T).
+    """Assemble the matrix [m^2] of integrals of shape-function products over faces.
 
     The integral covers the faces ``facets``, and the matrix is called H. H has the shape (nodes,
     nodes). The sum of the entries of H is the area of the faces.
@@ -198,7 +198,7 @@ def duplicate_face_nodes(geometry: Solid, facets: np.ndarray) -> Solid:
 
 
 def assemble_interface(solid: HeatSolid, facets: np.ndarray) -> sparse.csc_array:
-    """Assemble the matrix [m^2] of temperature jumps across facets inside the mesh.
+    """Assemble the matrix [m^2] of integrals of temperature jumps over inner facets.
 
     The matrix represents the integral ``int (v_a - v_b) (T_a - T_b) dS`` over the facets. The
     facets are inside of the mesh. T_a and T_b are the temperatures on the two sides of the facets,

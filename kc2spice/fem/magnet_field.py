@@ -89,7 +89,7 @@ def compute_catch_table(
 
 
 def choose_compared_count(count: int) -> int:
-    """Choose how many heights of the sphere are also solved with a coarser mesh.
+    """Choose the number of sphere heights that are also solved with a coarser mesh.
 
     The number is at least five, or ``count`` if there are fewer heights. The chosen heights are
     equally spaced among all ``count`` heights.
@@ -147,7 +147,7 @@ def get_ring_direction(catch: CatchKeys) -> float:
 
 @dataclass(frozen=True, eq=False)
 class FieldEquations:
-    """Magnetic field equations ``matrix a = loads`` for one height of the sphere.
+    """Magnetic field equations ``matrix a = loads`` for unknowns a at one height.
 
     The equations determine the ``free`` unknowns. All other unknowns are zero.
     """
@@ -174,7 +174,7 @@ class FieldEquations:
         return a
 
     def compute_force_matrix(self, a: np.ndarray) -> np.ndarray:
-        """Compute the matrix Q [N] of the force ``q' Q q`` for fields with amplitudes q.
+        """Compute the matrix Q [N]; the force of fields with amplitudes q is ``q' Q q``.
 
         The columns of ``a`` are the fields. Q has the shape (k, k), and ``a`` has the shape (n, k).
         If the k fields are superposed with the amplitudes q (k,), the force is ``q' Q q``.
@@ -320,7 +320,7 @@ def _make_basis(mesh: MeshTri2, elements: np.ndarray | None = None) -> Basis:
 
 @BilinearForm
 def _stiffness_form(u: Any, v: Any, w: Any) -> np.ndarray:
-    """Return the integrand of the stiffness matrix."""
+    """Return the integrand of the stiffness matrix of the magnetic field."""
     r = w.x[0]
     bu, bv = 2 * u + r * u.grad[0], 2 * v + r * v.grad[0]
     return 2 * pi * r * (bu * bv + r**2 * u.grad[1] * v.grad[1])
@@ -340,7 +340,7 @@ def _stiffness_derivative(u: Any, v: Any, w: Any) -> np.ndarray:
 
 @LinearForm
 def _remanence_load(v: Any, w: Any) -> np.ndarray:
-    """Return the integrand of the load vector for an axial ``nu B_rem`` of 1 A/m."""
+    """Return the load integrand of a magnet with an axial ``B_rem / mu`` of 1 A/m."""
     r = w.x[0]
     return 2 * pi * r * (2 * v + r * v.grad[0])
 

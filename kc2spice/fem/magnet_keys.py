@@ -26,7 +26,12 @@ class RingKeys(Section):
     height: Length = Field(gt=0, description="Height of the ring magnet or coil along the axis")
     outer: Length = Field(gt=0, description="Outer radius of the ring magnet or coil")
     inner: Length = Field(ge=0, description="Inner radius of the ring magnet or coil")
-    y: Length = Field(description="Height of the centre of the ring magnet or coil")
+    y: Length = Field(
+        description=(
+            "Height of the centre of the ring magnet or coil above the surface on which the "
+            "sphere rests"
+        )
+    )
 
 
 class CatchKeys(Section):

@@ -104,7 +104,7 @@ class RingCells:
 
     @cached_property
     def _mean_log_distances(self) -> np.ndarray:
-        """Mean logarithms of the distance [m] between points of two sections.
+        """Mean logarithm of the distance [m] between the points of any two sections.
 
         The array of shape (n, n) contains all pairs of n sections.
         """
@@ -120,7 +120,7 @@ class RingCells:
 
     @cached_property
     def resistance(self) -> np.ndarray:
-        """Resistances (n,) [Ohm] of the rings for a conductivity of 1 S/m."""
+        """Resistance [Ohm] of each ring for a conductivity of 1 S/m."""
         return 2 * np.pi * self.r / (self.wide * self.tall * self.filled)
 
 
@@ -354,7 +354,7 @@ class LoopModel(EqualByContent):
 
 @dataclass(frozen=True, eq=False)
 class CurrentEffect(EqualByContent):
-    """Effect of the body's currents on the coils, per ampere in a coil.
+    """Flux change per ampere due to the body's currents, and its slope over height.
 
     The last axis of both arrays is the height of the body. ``flux`` (c, c, heights) [H] is the
     reduction of the flux in the first coil for each ampere in the second coil. ``slope`` (c, c,
@@ -366,7 +366,7 @@ class CurrentEffect(EqualByContent):
     slope: np.ndarray
 
     def find_largest_difference(self, exact: CurrentEffect) -> float:
-        """Return the largest relative error of flux, slope and loss against a reference.
+        """Return the largest relative difference of flux, slope or loss from a reference.
 
         ``exact`` is the reference.
         """
@@ -383,7 +383,7 @@ def compare_rings(
     magnets: Sequence[Winding],
     conductivity: float,
 ) -> float:
-    """Return the largest relative error of a loop model against the rings of a body.
+    """Return the largest relative error of a loop model compared with a body's rings.
 
     The ring currents are computed without modes, at several heights and at frequencies up to the
     largest frequency of the loop model. :meth:`CurrentEffect.find_largest_difference` defines the
@@ -485,7 +485,7 @@ def make_current_loop(
     nodes, heights = _list_chebyshev_heights(low, high)
 
     def compute_flux_linkage(windings: Sequence[Winding]) -> np.ndarray:
-        """Return the flux linkage between all sheets and some windings at each height."""
+        """Return the total flux linkage between sheets and windings at each height."""
         return sum(
             starmap(Winding.couple_sheet, product(windings, sheets, (heights,))),
             np.zeros(HEIGHT_NODES),
@@ -520,7 +520,7 @@ def _compute_current_basis(
     """
 
     def compute_currents(speeds: np.ndarray, couplings: np.ndarray) -> np.ndarray:
-        """Return the currents in the body's modes at several frequencies."""
+        """Return the current in each current mode of the body at several frequencies."""
         return couplings[:, :, None, :] * (1j * speeds / (rates[:, None] + 1j * speeds)).T
 
     sampled = compute_currents(speeds[::2], mutual[:, ::3]).reshape(-1, rates.size)

@@ -91,7 +91,7 @@ _ALTERNATIVE_KEYS = (
 
 @dataclass(frozen=True)
 class CylindricalAxes:
-    """Cylindrical coordinates about an axis through a point.
+    """Cylindrical axes (radial, hoop, axial) about an axis through a point.
 
     The coordinates of ``point`` are in metres.
     """
@@ -299,7 +299,7 @@ _VOIGT_PAIRS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 
 
 def compute_bond_matrix(R: np.ndarray) -> np.ndarray:
-    """Return the Bond matrices M for rotation matrices R.
+    """Return Bond matrices, which rotate Voigt stresses, for rotation matrices R.
 
     M has the shape (…, 6, 6), and R has the shape (…, 3, 3). The matrix M rotates the Voigt vector
     of a stress. Column J of M is the Voigt vector of ``R T_J R'``, where T_J is the symmetric

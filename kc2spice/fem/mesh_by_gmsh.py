@@ -107,7 +107,7 @@ def _collect_arrays(gmsh: ModuleType, dimension: int, where: str) -> dict[str, n
     ranked = tags[order]
 
     def list_blocks(d: int, entities: Iterable[int]) -> list[tuple[np.ndarray, CellBlock]]:
-        """Return the numbers and the block of the elements of each type in each entity.
+        """Return the element numbers and a cell block per entity and element type.
 
         The entities have the dimension ``d``.
         """

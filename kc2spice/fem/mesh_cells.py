@@ -211,7 +211,7 @@ def _divide_block(block: CellBlock) -> list[tuple[np.ndarray, np.ndarray]]:
 
 
 def _find_edge_middles(points: np.ndarray, block: CellBlock) -> tuple[np.ndarray, np.ndarray]:
-    """Return the end nodes and the midpoints [m] of edges and diagonals.
+    """Return the end nodes and midpoints [m] of edges and diagonals of elements.
 
     The end nodes have the shape (k, 2), and the midpoints the shape (k, d). The edges belong to
     quadratic elements and may be curved. The diagonals divide quadratic elements into triangles or
@@ -336,7 +336,7 @@ def _compute_interpolation_weights(block: CellBlock) -> np.ndarray:
 
 
 def _index_vertices(vertices: np.ndarray, count: int) -> np.ndarray:
-    """Return the index of each node number in a list of vertices; -1 if absent.
+    """Return the index of each node number in ``vertices``; -1 for other nodes.
 
     The node numbers are 0 to ``count - 1``. The index is -1 for a node that is not in
     ``vertices``.

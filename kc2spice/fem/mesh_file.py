@@ -455,7 +455,7 @@ def _compute_node_weights(
 
 
 def _require_entities_on_body(places: np.ndarray, name: str) -> np.ndarray:
-    """Return the indices of a group's entities; reject entities outside of the body.
+    """Return the indices unchanged; reject a group with entities outside of the body.
 
     The index -1 marks an entity that is not on the body, and raises an error.
     """

@@ -355,7 +355,7 @@ def _add_node_set(
     dimension: int,
     tag: int,
 ) -> None:
-    """Add a node set to gmsh as a physical group.
+    """Add a node set to gmsh as a physical group of faces, or otherwise of points.
 
     The group consists of all faces on the surface of the body whose corners are all in the set. If
     there are no such faces, the group consists of points.

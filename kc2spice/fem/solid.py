@@ -165,7 +165,7 @@ class Solid:
 
     @cached_property
     def _dofs(self) -> skfem.Dofs | None:
-        """scikit-fem degrees of freedom with the node numbers :attr:`numbers`, or None.
+        """scikit-fem degrees of freedom numbered by :attr:`numbers`; None if it is None.
 
         The value is None if ``numbers`` is None; scikit-fem then numbers the nodes.
         """
@@ -176,7 +176,7 @@ class Solid:
         return result
 
     def nodes(self, elements: np.ndarray) -> np.ndarray:
-        """Return the numbers of the nodes of some elements in ascending order."""
+        """Return the node numbers of some elements, sorted and without repetitions."""
         return np.unique(self.basis(1).element_dofs[:, elements])
 
 
@@ -241,7 +241,7 @@ def list_tensors(
 
 
 def _split_by_material(solid: Solid, only: int | None) -> Iterator[tuple[Material, np.ndarray]]:
-    """Yield each material with at most ``CHUNK_SIZE`` of its elements at a time.
+    """Yield pairs of a material and at most ``CHUNK_SIZE`` of its elements.
 
     If ``only`` is the number of a material, the other materials are omitted.
     """

@@ -78,7 +78,7 @@ class RefinedSolver:
     def solve_two_sided(
         self, s: complex, B: np.ndarray, C: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return ``(A + s E)^-1 B`` and ``(A + s E)^-T C'``.
+        """Solve ``(A + s E) X = B`` and the transposed equations ``(A + s E)' Y = C'``.
 
         Raises
         ------

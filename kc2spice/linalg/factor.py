@@ -178,7 +178,7 @@ Pair: TypeAlias = tuple[Factor, Factor]  # factors of a matrix and of its transp
 def factorise_supernodal(
     matrix: scipy.sparse.csc_array, order: np.ndarray | None = None
 ) -> Inverse:
-    """Factorise a real matrix ``A[p][:, p] = L L'`` with CHOLMOD in cvxopt.
+    """Factorise a real matrix A as ``A[p][:, p] = L L'`` with CHOLMOD from cvxopt.
 
     ``order`` is the elimination order p. If ``order`` is None, CHOLMOD uses a minimum degree order.
 
@@ -359,7 +359,7 @@ def _factorise_banded(coo: scipy.sparse.coo_array, bandwidth: int) -> Inverse:
 
 
 def _factorise_lu(matrix: scipy.sparse.csc_array, symmetric: bool) -> tuple[Inverse, Inverse]:
-    """Return two functions that solve equations with a matrix and with its transpose.
+    """Factorise a matrix by LU; return solvers for it and for its transpose.
 
     If ``symmetric`` is true, all pivots are diagonal entries, even if these entries are small.
     """

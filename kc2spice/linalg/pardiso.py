@@ -97,7 +97,7 @@ class Pardiso:
         return self._run_phase(SOLVE, rhs)
 
     def _run_phase(self, phase: int, rhs: np.ndarray) -> np.ndarray:
-        """Run one phase of PARDISO for the factor, and return the solution."""
+        """Run one phase of PARDISO on the stored matrix, and return the solution."""
         rhs = np.asfortranarray(rhs, dtype=self._entries.dtype)
         x = np.zeros_like(rhs, order="F")
         matrix = self._entries, self._begin, self._columns
@@ -139,7 +139,7 @@ def _call_pardiso(
     rhs: np.ndarray | None = None,
     x: np.ndarray | None = None,
 ) -> None:
-    """Run one phase of PARDISO.
+    """Call the PARDISO library for one of its phases.
 
     Raises
     ------

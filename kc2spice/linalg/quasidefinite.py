@@ -127,7 +127,7 @@ def _assemble_front(
     updates: Sequence[tuple[np.ndarray, np.ndarray]],
     place: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Assemble the front of a supernode from the matrix and the children's updates.
+    """Assemble a supernode's front (dense block) from the matrix and child updates.
 
     Return the columns of the k pivots, an array of shape (k + m, k), and the block of the m coupled
     rows, an array of shape (m, m). Only the lower triangles are assembled. ``place`` (n,) is
@@ -201,7 +201,7 @@ def _compute_cholesky_factor(matrix: np.ndarray) -> np.ndarray:
 
 
 def _subtract_outer_product(matrix: np.ndarray, columns: np.ndarray, sign: float) -> None:
-    """Subtract ``sign columns columns'`` from the lower triangle of a matrix in place."""
+    """Subtract ``sign * columns @ columns.T`` in place from a matrix's lower triangle."""
     if matrix.size and columns.size:
         result = dsyrk(-sign, columns, beta=1.0, c=matrix, lower=1, overwrite_c=1)
         if result.base is not matrix and result is not matrix:
@@ -262,7 +262,7 @@ def _build_elimination_tree(above: Sequence[Sequence[int]]) -> list[int]:
 def _form_relaxed_supernodes(
     below: Sequence[np.ndarray], parent: Sequence[int], weight: np.ndarray
 ) -> tuple[dict[int, list[int]], dict[int, np.ndarray]]:
-    """Return the pivot groups and the row groups of each supernode.
+    """Form relaxed supernodes; return the pivot groups and the row groups of each.
 
     The key of a supernode is its last pivot group.
     """
@@ -297,7 +297,7 @@ def _number_supernodes(
     numbers: np.ndarray,
     order: np.ndarray,
 ) -> tuple[np.ndarray, list[Supernode]]:
-    """Return the elimination order (n,) and the supernodes.
+    """Return the elimination order of the unknowns, and the supernodes in this order.
 
     Children precede their parents in the list of supernodes.
     """

@@ -22,7 +22,7 @@ _SUPPORTED_SOLVERS = (
 
 
 class Factorisation(Protocol):
-    """Interface of the factorised matrix A that a direct solver returns.
+    """Interface of a factorised matrix A, which a direct solver returns.
 
     For a real symmetric matrix, the optional attribute ``negative_eigenvalues`` is the number of
     negative eigenvalues, or of negative pivots in the LDL' factorisation.
@@ -138,7 +138,7 @@ def solve_with_factor(factor: Factorisation, matrix: Any, rhs: np.ndarray) -> np
 
 
 def _call_user_function(function: Callable[[Any], Any], argument: Any) -> Any:
-    """Call a function of the user, and convert exceptions to errors of kc2spice."""
+    """Call a function of the user's solver, and convert exceptions to kc2spice errors."""
     try:
         return function(argument)
     except Kc2spiceError:

@@ -153,7 +153,7 @@ def read_cards(text: str, file: str, *, title: bool = False) -> Circuit:
 
 
 def build_tree(cards: Iterable[Statement]) -> Circuit:
-    """Return the syntax tree of the cards up to ``.end``, in order.
+    """Build the syntax tree of the given cards up to ``.end``.
 
     Raises
     ------
@@ -353,7 +353,7 @@ def _read_behavioural_source(s: Statement) -> Element:
 
 
 def _read_controlled_source(part: Element) -> Element:
-    """Return an E or G source as a behavioural source with one expression.
+    """Rewrite an E or G source as a behavioural source with one expression.
 
     A source with a Laplace transform is returned unchanged, because a Laplace transform is not an
     expression in the time domain.

@@ -216,7 +216,7 @@ class Circuit(Card):
         return select_items(self.items, Circuit)
 
     def map_items(self, change: Callable[[Item], Item]) -> Circuit:
-        """Return the circuit after a change to each item, innermost items first.
+        """Return the circuit with a function applied to each item, innermost items first.
 
         ``change`` is the function that changes an item.
         """

@@ -363,7 +363,7 @@ class Deck:
 
     @property
     def _pin_units(self) -> set[str]:
-        """Units of library pins and of element values in the deck."""
+        """Set of the units of all library pins and element values in the deck."""
         pins = chain.from_iterable(part.pins for part in self.parts)
         elements = select_items(self.items, Element)
         return set(map(attrgetter("unit"), chain(pins, elements)))
@@ -374,7 +374,7 @@ class Deck:
         return [measure for measure in self.measures if measure.kind == self.command.kind]
 
     def _write_measures(self, printed: str) -> Iterator[Line]:
-        """Yield the measurement cards, below a title comment.
+        """Yield a title comment and the measurement cards that suit the analysis.
 
         The comment ends with the text ``printed``.
         """
@@ -385,7 +385,7 @@ class Deck:
 
     @property
     def _print_cards(self) -> Iterator[Line]:
-        """``.print`` cards for the measurements of an ``op`` analysis and two vectors."""
+        """``.print`` card of the deck, below comments that convert its values to SI units."""
         columns = []
         for row in self._available_measures if self.command.kind == "op" else ():
             yield f"* {row.name} in SI units is {format_number(row.factor)} times {row.words[0]}"

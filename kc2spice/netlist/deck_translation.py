@@ -46,7 +46,7 @@ def translate_deck(deck: Deck, dialect: str) -> Deck:
 
 
 def write_dialect_files(deck: Deck, dialect: str) -> dict[str, str]:
-    """Return the netlist files of a deck in a dialect, or as Verilog-A modules.
+    """Return the texts of a deck's files in a dialect or Verilog-A, keyed by name.
 
     A part that cannot be a Verilog-A module, such as a pulse generator, remains a library, and the
     file ``verilog-a.txt`` states the reason. The testbench ``NAME_osdi.cir`` runs the compiled
@@ -55,7 +55,7 @@ def write_dialect_files(deck: Deck, dialect: str) -> dict[str, str]:
     Raises
     ------
     UsageError : the dialect is unknown, the dialect has no equivalent of a construct in the deck,
-        or no part can be a module.
+        or none of the parts can be written as a Verilog-A module.
     """
     if dialect != VERILOG_A:
         return translate_deck(deck, dialect).files
@@ -77,12 +77,13 @@ def write_dialect_files(deck: Deck, dialect: str) -> dict[str, str]:
 
 
 def write_symbol_files(deck: Deck, dialect: str = "ngspice") -> dict[str, str]:
-    """Return the symbol files and libraries of a deck, keyed by file name.
+    """Return the texts of the symbol files and their libraries, keyed by file name.
 
-    For ngspice, the files are a KiCad project of the deck, symbols for all other simulators, and
-    their libraries ``NAME.DIALECT.lib``. For another dialect, the files are the symbols for its
-    simulator, which use the libraries ``NAME.lib``. A part of the user that only ngspice can
-    simulate has no symbols for other simulators.
+    The caller writes the texts to the disk. A symbol file contains the graphical symbol of a part
+    for a schematic editor. For ngspice, the files are a KiCad project of the deck, symbols for all
+    other simulators, and their libraries ``NAME.DIALECT.lib``. For another dialect, the files are
+    the symbols for its simulator, which use the libraries ``NAME.lib``. For Verilog-A, the result
+    is empty. A part of the user that only ngspice can simulate has no symbols for other simulators.
 
     Raises
     ------

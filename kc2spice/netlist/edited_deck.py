@@ -261,7 +261,7 @@ def _require_results(before: Scope, edited: Deck, path: Path, scene_name: str) -
 
 
 def _require_instances(before: Scope, now: Scope, path: Path) -> None:
-    """Reject a deck without the instance of a part, unless the deck has new cards.
+    """Reject a deck that lacks the instance of a part and has no new cards.
 
     Raises
     ------
@@ -302,7 +302,7 @@ def _compare_options(
 
 
 def _compare_cards(before: Scope, now: Scope) -> dict[str, str]:
-    """Return a description of the difference for each part whose cards differ.
+    """Return a description of each changed card, keyed by the part of the card.
 
     The descriptions are keyed by part. Differences in the parameters of an instance, or in its
     subcircuit, are ignored.

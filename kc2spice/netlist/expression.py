@@ -149,7 +149,7 @@ def list_operands(tree: Tree) -> tuple[Tree, ...]:
 
 
 def find_probed_names(tree: Tree, kind: str) -> frozenset[str]:
-    """Return the lower-case names in the circuit variables of an expression.
+    """Return the nodes or devices that an expression refers to, in lower case.
 
     If ``kind`` is ``"v"``, the names are the nodes whose voltages occur in the expression. If
     ``kind`` is ``"i"``, the names are the devices whose currents occur in the expression.

@@ -209,7 +209,7 @@ class _CircuitTranslator:
         return replace(model, type=base.type, parameters=parameters)
 
     def _translate_model(self, model: ModelCard) -> Iterable[ModelCard]:
-        """Translate a model; return no model if its elements become current sources."""
+        """Return the translated model, or nothing if its elements become current sources."""
         model = self._resolve_model(model)
         kind = model.type.lower()
         if self._is_ideal_diode(model):
@@ -312,7 +312,7 @@ class _CircuitTranslator:
         return element
 
     def _translate_resistor(self, element: Element) -> Element:
-        """Translate a resistor to a current source if an expression is its resistance."""
+        """Translate a resistor whose resistance is an expression to a current source."""
         law = self._translate_expression(element.settings["r"].strip("{}'"), element)
         plus, minus = element.nodes
         current = f"V({plus},{minus})/({law})"
@@ -357,7 +357,7 @@ def _add_meter(element: Element, group: Iterable[Item], meter: str) -> Iterator[
     plus, inner = element.nodes[0], f"{element.name}_metered"
     yield _make_parallel_element(element, meter, plus, inner, "0")
     for item in group:
-        assert isinstance(item, Element)  # an element is translated to elements only
+        assert isinstance(item, Element)  # the translation of an element has no other items
         yield replace(item, nodes=tuple(inner if node == plus else node for node in item.nodes))
 
 
@@ -454,7 +454,7 @@ def _translate_ideal_diode(element: Element, model: Mapping[str, str]) -> Elemen
         )
 
     def format_parameter(name: str, default: str = "0") -> str:
-        """Return the text of a model parameter, or of its default, in parentheses."""
+        """Return a model parameter or its default as text in parentheses."""
         return f"({model.get(name, default).strip('{}')})"
 
     off, count = format_parameter("roff", f"{{1/{MIN_CONDUCTANCE}}}"), element.settings
@@ -498,7 +498,7 @@ def _translate_gradual_switch(element: Element, model: Mapping[str, str]) -> Ele
         control, on, off, default = f"I({element.sources[0]})", "ion", "ioff", "1m"
 
     def format_parameter(name: str, default: str) -> str:
-        """Return the text of a model parameter, or of its default, in parentheses."""
+        """Return a model parameter or its default as text in parentheses."""
         return f"({model.get(name, default).strip('{}')})"
 
     high, low = format_parameter(on, default), format_parameter(off, "0")

@@ -362,7 +362,7 @@ _PART_FILE_CONTENT = "a file of subcircuits with their models, parameters and fu
 
 
 def reject_side_effects(cards: Iterable[Statement], *, part: bool) -> None:
-    """Reject cards with effects outside of their part or line.
+    """Reject faulty cards, and cards that affect the rest of a deck.
 
     Raises
     ------
@@ -386,7 +386,7 @@ def reject_side_effects(cards: Iterable[Statement], *, part: bool) -> None:
 def _find_deck_effects(
     card: Statement, outside: bool, part: bool
 ) -> Iterator[tuple[str, str, str]]:
-    """Yield each problem that a card causes in a deck, the expected text and a remedy."""
+    """Yield each problem of a card as a description, the expected text and a remedy."""
     key, options = card.keyword, read_accuracy_options((card,))
     if parts := _find_separate_suffix(card):
         hint = f"write {parts[0]}{parts[1]} in place of {parts[0]} {parts[1]}"

@@ -144,7 +144,7 @@ class Subcircuit:
         return self.circuit if self.source else locate_cards(self.circuit, self.filename)
 
     def with_circuit(self, circuit: Circuit) -> Subcircuit:
-        """Return the part with another circuit as its syntax tree."""
+        """Return the part with another syntax tree, from which its text is then written."""
         return replace(self, circuit=circuit, source="")
 
     def write(self, path: str | Path) -> Path:

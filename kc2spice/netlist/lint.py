@@ -84,7 +84,7 @@ def _find_problems(deck: Deck, trees: Mapping[str, Circuit], top: Scope) -> list
 
 
 def _list_saved_nodes(deck: Deck, top: Scope) -> dict[int, set[str]]:
-    """Return the nodes inside subcircuits with saved voltages, such as ``v(x1.p)``.
+    """Return the nodes with saved voltages inside subcircuits, keyed by scope.
 
     The keys are the ``id`` of each scope that contains saved nodes. A node with a saved voltage
     needs no second connection.
@@ -183,7 +183,7 @@ def _check_references(part: Element, scope: Scope) -> Iterator[UsageError]:
 
 
 def _list_expressions(card: Card) -> Iterator[str]:
-    """Yield the expressions of a card; the law of a source is the last one."""
+    """Yield all expressions on a card; the law of a behavioural source comes last."""
     if isinstance(card, Parameters):
         yield from card.values.values()
     elif isinstance(card, Element):

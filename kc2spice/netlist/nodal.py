@@ -42,7 +42,7 @@ class NodalEquations:
     def solve(
         self, s: np.ndarray, loads: Sequence[Mapping[str, float]], answers: Sequence[str]
     ) -> np.ndarray:
-        """Solve the nodal equations for selected unknowns, frequencies and loads.
+        """Solve for selected unknowns at each frequency and under each load.
 
         The result has the shape (len(s), len(answers), len(loads)); ``s`` contains complex
         frequencies. A load contains currents into nodes, keyed by node, and voltages of sources,
@@ -175,7 +175,7 @@ def _parse_value(item: Element) -> Tree | float:
 
 
 def _stamp_entries(item: Element, size: float) -> Iterable[tuple[int, str, str, float]]:
-    """Yield the matrix entries that one element adds to G and C.
+    """Yield the entries of the matrices G and C that one element contributes.
 
     An entry consists of the number of the matrix (0: G, 1: C), the number of the equation, the
     number of the unknown, and the value.

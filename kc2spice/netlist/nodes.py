@@ -12,7 +12,7 @@ from kc2spice.netlist.scope import Scope, find_instance
 
 
 def describe_node(deck: Deck, node: str) -> str | None:
-    """Describe a node of a deck by the part and the pin next to the node.
+    """Describe a node of a deck by the nearest part and pin; None for an unknown node.
 
     ``node`` has the spelling of ngspice: ``x1.x2.name``, ``b.x1.b2`` for a device, ``v1#branch``
     for the current of a source. The result is None if the deck does not contain the node.

@@ -17,7 +17,7 @@ from kc2spice.core.waveforms import Waveforms, differentiate
 
 
 class PowerTerm(NamedTuple):
-    """Power [W] as a formula of a result across and a result through the pins.
+    """Formula of the power [W] from the quantities across and through the pins.
 
     ``across`` is the name of the quantity across the pins, ``through`` the name of the quantity
     through the pins. ``law`` is the formula, which depends on the physical domain of the pins.

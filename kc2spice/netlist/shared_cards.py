@@ -19,7 +19,7 @@ _PIVOT_COMMENT = (
 
 
 def attach_comments(lines: Iterable[Line]) -> tuple[Item, ...]:
-    """Attach each comment to the card that follows the comment; return the cards."""
+    """Return the cards, each with the comments that are above it."""
     result: list[Item] = []
     notes: list[str] = []
     for line in lines:
@@ -50,7 +50,7 @@ def add_title(title: str, items: Iterable[Item], owner: str = "") -> tuple[Item,
 
 
 def write_pivot_cards(base: str) -> Iterator[Line]:
-    """Yield cards that make ngspice choose its pivots in a short first step.
+    """Yield cards for a short first time step, in which ngspice chooses its pivots.
 
     In its first time step, ngspice chooses the pivots of its matrix. If ngspice chose the pivots in
     a long step, rounding errors would prevent convergence in the picosecond steps of an impact.

@@ -123,7 +123,7 @@ def require_word(text: str) -> str:
 
 
 def require_distinct(names: Sequence[str], inner: str, *, where: str) -> None:
-    """Require pin names that differ from each other and from internal nodes.
+    """Reject pin names that are equal to each other or to internal nodes.
 
     ``inner`` is the regular expression that matches the names of internal nodes.
 

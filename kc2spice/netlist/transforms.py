@@ -74,7 +74,7 @@ def make_library_stem(part: Subcircuit) -> str:
 
 
 def list_parameterised_subcircuits(part: Subcircuit) -> Iterator[tuple[str, Circuit]]:
-    """Yield each subcircuit of a library, with its name in scene keys ``param.NAME``.
+    """Yield pairs of a name for ``param.NAME`` keys and a subcircuit of the library.
 
     The main subcircuit has the name of the library file. A helper subcircuit has the same name in
     all libraries, such as ``opamp`` for an amplifier.
@@ -210,7 +210,7 @@ def _prefix_keys(prefix: str, values: Mapping[str, Value]) -> dict[str, Value]:
 
 
 def _move_into_instance(expression: str, instance: str) -> str:
-    """Rewrite the vectors of an expression as vectors inside a subcircuit instance."""
+    """Return an expression with all its vectors moved into a subcircuit instance."""
     signed = []
     for sign, text in split_terms(expression):
         item = parse_vector(text)
@@ -266,7 +266,7 @@ def _remove_arithmetic_noise(part: Subcircuit, noisy: Iterable[str]) -> Subcircu
 
 
 def _list_noisy_resistors(scope: Scope, path: str = "") -> Iterator[tuple[str, str]]:
-    """Yield the simulator name of each noisy resistor, and its path in the netlist."""
+    """Yield the simulator name and the netlist path of each noisy resistor."""
     for item in scope.elements:
         if item.kind == "x" and (inner := scope.find_subcircuit(item.model)) is not None:
             yield from _list_noisy_resistors(inner, f"{path}{item.key}.")

@@ -152,7 +152,7 @@ def _declare_force(
 
 
 def _choose_declaration_options(height: str, names: tuple[str, ...]) -> dict[str, Any]:
-    """Return the arguments of a declaration that depend on its purpose.
+    """Return the declaration arguments that depend on the purpose: law or netlist.
 
     The purpose is either a law of the integrator or a netlist. For a law, the arguments are the
     parameters of the height and the limits of the height. For a netlist, the arguments are the
@@ -172,7 +172,7 @@ def _make_unset_parameters(*names: str) -> tuple[Param, ...]:
 
 
 def tabulate_coenergy(table: MagnetostaticTable, points: int) -> dict[str, TableFunction]:
-    """Return tables of the coenergy and of its slopes, keyed by name.
+    """Return tables of the coenergy and its slopes versus height, keyed by name.
 
     Each table has ``points`` heights.
     """

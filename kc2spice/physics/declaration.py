@@ -389,7 +389,7 @@ class Declaration:
         )
 
     def _make_coordinate_hint(self, unknown: Iterable[str]) -> str:
-        """Return a hint if an unknown name is a quantity, not the name of its coordinate.
+        """Return a hint if an expression names a quantity in place of its coordinate.
 
         Expressions must contain the name of the coordinate instead. Return an empty string if no
         unknown name is the quantity of a coordinate.
@@ -760,7 +760,7 @@ class Declaration:
         return (multiply_trees if branch.is_flow else divide_trees)(slope, ratio)
 
     def derive_force_with_lags(self, branch: Branch) -> Tree:
-        """Return the direct force of a displacement branch in a netlist with lags.
+        """Return the direct force of a branch, without rates of coordinates with a lag.
 
         Coordinates with a lag already contain their rates. Therefore, zero replaces the rates of
         these coordinates.
@@ -788,7 +788,7 @@ class Declaration:
         return self._differentiate_field("coenergy", branch.name)
 
     def split_motion(self, stored: Tree) -> tuple[Tree, Tree]:
-        """Split a stored quantity into its rate due to motion and its value at rest.
+        """Return the rate of a stored quantity due to motion, and its value at rest.
 
         Only displacements with a velocity node in ``velocities`` count as motion. The stored
         quantity must be an affine function of these displacements.

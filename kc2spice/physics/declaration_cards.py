@@ -566,7 +566,7 @@ def _write_velocity(declaration: Declaration, b: Branch) -> Iterator[Line]:
 
 
 def _write_coordinate(declaration: Declaration, b: Branch) -> Iterator[Line]:
-    """Yield the cards of the node for a coordinate with a lag or with three pins.
+    """Yield the cards of a coordinate that is not a voltage between two pins.
 
     A coordinate with a lag or with three pins is not a voltage between two pins. For a coordinate x
     with a lag, the voltage of the node is ``x + lag x'``, up to terms of second order in the lag.

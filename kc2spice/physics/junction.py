@@ -243,7 +243,7 @@ class Junction(Device):
     def compute_noise_weights(
         self, s: complex, e: np.ndarray, mode: Any
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the amplitudes of the shot noise and of the thermal noise.
+        """Return the noise weights: amplitudes of shot noise and of thermal noise.
 
         The shot noise has the spectral density ``2 q |i|``.
         """

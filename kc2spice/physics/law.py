@@ -85,7 +85,7 @@ class DeclaredLaw(Device):
 
     @property
     def pin_pairs(self) -> tuple[tuple[str, str], ...]:
-        """Pairs of a pin of the part and the full name of the same pin in the law."""
+        """Pairs of pin names: name in the part, and full name in the law."""
         inner = {LOOPS, *self.declaration.inner}
         pins = filterfalse(inner.__contains__, list_names(self.pins))
         return tuple((pin, f"{self.name}.{pin}") for pin in pins)
@@ -103,7 +103,7 @@ class DeclaredLaw(Device):
         return (*map(self._make_across_input, d.branches), *rates)
 
     def _make_across_input(self, b: Branch, rate: bool = False) -> AcrossInput:
-        """Return the coordinate of a branch as an input of the law.
+        """Return the coordinate of a branch, or its rate, as an input of the law.
 
         With ``rate``, return the rate of the coordinate.
         """
@@ -364,7 +364,7 @@ class DeclaredLaw(Device):
     def compute_noise_weights(
         self, s: complex, e: np.ndarray, mode: Any
     ) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return the amplitudes of the thermal noise of all branches with losses.
+        """Return the noise weights: thermal-noise amplitudes of all branches with losses.
 
         The noise of a branch is a force, a current or a series voltage.
         """

@@ -154,7 +154,7 @@ class Lookups:
         return BinaryOperation("-", f, BinaryOperation("*", weight, b))
 
     def split_law(self, law: Tree) -> list[Tree]:
-        """Split a law into terms that contain labels of lookups in place of tables.
+        """Split a law into terms, and replace its tables by labels of lookups.
 
         One term contains all lookups that are nodes. Each other lookup has a separate term.
         """

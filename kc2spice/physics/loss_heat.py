@@ -59,7 +59,7 @@ class LossHeatLaw(laws.Device):
         return np.array([slope @ e / 2]), slope[None]
 
     def loss(self, e: np.ndarray, mode: Any) -> float:
-        """Return the product of temperature and heat flow at the pin ``heat``.
+        """Return the power at the pin ``heat``: the product of temperature and heat flow.
 
         In Tellegen's theorem, the product is the power at the pin.
         """

@@ -77,7 +77,7 @@ _MAX_UNEXPLAINED_SHARE = 1e-3  # largest accepted relative error of the energy b
 
 
 def list_newton_numerics(part: Part, scene: DeclaredScene) -> Iterator[NumericalRequirements]:
-    """Yield a smaller Newton tolerance if the analysis is ``dc`` or ``op``."""
+    """Yield the requirement of a smaller Newton tolerance in a dc or op analysis."""
     if scene.analysis.type in ("dc", "op"):
         change = "1e-6", "change at which Newton's method stops: nonlinear parts"
         yield NumericalRequirements(part.name, options={"reltol": change})
@@ -345,7 +345,7 @@ def _write_inner_voltage(build: BuiltScene, part: Part, node: str, pin: str) -> 
 def _merge_inner_paths(
     paths: Iterable[tuple[str, str]], inner: Collection[str]
 ) -> tuple[tuple[str, str], ...]:
-    """Return direct paths between pins, in place of paths via ``inner`` nodes."""
+    """Return paths between pins that replace the paths via ``inner`` nodes."""
     groups: list[set[str]] = []
     for path in paths:
         joined = [group for group in groups if not group.isdisjoint(path)]

@@ -34,7 +34,7 @@ class DeclaredPartWithMass(DeclaredPart[KeysT]):
         return self.moving_pins[:1]
 
     def equilibrium_conditions(self, part: Part[KeysT], scene: WiredScene) -> EquilibriumConditions:
-        """Return the paths of steady flow of the declaration, and the pin of the mass."""
+        """Return the declaration's paths of steady flow, and the pin with the mass."""
         return replace(
             super().equilibrium_conditions(part, scene), inertial_pins=self.moving_pins[:1]
         )

@@ -93,7 +93,7 @@ class Interval:
         return f
 
     def sum_term_sizes(self, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the sum of the absolute terms in each entry of ``f`` and of ``g``.
+        """Return sums of the absolute values of all terms in entries of ``f`` and ``g``.
 
         Both arrays of sums have the shape (n, nt). The rounding errors of ``f`` and ``g`` are
         proportional to these sums.
@@ -111,7 +111,7 @@ class Interval:
         return f, g
 
     def compute_slopes(self, t: float, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the Jacobians ``dg/dz`` and ``df/dz``, two arrays of shape (n, n)."""
+        """Return the Jacobians of stored quantities g and right-hand sides f, each (n, n)."""
         n, X = self.system.size, self.append_sources(t, z)
         M, J = self.system.G[:, :n], self.F[:, :n]
         for device, mode in self.curved:
@@ -185,7 +185,7 @@ class _LinearisedLaw(Device):
 
 @dataclass(frozen=True, eq=False)
 class LimitedTangents:
-    """Linearised laws of devices that limit the steps of Newton's method.
+    """Tangents (linearised laws) of devices that limit the steps of Newton's method.
 
     Newton's method linearises most laws at the last iterate. A law that overrides
     :meth:`Device.limit_change`, such as a diode, is linearised nearer to the inputs of the previous
@@ -225,7 +225,7 @@ class LimitedTangents:
 def _evaluate(
     function: Callable[[np.ndarray, Any], np.ndarray], inputs: np.ndarray, mode: Any
 ) -> np.ndarray:
-    """Return the values of a law's function as an array of shape (k, nt).
+    """Return the values of ``function`` for all columns of ``inputs``, shape (k, nt).
 
     ``inputs`` has the shape (m, nt).
     """
@@ -272,7 +272,7 @@ def solve_operating_point(system: System) -> dict[str, float]:
 
 
 def solve_dc(system: System, source: str, values: np.ndarray) -> dict[str, np.ndarray]:
-    """Compute the equilibrium at each value of a source in ``values``.
+    """Compute the equilibrium for each of the ``values`` of a source.
 
     Each solution starts from the solution at the previous value. Each array in the result contains
     one entry for each value. The array ``sweep`` contains the values of the source. The other

@@ -93,7 +93,7 @@ class _BodyIntegrator:
 
 
 def _make_solver(pencil: Any, s: float) -> Callable[[np.ndarray], np.ndarray]:
-    """Return a function that solves ``P(s) x = b`` for a real rate ``s``.
+    """Return a solver of ``P(s) x = b`` with a body's matrix polynomial at real ``s``.
 
     The function uses a Cholesky factor if ``P(s)`` is positive definite.
     """

@@ -148,7 +148,7 @@ class Radau:
         self.f = np.where(self.rows, f, 0.0)
 
     def _linearise(self) -> None:
-        """Compute the Jacobians of ``g`` and ``f`` at the current time and unknowns."""
+        """Linearise the equations: compute Jacobians at the current time and unknowns."""
         self.M, self.J = self.interval.compute_slopes(self.t, self.z)
         self.h_lu, self.lu = 0.0, tuple[Any, ...]()
         # rounding error of a Newton correction, relative to the tolerance

@@ -98,7 +98,7 @@ class LinearisedSystem:
         return np.asarray(self.C0 @ X + w * (self.C1 @ X))
 
     def sum_term_sizes(self, w: complex, amplitudes: np.ndarray) -> np.ndarray:
-        """Return the sum of the absolute terms in each output of :meth:`respond`.
+        """Return the sum of absolute term values for each output of :meth:`respond`.
 
         Return an array of shape (ny,).
         """
@@ -106,7 +106,7 @@ class LinearisedSystem:
         return self._compute_term_sizes(slice(None), X[:, None], np.array([w]))[:, 0]
 
     def _solve_unknowns(self, w: complex, amplitudes: np.ndarray) -> np.ndarray:
-        """Return the amplitudes of unknowns, sources and source rates for a complex rate.
+        """Return the amplitudes of unknowns, sources and source rates at the rate ``w``.
 
         The array ``X`` has the shape (N,). The sources are ``amplitudes e^(w t)``.
         """
@@ -157,7 +157,7 @@ class LinearisedSystem:
         return _compute_finite_eigenvalues(self.F[:, :n], self.G[:, :n])
 
     def combine_output_rows(self, of: L.WaveCombination) -> tuple[np.ndarray, np.ndarray]:
-        """Return the row vectors (N,) of ``C0`` and ``C1`` for a combination of waves.
+        """Return the rows of the output matrices C0 and C1 for a combination of waves.
 
         The result ``of`` is a linear combination of waves, and the row vectors are the same linear
         combination of the rows of ``C0`` and ``C1``.
@@ -332,7 +332,7 @@ def _decompose_motion(F: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.nd
 
 
 def _sort_by_rate(F: np.ndarray, limit: float) -> tuple[np.ndarray, np.ndarray, int]:
-    """Return the sorted Schur form of ``F`` and the number of fast rates.
+    """Return the Schur form and vectors of F, fast rates first, and their number.
 
     The fast rates are the eigenvalues of ``F`` with magnitudes above ``limit``. In the Schur form,
     the fast rates come first. The second result contains the Schur vectors.
@@ -520,7 +520,7 @@ class ExponentialSolution:
 
     @cached_property
     def _largest_amplitudes(self) -> np.ndarray:
-        """Largest amplitude (m,) of each mode at the starts of all intervals."""
+        """Largest amplitude (m,) of each mode among the starts of all intervals."""
         amplitudes = np.array([*map(itemgetter(2), self._list_intervals(self.modes.rates))])
         return np.asarray(np.abs(amplitudes).max(axis=0))
 

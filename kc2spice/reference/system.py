@@ -49,7 +49,7 @@ class PlacedDevice:
     first: int  # index of the device's first output among the outputs of all devices
 
     def evaluate(self, e: np.ndarray, rate: np.ndarray, mode: Any) -> np.ndarray:
-        """Compute the outputs of the device for inputs ``e`` with the rates ``rate``.
+        """Compute the outputs of the device for inputs ``e`` that change at ``rate``.
 
         The outputs include the currents that change stored charges.
         """

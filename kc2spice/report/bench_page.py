@@ -103,7 +103,7 @@ def _list_metrics(metrics: Sequence[str]) -> str:
 
 
 def _format_cost(point: Mapping[str, Any]) -> str:
-    """Return the error and the CPU time of a setting as one string."""
+    """Return the error, error bound and CPU time of a setting as one string."""
     bound = f"{point['bound']:.1e} if nothing cancelled"
     return (
         f"error {point['error']:.1e} ({bound}) in {format_quantity(point['time_s'], 's', 3)} of CPU"

@@ -110,7 +110,7 @@ def _split_at_turns(curve: Curve) -> Iterator[Curve]:
 
 
 def _select_points(curve: Curve, indices: np.ndarray) -> Curve:
-    """Return a curve with selected points, in the order of their indices."""
+    """Return a curve with only the points at ``indices``, in the order of ``indices``."""
     names = tuple(map(curve.names.__getitem__, indices)) if curve.names else ()
     x, y = np.asarray(curve.x, dtype=float), np.asarray(curve.y, dtype=float)
     return replace(curve, x=x[indices], y=y[indices], names=names)
@@ -260,7 +260,7 @@ def _encode_panel(title: str, panel: Panel, span: Range | None, last: bool) -> d
 
 
 def _round_outwards(span: Range) -> Range:
-    """Return a range that contains ``span`` and the same range in single precision."""
+    """Widen ``span`` so that it also contains its ends rounded to single precision."""
     low, high = np.array(span, dtype=np.float32).tolist()
     return min(span[0], low), max(span[1], high)
 
@@ -382,7 +382,7 @@ def _encode_numbers(values: np.ndarray) -> str:
 
 
 def _separate_equal_numbers(x: np.ndarray) -> np.ndarray:
-    """Replace repeated float32 numbers by the next larger float32 numbers.
+    """Make repeated float32 numbers distinct by the next larger float32 numbers.
 
     The numbers in ``x`` must not decrease.
 

@@ -137,7 +137,7 @@ def plot_fit(
     three = {"measured": (Y, "o"), "scene": (before, "--"), "fitted": (after, "-")}
 
     def plot_curves(function: Callable[[np.ndarray], np.ndarray]) -> tuple[Curve, ...]:
-        """Return curves of ``function`` of the measured, initial and fitted impedances."""
+        """Plot ``function`` of the measured, initial and fitted impedances as curves."""
         return tuple(Curve(name, f, function(1 / y), style) for name, (y, style) in three.items())
 
     left = Curve("fitted over measured", f, 100 * (np.abs(Y / after) - 1))

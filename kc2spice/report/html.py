@@ -164,7 +164,7 @@ def write_page(
 
 
 def _get_command_line() -> list[str]:
-    """Return the command line of the running program as a list with one string.
+    """Return the kc2spice command line in a list; empty if another program runs.
 
     The list is empty if the running program is not kc2spice.
     """

@@ -132,7 +132,7 @@ def _make_attempt_row(attempt: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def _make_certificate_rows(certificate: Mapping[str, Any]) -> Rows:
-    """Return table rows of a certificate: properties within and above the band."""
+    """Return table rows of a certificate, followed by the errors above the band."""
     facts = {}
     for name, value in certificate.items():
         if value is not None and not name.startswith("above_band"):

@@ -112,7 +112,7 @@ def _make_yield_row(name: str, share: Mapping[str, float]) -> tuple[str, str]:
 
 
 def _make_key_row(key: str, column: Sequence[Any], units: Mapping[str, str]) -> tuple[str, str]:
-    """Return the table row of a swept key: number, and range or list, of values."""
+    """Return the table row of a swept key: how many values, and their range or list."""
     distinct = list(dict(zip(map(repr, column), column, strict=True)).values())
     text = ", ".join(map(str, distinct[:MAX_LISTED_VALUES]))
     if _has_common_type(column, *NUMBER_TYPES):

@@ -172,7 +172,7 @@ def _count_parameters(elements: Elements) -> int:
 
 
 def _select_best_sum(samples: AdmittanceSamples, ends: Sequence[Elements]) -> Elements:
-    """Return the first sum of elements with nearly the least information criterion.
+    """Return the first sum of elements whose information criterion is almost least.
 
     Criteria that differ by less than ``CRITERION_TOLERANCE`` count as equal, so that rounding
     errors do not change the selection.

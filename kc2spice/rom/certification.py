@@ -66,7 +66,7 @@ def certify(basis: ReducedBasis, order: int) -> LinearModel:
 
 
 def certify_with_full_order(rom: LinearModel, full: StabilityProof) -> LinearModel:
-    """Add the stability and passivity of the full-order model to a certificate."""
+    """Update a certificate by the stability and passivity of the full-order model."""
     certificate = rom.certificate
     assert certificate is not None
     both = (full.stable, certificate.stable)

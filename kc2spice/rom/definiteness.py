@@ -21,7 +21,7 @@ def has_definite_form(pencil: Pencil, *, undamped_too: bool = False) -> bool:
 
 
 def allows_cholesky(pencil: Pencil) -> bool:
-    """Return whether one factorisation without pivoting is enough for a reduction.
+    """Return whether one factorisation without pivoting is enough if K is definite.
 
     One factorisation is enough for models of definite form whose stiffness matrix K is positive
     definite. The function does not check whether K is positive definite.

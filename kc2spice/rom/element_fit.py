@@ -266,7 +266,7 @@ class AdmittanceSamples:
         )
 
     def _stack_rows(self, x: np.ndarray, dc: float) -> np.ndarray:
-        """Stack real and imaginary parts of values (n,), and append the residual ``dc``.
+        """Stack real and imaginary parts of ``x`` (n,), and append the dc residual ``dc``.
 
         ``dc`` is the residual of the conductance at zero frequency. The residual ``dc`` is omitted
         if the user states no conductance, or a conductance of zero.

@@ -167,7 +167,7 @@ class ErrorEstimator:
 
     @cached_property
     def responses_to_check_first(self) -> dict[float, np.ndarray]:
-        """Exact responses at frequencies with large errors, keyed by frequency.
+        """Exact responses at the frequencies to check first, keyed by frequency.
 
         The first keys are the frequencies of a coarse grid over the band. The last keys are the
         frequencies with the largest errors of earlier models.
@@ -239,7 +239,7 @@ class ErrorEstimator:
 def estimate_errors_above_band(
     ports: Sequence[Port], exact: Response, reduced: Response, band: tuple[float, float]
 ) -> tuple[tuple[float, float], ...]:
-    """Compute errors of a reduced model above the band for the certificate.
+    """Compute errors of a reduced model above the band, as pairs with frequencies.
 
     Return pairs of a frequency [Hz] and an error. The frequencies are ``MULTIPLES_ABOVE_BAND``
     times the upper band limit. Each error is the largest relative error of the driving-point

@@ -185,7 +185,7 @@ def make_network_model(network: FosterNetwork, form: NetworkForm, port: Port) ->
 def _add_modes(
     resistance: list[Decimal], times: list[Decimal]
 ) -> tuple[list[Decimal], list[Decimal]]:
-    """Add modes: return numerator and denominator of the sum as polynomials in s.
+    """Sum the modes of a network; return numerator and denominator polynomials in s.
 
     The coefficients are in ascending powers of s.
     """

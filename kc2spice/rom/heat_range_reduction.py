@@ -70,7 +70,7 @@ FACT_DEGREE = 6  # highest degree of the polynomials that interpolate facts
 
 
 class HeatReduction:
-    """Full heat models over parameter ranges, prepared for repeated reductions.
+    """Reduction of heat models over parameter ranges, which can be repeated.
 
     All reductions use the same terms of the matrices of the full models.
 
@@ -91,7 +91,7 @@ class HeatReduction:
         self._prescribed = [name for name in list_names(self._frame.ports) if name in prescribed]
 
     def reduce(self, task: RangeTask) -> HeatOverRanges:
-        """Reduce the heat models over the parameter ranges of the task.
+        """Reduce the heat models over the parameter ranges that ``task`` prescribes.
 
         The certificate is valid for all values in the ranges. The error estimate in the certificate
         is :data:`SAFETY` times the largest relative difference from reference models, in the norm
@@ -159,7 +159,11 @@ class HeatReduction:
     def _add_certificate_and_facts(
         self, ranges: _FullModelsOverRanges, result: HeatOverRanges, error: float
     ) -> HeatOverRanges:
-        """Add a certificate, and polynomials of facts such as a mass, to a reduced model."""
+        """Return a reduced model with its certificate and with polynomials of its facts.
+
+        ``error`` is the error estimate for the certificate. A fact is a property of the body, such
+        as its mass. Each polynomial is fitted to the logarithm of a fact over the parameters.
+        """
         axes = ranges.terms.axes
         semidefinite = all(map(is_semidefinite, (*result.terms.E, *result.terms.K)))
         middle = result.evaluate(ranges.convert_coordinates(np.zeros(len(axes))))
@@ -191,7 +195,7 @@ class _FullModelsOverRanges:
         self.isolated = [bool(prescribed) and keeps_all_heat(K) for K in terms.K]
 
     def convert_coordinates(self, x: np.ndarray) -> dict[str, float]:
-        """Return the values of the parameters at coordinates ``x`` (axes,) of the ranges."""
+        """Return the parameter values at the range coordinates ``x``, keyed by name."""
         pairs = zip(self.terms.axes, x, strict=True)
         return {axis.name: axis.value(float(v)) for axis, v in pairs}
 
@@ -310,7 +314,7 @@ class _TemperatureBasis:
             self.add_sample(ranges.convert_coordinates(x))
 
     def add_sample(self, values: Values) -> None:
-        """Reduce the model at parameter ``values``, and add the vectors to the basis."""
+        """Reduce the model at parameter ``values``, and add the resulting basis vectors."""
         ranges, n = self.ranges, len(self.middle.at)
         self.count += 1
         model = ranges.sum_full_model(values)
@@ -398,7 +402,7 @@ class _TemperatureBasis:
 
 
 def _project_matrix(matrix: scipy.sparse.csc_array, V: np.ndarray) -> np.ndarray:
-    """Return ``V' matrix V`` without eigenvalues that are negative by rounding.
+    """Project ``matrix`` on V, and set slightly negative eigenvalues to zero.
 
     The conductance matrix of an insulated body has an eigenvalue of zero. Because of rounding
     errors, the computed value of a zero eigenvalue may be negative.

@@ -147,7 +147,7 @@ def _find_growing_poles(pencil: Pencil, rate: float) -> np.ndarray:
     inertia, *loss = pencil.coefficients[:0:-1]
 
     def apply_cayley_transform(z: np.ndarray) -> np.ndarray:
-        """Return ``z + 2 c (A - c E)^-1 E z``, where z contains x, or x and x'."""
+        """Return the Cayley transform ``z + 2 c (A - c E)^-1 E z`` of the state z."""
         if degree == 1:
             return np.asarray(z - 2 * rate * solve(inertia @ z))
         x = -solve(inertia @ (z[n:] + rate * z[:n]) + loss[0] @ z[:n])

@@ -53,7 +53,7 @@ def reduce_with_interfaces(
     measured: bool = True,
     **aims: Any,
 ) -> LinearModel:
-    """Reduce a heat model some of whose ports have prescribed temperatures.
+    """Reduce a heat model that has ports with prescribed temperatures.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ def _reduce_inner_model(
 def _assemble_reduced_model(
     model: LinearModel, parts: SplitHeatModel, small: LinearModel
 ) -> LinearModel:
-    """Combine static responses and a reduced inner model to a reduced heat model.
+    """Combine static responses and a reduced inner model into a reduced heat model.
 
     ``small`` is the reduced model of the temperatures that are not prescribed.
     """

@@ -55,7 +55,7 @@ class IntermediateModel:
 
     @property
     def pencil(self) -> Pencil:
-        """Matrices of the intermediate model."""
+        """Pencil (matrix polynomial) of the intermediate model."""
         return self.response.pencil
 
     @property

@@ -303,7 +303,7 @@ class LinearModel:
 
     @cached_property
     def pencil(self) -> Pencil:
-        """Model as one matrix polynomial in s, for solvers."""
+        """Pencil of the model: one matrix polynomial in s, for solvers."""
         if self.first_order:
             return Pencil((negate(self.A), self.E), self.B, self.C, self.D)
         return Pencil((self.K, self.E, self.M), self.B, self.C, self.D, self.rayleigh)
@@ -599,7 +599,7 @@ LOSS_FACTOR_TOLERANCE = 1e-9
 
 
 def _set_structural_damping(model: LinearModel) -> None:
-    """Split a complex K into real part and loss matrix, and check the loss."""
+    """Set and check the loss matrix and loss factor; a complex K gives both."""
     put, K, where = object.__setattr__, model.K, model.name
     if K is not None and not isinstance(K, SchurComplement) and np.iscomplexobj(K):
         if model.structural:
@@ -669,7 +669,7 @@ def _make_structural_loss_error(where: str, got: str, argument: str = "matrix K"
 
 
 def _reject_ambiguous_outputs(C: np.ndarray | None, B: np.ndarray, n: int, where: str) -> None:
-    """Reject a square matrix C that may be a damping matrix.
+    """Reject a square output matrix C that may be meant as a damping matrix.
 
     A square matrix C may be a damping matrix if a row couples several unknowns.
     """

@@ -321,7 +321,7 @@ def _count_quasi_static_modes(model: Resonators, top: float) -> int:
 
 
 def _remove_inertia(model: Resonators, count: int) -> Resonators:
-    """Replace the ``count`` highest modes of a model by massless modes."""
+    """Make the ``count`` highest modes of a model massless."""
     for port, capacitance in zip(model.ports, np.diag(model.D), strict=True):
         if port.has_charge_output and capacitance <= 0:
             raise UsageError(

@@ -221,7 +221,7 @@ def _enforce_passivity(model: ABCD, f: np.ndarray, S: np.ndarray) -> ABCD | None
     count, order = triangle + m * (n + m), n + 2 * m
 
     def make_inequality_matrix(x: np.ndarray) -> np.ndarray:
-        """Return the left side of the passivity inequality, without the constants -1.
+        """Return the matrix of the passivity inequality, without its constant entries -1.
 
         ``x`` contains the lower triangle of P, and then the rows of the block matrix ``[C D]``.
         """
@@ -420,7 +420,7 @@ def _yield_pole_derivatives(
     one, other = 1 / (s[:, None] - p) ** 2, 1 / (s[:, None] - p.conj()) ** 2
 
     def compute_pole_derivative(k: int, rate: complex) -> np.ndarray:
-        """Return how the fit changes if the pole number ``k`` moves by ``rate``."""
+        """Return the derivative of the fit if pole number ``k`` moves at ``rate``."""
         result = np.outer(rate * one[:, k], residues[k])
         if not real[k]:
             result = result + np.outer(np.conj(rate) * other[:, k], residues[k].conj())

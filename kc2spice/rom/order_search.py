@@ -24,7 +24,7 @@ SAVING_RATIO = 0.91
 
 
 def find_least_order(basis: ReducedBasis, tolerance: float, states: float = np.inf) -> int | None:
-    """Return the smallest acceptable order of a basis, limited by a number of states.
+    """Return the smallest order within tolerance with fewer than ``states`` states.
 
     ``states`` counts first-order states. The result is None if no order is acceptable. All orders
     are tried in ascending order, because the error may increase with the order, and because models
@@ -171,13 +171,13 @@ def _select_smallest_order(
 
 
 def _replace_origin(result: tuple[ReducedBasis, int], text: str) -> tuple[ReducedBasis, int]:
-    """Replace the text about the origin of a basis, which begins the certificate."""
+    """Return basis and order, with ``text`` as the stated origin of the basis."""
     basis, order = result
     return replace(basis, origin=text), order
 
 
 def require_order(basis: ReducedBasis, tolerance: float, advice: str) -> int:
-    """Find the smallest order of a prescribed method's basis within tolerance.
+    """Return the smallest order within tolerance; raise an error if there is none.
 
     ``advice`` is the hint for the user if the basis has fewer vectors than the model has unknowns.
 

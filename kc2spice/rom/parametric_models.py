@@ -387,7 +387,7 @@ def _orthonormalise(columns: Sequence[np.ndarray], M: Matrix) -> np.ndarray:
 def _find_damping_parameter(
     full: Full, axis: ParameterAxis, middle: Values, frame: LinearModel
 ) -> DampingParameter | None:
-    """Return an axis as damping parameter, None if its parameter has other effects.
+    """Return a parameter as damping parameter; None if it has other effects.
 
     A damping parameter only multiplies the Rayleigh coefficients by powers of the parameter.
     """

@@ -52,7 +52,7 @@ def find_lower_order(basis: ReducedBasis, order: int, tolerance: float) -> tuple
 def fit_output_matrix(
     basis: ReducedBasis, order: int, tolerance: float
 ) -> tuple[ReducedBasis, int]:
-    """Lower the order by fits of the output matrix C that minimise the largest error.
+    """Lower the order of a basis by minimax fits of the output matrix C.
 
     The result is the fitted basis of the lowest possible order, and the order. If no fit succeeds,
     the arguments are returned.

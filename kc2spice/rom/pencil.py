@@ -60,7 +60,7 @@ class SharedValue(Generic[T]):
 
 @dataclass(frozen=True, eq=False)
 class SchurComplement:
-    """Schur complement ``uu - up pp^-1 pu`` of a sparse matrix with four blocks.
+    """Schur complement ``uu - up pp^-1 pu`` of a sparse matrix [[uu, up], [pu, pp]].
 
     The Schur complement itself is dense, so only the four sparse blocks of the matrix are
     stored. The unknowns of the block ``pp`` are eliminated.
@@ -95,11 +95,14 @@ class SchurComplement:
 
     @property
     def inner_factor(self) -> Factor:
-        """Factorisation of the block ``pp``, computed at the first use."""
+        """Factorisation of the block ``pp`` of the inner (eliminated) unknowns.
+
+        The factorisation is computed at the first use.
+        """
         return self.factor.get(self._factorise_inner)
 
     def _factorise_inner(self) -> Factor:
-        """Factorise the block ``pp`` of the eliminated unknowns."""
+        """Factorise the block of the matrix that belongs to the eliminated unknowns."""
         is_symmetric = is_equal(self.pp, self.pp.T)
         if is_symmetric and self.is_large:
             return factorise_quasi_definite(self.pp)
@@ -145,7 +148,7 @@ class SchurComplement:
         return self._replace_blocks(alpha * M + beta * self.uu, beta * self.up, self.pu)
 
     def _replace_blocks(self, uu: Matrix, up: Matrix, pu: Matrix) -> SchurComplement:
-        """Return a Schur complement with the same ``pp`` and factor, but other blocks."""
+        """Return a copy with new blocks, except the block of the eliminated unknowns."""
         return SchurComplement(uu, up, pu, self.pp, self.factor)
 
     def toarray(self) -> np.ndarray:

@@ -69,7 +69,7 @@ class ModelOverRanges(ABC):
 
 
 def record_model_values(full: Full) -> tuple[Full, list[tuple[Values, Mapping[str, float]]]]:
-    """Wrap the function ``full``, and record characteristic numbers of its models.
+    """Wrap ``full`` so that it records facts such as the mass of each model.
 
     The first result is the wrapped function. The second result is the list of records. A record
     contains the parameter values and the ``facts`` (such as masses and error estimates) of the
@@ -78,7 +78,7 @@ def record_model_values(full: Full) -> tuple[Full, list[tuple[Values, Mapping[st
     facts: list[tuple[Values, Mapping[str, float]]] = []
 
     def build_full_model(values: Values) -> LinearModel:
-        """Build the full model, and record its ``facts`` with the parameter values."""
+        """Build the full model, and record its facts and the parameter values."""
         model = full(values)
         facts.append((dict(values), model.facts))
         return model

@@ -311,7 +311,7 @@ def find_smallest_basis(
 
 
 def _subtract_rounding_error(tolerance: float, intermediate: IntermediateModel) -> float:
-    """Return the tolerance that remains after rounding errors are subtracted.
+    """Subtract rounding errors from the tolerance, unless too little remains.
 
     If the difference is too small for a reduction, the result is the whole tolerance.
     """

@@ -304,7 +304,7 @@ class ReducedBasis:
 
     @property
     def has_only_real_poles(self) -> bool:
-        """Whether the model is symmetric and of first order, like a network of R and C.
+        """Whether all poles are real because the model is symmetric and of first order.
 
         A congruence preserves the real poles and the passivity of such a model.
         """

@@ -328,7 +328,7 @@ class Reduction:
         self._compute_intermediate(self._target)
 
     def _compute_intermediate(self, target: ReductionTarget) -> None:
-        """Compute the intermediate model for the tolerance of a target."""
+        """Compute and store an intermediate model for the tolerance of ``target``."""
         assert target.tolerance is not None
         with use_solver(self._solver):
             self._intermediate, self._proof = compute_first_step(self._pencil, self.band, target)
@@ -388,7 +388,7 @@ class Reduction:
         order: int | None = None,
         method: str | Reductor | None = None,
     ) -> LinearModel:
-        """Return the smallest tried model within a tolerance, or the best of an order.
+        """Return the smallest model found within a tolerance, or the best of given order.
 
         Parameters
         ----------
@@ -455,7 +455,7 @@ class Reduction:
     def _find_basis_within(
         self, tolerance: float, target: ReductionTarget
     ) -> tuple[ReducedBasis, int]:
-        """Return the basis that needs the fewest states for a tolerance, and the order."""
+        """Find the basis with the fewest states for a tolerance; return it and its order."""
         if not self._is_accurate_within(tolerance):
             self._compute_intermediate(target)
         task = replace(self._task, tolerance=tolerance)

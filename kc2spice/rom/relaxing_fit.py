@@ -103,7 +103,7 @@ def fit_minimax(
 def _evaluate_model(
     x: np.ndarray, count: int, s: np.ndarray, upper: tuple[np.ndarray, np.ndarray]
 ) -> np.ndarray:
-    """Evaluate the ``upper`` triangle of ``sum_k g_k g_k' / (s + r_k)`` at all ``s``.
+    """Evaluate ``sum_k g_k g_k' / (s + r_k)`` for gains g and rates r: upper triangle.
 
     The result has the shape (n, entries).
     """
@@ -115,7 +115,7 @@ def _evaluate_model(
 def _compute_slopes(
     x: np.ndarray, count: int, s: np.ndarray, upper: tuple[np.ndarray, np.ndarray]
 ) -> np.ndarray:
-    """Return the derivatives of the model with respect to ``log r_k`` and ``g_k``.
+    """Return the derivatives of the model with respect to log rates and gains.
 
     The model is the result of :func:`_evaluate_model`. The derivatives have the shape (n, entries,
     unknowns).

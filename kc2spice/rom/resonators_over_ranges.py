@@ -97,7 +97,7 @@ NOTCH_RESOLUTION = 1e-2
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ResonatorsOverRanges(ParameterPolynomials, ModelOverRanges):
-    """Resonators ``z'' + E z' + L L' z = g u`` over ranges of parameters.
+    """Resonators ``z'' + E z' + L L' z = g u``; E, L and g depend on parameters.
 
     The outputs are ``y = g' z + D u``. The damping matrix is ``E = alpha + beta L L'``. For given
     values of the parameters, the vector ``T`` (terms,) contains products of polynomials of the
@@ -257,7 +257,7 @@ def interpolate_model_facts(
     exponents: np.ndarray,
     known: Sequence[tuple[Values, Mapping[str, float]]],
 ) -> dict[str, np.ndarray]:
-    """Fit polynomials of the parameters to characteristic numbers of full models.
+    """Fit polynomials in the parameters to numbers such as the mass of a full model.
 
     The number of full models limits the degree of the polynomials. The numbers, such as masses, are
     the ``facts`` of each model. The result contains coefficients (terms,) of each fact, for the
@@ -334,7 +334,7 @@ def make_range_error(problem: str, name: str, got: str, tolerance: float) -> Sim
 def _compute_values_at(
     parameter_axes: Mapping[str, ParameterAxis], x: np.ndarray
 ) -> dict[str, float]:
-    """Return parameter values at coordinates ``x``; later axes use middle values.
+    """Convert coordinates ``x`` to parameter values, with middle values for the rest.
 
     Each other parameter has the value in the middle of its range.
     """
@@ -347,7 +347,7 @@ def _compute_values_at(
 def _yield_check_points(
     dense_model: DenseParametricModel, band: tuple[float, float], norm: Norm
 ) -> Iterator[tuple[np.ndarray, ErrorEstimator]]:
-    """Yield check points in the parameter ranges, with estimators of the errors.
+    """Yield check points in the ranges, each with an estimator of the model's error.
 
     The points are the middle of the ranges, all corners, and random points.
     """
@@ -482,7 +482,7 @@ class _ReducedSpace:
         return replace(p.model, M=np.eye(len(w2)), K=np.diag(w2), B=B, C=B.T)
 
     def _make_block(self, a: int, b: int) -> tuple[np.ndarray, np.ndarray] | None:
-        """Compute stiffness and gain of a block of modes at all points of the grid.
+        """Return stiffness and gain of a block of modes at all grid points, or None.
 
         The block contains the modes a to b - 1. The result consists of the stiffness (points, n, n)
         and the gain (points, n, ports) of the block. At each point, the frame of the block is the

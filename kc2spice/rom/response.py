@@ -77,7 +77,7 @@ class Response:
 
     @cached_property
     def _decoupling(self) -> Modes | None:
-        """Prescribed modes, or modes that decouple the pencil by a congruence, or None."""
+        """Modes that are prescribed or that decouple the pencil by a congruence, or None."""
         return self._prescribed_modes or _diagonalise_pencil(self.core)
 
     @cached_property
@@ -158,7 +158,7 @@ class Response:
         return EntryScales.from_response(H, self.find_entry_peaks(frequency, H), self.zero)
 
     def _compute_mode_responses(self, s: np.ndarray) -> np.ndarray:
-        """Compute the mode responses ``1 / sum_k s^k diagonals_k`` at all values ``s``.
+        """Compute the response of each decoupled mode at all values ``s``.
 
         The result has the shape (len(s), n).
         """

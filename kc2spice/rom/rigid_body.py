@@ -113,7 +113,7 @@ def split_driven_modes(pencil: Pencil, free: int, rounding: Rounding) -> RigidBo
 def _split_congruently(
     pencil: Pencil, X: np.ndarray, others: np.ndarray, rounding: Rounding
 ) -> RigidBodySplit:
-    """Separate driven rigid-body modes of X from the motions ``others`` by congruence."""
+    """Transform a pencil to driven rigid-body modes in X, followed by ``others``."""
     X = _select_driven_modes(pencil, X, rounding)
     V = np.hstack([X, others])
     result, projected = project_with_rigid_body(pencil, V, X.shape[1], rounding)
@@ -231,7 +231,7 @@ def estimate_hidden_frequency(pencil: Pencil, X: np.ndarray, low: float) -> floa
 
 
 def _is_force_free(P: np.ndarray, X: np.ndarray, rounding: np.ndarray) -> bool:
-    """Return whether ``P X`` is zero within the ``rounding`` errors of P."""
+    """Return whether motions X cause no forces ``P X``, within rounding errors."""
     return bool((np.abs(P @ X) <= rounding.sum(axis=1)[:, None] * np.abs(X).max(axis=0)).all())
 
 
@@ -328,7 +328,7 @@ def _find_slow_subspace(rest: np.ndarray, inertia: np.ndarray, omega: float) -> 
 
 
 def _order_chains(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Order integrator chains: rotate A to block triangular form ``Q'AQ``.
+    """Rotate A to block triangular form ``Q'AQ`` that orders chains of integrators.
 
     The coordinates form chains of integrators. The first coordinates are constant. The rates of all
     other coordinates depend only on coordinates that come earlier in the chain.

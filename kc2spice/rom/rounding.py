@@ -160,7 +160,7 @@ def add_rounding_floor(
     model: IntermediateModel,
     target: float,
 ) -> IntermediateModel:
-    """Add the effect of rounding errors on resonances to an intermediate model.
+    """Return the intermediate model, with its error due to rounding as ``floor``.
 
     The attribute ``floor`` of the returned model is the effect of rounding errors. A change of the
     units of the unknowns changes the rounding errors of the full model's matrix entries, but not

@@ -75,7 +75,7 @@ def _normalise_mass(pencil: Pencil) -> Pencil:
 
 
 def _make_modal_state_space(pencil: Pencil, omega: float) -> ABCD:
-    """Compute state-space matrices for the states ``w z`` and ``z'``.
+    """Compute a state-space model with states ``w z`` and ``z'`` for coordinates z.
 
     The coordinates z are mass-normalised, and they are modal coordinates if K is symmetric.
     """

@@ -229,7 +229,7 @@ def add_structural_damping(model: LinearModel, stiffness: RelaxingStiffness) -> 
 
 
 def _make_corner_matrix(inner: int) -> np.ndarray:
-    """Return a zero matrix (1 + inner, 1 + inner) whose first entry is one."""
+    """Return a matrix (1 + inner, 1 + inner) of zeros, with a one as its first entry."""
     result = np.zeros((1 + inner, 1 + inner))
     result[0, 0] = 1.0
     return result

@@ -121,7 +121,7 @@ def approximate_causally(
 
 
 def _describe_loss(model: LinearModel) -> str:
-    """Describe the loss factor for messages, as `` of 0.02``, or "" without a factor."""
+    """Return the loss factor as text such as `` of 0.02``, or "" without a factor."""
     return f" of {model.loss_factor:g}" if model.loss_factor else ""
 
 
@@ -135,7 +135,7 @@ class _PassiveModelSearch:
     norm: Norm
 
     def reduce(self, within: float) -> float:
-        """Replace structural by viscous damping, reduce the model, and return the error.
+        """Reduce the model with viscous in place of structural damping; return the error.
 
         ``within`` is the tolerance. If the resonance peaks with structural damping are lower than
         the peaks of the reduced viscous model, the reduction is repeated with a smaller tolerance.
@@ -198,7 +198,7 @@ class _PassiveModelSearch:
 
     @cached_property
     def _largest_decoupled_share(self) -> float:
-        """Largest fraction of the diagonal of H that leaves the rest semidefinite."""
+        """Largest share f of the diagonal for which ``H - f diag(H)`` is semidefinite."""
         losses = np.diag(self.H)
         lossy = losses > ZERO_DAMPING * losses.max(initial=0.0)
         if not lossy.any():
@@ -261,7 +261,7 @@ class _PassiveModelSearch:
         return [trial if use else mode for trial, mode, use in both]
 
     def compute_deviation(self, modes: Sequence[Oscillator]) -> float:
-        """Return the largest relative error of a modal model, against structural damping."""
+        """Return a modal model's largest error compared with exact structural damping."""
         frequency, exact = self._sample_lossy_response(modes)
         response = self.build_passive_model(modes).transfer(frequency)
         return float(

@@ -18,7 +18,7 @@ CHECKED_FREQUENCIES = 10  # number of direct solutions that check a surrogate mo
 def make_surrogate(
     model: LinearModel, band: tuple[float, float], *, blocks: int = 10
 ) -> tuple[LinearModel, float]:
-    """Reduce a full model to a surrogate with the same response in ``band`` [Hz].
+    """Reduce a full model in ``band`` [Hz]; return the surrogate and its error.
 
     The surrogate model is a projection on Krylov vectors at s = 0. The full model is solved
     directly at ``CHECKED_FREQUENCIES`` irregular frequencies in the band. The second result is the

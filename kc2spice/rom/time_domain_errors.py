@@ -72,7 +72,7 @@ class ReductionsByOrder:
         return make_krylov_space(self._pencil) if definite else None
 
     def reduce(self, order: int, band: tuple[float, float], norm: Norm) -> LinearModel:
-        """Return the reduced model of the given order, for use in contacts."""
+        """Return the reduced model of the given order, suited to bodies with contacts."""
         target = ReductionTarget(
             None, order, band, norm, contact=True, method=None, space=self._krylov_space
         )

@@ -26,7 +26,7 @@ class AnalysisCards:
 
 
 def make_analysis_cards(build: BuiltScene) -> AnalysisCards:
-    """Return the SPICE command of a scene's analysis, and the cards it needs.
+    """Return the SPICE command of the analysis of a scene, with any extra cards.
 
     Raises
     ------

@@ -58,7 +58,7 @@ class CataloguePart:
 
     @property
     def rated_voltage(self) -> str:
-        """Value of the key ``voltage`` for the test circuit, or "" without this key."""
+        """Value of the key ``voltage`` as text, or "" if the part states no voltage."""
         lines = (line.split('"')[1] for line in self.keys.splitlines() if "voltage =" in line)
         return next(lines, "")
 
@@ -87,7 +87,7 @@ def _read_tables() -> dict[str, Any]:
 
 @cache
 def read_catalogue() -> Mapping[str, CataloguePart]:
-    """Return all parts, keyed by part number.
+    """Return all catalogue parts, keyed by part number.
 
     Examples
     --------

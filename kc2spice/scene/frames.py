@@ -133,20 +133,22 @@ def _require_one_frame(part: Part, scene: Scene, known: Mapping[str, Accelerated
     if part.is_body:
         return
     moving = {scene.nets[key] for key, terminal in scene.terminals.items() if terminal.can_move}
-    frames_of_pins, frames = set(), []
+    frames_of_pins: dict[object, str] = {}  # first pin in each frame
+    frames = []
     for pin in _list_moving_pins(part, scene, listening=True):
         net = scene.get_net(part.name, pin)
         if net in moving:
             frame = known.get(net)
-            frames_of_pins.add(frame and frame.node_cosines)
+            frames_of_pins.setdefault(frame and frame.node_cosines, f"{part.name}.{pin}")
             frames.append(f"{part.name}.{pin} in {_describe_frame(frame)}")
     if len(frames_of_pins) > 1:
+        first, second, *_ = frames_of_pins.values()
         raise UsageError(
-            "this part compares displacements in different frames of reference",
+            "the displacements at the pins of this part have different frames of reference",
             where=part.name,
             got=", ".join(frames),
             expected="pins in one frame; gnd is in every frame",
-            hint="connect the pin of the other frame to gnd or to a part of the same frame",
+            hint=f"connect {second} to gnd, or to a part in the same frame as {first}",
         )
 
 

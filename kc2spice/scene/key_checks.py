@@ -259,7 +259,7 @@ def _check_unused_keys(selected: Analysis) -> Iterator[UsageError]:
 
 
 def _warn_of_unused_solver_keys(scene: Scene) -> None:
-    """Warn about keys of ``solver`` that have no effect, because the run has no time steps."""
+    """Warn about ``solver`` keys without effect, because the run has no time steps."""
     kind, stated = scene.analysis.type, scene.solver.model_fields_set
     for key in TRANSIENT_SOLVER_KEYS if kind != "transient" else ():
         if key in stated and getattr(scene.solver, key) is not None:

@@ -132,7 +132,7 @@ def load_scene(
 
 
 def _explain_replaced_type(data: Mapping[str, Any], source: SceneFile, problem: UsageError) -> bool:
-    """Explain an error about a key of the scene by the override that replaces its part type.
+    """Explain a key error by an override of the part type, if this is the cause.
 
     Return False, and leave the error unchanged, if no override replaces the type of the part, or if
     an override sets the key.
@@ -267,7 +267,7 @@ def _make_parts(
         at: tuple[str | int, ...] = (),
         **options: Any,
     ) -> Part:
-        """Make a part that reads its files in the folder of the scene or of an override file."""
+        """Make a part that reads files in the folder of the scene or an override file."""
         folder = source.find_override_folder(tuple(map(str, at or (name,))))
         part = _make_part(name, table, kind, folder or source.folder, at, **options)
         return part if folder is None else replace(part, folder=folder)
@@ -299,7 +299,7 @@ def _make_parts(
 
 
 def _add_default_drive(scene: Scene) -> Scene:
-    """Return the scene, with a 1 V source if no part drives its ``ac`` analysis.
+    """Return the scene; add a 1 V source if no part drives its ``ac`` analysis.
 
     Raises
     ------

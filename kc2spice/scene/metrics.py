@@ -99,7 +99,7 @@ def _find_probe_unit(probe: ProbeKeys, build: BuiltScene, waves: Waveforms) -> s
 
 
 def _find_reference_pressure(probe: ProbeKeys, build: BuiltScene) -> float:
-    """Return the rms pressure [Pa] at 0 dB for the result that a probe reads."""
+    """Return the rms pressure [Pa] that corresponds to 0 dB in the result of a probe."""
     result = build.results.vectors.get(probe.of)
     return (result.level_reference if result else None) or GAS_REFERENCE
 

@@ -125,7 +125,7 @@ class Terminal:
 
     @property
     def kind(self) -> str:
-        """Description of the pin's units; only pins with the same units may be joined."""
+        """Units of the pin as text; only pins with the same units may be joined."""
         return f"{self.unit}/{self.flow}" if self.flow != SIGNAL else f"signal in {self.unit}"
 
     @property
@@ -167,7 +167,7 @@ class Part(Generic[KeysT]):
     folder: Path | None = None
 
     def with_schema(self, schema: builtins.type[S]) -> Part[S]:
-        """Return the part with its keys typed as ``schema``, for type checkers.
+        """Return the part after a check that its keys are an instance of ``schema``.
 
         Raises
         ------
@@ -340,7 +340,7 @@ class DeclaredScene:
 
     @property
     def checks(self) -> CheckActions:
-        """Effect of each failed check: the run fails, prints a warning, or continues."""
+        """Action on each kind of violated check: fail, warn, or omit the check."""
         return self.frame.checks
 
     @property
@@ -411,7 +411,7 @@ class DeclaredScene:
             raise UsageError(
                 f"{part.name} needs a part that the scene does not have",
                 where=table,
-                hint=f"add [{table}]; an empty table uses the defaults",
+                hint=f"add [{table}]; an empty table is enough",
             )
         if len(result) > 1:
             raise UsageError(
@@ -442,7 +442,7 @@ class DeclaredScene:
 
 @dataclass(frozen=True, eq=False)
 class GovernedScene(DeclaredScene):
-    """Second stage of a scene, with the parts that other parts move, copy or start.
+    """Second stage of a scene: records which parts move, copy or initialise others.
 
     A governed part is a part that another part moves, copies or gives an initial state. ``movers``
     maps the name of each moved part to the name of the part that prescribes its motion.
@@ -538,7 +538,7 @@ class Scene(WiredScene):
         return key if self.source is None else self.source.locate_key(key)
 
     def select_overridden_key(self, first: str, second: str) -> str:
-        """Return the overridden one of two keys; by default, return the second key.
+        """Return the only overridden key of two; otherwise, return ``second``.
 
         If both keys or neither key are overridden, return ``second``.
         """
@@ -630,7 +630,7 @@ class BuiltScene:
 
     @property
     def has_noise(self) -> bool:
-        """Whether the netlist has noise sources."""
+        """Whether the scene has a noise analysis, and the netlist noise sources."""
         return self.scene.analysis.type == "noise"
 
     def model(self, part: Part, kind: type[M]) -> M:
@@ -788,17 +788,18 @@ class PartType(Generic[KeysT]):
     def governed_parts(
         self, part: Part[KeysT], scene: DeclaredScene
     ) -> Mapping[str, InitialState | Governed]:
-        """Return which parts this part moves, copies or initialises, keyed by part.
+        """Return the parts that this part moves, copies or initialises.
 
-        The value for a part that starts in a prescribed state is its :class:`InitialState` [m/s,
-        m]. The value is ``"moved"`` for a part whose motion is prescribed. The value is
-        ``"copied"`` for a part whose cards are written by the governing part. The method is called
-        before all other methods, because other methods depend on the result.
+        The keys of the mapping are the names of these parts. The value for a part that starts in a
+        prescribed state is its :class:`InitialState` [m/s, m]. The value is ``"moved"`` for a part
+        whose motion is prescribed. The value is ``"copied"`` for a part whose cards are written by
+        the governing part. The method is called before all other methods, because other methods
+        depend on the result.
         """
         return {}
 
     def list_inner_names(self, part: Part[KeysT], scene: WiredScene) -> Iterable[tuple[str, ...]]:
-        """Return the words in the name of each internal node and each additional card.
+        """Return the words that form the name of each internal node or additional card.
 
         :meth:`BuiltScene.get_inner_name` returns the complete names.
         """

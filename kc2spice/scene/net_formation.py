@@ -236,7 +236,7 @@ def _suggest_target(pin: Pin, choices: Sequence[str], scene: Scene) -> str:
 
 
 def _are_compatible(a: Terminal, b: Terminal) -> bool:
-    """Return whether two pins may be joined: equal units, equal flows or a signal."""
+    """Return whether two pins have equal units, and equal flows unless one has none."""
     return a.unit == b.unit and (a.flow == b.flow or "-" in (a.flow, b.flow))
 
 
@@ -273,7 +273,7 @@ def _name_nets(groups: list[list[Pin]], scene: Scene) -> dict[Pin, str]:
 
 
 def _with_inner_names(scene: Scene) -> Scene:
-    """Return the scene with unused names for ammeters, internal nodes and extra cards."""
+    """Name ammeters, internal nodes and extra cards uniquely; return the scene."""
     cards = map("".join, product(ascii_lowercase, scene.parts))
     free = NameAllocator((*scene.nets.values(), *cards))
     names: dict[tuple[str, ...], str] = {}

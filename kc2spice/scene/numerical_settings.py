@@ -184,7 +184,7 @@ def _list_reduction_settings(build: BuiltScene) -> Iterator[NumericalSetting]:
 
 
 def _uses_scene_reduction(part: Part, scene: Scene) -> bool:
-    """Return whether a part has the same reduction settings as all other bodies."""
+    """Return whether all bodies with a reduction have the settings of this part."""
     reduction = scene.records[part.name].reduction
     return all(record.reduction in (None, reduction) for record in scene.records.values())
 
@@ -228,7 +228,7 @@ def refine_settings(
 
 
 def _describe_noise(part: Part, build: BuiltScene) -> str:
-    """Describe the noise sources of a part, if the scene has a noise analysis."""
+    """Describe a part's noise if the scene has a noise analysis; else return ""."""
     result = part.type.noise
     noise = result if isinstance(result, str) else "thermal noise at 27 C" if result else "no noise"
     return f"; {noise}" if build.has_noise else ""

@@ -108,7 +108,7 @@ class PartResult:
 
     @property
     def noise_density(self) -> PartResult:
-        """Noise density of this result, as the result of a noise analysis."""
+        """Result of a noise analysis for this output: its spectral noise density."""
         return PartResult("onoise_spectrum", abs(self.factor), f"{self.unit}{DENSITY_UNIT}")
 
 
@@ -242,7 +242,7 @@ class NumericalRequirements:
 
 @dataclass(frozen=True)
 class FrameAcceleration:
-    """Acceleration of a reference frame, with the body's pin that carries its signal.
+    """Acceleration of a reference frame: the body's pin, its node, and a direction.
 
     ``net`` is the netlist node of the pin. ``along`` is the cosine of the angle between the
     acceleration and a displacement in the frame, or None if a direction is unknown.
@@ -262,7 +262,7 @@ class AcceleratedFrame:
 
     @property
     def node_cosines(self) -> frozenset[tuple[str, float | None]]:
-        """Node and direction cosine of each acceleration, which together identify a frame."""
+        """Node and direction cosine of each acceleration; equal sets mean equal frames."""
         return frozenset((shake.net, shake.along) for shake in self.shakes)
 
     @property

@@ -64,7 +64,7 @@ def describe_part_type(name: str) -> PartTypeReference:
 
 
 def write_catalogue_table(sold: CataloguePart) -> str:
-    """Write the TOML table with which a scene contains a catalogue part, without its joins.
+    """Return the TOML table of a catalogue part in a scene, without joins of pins.
 
     Examples
     --------

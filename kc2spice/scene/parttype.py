@@ -78,7 +78,7 @@ def compute_pin_forces(build: BuiltScene, waves: Waveforms) -> Mapping[tuple[str
     """
 
     def compute_all_forces() -> tuple[BuiltScene, Waveforms, dict[tuple[str, str], np.ndarray]]:
-        """Return the forces [N] of all parts, with the build and waves that cause them."""
+        """Return the build, its waves, and the forces [N] of all parts, keyed by pin."""
         result = {}
         for name, part in build.scene.parts.items():
             for pin, force in part.type.forces(part, build, waves).items():

@@ -105,11 +105,12 @@ def check_layers(
     """
     rows = list(entries)
     metal = max((width for width, _, ceramic in rows if not ceramic), default=0.0)
-    thick = f"no layer is more than {MAX_LAYER_ASPECT:g} times as thick as it is wide"
+    thick = "no layer is more than {:g} times as thick as it is wide, {}"
     wide = "ceramic that is wider than its plate breaks off"
     for k, (width, thickness, ceramic) in enumerate(rows):
+        reason = thick.format(MAX_LAYER_ASPECT, format_quantity(width, "m"))
         yield from check_range(
-            f"{where}.{k}.thickness", thickness, "m", 0.0, MAX_LAYER_ASPECT * width, thick
+            f"{where}.{k}.thickness", thickness, "m", 0.0, MAX_LAYER_ASPECT * width, reason
         )
         if plate and ceramic and metal:
             yield from check_range(
@@ -179,7 +180,7 @@ def check_model_masses(build: BuiltScene) -> Iterator[UsageError]:
 
 
 def apply_check_action(errors: Iterable[UsageError], action: str) -> Iterator[UsageError]:
-    """Yield errors, print errors as warnings, or ignore errors, as the action states.
+    """Yield errors, print them as warnings, or ignore them, depending on ``action``.
 
     The ``action`` ``"fail"`` yields the errors, ``"warn"`` prints the errors, and ``"off"`` ignores
     the errors.

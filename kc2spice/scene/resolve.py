@@ -147,7 +147,7 @@ PERIOD_TOLERANCE = 1e-6
 
 
 def find_period(rows: Iterable[NumericalRequirements]) -> float | None:
-    """Return the common period [s] of all drives, or None without a common period."""
+    """Return the longest period [s] if it is a multiple of all others, else None."""
     periods = set(map(attrgetter("period"), rows)) - {0.0}
     longest: float | None = max(periods, default=None)
     if longest is None:

@@ -131,7 +131,7 @@ def _collect_across_quantity(part: Part, build: BuiltScene) -> dict[str, PartRes
 
 
 def collect_powers(build: BuiltScene, known: Collection[str]) -> dict[str, Powers]:
-    """Return the terms of each power of a part or pin that a probe reads.
+    """Return the terms whose sum is each probed power of a part or pin, by name.
 
     The power [W] of a source is positive if the source delivers it. The power of any other part is
     positive if the part absorbs it.

@@ -57,7 +57,7 @@ class SceneFile:
 
     @property
     def base_folder(self) -> Path:
-        """Folder of the files that overrides name: the working directory for a built-in scene."""
+        """Folder for file names in overrides; the working directory for built-in scenes."""
         return Path.cwd() if self.folder == _find_gallery() else self.folder
 
     def overrides_key(self, key: str) -> bool:
@@ -80,7 +80,7 @@ class SceneFile:
                 self.override_folders[key] = folder
 
     def find_override_folder(self, table: tuple[str, ...]) -> Path | None:
-        """Return the folder of the files that overrides of a part's table name, or None.
+        """Return the folder for file names in the overrides of a part's table, or None.
 
         ``table`` is the path of the part's table.
         """
@@ -90,7 +90,7 @@ class SceneFile:
         return None
 
     def find_override(self, key: str) -> str | None:
-        """Return the origin of an override that sets a key or a part of its value, or None."""
+        """Return the origin of the override that sets a key or a part of it, or None."""
         names = tuple(key.split("."))
         for path, override in self.overrides.items():
             if path[: len(names)] == names or names[: len(path)] == path:
@@ -185,7 +185,7 @@ def _find_gallery() -> Path:
 
 
 def _list_paths(path: tuple[str, ...], value: object) -> Iterator[tuple[str, ...]]:
-    """Yield the path of a value, and the paths of all keys in a table."""
+    """Yield the path of a value and, if it is a table, the paths of all its keys."""
     yield path
     if isinstance(value, Mapping):
         for key, item in value.items():

@@ -183,7 +183,7 @@ class SolverKeys(Section):
 
 
 class CheckActions(Section):
-    """Actions on violated checks: fail (exit code 5), warn (exit code 0), or omit the check."""
+    """Actions on violated checks: fail (exit code 5), warn (exit code 0), or omit."""
 
     energy: Action = Field("fail", description="Action if the energy balance of a part is violated")
     touches: Action = Field(
@@ -333,8 +333,8 @@ class ErrorLimits(Section):
         gt=0,
         description=(
             "Largest permitted relative difference of the frequency response between the "
-            "reduced and the full model, up to one fifth of the highest frequency of the "
-            "run"
+            "reduced and the full model. The limit applies to frequencies up to one fifth of "
+            "the highest frequency of the run"
         ),
     )
     harmonic_ngspice: Ratio = Field(

@@ -198,7 +198,7 @@ def _list_velocity_jump_errors(
 
 
 def _map_nets_to_units(scene: Scene) -> dict[str, str]:
-    """Return the pin unit of each net that needs a path to its reference, by net."""
+    """Map each net that needs a path to its reference to the unit of its pins."""
     result = {"0": ""}
     for key, terminal in scene.terminals.items():
         if terminal.needs_path:

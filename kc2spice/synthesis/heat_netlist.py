@@ -186,7 +186,7 @@ def diagonalise_heat_model(model: LinearModel) -> LinearModel:
 
 
 def _separate_stored_heat(E: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return two bases of temperatures: states without and states with a heat path.
+    """Return bases of temperatures that drive no heat flow, and of all others.
 
     The first basis spans the null space of K. The second basis spans the E-orthogonal complement of
     the null space of K. The modes in one subspace are therefore independent of the modes in the

@@ -317,7 +317,7 @@ def _write_block_parameters(
 def _write_capacitance_cards(
     model: ResonatorsOverRanges, polynomial: Polynomial
 ) -> Iterator[Parameters]:
-    """Yield ``.param`` cards of electrode capacitances c and of their Cholesky factor f."""
+    """Yield ``.param`` cards of the capacitance matrix c and its Cholesky factor f."""
     electrodes = range(len(model.electrical_ports))
     for k in electrodes:
         yield write_parameter_card(
@@ -448,7 +448,7 @@ class _PortAndModeWriter:
         return f"\n* Mode {at + 1}, at the defaults: {describe_mode(omega[0], damp)}{branch}"
 
     def _write_mode(self, i: int) -> Iterator[Line]:
-        """Yield the elements of one mode, and the sources of its charge at the electrodes."""
+        """Yield the elements of one mode, and sources of the charges that it causes."""
         base, damped = self.base, self.model.damped
         c, w, s = self.farad[i - 1], self.omega[i - 1], self.scale[i - 1]
         yield Element.from_words(f"Cq{i}", f"q{i}", base, c)

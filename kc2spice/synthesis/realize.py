@@ -432,7 +432,7 @@ def _add_noise_forces(rom: LinearModel) -> LinearModel:
 def make_unit_load_cards(
     model: LinearModel, library: Subcircuit, load: Port, tag: str = ""
 ) -> tuple[list[Element], dict[str, tuple[str, float]]]:
-    """Return cards of a subcircuit with a unit load at a port, and response vectors.
+    """Return a subcircuit's cards with one unit load, and its response vectors.
 
     The response vectors are keyed by port. Each response vector consists of the name of an ngspice
     vector and of the factor that converts the vector to SI units. As in

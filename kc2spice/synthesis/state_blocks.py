@@ -143,7 +143,7 @@ def _write_output_cards(t: PortTerminal, index: int, base: str) -> Iterator[Line
 def _balance_block(
     block: np.ndarray, drive: np.ndarray, omega: float
 ) -> tuple[np.ndarray, bool, np.ndarray]:
-    """Scale the states of a block; return the block, integrator flag and scales.
+    """Scale the states of a block; return block, whether it integrates, and scales.
 
     The block of a complex pair of poles becomes ``[[a, w], [-w, a]]``. The scaled states are about
     1 for a constant input of 1. ``drive`` contains the rows of B for the states of the block, and

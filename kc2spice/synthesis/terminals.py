@@ -382,7 +382,7 @@ def list_port_domains(ports: Iterable[Port]) -> list[Domain]:
 
 @dataclass(frozen=True, eq=False)
 class OutputSourceWriter:
-    """Writer of the sources that make the outputs of a state-space model.
+    """Writer of the controlled sources that produce a state-space model's outputs.
 
     The outputs are ``y = C z + D u``. At an electrical port without a clamped capacitance, the
     sources provide the current ``y' = C A z + C B u``. At an acceleration port, the sources provide

@@ -104,10 +104,11 @@ class _TimedRun:
 
 
 class _SettingSearch:
-    """Search for fast and accurate combinations of settings, with all runs of a scene.
+    """Search for fast and accurate combinations of the numerical settings of a scene.
 
-    The runs are keyed by the labels of their settings. ``names`` are the metrics whose errors are
-    compared.
+    Each combination of settings is one run of the scene. ``points`` contains the successful runs,
+    and ``failed`` contains the failed runs. Both are keyed by a label that lists the settings of
+    the run. ``names`` are the metrics whose errors are compared.
     """
 
     def __init__(self, run: Run) -> None:
@@ -136,11 +137,11 @@ class _SettingSearch:
 
     @cached_property
     def errors_of_finest_settings(self) -> Errors:
-        """Error of each metric due to settings that have their finest value in all runs."""
+        """Error of each metric due to the settings that cannot be refined further."""
         return refine.estimate_by_coarser_runs(self.runs, {}, self.finest, self.names)
 
     def estimate_error(self) -> dict[str, Any] | None:
-        """Estimate the errors of the unchanged scene, including its meshes and tables."""
+        """Estimate the errors of the scene with unchanged settings, meshes and tables."""
         result = refine.estimate_errors(self.runs, {})
         if result is None:
             return None
@@ -266,7 +267,7 @@ class _SettingSearch:
                     )
 
     def measure_times(self, repeats: int, progress: Progress) -> None:
-        """Repeat the runs of all but the slow combinations, to measure CPU times."""
+        """Measure the CPU times of all but the slow combinations by repeated runs."""
         longest = SLOW_TIME_RATIO * self.points[_describe_settings({})].median_time
         repeated = [point for point in self.points.values() if point.median_time <= longest]
         for turn in range(1, repeats):
@@ -362,7 +363,7 @@ def bench(
 
 
 def _select_metrics(run: Run, names: Sequence[str]) -> tuple[str, ...]:
-    """Return the metrics of a run that the user names, directly or by group.
+    """Return the metrics with the given names or prefixes; by default, all scalars.
 
     Without ``names``, the result is all metrics that are single numbers, or all curves if no metric
     is a single number.

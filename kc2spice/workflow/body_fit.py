@@ -136,7 +136,7 @@ class BodyFit:
         return model
 
     def name_scene_keys(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Return values of the part's keys, keyed by their dotted names in the scene."""
+        """Rename keys of the part to their dotted names in the scene; keep the values."""
         return {f"{self.part}.{key}": value for key, value in values.items()}
 
     def compute_full_admittance(self, values: Mapping[str, float]) -> np.ndarray:
@@ -213,7 +213,7 @@ class BodyFit:
     def compute_lossy_admittance(
         self, charge: np.ndarray, clamped: float, values: Mapping[str, float]
     ) -> np.ndarray:
-        """Return the admittance [S] with dielectric loss, from a charge without loss.
+        """Add dielectric loss to a ``charge`` without loss; return the admittance [S].
 
         ``charge`` is the charge per volt [C/V] at :attr:`frequencies`.
         """
@@ -281,7 +281,7 @@ class BodyFit:
     def reduce(
         self, parameter_axes: ParameterAxes, degree: int | None = None
     ) -> DenseParametricModel:
-        """Return a reduced model that is valid in parameter ranges of the keys."""
+        """Return a reduced model that is valid in ranges of the varied keys."""
         constant = {LOSS_TANGENT_KEY}
         if self.damping.model == "ieee176":
             constant |= LOSS_FACTORS.keys()

@@ -105,7 +105,7 @@ def require_impedance(scene: Scene, part: str) -> None:
 
 
 def _find_network(scene: Scene, part: str) -> Network:
-    """Return the network that contains the voltage and the current of the part."""
+    """Return the network of equations that determines a part's voltage and current."""
     kind = scene.get_part(part, where=part).type.name
     laws = get_scene_laws(build_models(scene, StageTimer()))
     needed = {f"{part}.v", f"{part}.i"}
@@ -157,7 +157,7 @@ class CircuitFit:
         return dict(zip(map(attrgetter("key"), self.keys), values.tolist(), strict=True))
 
     def name_scene_keys(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Return values of the part's keys, keyed by their dotted names in the scene."""
+        """Rename keys of the part to their dotted names in the scene; keep the values."""
         return {f"{self.part}.{key}": value for key, value in values.items()}
 
     def admittance(self, curve: MeasuredCurve, values: Mapping[str, float]) -> np.ndarray:
@@ -217,7 +217,7 @@ class CircuitFit:
 
 
 def fit_circuit(problem: CircuitFit, where: str) -> dict[str, Any]:
-    """Fit the keys, and return the content of ``fit --json`` and the responses.
+    """Fit the keys; return the content of ``fit --json``, and the responses in it.
 
     The entry ``responses`` contains the admittances of each curve before and after the fit.
 

@@ -89,7 +89,7 @@ class Descent:
         )
 
     def compute_log_ratio(self, Y: np.ndarray) -> np.ndarray:
-        """Return log(Y / measured admittance), divided by the noise, as a real array.
+        """Return the noise-weighted real and imaginary parts of log(Y / measured Y).
 
         The real parts come before the imaginary parts.
         """
@@ -143,7 +143,7 @@ def run_descents(descent: Descent) -> list[DescentResult]:
 
 
 def _correct_end(descent: Descent, end: DescentResult) -> DescentResult | None:
-    """Correct the result of a descent by the residual of the full model.
+    """Correct the result of a descent with the full model; None without convergence.
 
     Each correction step uses the derivatives of the reduced model. The steps end when a step
     changes every combination of keys by less than :data:`CONVERGED_CHANGE` of its standard error.

@@ -239,7 +239,7 @@ def _search_larger_order(
 
 
 def _estimate_time_ratio(model: LinearModel, larger: LinearModel) -> float:
-    """Estimate the CPU time of a run with a larger model, relative to the present one.
+    """Estimate the factor by which a larger model increases the CPU time of a run.
 
     The CPU time is proportional to the time per point and to the highest natural frequency of modes
     with inertia, which the time steps resolve.

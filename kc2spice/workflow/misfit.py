@@ -138,7 +138,7 @@ def find_likely_cause(
 
 
 def _compute_residual_with_cause(J: np.ndarray, residuals: np.ndarray, cause: np.ndarray) -> float:
-    """Return the sum of squared residuals after a cause of misfit is also fitted."""
+    """Return the sum of squared residuals if a fit also includes a cause of misfit."""
     column = np.concatenate([cause.real, cause.imag])
     Q, _ = np.linalg.qr(J)
     column = column - Q @ (Q.T @ column)

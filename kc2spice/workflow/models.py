@@ -107,7 +107,7 @@ def _list_netlist_texts(part: Part, build: BuiltScene, header: Header) -> tuple[
 
 
 def _name_libraries(build: BuiltScene) -> dict[str, str]:
-    """Give each different subcircuit its own library name; return names by part.
+    """Return the library name of each part, with one name per different subcircuit.
 
     Bodies with the same catalogue part number may have different subcircuits, for example with
     different ports. The first subcircuit has the part number as its name; the others are named
@@ -132,7 +132,7 @@ def _name_libraries(build: BuiltScene) -> dict[str, str]:
 
 
 def list_model_values(build: BuiltScene) -> dict[str, dict[str, float]]:
-    """Return ``model`` of ``result.json``: numbers that describe each part's model."""
+    """Return the table ``model`` of ``result.json``: numbers about each part's model."""
     result = {}
     for part in build.scene.parts.values():
         if facts := build.get_model_values(part):

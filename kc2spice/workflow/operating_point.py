@@ -34,7 +34,7 @@ class OperatingPoint:
     waves: Waveforms | None = None
 
     def list_checks(self, build: BuiltScene, waves: Waveforms) -> tuple[Check, ...]:
-        """Return the checks of the point, and of the ac amplitudes ``waves`` about the point.
+        """Return the checks of the operating point, and of ac amplitudes ``waves``.
 
         Checks that the scene turns off are left out.
         """

@@ -129,13 +129,14 @@ class RefinedRuns:
         return MAX_MESH_UNKNOWNS, MEMORY_SHARE * find_available_bytes()
 
     def require_mesh_size(self, steps: RefinementSteps) -> None:
-        """Reject refined meshes with too many unknowns or too much memory.
+        """Raise an error if a refined mesh would exceed the size limits.
 
-        The limits are :attr:`mesh_limits`.
+        The limits of unknowns and memory are :attr:`mesh_limits`. The size of each mesh is
+        estimated from ``steps``, the refinement steps of the settings.
 
         Raises
         ------
-        UsageError : the mesh needs too many unknowns or too much memory.
+        UsageError : a refined mesh has too many unknowns or needs too much memory.
         """
         for setting in self.refinable:
             part = self._find_body_of_setting(setting)
@@ -409,7 +410,7 @@ def converge_to_budget(start: Run, clock: StageTimer) -> ConvergedRun | None:
 
 
 def _explain_finest_mesh(runs: RefinedRuns, now: RunEstimate) -> str:
-    """Return the reason why meshes with an error above the budget are not refined."""
+    """Explain why no finer mesh can reduce an error estimate above the budget."""
     if (large := runs.refused) is None:
         return f"{', '.join(now.unmoved)} cannot be refined"
     return f"{large.where}: {large.message}: {large.got}, {large.expected}"
@@ -446,7 +447,7 @@ def estimate_errors(runs: RefinedRuns, steps: RefinementSteps) -> RunEstimate | 
 def estimate_by_coarser_runs(
     runs: RefinedRuns, steps: RefinementSteps, unmoved: Sequence[str], metrics: Iterable[str]
 ) -> dict[str, float]:
-    """Estimate the metric errors of settings at their finest value, by coarser runs.
+    """Estimate the metric errors of settings that cannot be refined, by coarser runs.
 
     ``unmoved`` are the settings. The estimate is the larger of two values: the error estimate of a
     body's mesh, and the change of the metric due to a coarser setting. A refinement step at least

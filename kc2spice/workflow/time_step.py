@@ -374,7 +374,7 @@ def _make_step_check(name: str, largest: tuple[float, float, str]) -> Check:
 
 
 def _has_unmodelled_neighbour(build: BuiltScene, network: Network, missing: Sequence[str]) -> bool:
-    """Return whether a part without equations is joined to a network."""
+    """Return whether a network is joined to a part that has no equations."""
     parts, scene = set(map(get_law_name, network.law_names)), build.scene
     for name, pin in scene.nets:
         if name in parts and not set(missing).isdisjoint(dict(scene.list_joined_pins(name, pin))):

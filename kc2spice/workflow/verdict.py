@@ -62,7 +62,7 @@ def form_verdict(waves: Waveforms, build: BuiltScene) -> Verdict:
 
 
 def add_undecided_warnings(checks: Sequence[Check]) -> Iterator[Check]:
-    """Yield all checks, and a warning for each check whose outcome is undecided.
+    """Yield all checks, with a warning or advice for each undecided outcome.
 
     A relative error e of the launch velocity v changes the height of a flight, v^2 / 2 g, by the
     relative amount 2 e. An outcome is undecided if the distance of the motion from its limit is

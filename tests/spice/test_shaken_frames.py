@@ -177,7 +177,7 @@ REFUSED = {
             "k": {"part": "spring", "stiffness": 10.0},
             "sensor": {"part": "sensor", "pins": {"of": "beam.tip", "ref": "own.a"}},
         },
-        "compares displacements in different frames",
+        "have different frames of reference",
         "gnd",
     ),
 }

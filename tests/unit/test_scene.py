@@ -145,8 +145,8 @@ def test_errors_in_a_file_give_the_line(scene_file):
             "[kick]\n[contact]\n[sphere]\n[control]\n",
             "key catch: control needs a part that the scene does not have",
         ),
-        ("[sphere]\n[contact]\n", "key contact.a: contact does not state which part it touches"),
-        ("[kick]\n[contact]\n", "key contact.b: contact does not state which part it touches"),
+        ("[sphere]\n[contact]\n", "key contact.a: the scene has no body with a flat surface"),
+        ("[kick]\n[contact]\n", "key contact.b: the scene has no sphere that contact can touch"),
         ("[kick]\n[sphere]\n", "key contact: nothing touches the sphere"),
         ("[harmonic]\n", "key harmonic.of: harmonic does not state which piezo_stack it loads"),
         (

@@ -154,7 +154,7 @@ def read_any_model(
 def _assemble_at(
     rows: LabelledMatrices, terms: list[AffineTerm], values: Mapping[str, float]
 ) -> LinearModel:
-    """Return the full-order model for the given values of its parameters.
+    """Assemble the full-order model for the given values of its parameters.
 
     Each matrix of the model is the sum of its constant part and its terms.
     """

@@ -101,7 +101,7 @@ _IMAGINARY = r"(im|img|imag|imaginary|imagpart)"
 
 
 def _make_affix_pattern(of: str, word: str) -> str:
-    """Return a regular expression of a quantity letter with a word before or after.
+    """Return a regular expression of a quantity letter beside a word, in either order.
 
     The letter is a quantity and the word is a part of the quantity, as in ``magz`` and ``zmag``.
     ``of`` is the letter and ``word`` is the regular expression of the word.

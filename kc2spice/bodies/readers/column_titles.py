@@ -250,7 +250,7 @@ def find_complex_quantity(text: str) -> tuple[Quantity, float] | None:
 
 
 def _split_unit(title: str) -> Iterator[tuple[str, str | None]]:
-    """Yield all possible divisions of a title into words and a unit.
+    """Yield each possible division of a title into words and a unit.
 
     The unit is None if all parts of the title are words.
     """

@@ -189,7 +189,7 @@ def _replace_titles(titles: Sequence[str], comments: Sequence[str]) -> tuple[str
 
 @dataclass(frozen=True, eq=False)
 class _ColumnPair(EqualByContent):
-    """Frequency response computed from a pair of columns."""
+    """Pair of columns, and the frequency response that both determine."""
 
     combination: ColumnCombination
     columns: tuple[Column, ...]
@@ -263,7 +263,7 @@ def combine_response(
 
 
 def _require_one_sweep(f: np.ndarray) -> None:
-    """Raise an error if the nonzero frequencies of a table are not sorted.
+    """Reject a table of several sweeps, or with unsorted nonzero frequencies.
 
     Sorted frequencies either all increase or all decrease.
 
@@ -379,7 +379,7 @@ def _make_half_impedance_error(titles: Sequence[str], columns: ClassifiedColumns
 
 
 def _select_agreeing_column(quantity: str, candidates: Sequence[Column]) -> Column:
-    """Return the first of several columns of one quantity, and check that all agree.
+    """Return the first of several columns of a quantity; reject columns that differ.
 
     Raises
     ------
@@ -486,7 +486,7 @@ def _compute_admittance(reading: _ColumnPair) -> np.ndarray:
 
 
 def _convert_gain(gain: np.ndarray, shunt: float) -> tuple[np.ndarray, float, str]:
-    """Convert a voltage gain through a shunt resistor to a reflection coefficient.
+    """Convert a gain (shunt voltage per source voltage) to a reflection coefficient.
 
     Return the reflection, its reference resistance [Ohm], and a note about the gain.
     """

@@ -528,7 +528,7 @@ def _assemble_piezoelectric(rows: LabelledMatrices) -> LinearModel:
 def _split_loss(
     rows: LabelledMatrices, K: Matrix, potential: np.ndarray
 ) -> tuple[Matrix, sparse.csc_array | None]:
-    """Split a complex stiffness matrix K into its real part and its imaginary part.
+    """Split the structural loss (imaginary part) off a complex stiffness matrix K.
 
     The imaginary part is the structural damping of the displacements; the returned imaginary part
     is None for a real K. ``potential`` is a mask of the rows of potentials.

@@ -132,7 +132,7 @@ class MeasuredAdmittance(EqualByContent):
 
     @property
     def noise(self) -> float:
-        """Median of the noise in the entries of Y, relative to their magnitudes.
+        """Median of the relative noise of all nonzero entries of the admittance Y.
 
         The noise is a standard deviation relative to the magnitude of each entry of Y.
         """
@@ -318,7 +318,7 @@ def _reject_shunt(shunt: float | None, content: str) -> None:
 
 
 def _reject_open_circuits(data: MeasuredAdmittance) -> None:
-    """Reject a response whose admittance is zero.
+    """Reject a response with an open circuit, that is with zero admittance.
 
     A fit divides errors by the admittance. For a part with one port, errors are divided by the
     admittance at each frequency. For a part with several ports, errors are divided by the largest

@@ -103,7 +103,7 @@ def read_abaqus(files: dict[str, Path]) -> raw_matrices.RawMatrices:
 
 
 def add_structural_loss(matrices: Mapping[str, Any]) -> dict[str, Any]:
-    """Replace K by ``K + j H`` if there is a structural damping matrix H.
+    """Add a structural damping matrix H to the stiffness as ``K + j H``, if H exists.
 
     H is the structural damping matrix. The returned mapping does not contain the matrix H.
 
@@ -193,7 +193,7 @@ def _parse_dofs(data: bytes) -> raw_matrices.Dofs:
 
 
 def _parse_triangle(data: bytes, n: int) -> sparse.csc_array:
-    """Parse a symmetric matrix, of which a CalculiX file contains one triangle.
+    """Parse a symmetric matrix from a CalculiX file, which stores only one triangle.
 
     The file contains one triangle of the matrix.
     """
@@ -468,7 +468,7 @@ def _parse_dmig(data: bytes) -> tuple[dict[str, int], dict[str, raw_matrices.Tri
 
 
 def _make_value_converter(kind: int, polar: bool, name: str) -> Callable[[str, str], complex]:
-    """Return a function that converts two DMIG fields to a number.
+    """Return a function that converts the two fields of a DMIG value to one number.
 
     The two fields are the value of a matrix entry on a DMIG card. In a real matrix, the first field
     is the value. In a complex matrix, the fields are real and imaginary part, or magnitude and

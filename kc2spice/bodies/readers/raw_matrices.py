@@ -139,7 +139,7 @@ def limit_unpacked_bytes(path: Path) -> int:
 
 
 def parse_file(path: Path, expected: str, parse: Callable[[bytes], T]) -> T:
-    """Parse the bytes in a text file, and convert exceptions to errors about the file.
+    """Read a file and parse its bytes; convert exceptions to errors about the file.
 
     A UTF-8 byte order mark is removed from the bytes. Exceptions of ``parse`` are converted by
     :func:`call_reader`.
@@ -301,7 +301,7 @@ class RawMatrices:
 
 
 def compute_row_keys(table: np.ndarray) -> Triple:
-    """Compute one integer key for the row and one for the column of each matrix entry.
+    """Return an integer key of the row and of the column of each entry, and its value.
 
     ``table`` contains a line (node, dof, node, dof, value) for each entry. A ``dof`` is the number
     of a degree of freedom. Return the row keys, the column keys and the values.
@@ -314,11 +314,12 @@ def compute_row_keys(table: np.ndarray) -> Triple:
 def make_matrices_by_letter(
     triples: Mapping[str, Triple],
 ) -> tuple[dict[str, sparse.csc_array], Dofs]:
-    """Make sparse matrices with common rows from the keys and values of their entries.
+    """Make a sparse matrix for each letter, such as M or K, from lists of entries.
 
-    ``triples`` contains results of :func:`compute_row_keys`, keyed by letter. Return the matrices,
-    keyed by letter, and the node and degree of freedom of each row. Rows are sorted by node, then
-    by degree of freedom. Nodes and degrees of freedom without entries have no rows.
+    ``triples`` contains the entries of each matrix as returned by :func:`compute_row_keys`, keyed
+    by letter. Return the matrices, keyed by letter, and the node and degree of freedom of each row.
+    The rows of all matrices are in the same order. Rows are sorted by node, then by degree of
+    freedom. Nodes and degrees of freedom without entries have no rows.
     """
     rows, columns, _ = zip(*triples.values(), strict=True)
     keys = np.unique(np.concatenate([*rows, *columns]))
@@ -331,7 +332,7 @@ def make_matrices_by_letter(
 
 
 def complete_triangles(matrix: sparse.csc_array) -> sparse.csc_array:
-    """Mirror the entries of a symmetric matrix that stores one entry of each pair.
+    """Complete a symmetric matrix of which one entry of each mirrored pair is stored.
 
     The entry of a pair may be above or below the diagonal. A matrix that contains both entries of
     any pair is returned unchanged.
@@ -599,7 +600,7 @@ def _select_fields(value: Any, name: str) -> dict[str, Any]:
     fields = {key: value[0, 0][key] for key in value.dtype.names}
 
     def select_matrices(table: Mapping[str, tuple[str, ...]]) -> dict[str, Any]:
-        """Return the fields of the struct that a table of names assigns to matrix letters."""
+        """Select a struct field for each matrix letter by the field names in a table."""
         matrices = {}
         for letter, names in table.items():
             for first in filter(fields.__contains__, names):

@@ -335,7 +335,7 @@ class PortEntry(NodeSelection):
 
     @property
     def weights(self) -> dict[int, float]:
-        """Fraction of the port's force per degree of freedom, keyed by its number."""
+        """Shares of the degrees of freedom in the port's force, keyed by their numbers."""
         if self.dof is not None:
             return {self.dof: 1.0}
         if self.kind in SCALAR_DOFS:
@@ -345,12 +345,12 @@ class PortEntry(NodeSelection):
 
     @property
     def port(self) -> Port:
-        """Port of the linear model that this table defines."""
+        """Port that this table defines, as a port of the linear model."""
         return Port(self.name, self.kind, across=self.unit, pins=self.pins)
 
 
 def _advise_damping(keys: set[str]) -> str:
-    """Return a hint that corrects an incomplete or contradictory damping table.
+    """Return a hint how to correct an incomplete or contradictory damping table.
 
     ``keys`` are the keys in the table.
     """
@@ -377,7 +377,7 @@ class MatrixDamping(Section):
     @field_validator("ratio", "at", mode="before")
     @classmethod
     def _reject_two_ratios(cls, value: object) -> object:
-        """Reject a list, such as the two damping ratios that a meshed body accepts."""
+        """Reject a list of damping ratios; a matrix model accepts one ratio only."""
         if isinstance(value, list):
             raise make_invalid_value_error(
                 "matrix files accept only one damping ratio at one frequency",

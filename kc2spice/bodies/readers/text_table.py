@@ -341,7 +341,7 @@ def _split_titles(line: str, separator: str | None, columns: int, index: bool) -
 
 
 def _find_format(above: list[str]) -> str:
-    """Find the quantity in the last ``FORMAT`` line above a table, such as ``|Z|``.
+    """Find the quantity, such as ``|Z|``, in the last ``FORMAT`` line above a table.
 
     An example of a ``FORMAT`` line is ``FORMAT: |Z|``. Return an empty string if there is no
     ``FORMAT`` line.
@@ -376,7 +376,7 @@ def _find_last_match(pattern: re.Pattern[str], lines: list[str]) -> str:
 def _apply_format(
     titles: tuple[str, ...], numbers: list[np.ndarray], stated: str
 ) -> tuple[tuple[str, ...], list[np.ndarray], list[str]]:
-    """Rename the trace columns of a table according to its ``FORMAT`` line.
+    """Rename the trace columns of a table by the quantity in its ``FORMAT`` line.
 
     ``stated`` is the quantity in the ``FORMAT`` line. If the quantity is real, the second column of
     the trace must be zero. If the quantity is |Z| or |Y|, the second column may be the phase.

@@ -114,7 +114,7 @@ def parse_touchstone(text: str, ports: int) -> MeasuredResponse:
 
 
 def _fill_triangle(entries: np.ndarray, n: int, lower: bool) -> np.ndarray:
-    """Return symmetric matrices whose one triangle is filled with the given entries.
+    """Make symmetric matrices from the entries of one triangle of each matrix.
 
     ``entries`` contains the triangle of each of the m matrices, row by row: the lower triangle if
     ``lower`` is true, otherwise the upper triangle. The returned array of m matrices has the shape

@@ -120,7 +120,7 @@ class Dialect(Printer, ABC):
 
     @cached_property
     def analysis(self) -> Directive:
-        """Analysis card of the deck; without a deck, a transient from initial states."""
+        """Analysis card of the deck; without one, a ``.tran`` card with ``uic``."""
         items = self.deck.trees[self.deck.main_file_name].items if self.deck else ()
         analyses = (card for card in select_items(items, Directive) if card.keyword in ANALYSES)
         transient = Directive(".tran", ("uic",))
@@ -141,7 +141,7 @@ class Dialect(Printer, ABC):
         return super().format_file(circuit)
 
     def format_cards(self, items: Sequence[Item]) -> Iterator[str]:
-        """Yield the text of each card, with certain commands merged into one card.
+        """Yield the text of each card; all cards of a command in ``joined`` become one.
 
         The attribute ``joined`` contains the keywords of these commands.
         """
@@ -178,7 +178,7 @@ class Dialect(Printer, ABC):
         raise self.make_unsupported_error(item.text, f"the command {item.keyword}")
 
     def _require_text(self, item: Item, text: str) -> str:
-        """Return the text of a card; raise an error if a subclass returned no text."""
+        """Return ``text``; raise an error if it is not the nonempty text of a card."""
         method = "format_element" if isinstance(item, Element) else "format_model"
         if isinstance(item, Element | ModelCard) and (
             not isinstance(text, str) or not text.strip()
@@ -227,7 +227,7 @@ class Dialect(Printer, ABC):
         return " ".join((self.measure_keyword, kind.upper(), name, *read))
 
     def format_measured_quantity(self, text: str, kind: str) -> str:
-        """Return the expression of the real quantity that a measurement reads.
+        """Return the expression of a measured quantity; in ac, a magnitude or real part.
 
         In an ``ac`` analysis, the quantity is the magnitude of a voltage or the real part of a
         current.
@@ -278,7 +278,7 @@ class Dialect(Printer, ABC):
         return super().format_element(part)
 
     def _known_parameters(self, part: Element, known: set[str]) -> dict[str, str]:
-        """Return the parameters of an element, except parameters for a noise analysis."""
+        """Return the parameters of an element except noise settings; reject unknown ones."""
         result = {}
         for key, value in part.parameters.items():
             if key.lower() in _NOISE_PARAMETERS:
@@ -368,10 +368,12 @@ class Dialect(Printer, ABC):
             # ``pwl`` extrapolates beyond its points, but ``table`` does not
             if len(values) % 2 or not flat:
                 raise UsageError(
-                    f"{self.title} cannot extrapolate a table with a slope",
+                    f"a pwl() that is not constant at both ends has no equivalent in {self.title}",
                     where=self.where,
-                    got="a pwl() with a slope in the first or last segment",
-                    expected="two equal values at each end of the table",
+                    got="different values in the first or in the last two points of the pwl()",
+                    expected="equal values in the first two points, and in the last two points",
+                    hint="add a point with an equal value before the first point and after the "
+                    "last point",
                 )
             head, *pairs = map(self.write_tree, arguments)
             rows = [f"\n+ {x},{y}" for x, y in zip(pairs[::2], pairs[1::2], strict=True)]
@@ -385,7 +387,7 @@ class Dialect(Printer, ABC):
         return super().write_call(spelled, arguments)
 
     def format_condition(self, tree: Tree) -> str:
-        """Return a condition that is true for nonzero numbers, as in ngspice."""
+        """Return a condition in which any nonzero number is true, as in ngspice."""
         if isinstance(tree, BinaryOperation) and tree.op in _COMPARISON_OPERATORS:
             return super().write_tree(tree)
         return f"{self.write_tree(_convert_condition(tree), 3)}>0.5"

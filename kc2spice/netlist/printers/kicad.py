@@ -106,7 +106,7 @@ def draw_part_symbol(part: Subcircuit) -> Symbol:
 
 
 def make_element_symbols() -> dict[str, Symbol]:
-    """Return symbols of elements, keyed by letter, and of marks such as ``GND``.
+    """Return the symbols of elements, and of marks such as ``GND``, keyed by letter.
 
     The text fields contain the values in netlist syntax with all digits (``Sim.Device`` is
     ``SPICE``).
@@ -243,7 +243,7 @@ def _list_simulation_commands(top: Scope) -> Iterator[str]:
 
 
 def _remove_repeated_symbols(symbols: Iterable[Symbol]) -> list[Symbol]:
-    """Remove each symbol that has the same name as a later symbol."""
+    """Return symbols with unique names; the last symbol with each name is kept."""
     return list({symbol.name: symbol for symbol in symbols}.values())
 
 
@@ -253,7 +253,7 @@ def _add_reference_number(name: str) -> str:
 
 
 def _rename_source(word: str, references: Mapping[str, str]) -> str:
-    """Return a word of a command with KiCad references instead of names in the deck."""
+    """Return a command word in which names are replaced by KiCad references."""
     if word.lower() in references:
         return references[word.lower()]
     head, dot, rest = word.partition(".")
@@ -304,7 +304,7 @@ def _shorten_value(value: str) -> str:
 
 
 def _reserve_room(symbol: Symbol, fields: dict[str, str], nets: tuple[str, ...]) -> _PlacedSymbol:
-    """Return a symbol for the sheet with the space that its pins and texts need."""
+    """Return a placed symbol that reserves the space for its pins and texts."""
     room = {"left": 1, "right": 1, "top": 1, "bottom": 1}
     for place, net in zip(symbol.places, nets, strict=True):
         label = _compute_label_length(net) + (len(nets) if place.side in ("left", "right") else 0)
@@ -397,7 +397,7 @@ class _Track:
 def _list_channel_ends(
     row: Iterable[_PlacedSymbol], upwards: bool
 ) -> list[tuple[int, int, str, str]]:
-    """Return the pin ends that lead to the wiring channel above or below a row."""
+    """Return the pin ends of a row that lead to the channel above or below the row."""
     return [end for end in _list_pin_ends(row) if (end[2] == "top") == upwards]
 
 
@@ -429,7 +429,7 @@ def _assign_tracks(row: Iterable[_PlacedSymbol], y: int, upwards: bool) -> list[
 
 
 def _choose_columns(item: _PlacedSymbol, shared: Container[str]) -> dict[tuple[int, int], int]:
-    """Return the column of each pin end of a symbol, keyed by position.
+    """Return the wiring column of each pin end of a symbol, keyed by its position.
 
     On each side, the column of the lowest pin is next to the symbol. The column of each higher pin
     is outside of the columns and labels of all lower pins.

@@ -90,7 +90,7 @@ def _find_last_between(places: Sequence[int], low: int, high: int) -> int:
 
 
 def _list_possible_ends(line: str) -> tuple[list[int], ...]:
-    """Return groups of positions at which a line may end, in order of preference.
+    """Return possible positions of a line end, in groups in order of preference.
 
     The groups are: blanks between words, blanks inside brackets, plus and minus signs, and product
     operators or commas.

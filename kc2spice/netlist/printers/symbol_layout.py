@@ -74,7 +74,7 @@ def _find_longest_name_length(pins: list[tuple[int, Pin]]) -> int:
 
 
 def _find_sensed_nodes(scope: Scope | None) -> set[str]:
-    """Return the nodes whose voltage is sensed, and which carry no current."""
+    """Return the nodes that carry no current, but whose voltage is sensed."""
     sensed: set[str] = set()
     loaded: set[str] = set()
     for item in scope.elements if scope else ():

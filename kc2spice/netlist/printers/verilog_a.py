@@ -83,7 +83,7 @@ _SWITCH_DEFAULTS = {"vt": "0.0", "vh": "0.0", "ron": "1.0", "roff": "1e12"}
 
 @dataclass
 class Module:
-    """Collection of the declarations and statements of a Verilog-A module."""
+    """Declarations and statements of a Verilog-A module."""
 
     declarations: list[str] = field(default_factory=list)
     functions: list[str] = field(default_factory=list)
@@ -341,7 +341,7 @@ def _add_contribution(part: Element, names: VerilogWriter) -> None:
 
 
 def _write_element_contribution(part: Element, names: VerilogWriter, across: str) -> str:
-    """Return the contribution of an element whose card has no expression."""
+    """Return the contribution text of an element whose card has no expression."""
     current = f"I({names.name_branch(part.name)})"
     match part.kind:
         case "r":
@@ -391,7 +391,7 @@ def _read_card_value(part: Element, names: VerilogWriter) -> str:
 
 
 def _read_constant_value(part: Element, names: VerilogWriter) -> str:
-    """Return the value of a constant source; a waveform of zeros is also constant."""
+    """Return the value of a constant source, or zero for a waveform of zeros."""
     words = [w for w in part.values if w.lower() != "dc"]
     if len(words) == 1 and "(" not in words[0].partition("{")[0]:
         return names.format_word(words[0])
@@ -420,7 +420,7 @@ def _write_switch_resistance(part: Element, names: VerilogWriter) -> str:
 
 
 def _couple_inductors(part: Element, names: VerilogWriter) -> list[str]:
-    """Return the statements for the voltages that a K element induces."""
+    """Return the statements for the voltages that a coupling (``K`` card) induces."""
     inductors = names.scope.select_elements("l")
     coils = list(filter(None, map(inductors.get, map(str.lower, part.sources))))
     if len(coils) != 2:
@@ -437,7 +437,7 @@ def _write_table_function(name: str, x: list[float], f: list[float]) -> str:
     lines = [f"  analog function real {name};", "    input x;", "    real x;", "    begin"]
 
     def append_search(low: int, high: int, indent: str) -> None:
-        """Append the statements of a binary search among the points from low to high."""
+        """Append statements that search for ``x`` among the points ``low`` to ``high``."""
         if high - low == 1:
             slope = (f[high] - f[low]) / (x[high] - x[low])
             value, start = format_number(f[low]), format_number(x[low])
@@ -489,7 +489,7 @@ def make_testbench(deck: Deck, modules: Collection[Subcircuit]) -> dict[str, str
 
 
 def _replace_instance(item: Item, stems: Mapping[str, str], replaced: Collection[str]) -> Item:
-    """Return an item of a deck with modules instead of subcircuits.
+    """Return a deck item that is adapted to modules instead of subcircuits.
 
     The card of a module's instance is an N card with a ``.model`` card that contains the
     parameters. A card without an equivalent is replaced by an empty card.

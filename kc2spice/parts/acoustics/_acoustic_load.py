@@ -73,7 +73,7 @@ class AcousticLoad:
         return {"faces": list(self.faces), "branches": branches, "sources": sources}
 
     def compute_load_response(self, frequency: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Compute impedances and sound pressures per unit volume velocity [Pa s/m3].
+        """Compute face impedances and sound pressures per volume velocity [Pa s/m3].
 
         The impedances are pressures at the faces, an array of shape (frequencies, faces, faces).
         Each sound pressure is the sum over all sources at the reference distance; the array has the

@@ -126,7 +126,7 @@ class AcousticPart(PartType[FluidKeysT]):
         """Return the acoustic network of the part."""
 
     def list_end_pins(self, part: Part[FluidKeysT]) -> tuple[str, ...]:
-        """Return all pressure pins except ``ambient``, the pin with an ammeter first."""
+        """Return the pressure pins except ``ambient``, beginning with the metered pin."""
         return ("a",)
 
     def steady_flow_paths(self, part: Part[FluidKeysT]) -> tuple[tuple[str, str], ...]:
@@ -181,7 +181,7 @@ class AcousticPart(PartType[FluidKeysT]):
     def _write_items(
         self, part: Part[FluidKeysT], network: AcousticNetwork, *, noisy: bool
     ) -> Iterator[Item | str]:
-        """Yield the cards of a network: constants, ammeter, elements and noise."""
+        """Yield the cards of a network: constants, ammeter, elements and optional noise."""
         for name, text in network.constants.items():
             yield Parameters({name: f"{{{text}}}"})
         yield "* volume velocity into the part"
@@ -234,7 +234,7 @@ class AcousticPart(PartType[FluidKeysT]):
     def list_flows_from_node(
         self, part: Part[FluidKeysT], network: AcousticNetwork, node: str
     ) -> tuple[tuple[float, str], ...]:
-        """Return the volume velocities that flow from ``node`` into acoustic elements.
+        """Return sign and name of each element's volume velocity out of ``node``.
 
         Each entry contains a sign and the waveform name of an element's volume velocity.
         """

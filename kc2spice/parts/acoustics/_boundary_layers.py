@@ -81,7 +81,7 @@ def evaluate_layer(layer: BoundaryLayer, q: np.ndarray) -> np.ndarray:
 def fit_boundary_layer(
     layer: BoundaryLayer, low: float, high: float, per_decade: int
 ) -> RelaxationSum:
-    """Fit a sum of relaxations to one of the functions flow(q), heat(q) and layer(q).
+    """Fit a sum of relaxation terms to a boundary-layer function in a frequency band.
 
     The text at the top of this module defines the three boundary-layer functions.
 

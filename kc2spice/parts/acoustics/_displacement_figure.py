@@ -68,6 +68,6 @@ def plot_displacements(
 
 
 def _find_peak(x: np.ndarray, sizes: Mapping[str, np.ndarray]) -> float:
-    """Return the time or frequency of the largest displacement, rounded for a title."""
+    """Return where (time or frequency) the largest displacement occurs, rounded."""
     largest = np.nanmax(list(sizes.values()), axis=0)
     return float(f"{x[int(np.nanargmax(largest))]:.{PLACE_DIGITS}g}")

@@ -184,7 +184,7 @@ class DuctLaw(Device):
     def compute_noise_weights(
         self, s: complex, e: np.ndarray, mode: Any
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the noise sources: pressures in channels, and flows into relaxations."""
+        """Return the weights of thermal noise from channel friction and from relaxations."""
         ends, channels = len(self.ends), len(self.channels)
         sources = channels + len(self.walls)
         out = np.zeros((ends + self._storage_coefficients.size, sources))

@@ -39,7 +39,7 @@ def get_baffled_radius(keys: RadiationKeys) -> float:
 
 
 def compute_edge_delay(keys: RadiationKeys, angle: float) -> float:
-    """Return how much earlier [s] sound arrives from a piston's edge than its centre.
+    """Return by how much time [s] sound from a piston's edge leads that of its centre.
 
     The lead time w applies to a piston in a baffle. For a listener at ``angle`` degrees from the
     axis, sound from the nearest point of the edge arrives w earlier than sound from the centre.
@@ -95,7 +95,7 @@ def propagate_wave(
 
 
 def _sample_delays(width: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return weights and delays [s] that approximate a piston's impulse response.
+    """Return weights and delays [s] for a piston's approximate impulse response.
 
     The weights and delays come from the Gauss-Chebyshev rule of the second kind.
     """

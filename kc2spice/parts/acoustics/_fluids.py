@@ -76,7 +76,7 @@ class FluidTable(Section):
 
     @model_validator(mode="after")
     def _require_thermal_constants(self) -> FluidTable:
-        """Reject too small fluid constants, and a conductivity without specific heat."""
+        """Reject constants that are too small, and a conductivity without specific heat."""
         if self.conductivity and self.specific_heat is None:
             raise make_invalid_value_error(
                 "conductivity needs the key `specific_heat`",
@@ -146,7 +146,7 @@ LIBRARY: Mapping[str, FluidTable] = {
 
 
 def _read_fluid(value: Any) -> Any:
-    """Return a built-in fluid for its name; return all other values unchanged."""
+    """Return the built-in fluid of a name; return a value that is no text unchanged."""
     if not isinstance(value, str):
         return value
     fluid = LIBRARY.get(value.lower())

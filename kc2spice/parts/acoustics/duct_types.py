@@ -100,7 +100,7 @@ class DuctKeys(FluidKeys):
 
     @model_validator(mode="after")
     def _require_one_size(self) -> DuctKeys:
-        """Check that exactly one of ``radius`` and ``area`` is set."""
+        """Require exactly one of the keys ``radius`` and ``area``."""
         if (self.radius is None) == (self.area is None):
             number = "no size" if self.radius is None else "two sizes"
             hint = 'add for example  radius = "1 mm"' if self.radius is None else "delete area"
@@ -275,7 +275,7 @@ class DuctPart(AcousticPart[DuctKeys]):
         return AcousticNetwork((), {}, elements, words, exits=self._map_far_pin_to_node(part))
 
     def _map_far_pin_to_node(self, part: Part[DuctKeys]) -> dict[str, str]:
-        """Map the far-end pin to the node behind its ammeter; empty for a closed duct."""
+        """Return the node behind the ammeter of the far-end pin, keyed by the pin."""
         return {} if self.is_closed(part) else {FAR_END: "out"}
 
     def _describe_duct(self, duct: DuctModel) -> str:

@@ -206,7 +206,7 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         sources: tuple[Part[RadiationKeys], ...],
         scene: GovernedScene,
     ) -> None:
-        """Warn about a listener in the near field, and about an angle without effect."""
+        """Warn about a listener in the near field, or an angle that has no effect."""
         keys, top = part.keys, find_highest_frequency(scene)
         limit = min(map(self._find_largest_frequency, [part] * len(sources), sources))
         if scene.analysis.is_small_signal and top > limit:

@@ -70,7 +70,7 @@ class RadiationKeys(FluidKeys):
 
     @model_validator(mode="after")
     def _require_one_size(self) -> RadiationKeys:
-        """Check that one size is set, and that a pulsating sphere has no ``motion``."""
+        """Require exactly one size, and no ``motion`` for a pulsating sphere."""
         if (self.radius is None) == (self.area is None):
             number = "no size" if self.radius is None else "two sizes"
             hint = 'add for example  radius = "10 mm"' if self.radius is None else "delete area"

@@ -291,7 +291,7 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
     def _balance_energy(
         self, part: Part[LinearKeysT], build: BuiltScene, waves: Waveforms
     ) -> RunEnergyBalance | None:
-        """Compare the energy balance of a body in a run with the exact response.
+        """Return the energy balance of a body in a run, with losses of the exact response.
 
         The exact response is the response of the reduced model to the recorded loads. The losses
         are the work of the loads on the exact response, minus the energy stored by the exact
@@ -346,6 +346,6 @@ class BodyChecks(BodyNetlist[LinearKeysT]):
 
 
 def _make_reduction_check(name: str, error: float, unit: str, advice: str) -> Check:
-    """Return the check of a reduced model's error, which warns or fails."""
+    """Return the check that limits the error of a reduced model."""
     limit, action = (FAILURE_ERROR, "fail") if error > FAILURE_ERROR else (WARNING_ERROR, "warn")
     return Check(f"reduction of {name}", error, limit, unit, advice, action)  # type: ignore[arg-type]

@@ -175,7 +175,7 @@ def draw_modes(
 
 
 def _scale_displacements(device: FiniteElementModel, moves: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return the element corners [m] with scaled displacements, and the scale factor.
+    """Return the corners [m] of the deformed elements, and the scale factor.
 
     The corners are an array of shape (elements, vertices, 3).
     """
@@ -264,7 +264,7 @@ def _find_visible_edges(mesh: Any, fine: int) -> np.ndarray:
 
 
 def draw_edges(label: str, mesh: Any, style: str = "-", fine: int = MAX_MESH_LINES) -> Curve:
-    """Return the projected mesh edges [mm] as one curve with NaN between edges."""
+    """Return the visible, projected mesh edges [mm] as one curve, separated by NaN."""
     points, edges = mesh.p[:, : mesh.nvertices], _find_visible_edges(mesh, fine)  # no midside nodes
     flat = points if len(points) == 2 else points[[0, 2]] + OBLIQUE_SHIFT * points[1]
     path = np.full((2, 3, edges.shape[1]), np.nan)

@@ -143,7 +143,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         return result.model_copy(update={"parameters": specified.parameters})
 
     def find_least_band_end(self, part: Part[LinearKeysT], scene: Scene) -> float | None:
-        """Return the lowest permitted upper end [Hz] of a transient's default band.
+        """Return the smallest permitted upper end [Hz] of a transient's default band.
 
         The result is None in other analyses, and with a band that the user states. The lower limit
         does not depend on the natural frequencies of the body.
@@ -157,7 +157,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         return max([self.get_default_band_end(scene), *content])
 
     def get_default_band_end(self, scene: Scene) -> float:
-        """Return the lowest upper end [Hz] of a default band, for any drive."""
+        """Return the lower limit [Hz] for the upper end of any default frequency band."""
         return MIN_BAND_END
 
     def model_key(self, part: Part[LinearKeysT], scene: Scene) -> Mapping[str, Any]:
@@ -277,7 +277,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
     def _make_mid_range_full_model(
         self, part: Part[LinearKeysT], scene: Scene, clock: StageTimer
     ) -> LinearModel:
-        """Return the full model with the used ports, on the mesh for mid-range keys."""
+        """Return the full model with used ports, on the mesh for mid-range key values."""
         keys, names = list_varied_keys(part), self.used_port_names(part, scene)
         if not keys:
             return self.make_full_model(part, scene, clock).select(names)
@@ -359,7 +359,7 @@ class BodyModel(BodyPorts[LinearKeysT]):
         key: Mapping[str, Any],
         full: Callable[[], LinearModel],
     ) -> tuple[float, float]:
-        """Return ``band``, cut off above the first natural frequencies of the full model."""
+        """Return ``band``, ending above the first natural frequencies of the full model."""
         from kc2spice.rom.band import find_band_end
 
         (low, high), least_end = band, key.get("sure")
@@ -429,7 +429,7 @@ def find_damping(part: Part) -> DampingKeys:
 
 
 def make_complex_constants(part: Part, model: LinearModel) -> ComplexConstants:
-    """Return the complex material constants that represent the damping of a body.
+    """Return the complex material constants that represent a body's damping.
 
     The constants are valid at the frequency in the key ``damping.at``. Without the key
     ``damping.at``, the constants are valid at the first resonance of the ``model``.
@@ -455,7 +455,7 @@ def make_complex_constants(part: Part, model: LinearModel) -> ComplexConstants:
 def _replace_by_least_damping(
     part: Part, model: LinearModel, band: tuple[float, float]
 ) -> LinearModel:
-    """Replace constant losses in ``model`` by smaller, viscous losses.
+    """Return ``model`` with its constant losses replaced by smaller, viscous losses.
 
     The viscous losses equal the constant losses of the complex material constants at the end of the
     band, and are smaller below. Because the actual constant losses are larger, the error of a
@@ -494,7 +494,7 @@ def full_model_without_scene(part: Part, scene: GovernedScene, clock: StageTimer
 
 
 def find_scene_band(part: Part, scene: Scene, full: LinearModel) -> tuple[float, float]:
-    """Return the frequency band [Hz] in which a scene reduces a body's ``full`` model."""
+    """Return the frequency band [Hz] for the reduction of ``part`` in a scene."""
     kind = part.type
     assert isinstance(kind, BodyModel)
     target, key = get_reduction_settings(part, scene), kind.model_key(part, scene)

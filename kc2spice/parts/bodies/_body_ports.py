@@ -158,7 +158,7 @@ class BodyPorts(TouchablePart[LinearKeysT]):
     def equilibrium_after_build(
         self, part: Part[LinearKeysT], build: BuiltScene
     ) -> EquilibriumConditions:
-        """Return the equilibrium conditions that the built model of the body implies.
+        """Return the equilibrium conditions of the body, as implied by its built model.
 
         The pins of a supported body have paths to the reference pin. The pins of a free body have
         paths to each other. Only in a free body, a steady flow can pass an acoustic port.
@@ -182,14 +182,14 @@ class BodyPorts(TouchablePart[LinearKeysT]):
         return EquilibriumConditions((*fixed, *product([first], others)), inertial_pins=inert)
 
     def pins_with_mass(self, part: Part[LinearKeysT], scene: JoinedScene) -> tuple[str, ...]:
-        """Return the displacement pins of the used mechanical ports, which move a mass."""
+        """Return the displacement pins of the used mechanical ports."""
         ports = select_mechanical_ports(self.used_ports(part, scene))
         return tuple(port.terminals[0] for port in ports)
 
     def contact_surface(
         self, part: Part[LinearKeysT], scene: GovernedScene, ports: tuple[str, ...] = ()
     ) -> ContactSurface | None:
-        """Return the surface under a contact; None without mechanical ports."""
+        """Return the surface on which a contact presses; None without mechanical ports."""
         mechanical = list_names(select_mechanical_ports(self.ports(part, scene)))
         names = ports or tuple(mechanical[:1])
         missing = [*filterfalse(mechanical.__contains__, names)]
@@ -262,7 +262,7 @@ def list_contacts_on_part(part: Part, scene: JoinedScene) -> Iterator[Part[Conta
 
 
 def requires_massless_ports(part: Part, scene: JoinedScene) -> bool:
-    """Return whether a contact presses on ``part`` and requires ports without inertia."""
+    """Return whether a contact on ``part`` requires ports without inertia."""
     return any(contact.keys.inertia == "massless" for contact in list_contacts_on_part(part, scene))
 
 
@@ -306,7 +306,7 @@ def get_wave_name(name: str, ports: Sequence[Port], port: Port) -> str:
 
 
 def get_flow_name(name: str, ports: Sequence[Port], port: Port) -> str:
-    """Return the result name of the flow through a port's pin, such as a current."""
+    """Return the result name of the flow (such as current) through a port's pin."""
     if port.is_paired:
         return f"{get_wave_name(name, ports, port)}.current"
     return f"{name}.{FLOW_SYMBOLS_OF_PORTS[port.kind]}.{port.name}"

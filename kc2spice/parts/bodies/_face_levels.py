@@ -85,7 +85,7 @@ class FaceLevelEffects:
 
     @property
     def total_effect(self) -> float | None:
-        """Root sum square [dB] of all level effects except ``unbaffled``; None if unknown."""
+        """Combined size [dB] of all level effects except ``unbaffled``; None if unknown."""
         if self.detuned is None or self.halved is None:
             return None
         sizes = [self.power, self.near_field, self.halved, self.detuned]
@@ -149,7 +149,7 @@ def estimate_face_levels(face: LoadedFace) -> FaceLevelEffects | None:
 def _compare_with_piston(
     result: FaceLevelEffects, face: LoadedFace, motion: FaceMotion, hertz: np.ndarray, main: int
 ) -> FaceLevelEffects:
-    """Compare the radiated power of a face with the power of a piston."""
+    """Return ``result`` with the effects of face motion that differs from a piston."""
     facing = face.facing
     numbers = 2 * np.pi * hertz / facing.fluid.sound_speed
     if facing.radiation is None:
@@ -206,14 +206,14 @@ def _describe_near_field(levels: FaceLevelEffects) -> str:
 def list_level_effects(
     name: str, port: str, levels: FaceLevelEffects, *, direct: bool
 ) -> Iterator[NeglectedEffect]:
-    """Yield each assumption about a face with its effect on the sound level.
+    """Yield each assumption about a face as a neglected effect on the sound level.
 
     ``direct`` states whether a part of type ``radiation`` is on the face.
     """
     place, percent = format_quantity(float(f"{levels.resonance:.4g}"), "Hz"), 100 * TOLERANCE
 
     def make_neglected_effect(of: str, assumption: str, size: str) -> NeglectedEffect:
-        """Return a neglected effect for one assumption about the face."""
+        """Return an assumption about the face as a neglected effect with its size."""
         return NeglectedEffect(f"{name}: {of}", assumption, size, summarised=True)
 
     if direct:

@@ -78,7 +78,7 @@ class LoadedFace:
     count: int = MAX_MODES
 
     def compute_mode_motions(self) -> tuple[np.ndarray, FaceMotion, FaceMotion]:
-        """Compute natural frequencies [Hz] and motions of the lowest modes.
+        """Return the lowest natural frequencies [Hz], and motions of face and surface.
 
         The first motion is the motion of the face, and the second the motion of the whole surface
         of the body. These modes are compared with a piston.

@@ -118,7 +118,7 @@ class LinearBody(BodyChecks[LinearKeysT]):
         )
 
     def lightly_loaded_pins(self, part: Part[LinearKeysT], scene: Scene) -> set[str]:
-        """Return the pins with loads that hardly change the resonances."""
+        """Return the pins whose loads hardly change the resonances; none by default."""
         return set()
 
     def _has_single_resonant_drive(self, part: Part[LinearKeysT], build: BuiltScene) -> bool:
@@ -286,7 +286,7 @@ def compute_impedance_metrics(frequency: np.ndarray, impedance: np.ndarray) -> d
 
 
 def _convert_to_metrics(figures: Mapping[str, Any]) -> dict[str, Any]:
-    """Add units to the values of an impedance analysis, and return them as metrics."""
+    """Return the values of an impedance analysis as metrics with units."""
     from kc2spice.bodies.impedance import METRIC_UNITS
 
     result: dict[str, Any] = {}

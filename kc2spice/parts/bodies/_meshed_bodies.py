@@ -291,7 +291,7 @@ def check_mesh(part: Part, build: BuiltScene) -> Iterator[Check]:
 
 
 def list_field_instants(part: Part[FieldKeys]) -> tuple[float, ...]:
-    """Return the times [s] that the key ``fields`` lists."""
+    """Return the times [s] listed in the key ``fields``; empty without a list."""
     return part.keys.fields if isinstance(part.keys.fields, tuple) else ()
 
 
@@ -306,7 +306,7 @@ class BondedBody(MeshedBody[FieldKeysT]):
     structure: Callable[[Any, str], BondedBlocks]
 
     def is_clamped(self, part: Part[FieldKeysT]) -> bool:
-        """Return whether the rim is clamped, so that no air flows around the body."""
+        """Return whether the rim is clamped, so that air cannot flow around the body."""
         return False
 
     def make_bonded_blocks(self, part: Part[FieldKeysT]) -> BondedBlocks:

@@ -64,7 +64,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
         return False
 
     def facing_fluids(self, part: Part[FieldKeysT], scene: Scene) -> dict[str, FluidAtFace]:
-        """Return the fluid in front of each radiating face, keyed by the name of its port."""
+        """Return the fluid in front of each radiating face, keyed by port name."""
         from kc2spice.parts.bodies._face_response import FluidAtFace
 
         result = {}
@@ -143,7 +143,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
             return self._estimate_levels(part, scene, face)
 
         def load_or_estimate_effects() -> FaceLevelEffects | None:
-            """Load the effects on the sound level from the cache, or estimate them."""
+            """Load the effects of assumptions on the sound level, or estimate these effects."""
             sources = (*LEVEL_SOURCES, "kc2spice.parts.acoustics", "kc2spice.parts.bodies")
             return load_or_build("face", key, build, classes=(FaceLevelEffects,), sources=sources)
 
@@ -154,7 +154,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
     def _estimate_levels(
         self, part: Part[FieldKeysT], scene: Scene, face: LoadedFace
     ) -> FaceLevelEffects | None:
-        """Estimate how the assumptions about a face and its support ring affect its sound."""
+        """Estimate how assumptions about a face and its support change its sound level."""
         from kc2spice.parts.bodies._face_levels import TOLERANCE, estimate_face_levels
 
         result = estimate_face_levels(face)
@@ -235,7 +235,7 @@ class SoundingBody(LinearBody[FieldKeysT]):
     def _face_displacements(
         self, part: Part[FieldKeysT], build: BuiltScene, waves: Waveforms
     ) -> dict[str, np.ndarray]:
-        """Return the mean displacement [m] of each face whose volume velocity is recorded."""
+        """Return the mean displacement [m] of each face with a recorded volume velocity."""
         from kc2spice.bodies.solid_models import get_area_key
         from kc2spice.parts.acoustics._displacement_figure import integrate_flow
 
@@ -272,7 +272,7 @@ def _states_piston_motion(names: Iterable[str], scene: Scene) -> bool:
 def _describe_peak(
     port: str, levels: FaceLevelEffects, waves: Waveforms, displacement: np.ndarray
 ) -> str:
-    """Return a sentence about the largest displacement of a face, at its resonance.
+    """Return a sentence on the largest displacement of a face at its resonance.
 
     The largest displacement is the product of the mean displacement and ``levels.peak``.
     """

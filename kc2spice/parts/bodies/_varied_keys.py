@@ -40,7 +40,7 @@ class VariedKey:
 
     @property
     def parameter_axis(self) -> ParameterAxis:
-        """Parameter with its range, which represents the key in the model reduction."""
+        """Parameter of the model reduction that represents the key and its range."""
         return ParameterAxis(self.key, self.low, self.high, from_zero=self.low == 0)
 
     @property
@@ -198,7 +198,7 @@ def _make_non_numeric_key_error(part: Part, key: str, where: str) -> UsageError:
 
 
 def _read_material(part: Part, table: Mapping[str, Any], key: str) -> BaseModel:
-    """Return a material table, validated by the schema of the part type."""
+    """Return the material that a table states, validated for the type of the part."""
     return validate_table(part.type.material_table, table, f"{part.name}.{key}")  # type: ignore[attr-defined]
 
 

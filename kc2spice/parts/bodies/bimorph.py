@@ -308,7 +308,7 @@ class Bimorph(BondedBody[BimorphKeys]):
         yield NeglectedEffect(what, why, "checked after the run")
 
     def has_mirror_planes(self, part: Part[BimorphKeys]) -> bool:
-        """Return whether the model is a quarter of a plate."""
+        """Return whether the model is a quarter of a plate, bounded by mirror planes."""
         return part.keys.support == "quarter"
 
     def checks(
@@ -321,7 +321,7 @@ class Bimorph(BondedBody[BimorphKeys]):
     def _check_deflection(
         self, part: Part[BimorphKeys], build: BuiltScene, waves: Waveforms
     ) -> Iterator[Check]:
-        """Yield the check of the largest recorded deflection, relative to length or thickness.
+        """Yield the check that the largest deflection is small, relative to the beam.
 
         The deflection of a radiating face or of a patch is the mean over its area. A free beam has
         no check, because its displacements include rigid-body motions. A beam with a part of type

@@ -195,7 +195,7 @@ class PortKeys(Section):
 
     @property
     def ports(self) -> tuple[Port, ...]:
-        """Ports of the model that an entry of the key ``ports`` defines."""
+        """Ports of the model that this entry of the key ``ports`` defines."""
         if self.kind != "rigid":
             return (Port(self.name, _DOMAINS_OF_KINDS[self.kind].port),)
         result = []
@@ -477,7 +477,7 @@ class BodyKeys(MeshKeys):
 
 
 def _write_terminal_example(keys: BodyKeys, info: ValidationInfo) -> str:
-    """Write example text for the keys ``electrodes`` or ``ports`` in an error hint.
+    """Return an example of the keys ``electrodes`` or ``ports`` for an error hint.
 
     The example has electrodes on a piezoelectric group of the mesh. Without such a group, the
     example has a port on a group of faces. Without any group of faces, the example has a port at a
@@ -532,7 +532,7 @@ def build_fe_model(
 def _read_polings(
     keys: BodyKeys, home: Path, groups: mesh_file.GroupedMesh
 ) -> dict[str, ElementAxes]:
-    """Return the poling axes of each element, read from one CSV file per mesh group."""
+    """Read the poling axes of the elements from CSV files, keyed by mesh group."""
     tables: dict[str, PolingTable] = {}
     for group, file in keys.poling_files.items():
         where = f"poling.{group}"
@@ -725,7 +725,7 @@ def _find_clamped_components(
 def _distribute_unit_force(
     port: PortKeys, groups: mesh_file.GroupedMesh, solid: Solid
 ) -> np.ndarray:
-    """Return the fraction of a unit force on a port at each node."""
+    """Return the share of a port's unit force that acts on each mesh node."""
     shares = np.zeros(solid.node_positions.shape[1])
     if port.at is not None:
         point = np.array(port.at)[solid.axis_indices]

@@ -284,7 +284,7 @@ def _list_electrodes(disc: DiscKeys, pieces: list[Block], where: str) -> list[li
 def _list_electrode_faces(
     disc: DiscKeys, ceramic: list[int], height: float, below: int, where: str
 ) -> list[Box]:
-    """Return the layer faces of an electrode that touches no metal layer.
+    """Return the layer faces that form an electrode without a metal layer beside it.
 
     The feedback electrode and its gap are cut out of the electrode.
     """

@@ -186,7 +186,7 @@ def _make_boundary_conditions(
 def _read_solid(
     keys: HeatBodyKeys, home: Path
 ) -> tuple[HeatGeometry, list[tuple[np.ndarray, float]]]:
-    """Read the mesh, and duplicate its nodes at the interfaces.
+    """Read the mesh of a heat body, with double nodes at resistive interfaces.
 
     The second returned value is a list of interfaces, each with its facets and its thermal
     resistance.
@@ -344,7 +344,7 @@ dc = "1 W"
         return build.scene.records[part.name].rest
 
     def get_default_band_end(self, scene: Scene) -> float:
-        """Return the lowest upper end [Hz] of a transient's default band.
+        """Return the lower limit [Hz] for the upper end of a transient's default band.
 
         The upper end is :data:`RUN_POINTS` divided by the duration of the run; a heat body has no
         resonances that could define the band.
@@ -410,7 +410,7 @@ dc = "1 W"
         model: LinearModel,
         aims: Mapping[str, Any],
     ) -> LinearModel:
-        """Reduce the heat model; the error estimate covers prescribed temperatures.
+        """Reduce the heat model; estimate the error also for prescribed temperatures.
 
         Isothermal faces and the fluids of films have prescribed temperatures. At high frequencies,
         the temperature of a pin behind thick insulation is so small that rounding errors exceed the
@@ -421,7 +421,7 @@ dc = "1 W"
         tolerance = aims["tolerance"]
 
         def reduce(norm: Norm, share: float) -> LinearModel:
-            """Reduce the heat model to a fraction of the tolerance, in one error norm.
+            """Reduce the heat model with ``share`` of the tolerance, in one error norm.
 
             ``share`` is the fraction.
             """
@@ -445,7 +445,7 @@ dc = "1 W"
         reduction = HeatReduction(task.full, task.axes, _list_prescribed_names(part))
 
         def reduce(norm: Norm, share: float) -> HeatOverRanges:
-            """Reduce over the ranges to a fraction of the tolerance, in one error norm.
+            """Reduce over the key ranges with ``share`` of the tolerance, in one error norm.
 
             ``share`` is the fraction.
             """
@@ -456,7 +456,7 @@ dc = "1 W"
     def build(
         self, part: Part[HeatBodyKeys], scene: Scene, clock: StageTimer, full: bool = False
     ) -> LinearModel | None:
-        """Build the heat model; compute the thermal resistances at the part's key values.
+        """Build the heat model; recompute thermal resistances if keys vary over ranges.
 
         With parameter ranges, the model is valid for all values in the ranges, so its thermal
         resistances are computed again.
@@ -584,7 +584,7 @@ def _list_prescribed_names(part: Part[HeatBodyKeys]) -> set[str]:
 def _reduce_with_peak_fallback(
     part: Part[HeatBodyKeys], norm: Norm, reduce: Callable[[Norm, float], ModelT]
 ) -> ModelT:
-    """Reduce a heat model in an error norm, or in the norm ``peak`` if this fails.
+    """Reduce a heat model; if the given error norm fails, use the norm ``peak``.
 
     If the reduction with ``norm`` fails, the norm ``peak`` is used instead. With the norm ``peak``,
     the error is relative to the largest temperature of each pin. ``reduce(norm, share)`` reduces
@@ -642,7 +642,7 @@ def _plot_thermal_impedance(name: str, model: LinearModel) -> Iterator[Figure]:
 def _draw_field(
     figure: str, name: str, heat: HeatModel, instant: float, rises: np.ndarray
 ) -> Iterator[Figure]:
-    """Yield a picture of the body with its nodal temperature rises [K].
+    """Yield a picture of the temperature rises [K] in the body at one instant.
 
     ``rises`` has the shape (nodes,). The picture shows the surface of a mesh; for a stack of
     layers, it shows the temperature rise versus the height.

@@ -239,7 +239,7 @@ def _make_blocks(body: LangevinKeys, where: str) -> list[Block]:
     def add_block(
         piece: PieceKeys, key: str, radii: tuple[float, float], low: float, high: float, up: int = 1
     ) -> None:
-        """Add a block between two heights, with a poling direction.
+        """Add a block that lies between two heights and has a poling direction.
 
         ``up`` is the sign of the poling along z.
         """

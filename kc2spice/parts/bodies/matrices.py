@@ -80,7 +80,7 @@ class Matrices(LinearBody[MatricesKeys]):
         return {**super().make_full_model_key(part, scene), "files": self._hash_files(part, scene)}
 
     def _hash_files(self, part: Part[MatricesKeys], scene: DeclaredScene) -> dict[str, str]:
-        """Return the hash of each matrix file's content, keyed by the path of the file."""
+        """Return the content hash of each matrix file, keyed by its path."""
         return {name: hash_file(scene.home / name) for name in self.files(part, scene)}
 
     def files(self, part: Part[MatricesKeys], scene: DeclaredScene) -> tuple[str, ...]:
@@ -110,7 +110,7 @@ class Matrices(LinearBody[MatricesKeys]):
     def _find_paths(
         self, part: Part[MatricesKeys], scene: DeclaredScene
     ) -> tuple[Path, Path | None]:
-        """Return the paths of the matrix file and of its TOML file (or None)."""
+        """Return the paths of the matrix file and of its TOML file (None without one)."""
         name, home, keys = part.name, scene.get_folder(part), part.keys
         sidecar = (
             None

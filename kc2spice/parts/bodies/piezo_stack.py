@@ -352,7 +352,7 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
     def largest_indentations(
         self, part: Part[PiezoStackKeys], scene: GovernedScene
     ) -> Iterator[LargestIndentation]:
-        """Yield an upper bound of the indentation, which is the chip's dynamic stroke."""
+        """Yield an upper bound of the indentation: a multiple of the chip's free stroke."""
         voltage = find_highest_voltage(part, scene)
         if voltage:
             stroke = compute_free_stroke(part.keys, voltage)
@@ -472,7 +472,7 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
         return result
 
     def indentation_modulus(self, part: Part[PiezoStackKeys]) -> float:
-        """Return the indentation modulus [Pa] of the top cap or the ceramic."""
+        """Return the indentation modulus [Pa] of the top cap, otherwise of the ceramic."""
         keys, cap = part.keys, part.keys.top_cap
         stated = None if cap is None else cap.material
         top = keys.ceramic if stated is None else find_material(stated, "top_cap.material")
@@ -510,7 +510,7 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
 
 
 def _estimate_kick_speed(part: Part[PiezoStackKeys], scene: GovernedScene) -> float | None:
-    """Return the speed [m/s] of the chip's top face in a kick; None without a voltage.
+    """Return the estimated speed [m/s] of the top face in a kick; None without one.
 
     The speed is the free stroke divided by ``4 H / c``, where H is the height of the chip and c is
     the speed of sound. If the edge time of the pulse is longer than ``4 H / c``, the edge time is
@@ -528,13 +528,13 @@ def _estimate_kick_speed(part: Part[PiezoStackKeys], scene: GovernedScene) -> fl
 
 
 def _moves_down_first(part: Part[PiezoStackKeys]) -> bool:
-    """Return whether the pulse has a negative voltage and moves the top face down."""
+    """Return whether the drive pulse is negative, so that the top face moves down."""
     drive = part.keys.drive
     return drive is not None and part.keys.electrical == "driven" and drive.voltage < 0
 
 
 def describe_mounting(keys: StackKeys) -> str:
-    """Describe the support of the chip, and additions such as caps."""
+    """Describe the support of the chip, and additions such as caps, as text."""
     words = [MOUNTING_TEXTS.get(str(keys.mounting), "")]
     if isinstance(keys.mounting, float):
         words = [f"bottom face on springs of {keys.mounting:g} N/m per m2 along each axis"]
@@ -551,7 +551,7 @@ def describe_mounting(keys: StackKeys) -> str:
 
 
 def find_pressure_basis(part: Part[PiezoStackKeys], scene: DeclaredScene) -> PressureBasis | None:
-    """Return the basis functions of the contact pressure on the chip's top face.
+    """Return basis functions of the contact pressure on the top face, or None.
 
     Return None if no contact has ``shape = "pressure"``. The basis functions cover the radius of
     the largest contact ring.
@@ -622,7 +622,7 @@ def find_highest_voltage(part: Part[PiezoStackKeys], scene: DeclaredScene) -> fl
 
 
 def compute_free_stroke(keys: StackKeys, voltage: float) -> float:
-    """Return the static free stroke [m] of a stack, ``layers |d voltage|``.
+    """Return the static free stroke [m] of a piezoelectric stack at a voltage [V].
 
     The piezoelectric constant d is d33, or d15 if the stack deforms in shear.
     """

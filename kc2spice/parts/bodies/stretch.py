@@ -106,7 +106,7 @@ class Stretch(PatchedPart[StretchKeys]):
 
 @lru_cache(maxsize=32)
 def _declare_stretching(count: int, rows: int) -> Declaration:
-    """Return the declaration of a beam's stretching energy on ``count`` patches."""
+    """Return the stretching declaration of a beam or plate of ``count`` patches."""
     along, across = range(1, count // rows + 1), range(1, rows + 1)
 
     def mirror_index(k: int, count: int) -> int:

@@ -167,7 +167,7 @@ wiring = "parallel"
     def settable_quantities(
         self, part: Part[ControllerKeys], build: BuiltScene
     ) -> Mapping[str, SampledSource]:
-        """Return the output source, whose value the Python function sets."""
+        """Return the controller's output as a source that the Python function sets."""
         keys = part.keys
         sources = {}
         for name in keys.inputs:

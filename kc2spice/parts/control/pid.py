@@ -126,7 +126,7 @@ def declare_control(control: PidKeys, *, output: bool = True) -> Declaration:
 
 
 def _list_parameters(control: PidKeys) -> Iterator[Param]:
-    """Yield the parameters that an instance of the controller's subcircuit can set."""
+    """Yield the netlist parameters of the controller, such as the setpoint."""
     yield Param("setpoint", control.setpoint, "m", "height of the sphere's centre")
     for gain, item, unit, doc in GAIN_PARAMETERS:
         if getattr(control, gain):
@@ -217,7 +217,7 @@ class Pid(PartType[PidKeys]):
         return _list_pins(not _drives_external_circuit(part, scene))
 
     def default_joins(self, part: Part[PidKeys], scene: GovernedScene) -> Mapping[str, str]:
-        """Return the default connections of the pins to the sphere and the coils."""
+        """Return the default connections of the controller to the sphere and the coils."""
         ball = sphere.find_controlled_sphere(part, scene)
         joins = {} if ball is None else {"y": f"{ball.name}.y"}
         if not _drives_external_circuit(part, scene):

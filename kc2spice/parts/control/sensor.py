@@ -158,7 +158,7 @@ dc = "1 um"
         )
 
     def settable_quantities(self, part: Part[SensorKeys], build: BuiltScene) -> Mapping[str, float]:
-        """Return the initial voltage of the sensor's state: the height of the sphere."""
+        """Return the initial state voltage, which represents the height of the sphere."""
         start = sphere.find_initial_height(part, "of", build.scene)
         if start is None:
             return {}

@@ -197,7 +197,7 @@ class ResonatorPart(NumberedPart[KeysT]):
         """Return the netlist parameters, and the expressions of the circuit elements."""
 
     def shared_data(self, part: Part[KeysT], scene: GovernedScene) -> Resonator:
-        """Return the elements of the resonator circuit, which other parts read."""
+        """Return the circuit elements of the resonator, for use by other parts."""
         return self.resonator(part)
 
     def circuit(self, part: Part[KeysT], scene: GovernedScene) -> Resonator:
@@ -372,7 +372,7 @@ def _list_heat_cards(content: ResonatorNetlist) -> Iterator[Item]:
 
 
 def write_tolerance_note(value: float, tolerance: float | None) -> str:
-    """Write the tolerance range of a parameter as text for the library header.
+    """Return the tolerance range of a parameter as text for the library header.
 
     Without a tolerance, the text is empty.
     """

@@ -275,7 +275,7 @@ class StatedValues:
         return self._compute_logarithm(key, x) - self._compute_logarithm(key, y)
 
     def _compute_sensitivities(self, key: str, x: np.ndarray) -> dict[str, float]:
-        """Return how the implied value of ``key`` changes with each stated value."""
+        """Return the sensitivity of the value of ``key`` to each stated value."""
         weights = np.array([1 / self.get_log_tolerance(name) for name in self.stated])
         slopes = np.array([self._compute_gradient(name, x) for name in self.stated])
         solution = np.linalg.pinv(weights[:, None] * slopes) * weights

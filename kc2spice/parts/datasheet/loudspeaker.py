@@ -80,7 +80,7 @@ def _list_joined_sides(part: Part, scene: DeclaredScene) -> tuple[str, ...]:
 
 
 def _read_semi_inductance(part: Part[LoudspeakerKeys]) -> SemiInductance | None:
-    """Return the elements of the voice coil's semi-inductance from the keys.
+    """Return the semi-inductance of the voice coil from the keys; None without one.
 
     Return None if the keys describe a constant inductance.
 

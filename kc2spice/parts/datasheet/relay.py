@@ -143,7 +143,7 @@ def solve_timing(part: Part[RelayKeys]) -> RelayTiming:
 
 
 def measure_delay(time: np.ndarray, cause: np.ndarray, effect: np.ndarray) -> float | None:
-    """Return the time [s] between the rise of a cause and of its effect through zero.
+    """Return the delay [s] between upward zero crossings of a cause and its effect.
 
     The result is None if the cause or the effect does not rise through zero exactly once.
 

@@ -207,7 +207,7 @@ def _write_transistor_current(gate: str, drain: str, source: str) -> str:
 
 
 def _declare_nodes(*names: str) -> tuple[Branch, ...]:
-    """Return one branch to ``ref`` from each node and one from ``command``.
+    """Return the branches to ``ref``: two from each node, and one from ``command``.
 
     From every node, two branches lead to ``ref``. The branch ``NAME`` carries the current
     ``i_NAME``, and the branch ``v_NAME`` only measures the voltage.
@@ -242,7 +242,7 @@ def _write_compensation_rate(difference: str, low: str, high: str) -> str:
 
 
 def _write_rail_excess(low: str, high: str) -> str:
-    """Write the voltage [V] of an amplifier beyond its rails as an expression.
+    """Return an expression for the voltage [V] of an amplifier beyond its rails.
 
     The voltage of the amplifier is measured before the output resistance.
     """

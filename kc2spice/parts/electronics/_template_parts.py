@@ -297,11 +297,11 @@ class Driver(TemplatePart[KeysT]):
     def compute_control_variables(
         self, part: Part[KeysT], waves: Waveforms
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the set voltage [V] of the amplifier's control loop, and its actual voltage."""
+        """Return the set voltage [V] and the actual voltage of the driver's control loop."""
         raise NotImplementedError
 
     def read_pin(self, part: Part[KeysT], waves: Waveforms, pin: str) -> np.ndarray:
-        """Return the voltage [V] of a pin, which is zero without a result: at the pin ``ref``."""
+        """Return the recorded voltage [V] of a pin, or zeros without a recorded result."""
         return waves.data.get(f"{part.name}.{pin}", np.zeros(waves.scale.shape))
 
     def compute_inner_voltage(
@@ -336,7 +336,7 @@ class Driver(TemplatePart[KeysT]):
             yield from self._check_clipping(part, build, point)
 
     def find_clipping(self, part: Part[KeysT], waves: Waveforms) -> tuple[np.ndarray, np.ndarray]:
-        """Return at which points the output clips at the lower rail, and at the upper rail.
+        """Return where the output clips at the lower rail, and where at the upper rail.
 
         The output clips if its voltage is at a rail, and the command requests a voltage beyond
         this rail.

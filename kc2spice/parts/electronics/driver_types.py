@@ -100,7 +100,7 @@ class Amplifier(Driver[AmplifierKeys]):
     def template_values(
         self, part: Part[AmplifierKeys], build: BuiltScene
     ) -> tuple[tuple[Param, ...], Mapping[str, Any]]:
-        """Return the netlist parameters, and the lower rail as a number of the template."""
+        """Return the netlist parameters, and the lower rail [V] for the template."""
         names = set(AmplifierKeys.model_fields) - {"negative_rail"}
         return make_key_parameters(part.keys, *names), {"negative_rail": self.rails(part)[0]}
 
@@ -368,7 +368,7 @@ class PwmDrive(CoilDriver[PwmKeys]):
         return 0.0, part.keys.rail
 
     def find_clipping(self, part: Part[PwmKeys], waves: Waveforms) -> tuple[np.ndarray, np.ndarray]:
-        """Return at which points the bridge does not switch, for the lower and the upper rail.
+        """Return where the bridge stops switching at the lower and at the upper rail.
 
         The modulator clips if the voltage of a leg stays at a rail for more than one period of the
         carrier.
@@ -445,7 +445,7 @@ class PwmDrive(CoilDriver[PwmKeys]):
 
 
 def _select_long_intervals(selected: np.ndarray, t: np.ndarray, duration: float) -> np.ndarray:
-    """Return the selected points whose interval is longer than ``duration`` [s].
+    """Return the selected points in consecutive groups longer than ``duration`` [s].
 
     ``selected`` and the times ``t`` [s] are arrays of shape (n,).
     """

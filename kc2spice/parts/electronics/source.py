@@ -353,7 +353,7 @@ class Source(PartType[SourceKeys]):
     def list_inner_names(
         self, part: Part[SourceKeys], scene: WiredScene
     ) -> Iterator[tuple[str, ...]]:
-        """Yield the names of inner nodes for a dc sweep that returns to its first value."""
+        """Yield the names of the inner nodes that a dc sweep up and back down requires."""
         if _sweeps_back(part, scene):
             yield part.name, "swept"
             yield part.name, "folded"
@@ -427,7 +427,7 @@ class Source(PartType[SourceKeys]):
 
 
 def _find_filtered_frequency(wave: Waveform, stop: float, share: float, constant: float) -> float:
-    """Return the highest relevant frequency [Hz] of a waveform behind a low pass.
+    """Return the highest relevant frequency [Hz] of a low-pass filtered waveform.
 
     The waveform is filtered by a first-order low-pass filter. The time constant of the filter is
     ``constant`` [s] times ``share``.
@@ -436,7 +436,7 @@ def _find_filtered_frequency(wave: Waveform, stop: float, share: float, constant
 
 
 def _sweeps_back(part: Part[SourceKeys], scene: DeclaredScene) -> bool:
-    """Return whether a dc sweep of this source returns to its first value."""
+    """Return whether a dc sweep of this source goes to its end value and back."""
     selected = scene.analysis
     moved = selected.type == "dc" and selected.sweep == f"{part.name}.dc"
     return moved and bool(selected.back)
@@ -487,7 +487,7 @@ def list_waveform_numerics(name: str, wave: Waveform) -> Iterator[NumericalRequi
 
 
 def _drives_only_signals(part: Part[SourceKeys], build: BuiltScene) -> bool:
-    """Return whether the source drives only signal inputs, which draw no current."""
+    """Return whether all pins at the source are signal inputs, which draw no current."""
     scene = build.scene
     flows = {scene.terminals[end].flow for end in scene.list_joined_pins(part.name, "out")}
     return flows == {"-"} and build.get_net(part, "ret") == "0"

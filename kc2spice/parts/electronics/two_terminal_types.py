@@ -166,7 +166,7 @@ class LinearElement(DeclaredPart[KeysT]):
 
     @cached_property
     def admittance_term(self) -> tuple[int, Tree]:
-        """Order of the time derivative in the element's equation, and its admittance."""
+        """Order of the time derivative in the element's equation, and its coefficient."""
         d, b = self.declaration, self.branch
         flow = d.derive_direct_flow(b)
         stiff, slow = differentiate_tree(flow, b.name), differentiate_tree(flow, b.rate)
@@ -184,7 +184,7 @@ class LinearElement(DeclaredPart[KeysT]):
 
     @cached_property
     def _unit_factor(self) -> Number:
-        """Factor that converts an admittance in SI units to amperes per volt at the pins."""
+        """Factor that converts an admittance from SI units to A/V at the netlist pins."""
         value = self.branch.domain.admittance
         return ONE if value == 1 else Number(f"{value:g}")
 

@@ -222,7 +222,7 @@ class Gap(PatchedPart[GapKeys]):
     def build(
         self, part: Part[GapKeys], scene: Scene, clock: StageTimer, full: bool = False
     ) -> int | None:
-        """Return the number of gas-film branches of the reference model, or None.
+        """Return the number of gas-film branches of a reference model; otherwise None.
 
         The result is None for the model of the netlist. With ``full``, the gas film of the
         reference model has :data:`REFINEMENT_RATIO` times as many branches as in the netlist.
@@ -353,7 +353,7 @@ def list_patch_ports(part: Part, scene: DeclaredScene) -> tuple[str, ...]:
 
 
 def count_film_branches(part: Part[GapKeys], scene: GovernedScene) -> int:
-    """Return the number of gas-film terms that have a spring; 0 without a film."""
+    """Return how many terms of the gas-film series have a spring; 0 without a film."""
     keys = part.keys
     if keys.film is None:
         return 0
@@ -387,7 +387,7 @@ def compute_truncation_error(
 
 
 def _list_patch_waves(part: Part[GapKeys], word: str, waves: Waveforms) -> list[np.ndarray]:
-    """Return the recorded displacements or forces of all patches.
+    """Return the recorded displacements (``x``) or forces (``force``) of all patches.
 
     ``word`` is ``x`` or ``force``.
     """
@@ -518,7 +518,7 @@ def _list_neglected_effects(
 
 
 def _compute_series_terms(film: SqueezeFilmKeys) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return dampers, springs and indices m of all terms in the gas-film series.
+    """Return damper, spring and series index of each gas-film term, as arrays.
 
     Each returned array has the shape (n,) and begins with the term of the largest damper. The
     dampers are multiplied by gap^3, and the springs are multiplied by gap, so that both do not

@@ -84,7 +84,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
     def governed_parts(
         self, part: Part[CurrentCasesKeys], scene: DeclaredScene
     ) -> Mapping[str, Governed]:
-        """Return the sphere as moved by this part, and the coils as copied by this part."""
+        """Return how this part governs others: it moves the sphere and copies the coils."""
         return {_find_sphere(part, scene): "moved", _find_coils(part, scene).name: "copied"}
 
     def cards(self, part: Part[CurrentCasesKeys], build: BuiltScene) -> tuple[Item, ...]:
@@ -110,7 +110,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
     def list_inner_names(
         self, part: Part[CurrentCasesKeys], scene: WiredScene
     ) -> Iterator[tuple[str, ...]]:
-        """Yield the netlist names of inner nodes and elements for each current pair."""
+        """Yield the netlist names of nodes and elements for each pair of coil currents."""
         yield ("Vheight",)
         words = "lower", "upper", "force", "Xcatch", "Ilower", "Iupper", "Vforce"
         for k, word in product(range(len(list_current_pairs(part))), words):
@@ -150,7 +150,7 @@ class CurrentCases(PartType[CurrentCasesKeys]):
         }
 
     def law(self, part: Part[CurrentCasesKeys], build: BuiltScene) -> laws.Equations:
-        """Return the model equations of the coils, copied for each current pair.
+        """Return the model equations of the coils, with a copy for each current pair.
 
         A source prescribes the height of the sphere on which the coils act.
         """

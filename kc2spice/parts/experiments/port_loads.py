@@ -108,7 +108,7 @@ class PortLoads(PartType[PortLoadsKeys]):
     def governed_parts(
         self, part: Part[PortLoadsKeys], scene: DeclaredScene
     ) -> Mapping[str, Governed]:
-        """Return the loaded body as copied by this part, once for each loaded port."""
+        """Return how this part governs others: it copies the body for each loaded port."""
         return {find_loaded_body(part, scene).name: "copied"}
 
     def cards(self, part: Part[PortLoadsKeys], build: BuiltScene) -> tuple[Item, ...]:
@@ -144,7 +144,7 @@ class PortLoads(PartType[PortLoadsKeys]):
     def list_inner_names(
         self, part: Part[PortLoadsKeys], scene: WiredScene
     ) -> Iterator[tuple[str, ...]]:
-        """Yield the names of the copies of the body and of their unit loads."""
+        """Yield the names of the copies of the body, and of their loads and inner nodes."""
         rings = _list_loaded_rings(find_loaded_body(part, scene), scene)
         for load in (*rings, "anode"):
             yield (f"X{load}",)
@@ -222,7 +222,7 @@ class PortLoads(PartType[PortLoadsKeys]):
     def law(
         self, part: Part[PortLoadsKeys], build: BuiltScene
     ) -> laws.Equations | laws.MissingEquations | None:
-        """Return the model equations of the body's copies, one for each loaded port.
+        """Return the model equations of copies of the body, each loaded at one port.
 
         A large voltage source in series with a very small capacitance applies a unit charge.
         """
@@ -279,9 +279,7 @@ def find_loaded_body(part: Part[PortLoadsKeys], scene: DeclaredScene) -> Part[Pi
             problem, got = "this part has no rings to load", f"{body.name}, a {body.type.name}"
             stacks = [other.name for other in scene.list_parts("piezo_stack")]
             hint = (
-                f'write  of = "{stacks[0]}"'
-                if stacks
-                else "add [kick]; an empty table takes the defaults"
+                f'write  of = "{stacks[0]}"' if stacks else "add [kick]; an empty table is enough"
             )
             raise part.wrong("of", problem, got, "the name of a part of type piezo_stack", hint)
         return body.with_schema(PiezoStackKeys)
@@ -289,7 +287,7 @@ def find_loaded_body(part: Part[PortLoadsKeys], scene: DeclaredScene) -> Part[Pi
     if len(result) != 1 or not isinstance(result[0].keys, PiezoStackKeys):
         problem = f"{part.name} does not state which piezo_stack it loads"
         got = ", ".join(list_names(result)) or "no body"
-        hint = "add [kick]; an empty table takes the defaults"
+        hint = "add [kick]; an empty table is enough"
         raise part.wrong("of", problem, got, "the name of a part of type piezo_stack", hint)
     return result[0].with_schema(PiezoStackKeys)
 

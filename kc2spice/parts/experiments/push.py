@@ -83,7 +83,10 @@ class Push(TouchablePart[PushKeys]):
         return bottom, Terminal.make_rate_pin("v", TRANSLATION, GROUND)
 
     def governed_parts(self, part: Part[PushKeys], scene: DeclaredScene) -> Mapping[str, Governed]:
-        """Return the sphere as moved by this part, which prescribes its position."""
+        """Return ``"moved"`` for the sphere, keyed by the name of the sphere.
+
+        This part prescribes the position of the sphere.
+        """
         return {find_sphere(part, scene).name: "moved"}
 
     def problems(self, part: Part[PushKeys], scene: GovernedScene) -> Iterator[UsageError]:
@@ -103,7 +106,7 @@ class Push(TouchablePart[PushKeys]):
     def settable_quantities(
         self, part: Part[PushKeys], build: BuiltScene
     ) -> Mapping[str, SweptSource]:
-        """Return the source of the depth, whose value the dc sweep sets."""
+        """Return the voltage source with which the dc sweep sets the depth."""
         return {
             "depth": SweptSource(
                 f"V{part.name}", -DISPLACEMENT.pin_value_per_si_unit, (0.0, part.keys.depth)
@@ -122,7 +125,7 @@ class Push(TouchablePart[PushKeys]):
         return {f"{part.name}.depth": replace(bottom, factor=-bottom.factor)}
 
     def numerics(self, part: Part[PushKeys], scene: WiredScene) -> Iterator[NumericalRequirements]:
-        """Yield requirements on tolerances, to resolve when contact rings close."""
+        """Yield tolerance requirements, so that the closing of contact rings is resolved."""
         last = "1e-09", "the law is piecewise linear, so the last iteration is exact"
         if _find_contact(part, scene).keys.shape == "pressure":
             last = "1e-12", "the law is curved, and this is the error of the last iteration"

@@ -294,7 +294,7 @@ class MovingBody(DeclaredPart[MovingT]):
     rating: ClassVar[str]
 
     def numerics(self, part: Part[MovingT], scene: WiredScene) -> Iterator[NumericalRequirements]:
-        """Return requirements on the Newton tolerance in a dc sweep of the body's height."""
+        """Return the smaller Newton tolerance that the analyses ``dc`` and ``op`` need."""
         return list_newton_numerics(part, scene)
 
     def make_declaration(self, part: Part[MovingT], scene: GovernedScene) -> Declaration:
@@ -674,7 +674,7 @@ def _sum_series_resistance(part: Part[MovingBodyKeys], scene: WiredScene, pins: 
 def _find_highest_run_frequency(
     part: Part[MovingBodyKeys], build: BuiltScene, waves: Waveforms
 ) -> float:
-    """Return the highest relevant frequency [Hz] of a run.
+    """Return the highest frequency [Hz] of a frequency response or of coil currents.
 
     The highest frequency of a frequency response is the last frequency. The highest frequency of a
     transient is the highest frequency of the coil currents.

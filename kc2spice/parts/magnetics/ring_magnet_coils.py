@@ -249,7 +249,7 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
     def equilibrium_conditions(
         self, part: Part[RingMagnetCoilsKeys], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the paths to ground from the pins of the coils, except ``heat``.
+        """Return the paths of steady flow from the pins to ground; ``heat`` has no path.
 
         Only displacement and temperature pins have a path.
         """
@@ -718,7 +718,7 @@ def _has_coil_terminals(part: Part[RingMagnetCoilsKeys], scene: DeclaredScene) -
 
 
 def _suggest_table_end(height: float) -> str:
-    """Suggest an end of the force table in mm, 5 % or more beyond a height [m]."""
+    """Suggest a force-table end such as ``12 mm``, at least 5 % beyond ``height`` [m]."""
     return f"{math.ceil(abs(1.05e3 * height)) * (1 if height > 0 else -1)} mm"
 
 

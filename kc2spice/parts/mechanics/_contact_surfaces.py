@@ -87,7 +87,7 @@ class ContactSurface:
         return {pin: f"{owner}.{end}" for pin, end in zip(pins, ends, strict=False)}
 
     def compute_surface_position(self, port: str, waves: Waveforms) -> np.ndarray | None:
-        """Return the position [m] of the surface at ``port``; zero at the first touch."""
+        """Return the position [m] of the surface at ``port``, relative to the first touch."""
         if self.part == GROUND:
             return np.zeros(next(iter(waves.data.values())).size)
         if self.radius is not None and self.is_rigid:
@@ -187,13 +187,18 @@ class ContactPair:
                 if surface is not None and (surface.radius is not None) == spherical:
                     offers.append(surface)
             if len(offers) != 1:
-                kind = ("a sphere", "sphere") if spherical else ("a body with a surface", "kick")
+                kind = ("sphere", "sphere") if spherical else ("body with a flat surface", "kick")
+                candidates = ", ".join(item.part for item in offers)
                 raise part.wrong(
                     key,
-                    f"{part.name} does not state which part it touches",
-                    ", ".join(item.part for item in offers) or f"no part that is {kind[0]}",
+                    f"{part.name} needs the key {key}, because several parts fit"
+                    if offers
+                    else f"the scene has no {kind[0]} that {part.name} can touch",
+                    f"no key {key}; possible parts: {candidates}" if offers else f"no {kind[0]}",
                     f'{key} = "PART" or "PART.PORT"',
-                    None if offers else f"add [{kind[1]}]; an empty table takes the defaults",
+                    f'write  {key} = "{offers[0].part}"'
+                    if offers
+                    else f"add [{kind[1]}]; an empty table is enough",
                 )
             return offers[0]
         if selected == GROUND:
@@ -441,7 +446,7 @@ class ContactPair:
 
 
 def make_pair(contact: Part, scene: GovernedScene) -> ContactPair:
-    """Return the pair of contact surfaces, if possible from the records of the scene."""
+    """Return the pair of contact surfaces, from the record of the scene if available."""
     record = scene.get_record(contact)
     if record is None or not isinstance(record.shared_data, ContactPair):
         return ContactPair(contact.with_schema(ContactKeys), scene)
@@ -466,7 +471,7 @@ def _get_indentation_law(
 
 @lru_cache(maxsize=8)
 def _fit_cached_law(nodes: bytes, compliance: bytes, radius: float) -> IndentationLaw:
-    """Fit an indentation law to a pressure basis and a compliance, both as bytes."""
+    """Fit an indentation law to the bytes of pressure nodes and of a compliance."""
     from kc2spice.bodies.contact_pressure import PressureBasis, fit_indentation_law
 
     shape = PressureBasis(np.frombuffer(nodes))
@@ -508,7 +513,7 @@ def estimate_impact_indentation(
 def find_separation(
     t: np.ndarray, force: np.ndarray, v: np.ndarray, busy: float = math.inf, power: float = 1.0
 ) -> tuple[float, float] | None:
-    """Return the time [s] and velocity [m/s] at which the contact opens for a flight.
+    """Return the start time [s] and start velocity [m/s] of a flight without contact.
 
     Return None without a flight. In contact, the force is proportional to ``overlap**power``.
 

@@ -138,7 +138,7 @@ class Contact(DeclaredPart[ContactKeys]):
     def equilibrium_conditions(
         self, part: Part[ContactKeys], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the paths of steady force: pins to ground, and between touching sides."""
+        """Return the paths of steady force, to ground and between touching surfaces."""
         pair = make_pair(part, scene)
         pins = ("base", *["va"] * pair.lower_surface.is_rigid, *["v"] * pair.upper_surface.is_rigid)
         clamps = [*product(pins, (GROUND,))]
@@ -153,7 +153,7 @@ class Contact(DeclaredPart[ContactKeys]):
     def numerics(
         self, part: Part[ContactKeys], scene: WiredScene
     ) -> Iterator[NumericalRequirements]:
-        """Yield requirements on tolerances for damped and nonlinear contact laws.
+        """Yield requirements on tolerances, tighter for damped or nonlinear contact laws.
 
         With the trapezoidal rule, the errors at closing and at opening cancel only for a linear
         spring. In tests with the tighter tolerances, rebound speeds had relative errors of 1.5e-4.
@@ -354,7 +354,7 @@ def _declare_pair(
     under: tuple[float, tuple[float, ...]] | None = None,
     groove: float | None = None,
 ) -> Declaration:
-    """Return the declaration of a contact pair for a contact law."""
+    """Return the declaration of a contact between both surfaces of ``pair``."""
     ports, rigid = pair.ports, (pair.lower_surface.is_rigid, pair.upper_surface.is_rigid)
     carried, gaps = (
         INDENTATION_PIN if pair.upper_surface.elastic else "",
@@ -400,7 +400,7 @@ def _check_pressure(pair: ContactPair) -> Iterator[UsageError]:
 
 
 def _find_loaded_interval(force: np.ndarray) -> slice:
-    """Return the index range of the first period of contact, with a margin."""
+    """Return the slice of samples in the first period of contact, with a margin."""
     loaded = np.flatnonzero(force > 1e-2 * force.max(initial=0.0))
     if loaded.size == 0:
         return slice(None)

@@ -124,7 +124,7 @@ elastic = true
     def contact_surface(
         self, part: Part[ElasticSphereKeys], scene: GovernedScene, ports: tuple[str, ...] = ()
     ) -> ContactSurface | None:
-        """Return the elastic patch as contact surface if ``ports`` contains only it.
+        """Return the elastic patch as contact surface if it is the only port in ``ports``.
 
         Otherwise, return None. All other contact surfaces belong to the part ``sphere``.
         """

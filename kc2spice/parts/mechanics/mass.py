@@ -140,7 +140,7 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
     def equilibrium_conditions(
         self, part: Part[MassKeys], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the path from ``base`` to ground, and the weight at the pin ``a``."""
+        """Return the force path from ``base`` to ground, and the weight as load on ``a``."""
         falls = part.keys.weight and scene.gravity
         return EquilibriumConditions(
             (("base", GROUND),), loaded_pins=("a",) if falls else (), inertial_pins=("a",)
@@ -154,7 +154,7 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
             yield part.wrong("", problem, got, expected, "delete position and velocity")
 
     def settable_quantities(self, part: Part[MassKeys], build: BuiltScene) -> Mapping[str, float]:
-        """Return the initial node voltages for displacement and velocity of the mass."""
+        """Return the node voltages that set the initial displacement and velocity."""
         state = self.initial_motion(part, build)
         if state is None:
             return {}

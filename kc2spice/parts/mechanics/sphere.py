@@ -244,7 +244,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
     def governed_parts(
         self, part: Part[SphereKeys], scene: DeclaredScene
     ) -> Mapping[str, InitialState]:
-        """Return the initial velocity and height of the sphere, unless both are zero."""
+        """Return the sphere's initial state (velocity, height); empty if both are zero."""
         keys = part.keys
         moving = keys.velocity or keys.height
         return {part.name: InitialState(keys.velocity, keys.height)} if moving else {}
@@ -252,7 +252,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
     def equilibrium_conditions(
         self, part: Part[SphereKeys], scene: WiredScene
     ) -> EquilibriumConditions:
-        """Return the path from ``base`` to ground, and the weight at the pin ``v``.
+        """Return the force path from ``base`` to ground, and the weight as load on ``v``.
 
         A sphere with prescribed motion has no path and no weight.
         """
@@ -263,7 +263,7 @@ class Sphere(TouchablePart[SphereKeys], DeclaredPart[SphereKeys]):
         )
 
     def settable_quantities(self, part: Part[SphereKeys], build: BuiltScene) -> Mapping[str, float]:
-        """Return the initial node voltages of a sphere without support, which are zero.
+        """Return initial node voltages of zero for a sphere without support.
 
         The sphere begins at rest, and just touches the body below.
         """

@@ -166,7 +166,7 @@ def balance_model(
 
 
 def compute_balancing_factors(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return row and column factors whose products approximate a positive matrix.
+    """Return row factors r and column factors c, with ``r_i c_j`` near ``size_ij``.
 
     ``size`` has the shape (..., rows, columns). The factors minimise the sum of the squared
     differences between the logarithms of products and entries.
@@ -177,7 +177,7 @@ def compute_balancing_factors(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 
 def _compute_gramian_root(T: np.ndarray, Q: np.ndarray, transposed: bool = False) -> np.ndarray:
-    """Compute a square root R of the solution ``X = R R'`` of ``T X + X T' = -Q Q'``.
+    """Solve ``T X + X T' = -Q Q'`` for the Gramian X; return R with ``X = R R'``.
 
     The matrix T is in real Schur form. If ``transposed`` is true, the equation contains T' instead
     of T. If rounding errors make X slightly indefinite, its negative eigenvalues are set to zero.

@@ -73,7 +73,7 @@ class Reductor(ABC):
     def shorten_basis(
         self, basis: ReducedBasis, order: int, tolerance: float
     ) -> tuple[ReducedBasis, int]:
-        """Return a basis that meets the tolerance with fewer vectors, and the order.
+        """Shorten a basis if the tolerance permits; return the basis and its order.
 
         By default, the method returns the arguments ``basis`` and ``order``.
         """

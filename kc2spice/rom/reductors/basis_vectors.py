@@ -89,7 +89,7 @@ def scale_to_unit_norm(V: np.ndarray) -> np.ndarray:
 
 
 def improve_conditioning(V: np.ndarray) -> np.ndarray:
-    """Return a well-conditioned basis of the same nested spaces as V.
+    """Return V if it is well-conditioned, otherwise the factor Q of ``V = Q R``.
 
     The columns of V may be almost linearly dependent. For example, a static response is nearly a
     sum of many modes. If the condition number of V exceeds a thousand, the result is the matrix Q

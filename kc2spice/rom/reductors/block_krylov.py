@@ -94,7 +94,7 @@ def compute_krylov_vectors(pencil: Pencil, count: int) -> np.ndarray:
 def make_nested_model(
     pencil: Pencil, order: int, space: BlockArnoldi | None = None
 ) -> IntermediateModel:
-    """Project a model on ``order`` Krylov vectors and two further blocks of vectors.
+    """Project a model on more than ``order`` Krylov vectors, for error estimates.
 
     The projection serves as a reference for error estimates. ``space`` is the Krylov subspace of
     the model, if already known.

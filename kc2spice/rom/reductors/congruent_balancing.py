@@ -62,7 +62,7 @@ class CongruentBalancing(Reductor):
         return task.get_shared_value(self.name, lambda: self._balance(task))
 
     def _balance(self, task: ReductionTask) -> ReducedBasis | None:
-        """Return a basis of static responses and of eigenvectors of the Gramian."""
+        """Return a basis of static responses and Gramian eigenvectors, or None."""
         core = task.pencil_without_rigid_modes
         try:
             rates, X = scipy.linalg.eigh(*core.coefficients)

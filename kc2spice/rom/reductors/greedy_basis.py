@@ -125,7 +125,7 @@ class GreedyBasis:
         return True
 
     def solve(self, s: complex) -> tuple[np.ndarray, ...]:
-        """Compute the solution ``x = P(s)^-1 B`` and the derivative ``-x'(s)``.
+        """Solve ``P(s) x = B`` for the pencil P; return x and the derivative ``-x'(s)``.
 
         If the model is not symmetric or C differs from B', also return ``y = P(s)^-T C'`` and
         ``-y'(s)``.
@@ -197,7 +197,7 @@ class GreedyBasis:
 
 
 class _ResidualSketch:
-    """Estimator of residuals ``b - P(s) V x(s)`` from random sums of the equations."""
+    """Estimator of the residuals of a projected model, from random sums of equations."""
 
     def __init__(self, sketch: np.ndarray, coefficients: tuple[Any, ...], b: np.ndarray) -> None:
         self._rows = [np.asarray((P.T @ sketch.T).T) for P in coefficients]
@@ -205,7 +205,7 @@ class _ResidualSketch:
         self._b = sketch @ b
 
     def extend(self, columns: np.ndarray) -> None:
-        """Add the sketched products of the new basis vectors ``columns`` (n, k)."""
+        """Store the products of the sketched matrices and new basis vectors ``columns``."""
         self._images = [
             np.hstack([image, rows @ columns])
             for image, rows in zip(self._images, self._rows, strict=True)
@@ -233,7 +233,7 @@ def _compute_modes(pencil: Pencil) -> np.ndarray:
 
 
 def _find_independent_directions(basis: np.ndarray, new: np.ndarray) -> np.ndarray:
-    """Compute orthonormal directions of ``new`` outside of the span of ``basis``.
+    """Orthonormalise the columns of ``new`` against ``basis`` and each other.
 
     Linearly dependent directions are omitted.
     """

@@ -110,7 +110,7 @@ class OptimalModels(ReducedBasis):
 
     @cached_property
     def balanced_models(self) -> ReducedBasis:
-        """Reduced models of all orders by balanced truncation, the start of IRKA."""
+        """Reduced models of all orders by balanced truncation, from which IRKA starts."""
         return ReducedBasis(self.task, self.pencil, self.fixed, congruence=False)
 
     def expand_basis(self, order: int) -> np.ndarray | None:
@@ -145,7 +145,7 @@ class OptimalModels(ReducedBasis):
 
 
 def compute_residues(pencil: Pencil) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the poles (q,) of a model, and factors of the residues ``c_i b_i'``.
+    """Return the poles (q,), and c and b of the residues ``c_i b_i'`` at the poles.
 
     The factors c have the shape (q, outputs), and the factors b have the shape (q, inputs).
     """
@@ -170,7 +170,7 @@ def interpolate_response(
 
 
 def _compute_real_basis(shifts: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """Return a real orthonormal basis (n, q) of complex conjugate vectors (q, n, 1)."""
+    """Return a real orthonormal basis (n, q) of the space of complex ``vectors``."""
     real, pairs = shifts.imag == 0, shifts.imag > 0
     columns = [vectors[real, :, 0].real, vectors[pairs, :, 0].real, vectors[pairs, :, 0].imag]
     return np.asarray(np.linalg.qr(np.concatenate(columns).T)[0])

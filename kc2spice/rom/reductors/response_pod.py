@@ -86,7 +86,7 @@ class ResponsePod(Reductor):
     def shorten_basis(
         self, basis: ReducedBasis, order: int, tolerance: float
     ) -> tuple[ReducedBasis, int]:
-        """Return a basis that meets the tolerance with fewer vectors, and the order.
+        """Shorten a basis if the tolerance permits; return the basis and its order.
 
         Each trial increases the weights of snapshots where the model of the next lower order has
         the largest errors (Lawson's minimax fit). Each trial decreases the weights above the band.
@@ -178,7 +178,7 @@ def _compute_weighted_states(
 
 
 def _scale_states(states: np.ndarray, factors: np.ndarray) -> np.ndarray:
-    """Scale the state vectors of each frequency by one factor per frequency.
+    """Multiply the state vectors of each frequency by the factor of this frequency.
 
     ``states`` and the result have the shape (n, 2 frequencies inputs), with the real parts before
     the imaginary parts.

@@ -118,7 +118,7 @@ def weight_states(
 def _compute_state_norms(
     x: np.ndarray, H: np.ndarray, complete: np.ndarray, norm: Norm
 ) -> np.ndarray:
-    """Return the norms (frequencies, inputs) by which the state vectors x are divided.
+    """Return the norms (frequencies, inputs) that scale the state vectors ``x``.
 
     H is the response without rigid-body modes, and ``complete`` is the response with rigid-body
     modes. The norms are increased in proportion to the increase of the response by rigid-body

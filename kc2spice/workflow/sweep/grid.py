@@ -136,7 +136,7 @@ def _split_words(text: str, separator: str) -> list[str]:
 
 
 def find_swept_key(name: str, keys: Mapping[str, KeyDescription]) -> KeyDescription:
-    """Return the description (unit and type) of a swept key or subcircuit parameter.
+    """Return the description of a swept key, or an empty one for any other name.
 
     ``name`` may also be the name of a list entry or of a table.
     """
@@ -281,7 +281,7 @@ class SweepPoints:
         return result
 
     def list_end_points(self) -> list[dict[str, Any]]:
-        """Return the first point, and points at the ends of single ranges.
+        """Return the first point, and points in which one block is at an extreme value.
 
         Each of these points differs from the first point in one block. At an end point, a number
         has its smallest or largest value, or a string of a block occurs for the first time.

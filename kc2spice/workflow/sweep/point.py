@@ -293,7 +293,7 @@ def _make_point_result(run: Run) -> PointResult:
 
 
 def _flatten_numbers(value: Mapping[str, Any]) -> dict[str, Number]:
-    """Return numbers, booleans and missing values of nested tables, by dotted name."""
+    """Return the numbers, booleans and None values in nested tables, by dotted name."""
     result: dict[str, Number] = {}
     for name, item in flatten_mapping(value):
         item = item.item() if isinstance(item, np.generic) else item

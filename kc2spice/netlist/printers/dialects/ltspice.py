@@ -34,7 +34,7 @@ class LTspice(Dialect):
     omits_braces = True  # whether names of parameters are written without braces
 
     def format_name(self, text: str) -> str:
-        """Return a name; enclose a parameter in parentheses and braces if necessary.
+        """Return a name; write a parameter as ``({NAME})`` if necessary.
 
         Without parentheses, the value of the parameter could not have a sign.
         """
@@ -50,7 +50,7 @@ class LTspice(Dialect):
         return f"{quantity}={text}" if part.kind == "b" else f"value={{{text}}}"
 
     def switch(self, name: str, values: Mapping[str, str]) -> str:
-        """Return the switch model with all parameters; LTspice has other default values."""
+        """Return the switch model with all parameters, because LTspice has other defaults."""
         parameters = {"vt": "0", "vh": "0", "ron": "1", "roff": "1e12"} | dict(values)
         return f".model {name} SW({' '.join(f'{k.upper()}={v}' for k, v in parameters.items())})"
 

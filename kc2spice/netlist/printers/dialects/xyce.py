@@ -96,7 +96,7 @@ class Xyce(Dialect):
         return super().format_options([*map(_tighten_reltol, words)] if timed else words)
 
     def _limit_steps(self, card: Directive) -> str:
-        """Return a transient card; limit its time steps if a controller may close a loop."""
+        """Return a transient card with a step limit if a controller may close a loop."""
         if self.deck and not self.deck.may_have_loop:
             return card.text
         words = [w for w in card.words if w.lower() == "uic"]
@@ -143,7 +143,7 @@ class Xyce(Dialect):
         return "\n+ ".join([f".print {kind} format=raw", *vectors])
 
     def switch(self, name: str, values: Mapping[str, str]) -> str:
-        """Return the card of a switch model, in which ``VON`` and ``VOFF`` must differ.
+        """Return the card of a switch model; Xyce requires different ``VON`` and ``VOFF``.
 
         Xyce has no hysteresis.
         """
@@ -181,7 +181,7 @@ def _list_nodes_with_initial_state(deck: Deck) -> Iterator[str]:
 
 
 def _tighten_reltol(word: str) -> str:
-    """Return an option of ngspice; ``reltol`` is reduced to the value for Xyce."""
+    """Return an option word; the value of ``reltol`` is reduced for Xyce."""
     name, _, value = word.partition("=")
     if name.lower() != "reltol":
         return word
