@@ -444,7 +444,7 @@ def test_sizes_and_losses_of_a_disc_at_values_that_no_sample_had():
     axes += [ParameterAxis("damping.quality", 10.0, 100.0)]
     band = (1e3, 25e3)
     made = reduce_over_parameters(buzzer, axes, band, degree=6)
-    assert [loss.parameter_axis.name for loss in made.losses] == ["damping.quality"]
+    assert [loss.axis.name for loss in made.losses] == ["damping.quality"]
     f, draw = np.linspace(*band, 20), np.random.default_rng(5)
     for _ in range(3):
         values = {axis.name: axis.value(draw.uniform(-1, 1)) for axis in axes}
