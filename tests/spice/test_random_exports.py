@@ -338,7 +338,7 @@ def test_parametric_bodies(family, tmp_path):
     ports = [port.name for port in body.type.used_ports(body, scene)]
     assert ports == (["anode", moved] if moved else ["anode"])
     middle = with_values(
-        body, {item.key: item.parameter_axis.middle for item in list_varied_keys(body)}
+        body, {item.key: item.parameter_axis.middle_value for item in list_varied_keys(body)}
     )
     for k in range(7):
         x = rng.choice([0.0, 1.0], len(ranges)) if k < 2 else rng.uniform(0, 1, len(ranges))

@@ -579,7 +579,7 @@ def test_files_that_are_not_models_are_rejected(tmp_path, matrices, words):
         ('mesh="/etc/passwd"\n' + TIP, ("mesh", "relative")),
         ("band = [3, 2]\n" + TIP, ("band",)),
         ('length = "ell"\n' + TIP, ("length", "mm")),
-        ("symmetric = 1\n" + TIP, ("symmetric", "boolean")),
+        ("symmetric = 1\n" + TIP, ("symmetric", "true or false")),
         ("damping = { ratio = 1 }\n" + TIP, ("damping", "at")),
         ("damping = { ratio = [0.01, 0.02], at = [1, 5] }\n" + TIP, ("damping.ratio", "alpha")),
         (TIP + TIP, ("the same name",)),
