@@ -56,7 +56,9 @@ _EXAMPLES = {
 
 def is_range_or_list(value: object) -> bool:
     """Return whether a text is a range such as 1 g:2 g:5, or a list such as 1 g,2 g."""
-    return isinstance(value, str) and _SEVERAL_VALUES.match(value) is not None
+    # the time of the comparison grows faster than the length of the text
+    is_short = isinstance(value, str) and len(value) <= MAX_QUANTITY_LENGTH
+    return is_short and _SEVERAL_VALUES.match(str(value)) is not None
 
 
 def give_example(si: str) -> str:
