@@ -230,17 +230,18 @@ def _require_results(before: Scope, edited: Deck, path: Path, scene_name: str) -
     missing = [v for v in edited.saved_vectors if not has_vector(now, v) and has_vector(before, v)]
     if not missing:
         return
-    if 2 * len(missing) > sum(has_vector(before, v) for v in edited.saved_vectors):
+    hint = f"edit a copy of the deck that  kc2spice export {scene_name}  writes"
+    needed = sum(has_vector(before, vector) for vector in edited.saved_vectors)
+    if len(missing) > max(MAX_CANDIDATES, needed / 2):
         raise UsageError(
             "this deck is not a deck of this scene",
             where=str(path),
             got=f"a deck without {len(missing)} of the results of {scene_name}, such as "
             f"{missing[0]}",
             expected=f"the deck that  kc2spice export {scene_name}  writes, with changes",
-            hint=f"edit a copy of the deck that  kc2spice export {scene_name}  writes",
+            hint=hint,
         )
     sources = {f"i({e.key})": e for e in before.elements if e.kind == "v"}
-    hint = f"edit a copy of the deck that  kc2spice export {scene_name}  writes"
     missing_sources = list(filter(None, map(sources.get, map(str.lower, missing))))
     if missing_sources:
         node = missing_sources[0].nodes[0]
