@@ -679,14 +679,22 @@ def _require_lists(values: Mapping[str, Sequence[Any]]) -> None:
     """
     expected = "a mapping of keys to lists, such as {'load.resistance': ['1 kOhm', '2 kOhm']}"
     if not isinstance(values, Mapping):
-        hint = "write a mapping with the values of each key"
-        raise UsageError("this object is not a mapping", where="values", got=repr(values)[:120],
-                         expected=expected, hint=hint)  # fmt: skip
+        raise UsageError(
+            "this object is not a mapping",
+            where="values",
+            got=repr(values)[:120],
+            expected=expected,
+            hint="write a mapping with the values of each key",
+        )
     for key, item in values.items():
         if isinstance(item, str) or not hasattr(item, "__len__"):
-            hint = f"write [{item!r}] for a single value"
-            raise UsageError("the values of a key are not a list", where=f"values: {key}",
-                             got=repr(item)[:120], expected=expected, hint=hint)  # fmt: skip
+            raise UsageError(
+                "the values of a key are not a list",
+                where=f"values: {key}",
+                got=repr(item)[:120],
+                expected=expected,
+                hint=f"write [{item!r}] for a single value",
+            )
     if not values or not all(map(len, values.values())):
         raise UsageError(
             "no key has more than one value to sweep",

@@ -162,9 +162,12 @@ def _collect_inputs(
     u = np.zeros((count, len(names)), dtype=np.result_type(float, *inputs.values()))
     for name, wave in inputs.items():
         if name not in names or np.shape(wave) != (count,):
-            expected = f"{count} values of one of {', '.join(names)}"
-            problem = "this waveform does not belong to a port of this body"
-            raise wrong("fields", problem, f"{name} {np.shape(wave)}", expected)
+            raise wrong(
+                "fields",
+                "this waveform does not belong to a port of this body",
+                got=f"{name} {np.shape(wave)}",
+                expected=f"{count} values of one of {', '.join(names)}",
+            )
         u[:, names.index(name)] = wave
     return u
 

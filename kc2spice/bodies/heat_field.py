@@ -96,10 +96,11 @@ def recover_temperatures(
     q = np.zeros((len(time), len(names)))
     for name, wave in flows.items():
         if name not in names or np.shape(wave) != np.shape(time):
-            expected = f"{len(time)} values of one of {', '.join(names)}"
-            got = f"{name} {np.shape(wave)}"
             raise wrong(
-                "fields", "this waveform is not the heat flow of a port of this body", got, expected
+                "fields",
+                "this waveform is not the heat flow of a port of this body",
+                got=f"{name} {np.shape(wave)}",
+                expected=f"{len(time)} values of one of {', '.join(names)}",
             )
         q[:, names.index(name)] = wave
     t = np.asarray(time)

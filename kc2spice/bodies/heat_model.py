@@ -187,9 +187,11 @@ def _constrain_temperatures(solid: HeatSolid, setup: HeatBoundaryConditions) -> 
     constraint_count[setup.fixed] = 1
     for port, nodes in setup.isothermal:
         if constraint_count[nodes].any():
-            problem = "this face has common nodes with another face of prescribed temperature"
-            hint = "choose groups of faces without common nodes"
-            raise wrong(f"isothermal.{port.name}", problem, hint=hint)
+            raise wrong(
+                f"isothermal.{port.name}",
+                "this face has common nodes with another face of prescribed temperature",
+                hint="choose groups of faces without common nodes",
+            )
         constraint_count[nodes] = 1
     blocks = [
         sparse.eye_array(solid.node_count, format="csc")[:, np.flatnonzero(constraint_count == 0)]

@@ -82,13 +82,19 @@ def analyse_impedance(frequency: np.ndarray, impedance_ohm: np.ndarray) -> Analy
     """
     f, Z = np.asarray(frequency, float), np.asarray(impedance_ohm, complex)
     if f.ndim != 1 or f.shape != Z.shape or len(f) < _MIN_SAMPLES:
-        expected = f"two arrays of the same length, with at least {_MIN_SAMPLES} samples"
-        got = f"shapes {f.shape} and {Z.shape}"
-        raise wrong(None, "these arrays are not samples of an impedance", got, expected)
+        raise wrong(
+            None,
+            "these arrays are not samples of an impedance",
+            got=f"shapes {f.shape} and {Z.shape}",
+            expected=f"two arrays of the same length, with at least {_MIN_SAMPLES} samples",
+        )
     good = np.isfinite(f).all() and np.isfinite(Z).all() and (Z != 0).all()
     if not good or f[0] <= 0 or not (np.diff(f) > 0).all():
-        expected = "finite values, at positive frequencies in increasing order"
-        raise wrong(None, "these arrays are not samples of an impedance", expected=expected)
+        raise wrong(
+            None,
+            "these arrays are not samples of an impedance",
+            expected="finite values, at positive frequencies in increasing order",
+        )
     Y = 1 / Z
     window = _select_window(f, Y)
     bvd = _fit_circuit(f[window], Y[window])
@@ -129,7 +135,9 @@ def _require_resonance(
         got = f"a circuit of Q {quality:.2g} at {resonance:.4g} Hz, which does not oscillate"
     elif np.abs(branch.real).max() > MIN_PROMINENCE * float(np.sqrt(np.mean(ripple**2))):
         return
-    raise wrong(None, "the samples contain no resonance", got, hint="use a wider frequency band")
+    raise wrong(
+        None, "the samples contain no resonance", got=got, hint="use a wider frequency band"
+    )
 
 
 def _select_window(f: np.ndarray, Y: np.ndarray) -> slice:
@@ -143,9 +151,13 @@ def _select_window(f: np.ndarray, Y: np.ndarray) -> slice:
     inner = np.flatnonzero((G[1:-1] >= G[:-2]) & (G[1:-1] > G[2:])) + 1
     inner = inner[G[inner] > 0]
     if len(inner) == 0:
-        hint = "use a wider frequency band, or add damping so that the peak spans several samples"
         raise wrong(
-            None, "the samples contain no resonance", f"{f[0]:g} to {f[-1]:g} Hz", hint=hint
+            None,
+            "the samples contain no resonance",
+            got=f"{f[0]:g} to {f[-1]:g} Hz",
+            hint=(
+                "use a wider frequency band, or add damping so that the peak spans several samples"
+            ),
         )
     peak = int(inner[G[inner] >= G[inner].max() / 20][0])
     R = (1 / Y).real
@@ -155,13 +167,12 @@ def _select_window(f: np.ndarray, Y: np.ndarray) -> slice:
     reach = max(top - peak, 4)
     low, high = max(0, peak - reach), min(len(f), top + reach // 4 + 2)
     if high - low < _MIN_SAMPLES:
-        problem = "the data have too few samples around the resonance"
         raise wrong(
             None,
-            problem,
-            f"{high - low} samples around {f[peak]:g} Hz",
-            f"at least {_MIN_SAMPLES} samples",
-            "use a smaller frequency step",
+            "the data have too few samples around the resonance",
+            got=f"{high - low} samples around {f[peak]:g} Hz",
+            expected=f"at least {_MIN_SAMPLES} samples",
+            hint="use a smaller frequency step",
         )
     return slice(low, high)
 
@@ -189,9 +200,12 @@ def _fit_circuit(f: np.ndarray, Y: np.ndarray) -> BVD:
     c0 = (c3 - a * c4 / b) / b
     cm = c1 - c0
     if not min(a, b, c0, cm) > 0:
-        problem = "the samples do not match a resonance in parallel with a capacitor"
-        hint = "take more samples between resonance and antiresonance"
-        raise wrong(None, problem, f"C0 {c0:g}, C {cm:g}, R C {a:g}, L C {b:g} (scaled)", hint=hint)
+        raise wrong(
+            None,
+            "the samples do not match a resonance in parallel with a capacitor",
+            got=f"C0 {c0:g}, C {cm:g}, R C {a:g}, L C {b:g} (scaled)",
+            hint="take more samples between resonance and antiresonance",
+        )
     scale = 1 / (2 * math.pi * unit)
     farad = size * scale
     return BVD(c0 * farad, a * scale / (cm * farad), b * scale**2 / (cm * farad), cm * farad)

@@ -280,9 +280,13 @@ def _add_damping(
     loss = []
     for material in solid.materials:
         if material.quality is None:
-            hint = "add  quality = VALUE  to the table of this material"
-            problem, expected = "this material has no Q factor", "a Q factor for every material"
-            raise wrong("damping.per_material", problem, material.name, expected, hint)
+            raise wrong(
+                "damping.per_material",
+                "this material has no Q factor",
+                got=material.name,
+                expected="a Q factor for every material",
+                hint="add  quality = VALUE  to the table of this material",
+            )
         loss.append(1 / (material.quality * 2 * np.pi * first))
 
     def assemble_damping_term(beta: float, material: int | None = None) -> sparse.csc_array:
@@ -349,9 +353,11 @@ def _constrain_displacements(
     for face in setup.faces:
         rows = (d * face.nodes[:, None] + np.arange(d)).ravel()
         if not free[rows].all():
-            problem = "a rigid face touches a support or another rigid face"
-            hint = "choose a face whose nodes are neither clamped nor on another rigid face"
-            raise wrong(", ".join(port.name for port, _ in face.ports), problem, hint=hint)
+            raise wrong(
+                ", ".join(port.name for port, _ in face.ports),
+                "a rigid face touches a support or another rigid face",
+                hint="choose a face whose nodes are neither clamped nor on another rigid face",
+            )
         free[rows] = False
         motion = np.zeros((len(free), 6))
         motion[rows] = compute_rigid_body_modes(solid, where[face.nodes].mean(axis=0))[rows]
@@ -379,21 +385,27 @@ def _constrain_potentials(
     for nodes in (*setup.electrodes.values(), *setup.floating):
         times_driven[nodes[live[nodes]]] += 1
     if times_driven.max(initial=0) > 1:
-        hint = (
-            "choose groups of faces without common nodes, or one pin for all: PIN = [GROUP, GROUP]"
-        )
         common = np.flatnonzero(times_driven > 1)
         pins = [pin for pin, nodes in setup.electrodes.items() if np.isin(common, nodes).any()]
-        got = f"{len(common)} common nodes of {', '.join(pins)}"
-        expected = "a gap between any two electrodes"
-        raise wrong("electrodes", "two electrodes have common nodes", got, expected, hint)
+        raise wrong(
+            "electrodes",
+            "two electrodes have common nodes",
+            got=f"{len(common)} common nodes of {', '.join(pins)}",
+            expected="a gap between any two electrodes",
+            hint=(
+                "choose groups of faces without common nodes, or one pin for all: PIN = "
+                "[GROUP, GROUP]"
+            ),
+        )
     if setup.graded is not None:
         times_driven[setup.graded[0]] += 1
     _, piece = connected_components(K_pp, directed=False)
     if np.setdiff1d(piece[live], piece[times_driven > 0]).size:
-        problem = "a piezoelectric solid touches no electrode, so its potential is undetermined"
-        hint = "add an electrode on a face of each piezoelectric solid"
-        raise wrong("electrodes", problem, hint=hint)
+        raise wrong(
+            "electrodes",
+            "a piezoelectric solid touches no electrode, so its potential is undetermined",
+            hint="add an electrode on a face of each piezoelectric solid",
+        )
 
     def make_nodal_column(nodes: np.ndarray, values: float | np.ndarray = 1.0) -> sparse.csc_array:
         """Return a column vector with ``values`` at the ``nodes`` and zeros elsewhere."""
@@ -606,11 +618,15 @@ class BondedBlocks:
             points, place = _merge_edges(edges)
             counted, alike = _merge_edges(model_edges)
             if not np.array_equal(place, alike):
-                problem = (
-                    "the order of the edges of the body changes within the ranges of the parameters"
+                raise wrong(
+                    self.where,
+                    (
+                        "the order of the edges of the body changes within the ranges of "
+                        "the parameters"
+                    ),
+                    expected="ranges within which the order of the edges is constant",
+                    hint="narrow the ranges",
                 )
-                expected = "ranges within which the order of the edges is constant"
-                raise wrong(self.where, problem, expected=expected, hint="narrow the ranges")
             counts = np.ceil(np.diff(counted) / model.size - 1e-9).astype(int)
             cut = [
                 np.linspace(*pair, self.refine * max(1, count) + 1)[:-1]

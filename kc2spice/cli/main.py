@@ -523,12 +523,11 @@ def _compare_methods(
 
     for option, value in no_effect.items():
         if value is not None:
-            expected = "--method compare without this option"
             raise UsageError(
                 "this option cannot be combined with --method compare",
                 where=option,
                 got=value,
-                expected=expected,
+                expected="--method compare without this option",
                 hint=f"leave out {option}",
             )
     with naming_options(options), caller.open_progress_display() as progress:
@@ -689,5 +688,8 @@ def _sweep(
             rows.append(("files", ", ".join(result["files"])))
         print_table("sweep", rows)
     if result["points"] == result["failed"]:
-        hint = "read the column status of this table: it states the cause of each failure"
-        raise SimulationError("every point of the sweep failed", where=result["table"], hint=hint)
+        raise SimulationError(
+            "every point of the sweep failed",
+            where=result["table"],
+            hint="read the column status of this table: it states the cause of each failure",
+        )

@@ -168,7 +168,6 @@ def _make_unknown_option_error(command: Any, name: str, line: str) -> UsageError
     """Make the error for an unknown option."""
     words = chain.from_iterable(item.opts for item in command.params)
     options = [word for word in words if word.startswith("--")]
-    expected = f"one of {list_candidates(name, options, f'{line} --help')}"
     similar = did_you_mean(name.strip("-"), [word.strip("-") for word in options])
     suggestion = similar and similar.replace("'", "'--", 1)
     hint = suggestion or f"leave out {name}; {line} --help describes all options"
@@ -176,7 +175,11 @@ def _make_unknown_option_error(command: Any, name: str, line: str) -> UsageError
     hint = f"write {synonym} in place of {name}" if synonym else hint
     where = line.removeprefix(PROGRAM).strip() or None
     return UsageError(
-        "this option does not exist", where=where, got=name, expected=expected, hint=hint
+        "this option does not exist",
+        where=where,
+        got=name,
+        expected=f"one of {list_candidates(name, options, f'{line} --help')}",
+        hint=hint,
     )
 
 

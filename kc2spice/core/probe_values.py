@@ -232,12 +232,11 @@ def _is_on_scale(scale: np.ndarray, place: float) -> bool:
 
 def _make_outside_error(where: str, place: float, scale: np.ndarray) -> UsageError:
     """Make the error for a position that is outside of the scale."""
-    expected = f"{scale.min():g} … {scale.max():g}"
     return UsageError(
         "this place is outside of the range of the analysis",
         where=where,
         got=f"{place:g}",
-        expected=expected,
+        expected=f"{scale.min():g} … {scale.max():g}",
         hint=f"write for example  {where.rpartition('.')[2]} = {float(scale.max()):g}",
     )
 

@@ -352,8 +352,9 @@ def call_in_child(
                 total=MAX_RESULT_BYTES,
             )
         except (OSError, BadZipFile) as error:
-            text = f"the process that imports this file wrote damaged data: {error}"
-            raise ValueError(text) from None
+            raise ValueError(
+                f"the process that imports this file wrote damaged data: {error}"
+            ) from None
 
 
 def _explain_exit(path: Path, code: int, memory: int) -> Exception:

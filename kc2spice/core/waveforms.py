@@ -362,14 +362,17 @@ def make_pulse_waveform(
     UsageError : ``count`` is given without ``period``, or exceeds ``MAX_PULSES``.
     """
     if count is not None and period is None:
-        hint = "add the key period, or delete count"
         raise UsageError(
-            "the pulse has a count, but no period", expected="period and count", hint=hint
+            "the pulse has a count, but no period",
+            expected="period and count",
+            hint="add the key period, or delete count",
         )
     if count is not None and not 1 <= count <= MAX_PULSES:
-        expected = f"1 to {MAX_PULSES}; without a count the train has no end"
         raise UsageError(
-            "count is not a number of pulses", got=count, expected=expected, hint="delete count"
+            "count is not a number of pulses",
+            got=count,
+            expected=f"1 to {MAX_PULSES}; without a count the train has no end",
+            hint="delete count",
         )
     edges = ((0.0, low), (edge, high), (width, high), (width + edge, low))
     corners = tuple((start + t, v) for t, v in edges)

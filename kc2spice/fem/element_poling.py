@@ -68,24 +68,24 @@ class PolingTable(EqualByContent):
         strange = np.flatnonzero(~np.isin(self.numbers, numbers))
         if strange.size:
             number = self.numbers[strange[0]]
-            problem = f"row {self.rows[strange[0]]}: this element is not in the mesh"
-            expected = f"element numbers of the mesh, {numbers.min()} … {numbers.max()}"
-            got = f"element {number}, and {strange.size - 1} more"
-            hint = "export the file for the mesh of this body, or delete these rows"
-            raise wrong(self.where, problem, got, expected, hint)
+            raise wrong(
+                self.where,
+                f"row {self.rows[strange[0]]}: this element is not in the mesh",
+                got=f"element {number}, and {strange.size - 1} more",
+                expected=f"element numbers of the mesh, {numbers.min()} … {numbers.max()}",
+                hint="export the file for the mesh of this body, or delete these rows",
+            )
         order = np.argsort(self.numbers)
         missing = np.setdiff1d(numbers[members], self.numbers)
         if missing.size:
             first = ", ".join(map(str, missing[:LISTED_ELEMENTS]))
             more = ", …" if missing.size > LISTED_ELEMENTS else ""
-            got = f"{missing.size} elements without poling: {first}{more}"
-            expected = "a row for each element of the group"
             raise wrong(
                 self.where,
                 "the poling file lacks elements of the mesh",
-                got,
-                expected,
-                f"add a row for element {missing[0]}",
+                got=f"{missing.size} elements without poling: {first}{more}",
+                expected="a row for each element of the group",
+                hint=f"add a row for element {missing[0]}",
             )
         return np.asarray(order[np.searchsorted(self.numbers[order], numbers[members])])
 
@@ -102,13 +102,20 @@ def read_poling(path: Path, where: str, axisymmetric: bool) -> PolingTable:
     try:
         text = decode_text(read_bounded(path, MAX_FILE_BYTES))
     except UnicodeDecodeError:
-        hint = f"save {path.name} with the encoding UTF-8 in a text editor"
-        raise wrong(where, "this file is not UTF-8 text", str(path), hint=hint) from None
+        raise wrong(
+            where,
+            "this file is not UTF-8 text",
+            got=str(path),
+            hint=f"save {path.name} with the encoding UTF-8 in a text editor",
+        ) from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        hint = f"copy {path.name} into the folder of the scene, or correct its name"
         raise wrong(
-            where, f"this file cannot be read: {reason}", str(path), "a CSV file", hint
+            where,
+            f"this file cannot be read: {reason}",
+            got=str(path),
+            expected="a CSV file",
+            hint=f"copy {path.name} into the folder of the scene, or correct its name",
         ) from None
     lines = _read_rows(text, where)
     _, titles = next(lines, (0, []))
@@ -118,9 +125,9 @@ def read_poling(path: Path, where: str, axisymmetric: bool) -> PolingTable:
         raise wrong(
             where,
             "the first line of the poling file has wrong columns",
-            got,
-            EXPECTED_COLUMNS,
-            f"write the column names  {','.join(COLUMN_LAYOUTS[0])}  into the first line",
+            got=got,
+            expected=EXPECTED_COLUMNS,
+            hint=f"write the column names  {','.join(COLUMN_LAYOUTS[0])}  into the first line",
         )
     rows, values = [], []
     for row, cells in lines:
@@ -166,21 +173,23 @@ def _read_rows(text: str, where: str) -> Iterator[tuple[int, list[str]]]:
             try:
                 yield row, [*map(str.strip, next(csv.reader([line], strict=True)))]
             except csv.Error as error:
-                hint = "separate the numbers of this row by commas, without quotes"
-                problem = f"row {row} of the file is not CSV: {error}"
-                raise wrong(where, problem, line[:60], hint=hint) from None
+                raise wrong(
+                    where,
+                    f"row {row} of the file is not CSV: {error}",
+                    got=line[:60],
+                    hint="separate the numbers of this row by commas, without quotes",
+                ) from None
 
 
 def _parse_row(cells: list[str], columns: tuple[str, ...], row: int, where: str) -> list[float]:
     """Convert one row of a poling file to finite numbers; reject an invalid row."""
     if len(cells) != len(columns):
-        problem, got = f"row {row} has the wrong number of columns", f"{len(cells)} columns"
         raise wrong(
             where,
-            problem,
-            got,
-            f"{len(columns)} columns: {', '.join(columns)}",
-            f"write {len(columns)} numbers, separated by commas, in row {row}",
+            f"row {row} has the wrong number of columns",
+            got=f"{len(cells)} columns",
+            expected=f"{len(columns)} columns: {', '.join(columns)}",
+            hint=f"write {len(columns)} numbers, separated by commas, in row {row}",
         )
     result = []
     for column, cell in zip(columns, cells, strict=True):
@@ -192,9 +201,9 @@ def _parse_row(cells: list[str], columns: tuple[str, ...], row: int, where: str)
             raise wrong(
                 where,
                 f"row {row}, column {column}: not a finite number",
-                cell[:50],
-                "a number such as 0.5",
-                "write a number with a decimal point",
+                got=cell[:50],
+                expected="a number such as 0.5",
+                hint="write a number with a decimal point",
             )
         result.append(value)
     return result
@@ -206,19 +215,22 @@ def _reject_invalid_directions(
     """Reject poling vectors that are zero or outside of an axisymmetric mesh's plane."""
     zero = np.flatnonzero(~directions.any(axis=1))
     if zero.size:
-        problem = f"row {rows[zero[0]]}: the poling is a zero vector"
         raise wrong(
             where,
-            problem,
-            "px = py = pz = 0",
-            "a vector of any length except zero",
-            "write for example 0,0,1",
+            f"row {rows[zero[0]]}: the poling is a zero vector",
+            got="px = py = pz = 0",
+            expected="a vector of any length except zero",
+            hint="write for example 0,0,1",
         )
     out = np.flatnonzero(directions[:, 1])
     if axisymmetric and out.size:
-        problem = f"row {rows[out[0]]}: the poling is not in the plane of the axisymmetric mesh"
-        hint = "use a mesh in three dimensions for a poling along the hoop direction"
-        raise wrong(where, problem, f"py = {directions[out[0], 1]:g}", "py = 0", hint)
+        raise wrong(
+            where,
+            f"row {rows[out[0]]}: the poling is not in the plane of the axisymmetric mesh",
+            got=f"py = {directions[out[0], 1]:g}",
+            expected="py = 0",
+            hint="use a mesh in three dimensions for a poling along the hoop direction",
+        )
 
 
 def _convert_element_numbers(values: np.ndarray, rows: list[int], where: str) -> np.ndarray:
@@ -226,14 +238,21 @@ def _convert_element_numbers(values: np.ndarray, rows: list[int], where: str) ->
     fractions = np.flatnonzero((values != np.rint(values)) | (np.abs(values) > 2**53))
     if fractions.size:
         row = rows[fractions[0]]
-        problem = f"row {row}, column element: not an element number"
-        hint = f"write {round(values[fractions[0]])} if that is the number of the element"
-        raise wrong(where, problem, f"{values[fractions[0]]:g}", "a whole number", hint)
+        raise wrong(
+            where,
+            f"row {row}, column element: not an element number",
+            got=f"{values[fractions[0]]:g}",
+            expected="a whole number",
+            hint=f"write {round(values[fractions[0]])} if that is the number of the element",
+        )
     numbers = values.astype(np.int64)
     _, first = np.unique(numbers, return_index=True)
     twice = np.setdiff1d(np.arange(len(numbers)), first)
     if twice.size:
-        problem = f"row {rows[twice[0]]}: this element already has a row"
-        got, hint = f"element {numbers[twice[0]]}", f"delete row {rows[twice[0]]}"
-        raise UsageError(problem, where=where, got=got, hint=hint)
+        raise UsageError(
+            f"row {rows[twice[0]]}: this element already has a row",
+            where=where,
+            got=f"element {numbers[twice[0]]}",
+            hint=f"delete row {rows[twice[0]]}",
+        )
     return numbers

@@ -396,14 +396,14 @@ def get_air_section(catch: CatchKeys) -> tuple[float, float, float, float]:
     _, bottoms, _, tops = zip(*boxes, strict=True)
     low, high = min(bottoms), max(tops)
     if high - low >= catch.air_height:
-        expected = f"more than {high - low:g} m; for a small field error, several times that height"
-        problem = "the air cylinder is not as high as the magnet and the coils inside it"
         raise wrong(
             "catch.air_height",
-            problem,
-            f"{catch.air_height:g} m",
-            expected,
-            f"raise air_height to {3 * (high - low):g} m",
+            "the air cylinder is not as high as the magnet and the coils inside it",
+            got=f"{catch.air_height:g} m",
+            expected=(
+                f"more than {high - low:g} m; for a small field error, several times that height"
+            ),
+            hint=f"raise air_height to {3 * (high - low):g} m",
         )
     centre = (low + high) / 2
     return 0.0, centre - catch.air_height / 2, catch.air_radius, centre + catch.air_height / 2
@@ -442,9 +442,13 @@ def make_bore(
         hint = f'for example  y_max = "{1e3 * (most - pitch):.3g} mm"'
         if bottom <= floor + pitch:
             hint = f'for example  y_min = "{1e3 * (least + pitch):.3g} mm"'
-        problem = "the height range of the sphere extends beyond the air cylinder"
-        got = f"{1e3 * lowest:.4g} mm to {1e3 * highest:.4g} mm"
-        raise wrong("catch.y_min, catch.y_max", problem, got, expected, hint)
+        raise wrong(
+            "catch.y_min, catch.y_max",
+            "the height range of the sphere extends beyond the air cylinder",
+            got=f"{1e3 * lowest:.4g} mm to {1e3 * highest:.4g} mm",
+            expected=expected,
+            hint=hint,
+        )
     size = radius / catch.refine
     columns = ceil(wall / (_LATTICE_SIZE * size))
     return BoreLattice(

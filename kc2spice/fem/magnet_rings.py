@@ -577,12 +577,17 @@ def _fit_power_series(nodes: np.ndarray, values: np.ndarray, tolerance: float) -
     if not 0 < degree < 3 * nodes.size // 4:
         got = "a polynomial fit with the relative slope error "
         got += f"{tails[3 * nodes.size // 4].max():.1g}"
-        hint = (
-            f"raise the key `tolerance`, now {tolerance:g}, or choose y_min and y_max further from "
-            "the windings"
+        raise wrong(
+            None,
+            "the magnetic coupling changes too fast with the height",
+            got=got,
+            expected=f"a slope error below {tolerance / 10:g}",
+            hint=(
+                f"raise the key `tolerance`, now {tolerance:g}, or choose y_min and "
+                "y_max further from "
+                "the windings"
+            ),
         )
-        problem = "the magnetic coupling changes too fast with the height"
-        raise wrong(None, problem, got, f"a slope error below {tolerance / 10:g}", hint)
     flat = c[: degree + 1].reshape(degree + 1, -1)
     series = list(map(chebyshev.cheb2poly, flat.T))
     powers = np.array([np.pad(item, (0, degree + 1 - item.size)) for item in series])

@@ -584,8 +584,13 @@ class MaterialTable(Section):
             hint = 'numbers are in SI: write "121 GPa" or 121e9, "16.4e-12 1/Pa" or 16.4e-12'
             if isinstance(self.youngs_modulus, float) and 1e3 <= 1e9 * largest <= 2e12:
                 hint = f'write  youngs_modulus = "{self.youngs_modulus:g} GPa"'
-            problem = "the stiffness is outside of the range of all materials"
-            raise wrong(None, problem, f"{largest:g} Pa", "1e3 to 2e12 Pa", hint)
+            raise wrong(
+                None,
+                "the stiffness is outside of the range of all materials",
+                got=f"{largest:g} Pa",
+                expected="1e3 to 2e12 Pa",
+                hint=hint,
+            )
         _reject_implausible_density(self.density, largest)
         return (C + C.T) / 2
 
@@ -626,16 +631,18 @@ class MaterialTable(Section):
             raise wrong(
                 "poisson_ratio",
                 "the Poisson ratio of this material is out of range",
-                f"{nu:g}",
-                "above -1 and below 0.5",
-                "for metals and ceramics, write for example 0.3",
+                got=f"{nu:g}",
+                expected="above -1 and below 0.5",
+                hint="for metals and ceramics, write for example 0.3",
             )
         if min(E) <= 0 or not min(g) > 0:
-            expected = "moduli above zero, and a poisson_ratio above -1"
             hint = "remove the minus sign" if min(E) < 0 else "write values above zero"
             got = ", ".join(f"{modulus:g} Pa" for modulus in dict.fromkeys([*E, *g]))
             raise UsageError(
-                "an elastic modulus is not positive", got=got, expected=expected, hint=hint
+                "an elastic modulus is not positive",
+                got=got,
+                expected="moduli above zero, and a poisson_ratio above -1",
+                hint=hint,
             )
         s = np.diag(1 / np.array([*E, *g]))
         s[0, 1:3], s[1, 2] = -np.array(n[:2]) / E[0], -n[2] / E[1]
@@ -649,10 +656,13 @@ class MaterialTable(Section):
         if isinstance(values, list):
             return _convert_to_matrix(values, (3, 3), "permittivity")
         if "eps11" not in values or set(values) - set(names):
-            expected = "eps11, and also eps22 or eps33 if its value differs from eps11"
-            problem = "these keys are not the components of a permittivity"
-            hint = "write  permittivity = { eps11 = VALUE, eps33 = VALUE }"
-            raise wrong("permittivity", problem, ", ".join(values), expected, hint)
+            raise wrong(
+                "permittivity",
+                "these keys are not the components of a permittivity",
+                got=", ".join(values),
+                expected="eps11, and also eps22 or eps33 if its value differs from eps11",
+                hint="write  permittivity = { eps11 = VALUE, eps33 = VALUE }",
+            )
         first = values["eps11"]
         return np.diag([first, values.get("eps22", first), values.get("eps33", first)])
 
@@ -667,13 +677,12 @@ class MaterialTable(Section):
         if isinstance(values, list):
             return _convert_to_matrix(values, shape, key)
         if self.symmetry not in _FREE_COMPONENTS:
-            expected = f"symmetry = {', '.join(_FREE_COMPONENTS)}, or a full matrix"
             raise wrong(
                 key,
                 "named components of a tensor need the key `symmetry`",
-                self.symmetry,
-                expected,
-                'add  symmetry = "6mm"  for a poled ceramic',
+                got=self.symmetry,
+                expected=f"symmetry = {', '.join(_FREE_COMPONENTS)}, or a full matrix",
+                hint='add  symmetry = "6mm"  for a poled ceramic',
             )
         first, second, last = f"{letter}11", f"{letter}12", f"{letter}66"
         if (
@@ -713,24 +722,26 @@ def _convert_to_matrix(rows: list[list[float]], shape: tuple[int, int], key: str
     A matrix with another shape is rejected, and so is a square matrix that is not symmetric.
     """
     if list(map(len, rows)) != [shape[1]] * shape[0]:
-        got = f"rows of {', '.join(map(str, map(len, rows[:8])))} numbers"
         expected = f"{shape[0]} rows of {shape[1]} numbers"
         raise UsageError(
             "the matrix has a wrong number of entries",
             where=key,
-            got=got,
+            got=f"rows of {', '.join(map(str, map(len, rows[:8])))} numbers",
             expected=expected,
             hint=f"write {expected}, as [[…], …]",
         )
     matrix = np.array(rows)
     if shape[0] == shape[1] and not np.allclose(matrix, matrix.T, rtol=1e-6):
-        expected = "equal entries on both sides of the diagonal"
         row, column = map(int, np.argwhere(~np.isclose(matrix, matrix.T, rtol=1e-6))[0])
         place = f"row {row + 1}, column {column + 1}"
-        got = f"{matrix[row, column]:g} in {place}, and {matrix[column, row]:g} on the other side"
-        hint = f"write {matrix[column, row]:g} in {place}"
         raise UsageError(
-            "this matrix is not symmetric", where=key, got=got, expected=expected, hint=hint
+            "this matrix is not symmetric",
+            where=key,
+            got=(
+                f"{matrix[row, column]:g} in {place}, and {matrix[column, row]:g} on the other side"
+            ),
+            expected="equal entries on both sides of the diagonal",
+            hint=f"write {matrix[column, row]:g} in {place}",
         )
     return matrix
 
@@ -757,7 +768,7 @@ def _reject_implausible_density(density: float, stiffness: float) -> None:
         return
     hint = f'write  density = "{factor * density:g} kg/m3"  if the value is in '
     hint += "g/cm3" if factor > 1 else "g/m3"
-    raise wrong("density", problem, f"{density:g} kg/m3", expected, hint)
+    raise wrong("density", problem, got=f"{density:g} kg/m3", expected=expected, hint=hint)
 
 
 def _require_positive_definite(matrix: np.ndarray, key: str, hint: str | None = None) -> None:
@@ -771,8 +782,13 @@ def _require_positive_definite(matrix: np.ndarray, key: str, hint: str | None = 
         scale = 1 / np.sqrt(diagonal)
         smallest = float(np.linalg.eigvalsh(matrix * np.outer(scale, scale))[0])
     if not smallest > 1e-9:
-        problem = "the matrix of this material is not positive definite"
-        raise wrong(key, problem, f"smallest eigenvalue {smallest:g}", "greater than 0", hint)
+        raise wrong(
+            key,
+            "the matrix of this material is not positive definite",
+            got=f"smallest eigenvalue {smallest:g}",
+            expected="greater than 0",
+            hint=hint,
+        )
 
 
 @cache
@@ -812,8 +828,15 @@ def find_material(
             return table.build_material(where.rsplit(".", 1)[-1])
     if name_or_table.lower() not in _list_library_names():
         names = list(_load_tables())
-        expected = f"one of {list_candidates(name_or_table, names, 'docs/reference/materials.md')}"
         hint = did_you_mean(name_or_table, names)
         hint = hint or 'write a table: { density = …, youngs_modulus = "… GPa", poisson_ratio = … }'
-        raise wrong(where, "this material does not exist", repr(name_or_table), expected, hint)
+        raise wrong(
+            where,
+            "this material does not exist",
+            got=repr(name_or_table),
+            expected=(
+                f"one of {list_candidates(name_or_table, names, 'docs/reference/materials.md')}"
+            ),
+            hint=hint,
+        )
     return _load_material(_list_library_names()[name_or_table.lower()])

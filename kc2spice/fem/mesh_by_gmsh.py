@@ -119,19 +119,19 @@ def _collect_arrays(gmsh: ModuleType, dimension: int, where: str) -> dict[str, n
                 shape, _, degree, count, places, corners = properties
                 if corners not in CORNER_COUNTS[d] or degree > 2:
                     expected = "elements of order 1 or 2: " + ELEMENT_NAMES
-                    hint = "mesh with Mesh.ElementOrder = 2 in gmsh"
                     raise wrong(
                         "mesh",
                         "the mesh has an element type that is not supported",
-                        shape,
-                        expected,
-                        hint,
+                        got=shape,
+                        expected=expected,
+                        hint="mesh with Mesh.ElementOrder = 2 in gmsh",
                     )
                 at = np.minimum(np.searchsorted(ranked, nodes), len(ranked) - 1)
                 if len(ranked) == 0 or (ranked[at] != nodes).any():
-                    hint = "export the mesh again, with all nodes"
                     raise UsageError(
-                        "an element has a node that does not exist", where=where, hint=hint
+                        "an element has a node that does not exist",
+                        where=where,
+                        hint="export the mesh again, with all nodes",
                     )
                 local = np.reshape(places, (count, -1))[:, :d]
                 result.append((numbers, CellBlock(order[at].reshape(-1, count), corners, local)))
@@ -177,15 +177,21 @@ def _mesh_cad(gmsh: ModuleType, size: float, dimension: int, picks: Picks) -> No
     """
     bodies = gmsh.model.getEntities(dimension)
     if not bodies:
-        problem = f"the CAD file contains no {ENTITY_NAMES[dimension]}"
-        hint = f"export the {ENTITY_NAMES[dimension]} of the body into this file"
-        raise UsageError(problem, where="mesh", hint=hint)
+        raise UsageError(
+            f"the CAD file contains no {ENTITY_NAMES[dimension]}",
+            where="mesh",
+            hint=f"export the {ENTITY_NAMES[dimension]} of the body into this file",
+        )
     sides = np.reshape(gmsh.model.getBoundingBox(-1, -1), (2, 3))
     elements = float(np.prod(np.maximum(np.ptp(sides, axis=0) / size, 1.0)))
     if not elements <= MAX_ELEMENTS:
-        problem = "this element size gives too many elements"
-        got, hint = f"about {elements:.1g} elements", "write a larger size"
-        raise wrong("size", problem, got, f"at most {MAX_ELEMENTS} elements", hint)
+        raise wrong(
+            "size",
+            "this element size gives too many elements",
+            got=f"about {elements:.1g} elements",
+            expected=f"at most {MAX_ELEMENTS} elements",
+            hint="write a larger size",
+        )
     labels = {e: gmsh.model.getEntityName(*e).rsplit("/", 1)[-1] for e in gmsh.model.getEntities()}
     if len(bodies) > 1:
         _, pieces = gmsh.model.occ.fragment(bodies[:1], bodies[1:])
@@ -234,14 +240,12 @@ def _select_entities(
             if _is_entity_near(gmsh, d, tag, np.asarray(point), near)
         ]
         if not hits:
-            problem = f"no {ENTITY_NAMES[dimension][:-1]} contains this point"
-            expected = "a point of the geometry, in the unit of the file"
             raise wrong(
                 f"groups.{name}.at",
-                problem,
-                list(map(float, point)),
-                expected,
-                f"write a point of the {ENTITY_NAMES[dimension]} in the unit of the file",
+                f"no {ENTITY_NAMES[dimension][:-1]} contains this point",
+                got=list(map(float, point)),
+                expected="a point of the geometry, in the unit of the file",
+                hint=f"write a point of the {ENTITY_NAMES[dimension]} in the unit of the file",
             )
         result += hits
     if box is not None:
@@ -249,11 +253,10 @@ def _select_entities(
         inside = gmsh.model.getEntitiesInBoundingBox(*low, *high, dimension)
         result += map(itemgetter(1), inside)
     if not result:
-        expected = f"a point of, or a box around, {ENTITY_NAMES[dimension]} of the geometry"
         raise UsageError(
             "this group selects no part of the mesh",
             where=f"groups.{name}",
-            expected=expected,
+            expected=f"a point of, or a box around, {ENTITY_NAMES[dimension]} of the geometry",
             hint=f"enlarge the box of groups.{name}, with coordinates in the unit of the file",
         )
     return sorted(set(map(int, result)))

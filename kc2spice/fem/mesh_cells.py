@@ -135,11 +135,12 @@ def reject_folded_elements(points: np.ndarray, blocks: Sequence[CellBlock], wher
         folded = np.flatnonzero((determinant.min(axis=0) <= 0) & (determinant.max(axis=0) >= 0))
         if folded.size:
             centre = ", ".join(f"{1e3 * x:.4g}" for x in places[folded[0]].mean(axis=0))
-            got = f"{folded.size} elements, such as the one around ({centre}) mm"
-            expected = "Jacobian determinants of one sign at all corners of an element"
-            hint = "repair these elements in the mesher, or mesh the body with tetrahedra"
             raise wrong(
-                where, "some elements of the mesh have a negative volume", got, expected, hint
+                where,
+                "some elements of the mesh have a negative volume",
+                got=f"{folded.size} elements, such as the one around ({centre}) mm",
+                expected="Jacobian determinants of one sign at all corners of an element",
+                hint="repair these elements in the mesher, or mesh the body with tetrahedra",
             )
 
 

@@ -124,24 +124,32 @@ class GroupedMesh:
         if result is None:
             raise unknown("the mesh has no such group", name, sorted(self.groups), where)
         if not result.members.size:
-            expected = "a group with elements in the mesh"
             filled = [key for key, group in self.groups.items() if group.members.size]
-            hint = f"use a group that is not empty: {list_candidates(name, filled)}"
-            raise wrong(where, "this group is empty", name, expected, hint)
+            raise wrong(
+                where,
+                "this group is empty",
+                got=name,
+                expected="a group with elements in the mesh",
+                hint=f"use a group that is not empty: {list_candidates(name, filled)}",
+            )
         if codimensions and result.codimension not in codimensions:
             kinds = ("elements", "faces", "curves", "points")
             if self.mesh.dim() == 2:
                 kinds = ("elements", "curves", "points", "")
-            got = f"{name}, a group of {kinds[result.codimension]}"
             fitting = [k for k, group in self.groups.items() if group.codimension in codimensions]
             needed = " or ".join(kinds[c] for c in codimensions)
-            expected = (
-                f"a group of {needed}: {list_candidates(name, fitting) or 'the mesh has none'}"
-            )
             hint = f"write {fitting[0]} in place of {name}" if fitting else (
                 f"add a group of {needed} to the mesh"
             )  # fmt: skip
-            raise wrong(where, f"this group does not consist of {needed}", got, expected, hint)
+            raise wrong(
+                where,
+                f"this group does not consist of {needed}",
+                got=f"{name}, a group of {kinds[result.codimension]}",
+                expected=(
+                    f"a group of {needed}: {list_candidates(name, fitting) or 'the mesh has none'}"
+                ),
+                hint=hint,
+            )
         return result
 
 
@@ -177,20 +185,35 @@ def read_mesh(
     """
     data = _read_content(path)
     if path.suffix.lower() in STEP_SUFFIXES and unit != MILLIMETRE:
-        problem = "a STEP file states its own unit"
-        raise wrong("unit", problem, f"{unit:g} m", "no unit, or mm", "delete the key `unit`")
+        raise wrong(
+            "unit",
+            "a STEP file states its own unit",
+            got=f"{unit:g} m",
+            expected="no unit, or mm",
+            hint="delete the key `unit`",
+        )
     cad = path.suffix.lower() in CAD_SUFFIXES
     if cad == (size is None):
         if cad:
-            expected = 'a length such as "1 mm"'
-            hint = 'add for example  size = "1 mm"'
-            problem = "a CAD file needs an element size"
-            raise wrong("size", problem, expected=expected, hint=hint)
-        problem = f"size has no effect on a {path.suffix} file, which contains elements already"
-        raise wrong("size", problem, f"{size:g} m", "no size", "delete the key `size`")
+            raise wrong(
+                "size",
+                "a CAD file needs an element size",
+                expected='a length such as "1 mm"',
+                hint='add for example  size = "1 mm"',
+            )
+        raise wrong(
+            "size",
+            f"size has no effect on a {path.suffix} file, which contains elements already",
+            got=f"{size:g} m",
+            expected="no size",
+            hint="delete the key `size`",
+        )
     if picks and not cad:
-        problem = "the key `groups` applies only to CAD files"
-        raise wrong("groups", problem, hint="name physical groups in the mesh")
+        raise wrong(
+            "groups",
+            "the key `groups` applies only to CAD files",
+            hint="name physical groups in the mesh",
+        )
     result = _call_gmsh(
         "extract_mesh",
         path,
@@ -222,9 +245,13 @@ def find_length_unit(path: Path, unit: str | None) -> float:
             hint = f'write  unit = "{near[1] if near else "mm"}"'
             if str(unit).lower() in _IMPERIAL_UNITS:
                 hint = f'export the mesh in millimetres, and write  unit = "mm"  in place of {unit}'
-            problem = "this text is not a unit of length"
-            accepted = f"one of {', '.join(LENGTH_UNITS_ACCEPTED)}"
-            raise wrong("unit", problem, repr(unit), accepted, hint) from error
+            raise wrong(
+                "unit",
+                "this text is not a unit of length",
+                got=repr(unit),
+                expected=f"one of {', '.join(LENGTH_UNITS_ACCEPTED)}",
+                hint=hint,
+            ) from error
     sides = measure_extent(path)
 
     def format_sides(scale: float) -> str:
@@ -235,10 +262,13 @@ def find_length_unit(path: Path, unit: str | None) -> float:
         f'"{name}" if it is {format_sides(1e3 * convert_quantity(f"1 {name}", "m"))} mm'
         for name in LENGTH_UNITS_ACCEPTED
     )
-    problem = f"a {path.suffix} file does not state its unit of length"
-    hint = 'add  unit = "mm"  below mesh, if the size in mm is right'
-    got = f"a body of {format_sides(1.0)} in the unit of the file"
-    raise wrong("unit", problem, got, ", ".join(sizes), hint)
+    raise wrong(
+        "unit",
+        f"a {path.suffix} file does not state its unit of length",
+        got=f"a body of {format_sides(1.0)} in the unit of the file",
+        expected=", ".join(sizes),
+        hint='add  unit = "mm"  below mesh, if the size in mm is right',
+    )
 
 
 _IMPERIAL_UNITS = ("in", "inch", "inches", "mil", "mils", "thou", "ft", "feet")
@@ -274,9 +304,8 @@ def _call_gmsh(function: str, path: Path, data: bytes, **request: Any) -> dict[s
         return call_in_child(f"kc2spice.fem.mesh_by_gmsh:{function}", request, write_copy)
     except ValueError as error:
         reader = "meshio" if path.suffix.lower() in MESHIO_READERS else "gmsh"
-        problem = f"{reader} cannot read or mesh this file"
         raise UsageError(
-            problem,
+            f"{reader} cannot read or mesh this file",
             where=path.name,
             got=str(error),
             expected=f"a complete {path.suffix} file with volume elements",
@@ -303,9 +332,9 @@ def require_format(path: Path, head: bytes | None = None) -> None:
         raise wrong(
             path.name,
             "this file is not a mesh or CAD file in a supported format",
-            path.suffix or "a name without suffix",
-            f"a file that ends with {list_candidates(path.suffix, FILE_FORMATS)}",
-            hint,
+            got=path.suffix or "a name without suffix",
+            expected=f"a file that ends with {list_candidates(path.suffix, FILE_FORMATS)}",
+            hint=hint,
         )
     if head is None:
         if not path.is_file():
@@ -313,8 +342,12 @@ def require_format(path: Path, head: bytes | None = None) -> None:
         with path.open("rb") as file:
             head = file.read(_HEAD_BYTES)
     if not head.strip():
-        hint = f"export {path.name} again from the mesher"
-        raise wrong(path.name, "this file is empty", None, f"a {path.suffix} file", hint)
+        raise wrong(
+            path.name,
+            "this file is empty",
+            expected=f"a {path.suffix} file",
+            hint=f"export {path.name} again from the mesher",
+        )
     magic = known[0]
     got, expected = head[:20], f"a file that begins with {magic.decode(errors='backslashreplace')}"
     hint = f"export the file again as {path.suffix}"
@@ -326,9 +359,9 @@ def require_format(path: Path, head: bytes | None = None) -> None:
     raise wrong(
         path.name,
         "the content of this file does not match its suffix",
-        repr(got)[1:],
-        expected,
-        hint,
+        got=repr(got)[1:],
+        expected=expected,
+        hint=hint,
     )
 
 
@@ -339,16 +372,28 @@ def _read_content(path: Path) -> bytes:
         data = read_bounded(path, MAX_FILE_BYTES)
     except (OSError, ValueError) as error:
         if isinstance(error, FileNotFoundError):
-            expected = f"a mesh or CAD file: {list_candidates(path.suffix, FILE_FORMATS)}"
             hint = suggest_file(path) or f"copy {path.name} into the folder {path.parent}"
-            raise wrong(path.name, "this file does not exist", None, expected, hint) from None
+            raise wrong(
+                path.name,
+                "this file does not exist",
+                expected=f"a mesh or CAD file: {list_candidates(path.suffix, FILE_FORMATS)}",
+                hint=hint,
+            ) from None
         reason = getattr(error, "strerror", None) or str(error)
-        hint = f"check the permissions and the size of {path}"
-        raise wrong(str(path), f"this file cannot be read: {reason}", None, None, hint) from None
+        raise wrong(
+            str(path),
+            f"this file cannot be read: {reason}",
+            expected=None,
+            hint=f"check the permissions and the size of {path}",
+        ) from None
     require_format(path, data[:_HEAD_BYTES])
     if path.suffix.lower() == ".unv" and len(_UNV_DATASET_MARK.findall(data)) % 2:
-        hint, expected = "export the file again", "a line -1 before and after each dataset"
-        raise wrong(str(path), "the file ends within a dataset", None, expected, hint)
+        raise wrong(
+            str(path),
+            "the file ends within a dataset",
+            expected="a line -1 before and after each dataset",
+            hint="export the file again",
+        )
     if path.suffix.lower() == ".unv":
         require_unv_elements(data, str(path))
     if path.suffix.lower() in MESHIO_READERS:
@@ -356,9 +401,13 @@ def _read_content(path: Path) -> bytes:
     if path.suffix.lower() in STEP_SUFFIXES and b"DOCUMENT_FILE" in _STEP_STRING_OR_COMMENT.sub(
         b"", data
     ):
-        hint = f"export {path.name} without external references"
-        expected = "one file with all solids"
-        raise wrong(str(path), "this file refers to other files", "DOCUMENT_FILE", expected, hint)
+        raise wrong(
+            str(path),
+            "this file refers to other files",
+            got="DOCUMENT_FILE",
+            expected="one file with all solids",
+            hint=f"export {path.name} without external references",
+        )
     return data
 
 
@@ -372,16 +421,21 @@ def _assemble_mesh(
     """Assemble the mesh and its groups from the arrays that gmsh has returned."""
     points = unit * arrays["points"]
     if not np.isfinite(points).all():
-        problem = "a node has a coordinate that is not a finite number"
-        raise UsageError(problem, where=where, hint="export the mesh again")
+        raise UsageError(
+            "a node has a coordinate that is not a finite number",
+            where=where,
+            hint="export the mesh again",
+        )
     # an axisymmetric mesh is in the x-y plane with the axis y, or in the x-z plane with the axis z
     if dimension == 2:
         flat = [axis for axis in (2, 1) if np.ptp(points[:, axis]) <= 1e-9 * np.ptp(points)]
         if not flat:
-            problem = "the nodes of the axisymmetric mesh are not in one plane"
-            expected = "all nodes at z = 0, or all at y = 0"
-            hint = "delete axisymmetric, because this mesh is not a plane section"
-            raise wrong(Path(where).name, problem, expected=expected, hint=hint)
+            raise wrong(
+                Path(where).name,
+                "the nodes of the axisymmetric mesh are not in one plane",
+                expected="all nodes at z = 0, or all at y = 0",
+                hint="delete axisymmetric, because this mesh is not a plane section",
+            )
         points = points[:, [0, 3 - flat[0]]]
     blocks = []
     for k, corners in enumerate(arrays["corners"]):
@@ -402,8 +456,13 @@ def _assemble_mesh(
     for k, (name, d) in enumerate(record):
         members = arrays[f"group{k}"] if d == dimension else same[arrays[f"group{k}"]]
         if name in groups:
-            hint = "rename one of these groups in gmsh"
-            raise wrong(where, "two groups have the same name", name, "a name for each group", hint)
+            raise wrong(
+                where,
+                "two groups have the same name",
+                got=name,
+                expected="a name for each group",
+                hint="rename one of these groups in gmsh",
+            )
         if d == dimension:
             groups[name] = Group(0, np.flatnonzero(np.isin(parent, members)))
         elif d == dimension - 1:

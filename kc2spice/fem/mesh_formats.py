@@ -103,27 +103,34 @@ def reject_unsupported_content(suffix: str, data: bytes, where: str) -> None:
     pattern = _INCLUDE_LINE.get(reader)
     match = pattern.search(data) if pattern else None
     if match:
-        got, expected = match[0].decode().strip(), "one file with nodes and elements"
         raise wrong(
             where,
             "this file refers to other files",
-            got,
-            expected,
-            "insert the text of these files",
+            got=match[0].decode().strip(),
+            expected="one file with nodes and elements",
+            hint="insert the text of these files",
         )
     for line, hint in _list_ignored_lines(reader, data):
         got = line.decode(errors="replace").strip()[:MAX_QUOTE_LENGTH]
-        expected = "nodes and elements of one body in cartesian coordinates"
-        problem = "the file contains a command that moves or generates parts of the mesh"
-        raise wrong(where, problem, got, expected, hint)
+        raise wrong(
+            where,
+            "the file contains a command that moves or generates parts of the mesh",
+            got=got,
+            expected="nodes and elements of one body in cartesian coordinates",
+            hint=hint,
+        )
     if reader == "abaqus":
         names = list(map(_ELEMENT_SET_NAME.search, _ELEMENT_LINE.findall(data)))
         sets = [name[1].upper() for name in names if name]
         if sets and (len(sets) < len(names) or len(set(sets)) < len(sets)):
-            problem = "some *ELEMENT lines have no element set of their own"
-            expected = "a different ELSET in each *ELEMENT line, or no ELSET in any of these lines"
-            hint = "delete ELSET from the *ELEMENT lines, and define the sets by *ELSET lines"
-            raise wrong(where, problem, None, expected, hint)
+            raise wrong(
+                where,
+                "some *ELEMENT lines have no element set of their own",
+                expected=(
+                    "a different ELSET in each *ELEMENT line, or no ELSET in any of these lines"
+                ),
+                hint="delete ELSET from the *ELEMENT lines, and define the sets by *ELSET lines",
+            )
 
 
 def _list_ignored_lines(reader: str, data: bytes) -> Iterator[tuple[bytes, str]]:
@@ -160,18 +167,20 @@ def merge_file(gmsh: ModuleType, file: str, dimension: int) -> None:
     for cells in mesh.cells:
         shape = ELEMENT_SHAPES.get(re.sub(r"\d+$", "", cells.type))
         if shape is None:
-            expected = "elements of order 1 or 2"
             raise wrong(
                 "mesh",
                 "the mesh has an element type that is not supported",
-                cells.type,
-                expected,
-                _ELEMENT_ORDER_HINT,
+                got=cells.type,
+                expected="elements of order 1 or 2",
+                hint=_ELEMENT_ORDER_HINT,
             )
         nodes = np.asarray(cells.data)
         if nodes.size and not 0 <= nodes.min() <= nodes.max() < len(points):
-            hint = "export the mesh again, with all nodes"
-            raise UsageError("an element has a node that does not exist", where="mesh", hint=hint)
+            raise UsageError(
+                "an element has a node that does not exist",
+                where="mesh",
+                hint="export the mesh again, with all nodes",
+            )
         blocks.append((shape, nodes))
     for (_, d, corners), nodes in blocks:
         if d == dimension:
@@ -254,14 +263,16 @@ def require_unv_elements(data: bytes, where: str) -> None:
                 return  # gmsh reports a damaged file
             kind, nodes = fields[1], fields[5]
             if nodes != UNV_NODES.get(kind, nodes):
-                got = f"an element of type {kind} with {nodes} nodes"
-                expected = f"{UNV_NODES[kind]} nodes"
-                hint = (
-                    "export linear elements, or quadratic elements with nodes on corners and "
-                    "edges only"
+                raise wrong(
+                    where,
+                    "the number of nodes does not match the UNV element type",
+                    got=f"an element of type {kind} with {nodes} nodes",
+                    expected=f"{UNV_NODES[kind]} nodes",
+                    hint=(
+                        "export linear elements, or quadratic elements with nodes on corners and "
+                        "edges only"
+                    ),
                 )
-                problem = "the number of nodes does not match the UNV element type"
-                raise wrong(where, problem, got, expected, hint)
             more = -(-nodes // 8) + (kind in UNV_BEAMS)
             list(islice(lines, more))
 
@@ -391,13 +402,12 @@ def _find_element_kind(gmsh: ModuleType, shape: str, corners: int, nodes: int) -
         kind = int(gmsh.model.mesh.getElementType(shape, 2, serendipity))
         if kind > 0 and gmsh.model.mesh.getElementProperties(kind)[3] == nodes:
             return kind
-    expected = "elements of order 1 or 2"
     raise wrong(
         "mesh",
         "the mesh has an element type that is not supported",
-        f"{shape} with {nodes} nodes",
-        expected,
-        _ELEMENT_ORDER_HINT,
+        got=f"{shape} with {nodes} nodes",
+        expected="elements of order 1 or 2",
+        hint=_ELEMENT_ORDER_HINT,
     )
 
 
@@ -426,8 +436,11 @@ def _order_nodes(
     longest = np.linalg.norm(ends[:, None] - ends[:, :, None], axis=-1).max(axis=(1, 2))
     far = np.flatnonzero(bulge > MAX_BULGE * longest)
     if far.size:
-        got = f"{far.size} of {len(nodes)} elements of {nodes.shape[1]} nodes"
-        expected = "for each element its corner nodes, then mid-edge nodes close to the edges"
-        hint = "write the mesh with the corners of each element first, or with straight edges"
-        raise wrong("mesh", "mid-edge nodes are far from their edges", got, expected, hint)
+        raise wrong(
+            "mesh",
+            "mid-edge nodes are far from their edges",
+            got=f"{far.size} of {len(nodes)} elements of {nodes.shape[1]} nodes",
+            expected="for each element its corner nodes, then mid-edge nodes close to the edges",
+            hint="write the mesh with the corners of each element first, or with straight edges",
+        )
     return np.column_stack([nodes[:, :corners], extra[:, order]])

@@ -37,13 +37,12 @@ def merge_nodes(points: np.ndarray, blocks: Sequence[CellBlock], distance: float
     same = lowest[label]
     cells = divide_cells(blocks)[0]
     if (np.diff(np.sort(same[cells], axis=1), axis=1) == 0).any():
-        shortest = f"less than the shortest edge, {_find_shortest_edge(points, cells):.4g} m"
         raise wrong(
             "merge",
             "the merge distance exceeds the shortest edge of an element",
-            f"{distance:g} m",
-            shortest,
-            f"lower merge to {0.1 * _find_shortest_edge(points, cells):.2g} m",
+            got=f"{distance:g} m",
+            expected=f"less than the shortest edge, {_find_shortest_edge(points, cells):.4g} m",
+            hint=f"lower merge to {0.1 * _find_shortest_edge(points, cells):.2g} m",
         )
     return np.asarray(same)
 
@@ -88,14 +87,25 @@ def reject_unconnected_solids(
     if len(pairs):
         got = f"{len(pairs)} pairs of nodes at one place, "
         got += _describe_nodes(points, pairs.ravel(), blocks, owners)
-        hint = f'merge = "{_format_length(10 * near)}" joins nodes up to that distance; {apart}'
-        raise wrong(where, "solids touch but share no nodes", got, expected, hint)
+        raise wrong(
+            where,
+            "solids touch but share no nodes",
+            got=got,
+            expected=expected,
+            hint=f'merge = "{_format_length(10 * near)}" joins nodes up to that distance; {apart}',
+        )
     strays = _find_nodes_on_other_pieces(points, cells, near)
     if strays.size:
         got = f"{strays.size} nodes on the surface of another piece, "
         got += _describe_nodes(points, strays, blocks, owners)
         hint = "fragment the solids before meshing, for example with gmsh's occ.fragment; " + apart
-        raise wrong(where, "solids touch but their meshes do not match", got, expected, hint)
+        raise wrong(
+            where,
+            "solids touch but their meshes do not match",
+            got=got,
+            expected=expected,
+            hint=hint,
+        )
 
 
 def _find_nodes_on_other_pieces(points: np.ndarray, cells: np.ndarray, near: float) -> np.ndarray:

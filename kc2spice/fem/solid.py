@@ -90,26 +90,40 @@ class Solid:
         determinant = self.mesh.mapping().detDF(self.basis(2).X)
         flipped = (determinant.min(axis=1) <= 0) & (determinant.max(axis=1) >= 0)
         if flipped.any():
-            expected = "a Jacobian determinant of one sign in each element"
-            problem = "some elements have a negative volume"
-            hint = "repair or refine the mesh"
-            raise wrong("mesh", problem, f"{flipped.sum()} elements", expected, hint)
+            raise wrong(
+                "mesh",
+                "some elements have a negative volume",
+                got=f"{flipped.sum()} elements",
+                expected="a Jacobian determinant of one sign in each element",
+                hint="repair or refine the mesh",
+            )
         for material in self.materials if self.axisymmetric else ():
             if material.local_axes is not None and material.has_out_of_plane_coupling:
-                problem = "this material twists an axisymmetric body under a voltage"
-                hint = 'use a mesh in three dimensions (part = "body" without axisymmetric)'
-                raise wrong(None, problem, material.name, "a poling in the plane of the mesh", hint)
+                raise wrong(
+                    None,
+                    "this material twists an axisymmetric body under a voltage",
+                    got=material.name,
+                    expected="a poling in the plane of the mesh",
+                    hint='use a mesh in three dimensions (part = "body" without axisymmetric)',
+                )
             if material.local_axes is None and not material.is_isotropic_about_z:
-                problem = "an axisymmetric body needs materials that are isotropic about its axis"
                 hint = 'use a mesh in three dimensions (part = "body"), or enter constants '
                 hint += "averaged in the plane; for a ring with radial poling, write  "
                 hint += 'poling = { GROUP = "radial" }'
-                raise wrong(None, problem, material.name, hint=hint)
+                raise wrong(
+                    None,
+                    "an axisymmetric body needs materials that are isotropic about its axis",
+                    got=material.name,
+                    hint=hint,
+                )
         if self.axisymmetric and self.mesh.p[0].min() < -1e-9 * np.ptp(self.mesh.p):
-            problem = "the axisymmetric mesh crosses the axis"
-            got = f"x = {self.mesh.p[0].min():g} m"
-            hint = "delete the half of the mesh with negative x, or move the mesh"
-            raise wrong("mesh", problem, got, "x (the radius) of at least 0", hint)
+            raise wrong(
+                "mesh",
+                "the axisymmetric mesh crosses the axis",
+                got=f"x = {self.mesh.p[0].min():g} m",
+                expected="x (the radius) of at least 0",
+                hint="delete the half of the mesh with negative x, or move the mesh",
+            )
 
     @property
     def component_count(self) -> int:

@@ -184,11 +184,10 @@ def _make_unknown_material_error(name: str, where: str) -> UsageError:
     names = list(_load_tables())
     hint = did_you_mean(name, names)
     hint = hint or 'write a table: { density = …, conductivity = "… W/(m K)", specific_heat = … }'
-    expected = f"one of {list_candidates(name, names, 'docs/reference/thermal_materials.md')}"
     return wrong(
         where,
         "this material does not exist, or has no thermal constants",
-        repr(name),
-        expected,
-        hint,
+        got=repr(name),
+        expected=f"one of {list_candidates(name, names, 'docs/reference/thermal_materials.md')}",
+        hint=hint,
     )

@@ -107,11 +107,10 @@ def factorise_with_solver(solver: DirectSolver, matrix: Any) -> Factorisation:
     """
     factor = _call_user_function(solver, matrix)
     if not callable(getattr(factor, "solve", None)):
-        got = f"{type(factor).__name__} without a method solve"
         raise UsageError(
             "the solver did not return a factorised matrix",
             where="solver",
-            got=got,
+            got=f"{type(factor).__name__} without a method solve",
             expected=_SUPPORTED_SOLVERS,
         )
     return factor

@@ -163,12 +163,11 @@ def make_dc_command(source: str, first: float, last: float, points: int) -> Anal
     """
     step = (last - first) / (points - 1)
     if abs(step) < SMALLEST_SWEEP_STEP:
-        got, expected = f"{step:g}", f"at least {SMALLEST_SWEEP_STEP:g} in the source's unit"
         raise UsageError(
             "the steps of this dc sweep are too small for ngspice",
             where=source,
-            got=got,
-            expected=expected,
+            got=f"{step:g}",
+            expected=f"at least {SMALLEST_SWEEP_STEP:g} in the source's unit",
             hint="write fewer points or a wider range",
         )
     return AnalysisCommand(

@@ -204,8 +204,9 @@ def _read_stop(original: Deck, analysis: Statement) -> float | None:
     words = analysis.words[1:]
     stop = parse_literal(words[1], where=analysis.where) if len(words) > 1 else None
     if stop is None:
-        message, got = "the end of the transient is not a number", " ".join(words)
-        raise UsageError(message, where=analysis.where, got=got)
+        raise UsageError(
+            "the end of the transient is not a number", where=analysis.where, got=" ".join(words)
+        )
     return stop
 
 

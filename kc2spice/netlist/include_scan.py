@@ -186,17 +186,19 @@ class _Reader:
         """Return the text of a file; reject a file beyond the circuit's size limits."""
         self.files += 1
         if self.files > MAX_INCLUDED_FILES:
-            expected = f"at most {MAX_INCLUDED_FILES}"
             raise UsageError(
                 "the netlist includes too many files",
                 where=str(self.main),
-                expected=expected,
+                expected=f"at most {MAX_INCLUDED_FILES}",
                 hint="copy the content of small files in place of their .include lines",
             )
         if self._is_outside(real):
-            message = "the included file is outside of the directory of the netlist"
-            hint = f"copy the file into {self.home}, and write its new path"
-            raise UsageError(message, where=where, got=name, hint=hint)
+            raise UsageError(
+                "the included file is outside of the directory of the netlist",
+                where=where,
+                got=name,
+                hint=f"copy the file into {self.home}, and write its new path",
+            )
         try:
             data = read_bounded(real, MAX_CIRCUIT_BYTES - self.size)
             _require_netlist_format(data, name if where == str(self.main) else where)
@@ -218,12 +220,13 @@ class _Reader:
                     expected="the path of a netlist",
                     hint="give the path of a netlist that kc2spice export or kc2spice run wrote",
                 ) from None
-            expected = f"a text file, at most {MAX_CIRCUIT_BYTES} bytes with all that it includes"
             raise UsageError(
                 "this file cannot be included",
                 where=where,
                 got=f"{name}: {reason}",
-                expected=expected,
+                expected=(
+                    f"a text file, at most {MAX_CIRCUIT_BYTES} bytes with all that it includes"
+                ),
                 hint=f"copy {name} to {real.parent}, or correct its name" if missing else None,
             ) from None
 
@@ -265,9 +268,11 @@ def _require_netlist_format(data: bytes, where: str) -> None:
         )
     for start, (file_type, action) in _OTHER_FORMATS.items():
         if data[:20].lstrip().lower().startswith(start.lower()):
-            expected = "a text file with a SPICE netlist"
             raise UsageError(
-                f"this file is {file_type}", where=where, expected=expected, hint=action
+                f"this file is {file_type}",
+                where=where,
+                expected="a text file with a SPICE netlist",
+                hint=action,
             )
     if b"\0" in data[:200]:
         raise make_encoding_error(data, where)

@@ -78,12 +78,11 @@ def require_name(text: str, *, where: str = "netlist") -> str:
     UsageError : the text is not a letter followed by letters, digits and underscores.
     """
     if _VALID_NAME.fullmatch(text) is None or text.lower() in _RESERVED_NAMES:
-        expected = "a letter, then letters, digits or _ (64 at most), no reserved word"
         raise UsageError(
             "this text is not a valid name in netlists",
             where=where,
             got=repr(text),
-            expected=expected,
+            expected="a letter, then letters, digits or _ (64 at most), no reserved word",
             hint=f"for example {_suggest_name(text)}",
         )
     return text
@@ -168,8 +167,9 @@ def get_template_environment(autoescape: bool = False) -> Any:
     package = Path(__file__).resolve().parent.parent
     places = [p / "templates" for p in (package, package.parent) if (p / "templates").is_dir()]
     if not places:
-        problem = "the netlist templates are not installed"
-        raise MissingToolError(problem, where=str(package), hint="reinstall kc2spice")
+        raise MissingToolError(
+            "the netlist templates are not installed", where=str(package), hint="reinstall kc2spice"
+        )
     environment = Environment(
         loader=FileSystemLoader(places),
         autoescape=autoescape,

@@ -109,8 +109,9 @@ def with_parameters(deck: Deck, values: Iterable[tuple[str, float]]) -> Deck:
     known, parts = list_parameter_defaults(deck), list(deck.parts)
     for key, value in values:
         if key not in known:
-            message = "no part of this scene has a parameter of this name"
-            raise unknown(message, key, known, f"param.{key}")
+            raise unknown(
+                "no part of this scene has a parameter of this name", key, known, f"param.{key}"
+            )
         library, _, name = key.partition(".")
         parts = [_change_parameter(part, library, name, value) for part in parts]
     return replace(deck, parts=tuple(parts))
@@ -152,11 +153,10 @@ def _require_in_range(param: Param, library: str, value: float) -> None:
     expected = f"{least:g} … {most:g}" if math.isfinite(least) else "a finite number"
     if most == math.inf and least > -math.inf:
         expected = "above zero" if least == SMALLEST_POSITIVE else f"at least {least:g}"
-    where, got = f"param.{library}.{param.name}", f"{value:g} {param.unit}"
     raise UsageError(
         "the value is outside of the range of this parameter",
-        where=where,
-        got=got,
+        where=f"param.{library}.{param.name}",
+        got=f"{value:g} {param.unit}",
         expected=expected,
     )
 
@@ -176,18 +176,20 @@ def make_array_deck(deck: Deck, count: int) -> Deck:
         one source.
     """
     if not 1 <= count <= MAX_COPIES:
-        expected = f"1 to {MAX_COPIES}"
         raise UsageError(
             "the number of copies is not valid",
             where="--count",
             got=count,
-            expected=expected,
+            expected=f"1 to {MAX_COPIES}",
             hint="for example --count 2",
         )
     if deck.command.kind == "dc":
-        message, got = "a dc sweep cannot vary the sources of several copies", deck.command.card
-        expected = "a scene with a transient or an ac analysis"
-        raise UsageError(message, where="--count", got=got, expected=expected)
+        raise UsageError(
+            "a dc sweep cannot vary the sources of several copies",
+            where="--count",
+            got=deck.command.card,
+            expected="a scene with a transient or an ac analysis",
+        )
     unit, numbers = f"{deck.name}_unit", range(1, count + 1)
     copy = add_title("one copy", [Circuit(unit, ("common",), items=deck.items)])
     copies = add_title(f"{count} copies", [Element.from_words(f"X{k}", "0", unit) for k in numbers])

@@ -56,9 +56,10 @@ class ModelParameter:
 
     def __post_init__(self) -> None:
         if not self.name.isidentifier() or not self.name.isascii():
-            expected = "letters, digits and _, a letter first"
             raise UsageError(
-                "this text is not a valid name of a parameter", where=self.name, expected=expected
+                "this text is not a valid name of a parameter",
+                where=self.name,
+                expected="letters, digits and _, a letter first",
             )
         if not self.parameter_axis.low <= self.default <= self.parameter_axis.high:
             raise UsageError(

@@ -291,8 +291,9 @@ def compute_relative_errors(
 
 def make_inaccuracy_error(message: str, got: str, limit: float, hint: str) -> SimulationError:
     """Make the exception for an error estimate that remains above the limit."""
-    expected = f"at most {limit:.1e}"
-    return SimulationError(message, where="reduction", got=got, expected=expected, hint=hint)
+    return SimulationError(
+        message, where="reduction", got=got, expected=f"at most {limit:.1e}", hint=hint
+    )
 
 
 def choose_default_norm(model: LinearModel) -> Norm:

@@ -272,8 +272,11 @@ def require_certificate(certificate: Certificate | None, name: str) -> Certifica
     UsageError : the certificate is missing, because the model is not reduced.
     """
     if certificate is None:
-        expected = "a model that 'kc2spice reduce' wrote"
-        raise UsageError("this file is not a reduced model", where=name, expected=expected)
+        raise UsageError(
+            "this file is not a reduced model",
+            where=name,
+            expected="a model that 'kc2spice reduce' wrote",
+        )
     return certificate
 
 

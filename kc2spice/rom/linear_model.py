@@ -393,12 +393,11 @@ class LinearModel:
                 hint="reduce the model by a congruence, such as method='response POD'",
             )
         if not states.ndim or len(states) != self.order:
-            expected = f"{self.order} states along the first axis"
             raise UsageError(
                 "the array of states does not match the model",
                 where="states",
                 got=states.shape,
-                expected=expected,
+                expected=f"{self.order} states along the first axis",
             )
         return np.asarray(np.tensordot(self.basis, states, axes=1))
 
@@ -603,8 +602,11 @@ def _set_structural_damping(model: LinearModel) -> None:
     put, K, where = object.__setattr__, model.K, model.name
     if K is not None and not isinstance(K, SchurComplement) and np.iscomplexobj(K):
         if model.structural:
-            expected = "a complex K, or loss_factor"
-            raise UsageError("structural damping is defined twice", where=where, expected=expected)
+            raise UsageError(
+                "structural damping is defined twice",
+                where=where,
+                expected="a complex K, or loss_factor",
+            )
         put(model, "K", _convert_matrix(K.real, "K", where))
         put(model, "loss", K.imag)
     try:

@@ -335,9 +335,10 @@ def compute_natural_modes(
 def _require_parametric_model(model: LinearModel, frame: LinearModel | None) -> LinearModel:
     """Reject a model that is not symmetric, or whose mesh changes with parameters."""
     if model.first_order or not model.symmetric:
-        expected = "a symmetric second-order model with collocated ports"
         raise UsageError(
-            "the model of this part cannot have parameters", where=model.name, expected=expected
+            "the model of this part cannot have parameters",
+            where=model.name,
+            expected="a symmetric second-order model with collocated ports",
         )
     if frame is not None and model.order != frame.order:
         raise UsageError(

@@ -211,12 +211,11 @@ def choose_band(
         )
     band = band or fom.band or choose_natural_band(pencil)
     if not 0 <= band[0] < band[1] <= MAX_FREQUENCY:
-        expected = f"0 <= f0 < f1 <= {MAX_FREQUENCY:g} in Hz"
         raise UsageError(
             "this value is not a frequency band",
             where="band",
             got=f"{band[0]:g} to {band[1]:g} Hz",
-            expected=expected,
+            expected=f"0 <= f0 < f1 <= {MAX_FREQUENCY:g} in Hz",
             hint=f"write band=({band[1]:g}, {band[0]:g})"
             if 0 <= band[1] < band[0] <= MAX_FREQUENCY
             else "for example band=(0, 20e3)",
@@ -396,8 +395,12 @@ def _reduce_structural_damping(fom: LinearModel, target: ReductionTarget) -> Lin
             hint="replace the order by a tolerance, such as 1e-4",
         )
     if target.method is not None and not find_reductor(target.method).congruence:
-        problem = "structural damping needs a method that preserves the form of the matrices"
-        raise UsageError(problem, where="method", got=target.method, hint="leave out the method")
+        raise UsageError(
+            "structural damping needs a method that preserves the form of the matrices",
+            where="method",
+            got=target.method,
+            hint="leave out the method",
+        )
     undamped = replace(fom, loss_factor=0.0, loss=None)
     band = (
         target.band

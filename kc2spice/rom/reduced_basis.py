@@ -179,12 +179,11 @@ class ReductionTask:
         V = require_vectors(V, "V", (self.pencil_without_rigid_modes.size, None))
         W = None if W is None else require_vectors(W, "W", V.shape)
         if not isinstance(fixed, int | np.integer) or not 0 <= fixed <= V.shape[1]:
-            expected = f"a whole number from 0 to {V.shape[1]}, the columns of V"
             raise UsageError(
                 "this value is not a number of vectors",
                 where="fixed",
                 got=repr(fixed),
-                expected=expected,
+                expected=f"a whole number from 0 to {V.shape[1]}, the columns of V",
             )
         if (
             free := self.pencil_without_rigid_modes.free

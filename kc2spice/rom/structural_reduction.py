@@ -364,11 +364,10 @@ def make_loss_viscous(model: LinearModel, beta: float) -> tuple[LinearModel, tup
     if undamped:
         return replace(plain, rayleigh=(alpha, beta_share + added), E=None), (alpha, beta_share)
     if isinstance(model.K, SchurComplement):
-        problem = (
-            "structural damping with a damping matrix needs potentials that are not eliminated"
-        )
         raise UsageError(
-            problem, where=model.name, hint="replace the damping matrix E by the key `rayleigh`"
+            "structural damping with a damping matrix needs potentials that are not eliminated",
+            where=model.name,
+            hint="replace the damping matrix E by the key `rayleigh`",
         )
     return replace(plain, E=model.E + added * model.K), (alpha, beta_share)
 

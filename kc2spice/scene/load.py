@@ -283,12 +283,11 @@ def _make_parts(
                 analysis = analysis or _validate_table(Analysis, table, (part.name,))
                 continue
             if name.lower() in map(str.lower, parts):
-                expected = f"a name other than {name}, which {part.name} adds to the scene"
                 raise UsageError(
                     "this name is already used",
                     where=name,
                     got=name,
-                    expected=expected,
+                    expected=f"a name other than {name}, which {part.name} adds to the scene",
                     hint=f"rename your part {name}",
                 )
             keys = dict(table)
@@ -363,12 +362,11 @@ def _list_part_tables(data: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[st
         if name in SceneKeys.model_fields:
             continue
         if not isinstance(table, Mapping) and name in DEFAULT_TYPES:
-            expected = f"a table, [{name}]"
             raise UsageError(
                 "this value is not a table",
                 where=name,
                 got=display_text(table),
-                expected=expected,
+                expected=f"a table, [{name}]",
                 hint=f"write  [{name}]  and below it the keys of the part",
             )
         if not isinstance(table, Mapping):

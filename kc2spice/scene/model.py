@@ -216,7 +216,7 @@ class Part(Generic[KeysT]):
     ) -> UsageError:
         """Return an error about a key of the part, or about the part if ``key`` is empty."""
         where = f"{self.name}.{key}" if key else self.name
-        return wrong(where, message, got, expected, hint)
+        return wrong(where, message, got=got, expected=expected, hint=hint)
 
     def __repr__(self) -> str:
         joined = ", ".join(map("{} = {}".format, self.pins, self.pins.values()))

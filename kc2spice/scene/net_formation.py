@@ -139,8 +139,9 @@ def _list_joins(part: Part, scene: Scene) -> Iterator[tuple[str, str, str]]:
         where = f"{part.name}.pins.{pin}"
         if pin not in names:
             advice = _suggest_pin(pin, [terminal.name for terminal in scene.pins(part.name)])
-            message = f"{part.type.name} has no such pin"
-            raise unknown(message, pin, sorted(names), where, advice=advice)
+            raise unknown(
+                f"{part.type.name} has no such pin", pin, sorted(names), where, advice=advice
+            )
         yield pin, target, where
     joins = scene.joins[part.name]
     for pin, target in joins.items():
@@ -417,11 +418,13 @@ def _require_one_output_per_net(scene: Scene) -> None:
     for (name, pin), terminal in scene.terminals.items():
         net = scene.nets[name, pin]
         if terminal.signal_out and net in drivers:
-            got = f"{name}.{pin} and {drivers[net]}"
-            where = f"{name}.pins.{pin}"
-            message = "two outputs prescribe the same net"
-            hint = f"join {name}.{pin} to another pin"
-            raise UsageError(message, where=where, got=got, expected="one output", hint=hint)
+            raise UsageError(
+                "two outputs prescribe the same net",
+                where=f"{name}.pins.{pin}",
+                got=f"{name}.{pin} and {drivers[net]}",
+                expected="one output",
+                hint=f"join {name}.{pin} to another pin",
+            )
         if terminal.signal_out:
             drivers[net] = f"{name}.{pin}"
 

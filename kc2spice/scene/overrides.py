@@ -198,10 +198,14 @@ def _find_key(holder: Any, step: str, so_far: str, where: str, suggestion: str |
         if isinstance(holder, dict):
             return step
         if isinstance(holder, list):
-            hint = f"name an entry, such as {so_far}[0].{step}"
-            raise UsageError(f"{so_far} is a list, not a table", where=where, hint=hint)
-        hint = f"write {so_far}=VALUE"
-        raise UsageError(f"{so_far} is a value, not a table", where=where, hint=hint)
+            raise UsageError(
+                f"{so_far} is a list, not a table",
+                where=where,
+                hint=f"name an entry, such as {so_far}[0].{step}",
+            )
+        raise UsageError(
+            f"{so_far} is a value, not a table", where=where, hint=f"write {so_far}=VALUE"
+        )
     if not isinstance(holder, list):
         raise UsageError(
             f"{so_far} is not a list in this scene",

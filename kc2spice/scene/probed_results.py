@@ -100,9 +100,13 @@ def _make_unknown_result_error(
     if owner in parts:
         choices = _select_names_with_prefix(_list_results(build, waiting), f"{owner}.")
         suggestion = _suggest_result(name, choices)
-        command = f"kc2spice scenes --part {parts[owner].type.name}"
         return unknown(
-            "the scene has no such result", name, choices, where, command, advice=suggestion
+            "the scene has no such result",
+            name,
+            choices,
+            where,
+            f"kc2spice scenes --part {parts[owner].type.name}",
+            advice=suggestion,
         )
     return _make_unknown_part_error(name, parts, where)
 

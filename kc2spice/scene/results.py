@@ -50,11 +50,16 @@ def find_noise_output(build: BuiltScene) -> PartResult | None:
         if result.voltage is not None:
             voltages[item] = result
     if name not in voltages:
-        message = "the output of a noise analysis is not a voltage or a displacement"
         owner = name.partition(".")[0]
         own = [item for item in voltages if item.startswith(f"{owner}.")]
         advice = f'write  output = "{own[0]}"' if own else None
-        raise unknown(message, name, voltages, build.scene.where("analysis.output"), advice=advice)
+        raise unknown(
+            "the output of a noise analysis is not a voltage or a displacement",
+            name,
+            voltages,
+            build.scene.where("analysis.output"),
+            advice=advice,
+        )
     return voltages[name]
 
 
@@ -225,12 +230,11 @@ def _require_sweep_ends(selected: Analysis, unit: str) -> tuple[float, float]:
     """Return first and last value of the sweep in SI units; reject an empty range."""
     first, last = convert_quantity(selected.from_, unit), convert_quantity(selected.to, unit)
     if first == last:  # a sweep with an empty range would never end in a simulator
-        got, expected = f"{first:g} … {last:g} {unit}", "two values"
         raise UsageError(
             "the range of the sweep is empty",
             where="analysis.to",
-            got=got,
-            expected=expected,
+            got=f"{first:g} … {last:g} {unit}",
+            expected="two values",
             hint="write different values for the keys from and to",
         )
     return first, last

@@ -149,8 +149,11 @@ def open_scene(name_or_path: str | Path) -> SceneFile:
         raise _make_missing_file_error(name, path, scenes) from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        hint = f"check the permissions and the size of {name}"
-        raise UsageError(f"this file cannot be read: {reason}", where=name, hint=hint) from None
+        raise UsageError(
+            f"this file cannot be read: {reason}",
+            where=name,
+            hint=f"check the permissions and the size of {name}",
+        ) from None
     # Path() means that the path of the file contains no folder
     folder = Path.cwd() if path.parent == Path() else path.parent
     return SceneFile(name, path.stem, text, folder)

@@ -90,8 +90,9 @@ def find_ngspice() -> Simulator:
     text = answer.decode(errors="replace")
     version = re.search(r"ngspice-(\S+)", text)
     if version is None:
-        message, got = "this ngspice does not print its version", text.strip()[:80]
-        raise MissingToolError(message, where=path, got=got)
+        raise MissingToolError(
+            "this ngspice does not print its version", where=path, got=text.strip()[:80]
+        )
     return Simulator("ngspice", version.group(1), path)
 
 
@@ -261,8 +262,12 @@ def _run_ngspice(
                     problem = f"the raw file grows beyond its limit of {MAX_RAW_BYTES:.3g} bytes"
                     hint = "raise solver.max_step, lower solver.stop, or save fewer vectors"
                 if problem:
-                    got = f"{size} bytes at time point {at} s of {deck.stop} s"
-                    raise SimulationError(problem, where=str(main.parent), got=got, hint=hint)
+                    raise SimulationError(
+                        problem,
+                        where=str(main.parent),
+                        got=f"{size} bytes at time point {at} s of {deck.stop} s",
+                        hint=hint,
+                    )
                 if progress is not None and deck.stop:
                     progress(min(1.0, (at or 0.0) / deck.stop))
                 waiting.join(POLL_INTERVAL)

@@ -227,8 +227,11 @@ def find_alteration_error(deck: Deck, where: str, text: str) -> FailedRunError |
         for row in altered:
             warnings.warn(f"ngspice: {row}", stacklevel=3)
         return None
-    message = "ngspice ignored or replaced a part of this netlist"
-    error = FailedRunError(message, where=where, got="; ".join(fatal[:MAX_ALTERATIONS]))
+    error = FailedRunError(
+        "ngspice ignored or replaced a part of this netlist",
+        where=where,
+        got="; ".join(fatal[:MAX_ALTERATIONS]),
+    )
     error.expected = "a netlist that ngspice simulates as it is written"
     error.hint = (
         "write it with parameters that ngspice has, or delete them; a netlist part for LTspice "

@@ -122,8 +122,9 @@ class _SettingSearch:
         self.names: tuple[str, ...] = ()
         self.errors_by_setting: dict[tuple[str, float], Errors] = {}
         if not self.varied_settings:
-            where = f"bench {run.build.scene.name}"
-            raise UsageError("this scene has no numerical setting to vary", where=where)
+            raise UsageError(
+                "this scene has no numerical setting to vary", where=f"bench {run.build.scene.name}"
+            )
 
     def get_steps_by_setting(self, combination: Combination) -> dict[str, float]:
         """Return the refinement steps of a combination, keyed by the name of the setting."""

@@ -57,8 +57,13 @@ def export_scene(
     if dialect not in known:
         if count is None or dialect not in list_dialect_names():
             raise make_unknown_dialect_error(dialect, known)
-        message = "this dialect does not support an array of copies"
-        raise unknown(message, dialect, known, "--dialect", advice="leave out --count")
+        raise unknown(
+            "this dialect does not support an array of copies",
+            dialect,
+            known,
+            "--dialect",
+            advice="leave out --count",
+        )
     clock, selected = StageTimer(progress), require_solver(solver, "--solver")
     with stage_directory(out) as work, use_solver(selected):
         build, deck = prepare_deck(resolve(replace(scene, ports="declared")), clock, trust=trust)

@@ -145,9 +145,8 @@ def fit(
         return _fit_curves(loaded, part, data, vary, out, progress, shunt)
     resistance = parse_shunt_resistance(shunt)
     if isinstance(data, MeasuredAdmittance) and resistance is not None:
-        problem = "this argument applies only to a file of gain and phase"
         raise UsageError(
-            problem,
+            "this argument applies only to a file of gain and phase",
             where="shunt",
             got=shunt,
             expected="data that is the path of a file",
@@ -235,14 +234,12 @@ def _write_values(path: Path, values: Mapping[str, float]) -> None:
 def _require_one_port(measured: MeasuredAdmittance) -> None:
     """Raise an error for data with more than one port."""
     if measured.Y.shape[1] != 1:
-        got = f"{measured.Y.shape[1]} ports"
-        hint = "measure the impedance between the electrodes, or save one port alone"
         raise UsageError(
             "the data is not the impedance of a part with one port",
             where=measured.where,
-            got=got,
+            got=f"{measured.Y.shape[1]} ports",
             expected="one port",
-            hint=hint,
+            hint="measure the impedance between the electrodes, or save one port alone",
         )
 
 

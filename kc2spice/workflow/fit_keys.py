@@ -35,10 +35,12 @@ def read_varied_keys(
     ends = dict(vary) if isinstance(vary, Mapping) else dict.fromkeys(vary)
     for key, span in ends.items():
         if span is not None and not (isinstance(span, (tuple, list)) and len(span) == 2):
-            expected = "two numbers in SI units, or None for the default range"
-            hint = f'write {{"{key}": (LOW, HIGH)}}'
             raise UsageError(
-                "this text is not a range", where=key, got=repr(span), expected=expected, hint=hint
+                "this text is not a range",
+                where=key,
+                got=repr(span),
+                expected="two numbers in SI units, or None for the default range",
+                hint=f'write {{"{key}": (LOW, HIGH)}}',
             )
     result = []
     for text, span in ends.items():

@@ -220,9 +220,10 @@ def _reject_options(options: dict[str, Any], problem: str, expected: str) -> Non
     """
     for option, value in options.items():
         if value is not None:
-            hint = f"leave out {option}"
             got = " ".join(f"{end:g}" for end in value) if isinstance(value, tuple) else value
-            raise UsageError(problem, where=option, got=got, expected=expected, hint=hint)
+            raise UsageError(
+                problem, where=option, got=got, expected=expected, hint=f"leave out {option}"
+            )
 
 
 def _reduce_matrices(
@@ -531,8 +532,12 @@ def _parse_conductance(dc: str | float) -> float:
         return 0.0
     resistance = convert_quantity(dc, "Ohm", where="--dc")
     if not 0 < resistance < math.inf:
-        expected = 'a positive resistance, such as "80 mOhm", or open'
-        raise UsageError("this value is not a resistance", where="--dc", got=dc, expected=expected)
+        raise UsageError(
+            "this value is not a resistance",
+            where="--dc",
+            got=dc,
+            expected='a positive resistance, such as "80 mOhm", or open',
+        )
     return 1 / resistance
 
 

@@ -156,8 +156,8 @@ class RefinedRuns:
                 self.refused = wrong(
                     setting.name,
                     "the finer mesh for the error estimate is too large",
-                    got,
-                    expected,
+                    got=got,
+                    expected=expected,
                 )
                 raise self.refused
 

@@ -78,10 +78,12 @@ def parse_step_power(power: str | float | None, data: ThermalTransient) -> float
         )
     value = convert_quantity(power, "W", where="--power")
     if value <= 0:
-        hint = "state the magnitude of the power"
-        expected = 'a positive power, such as "2 W"'
         raise UsageError(
-            "this is not a positive power", where="--power", got=power, expected=expected, hint=hint
+            "this is not a positive power",
+            where="--power",
+            got=power,
+            expected='a positive power, such as "2 W"',
+            hint="state the magnitude of the power",
         )
     return value
 

@@ -177,11 +177,10 @@ def _read_matrix_terms(
     if "\0" in str(path):
         raw_matrices.require_file(path)  # this call raises the error for a missing file
     if not path.name:
-        expected = "the name of a model, such as FOLDER/NAME"
         raise UsageError(
             "this path is a folder, not a model",
             where=str(path),
-            expected=expected,
+            expected="the name of a model, such as FOLDER/NAME",
             hint="add the name of a file in this folder",
         )
     base, files, _, settings = locate_model(path, sidecar)
@@ -201,9 +200,11 @@ def _read_matrix_terms(
         matrix = _read_term(entry, path, result, f"{settings.file_path}: terms[{number}]")
         if matrix is None:
             if entry.matrix not in sound:
-                where = f"{settings.file_path}: terms[{number}]"
-                hint = "add the key file or name, or the matrix to the model"
-                raise wrong(where, f"the model has no matrix {entry.matrix}", hint=hint)
+                raise wrong(
+                    f"{settings.file_path}: terms[{number}]",
+                    f"the model has no matrix {entry.matrix}",
+                    hint="add the key file or name, or the matrix to the model",
+                )
             matrix = sound.pop(entry.matrix)
         terms.append(make_term(settings, number, matrix))
     return LabelledMatrices(base.name, str(path), settings, result, sound), terms
@@ -226,27 +227,35 @@ def _read_term(
         return None
     letter, file = entry.matrix, entry.file or path
     if entry.name is not None and file.suffix.lower() not in NAMED_FORMATS:
-        expected = f"a file whose name ends with {', '.join(NAMED_FORMATS)}"
-        hint = "write the matrix into a separate file, and delete the key name of this term"
         raise wrong(
-            where, "this file format does not contain names of matrices", file.name, expected, hint
+            where,
+            "this file format does not contain names of matrices",
+            got=file.name,
+            expected=f"a file whose name ends with {', '.join(NAMED_FORMATS)}",
+            hint="write the matrix into a separate file, and delete the key name of this term",
         )
     if file.suffix.lower() in READERS:
         term = _read_files(file, {}, {letter: entry.name} if entry.name else {})
     else:
         term = _read_matrices({letter: file})
     if letter not in term.matrices:
-        hint = f"name matrix {letter} in {file.name}, or write the letter of a matrix that it has"
-        raise wrong(where, f"the file has no matrix {letter}", file.name, f"matrix {letter}", hint)
+        raise wrong(
+            where,
+            f"the file has no matrix {letter}",
+            got=file.name,
+            expected=f"matrix {letter}",
+            hint=(
+                f"name matrix {letter} in {file.name}, or write the letter of a matrix that it has"
+            ),
+        )
     rows, others = model.dofs, term.dofs
     if rows and others and not np.array_equal(rows.encode_rows(), others.encode_rows()):
-        expected = "the degrees of freedom of the model, in the same order"
         raise wrong(
             where,
             "the nodes and degrees of freedom of this term differ from those of the model",
-            file.name,
-            expected,
-            f"export {file.name} from the same mesh and numbering as the model",
+            got=file.name,
+            expected="the degrees of freedom of the model, in the same order",
+            hint=f"export {file.name} from the same mesh and numbering as the model",
         )
     return raw_matrices.require_matrix(term.matrices[letter], letter, file)
 
@@ -370,10 +379,14 @@ def _find_matrix_files(path: Path) -> tuple[Path, dict[str, Path]]:
             candidates.remove(f"{base.name}_{letter}")
         fits = list(filter(raw_matrices.is_file, map(base.with_name, candidates)))
         if len(fits) > 1:
-            problem = f"matrix {letter} is in two files"
             names = ", ".join(map(attrgetter("name"), fits))
-            hint = f"delete or rename one of these files: {names}"
-            raise wrong(str(base), problem, names, "one file for each matrix", hint)
+            raise wrong(
+                str(base),
+                f"matrix {letter} is in two files",
+                got=names,
+                expected="one file for each matrix",
+                hint=f"delete or rename one of these files: {names}",
+            )
         if fits:
             result[letter] = fits[0]
     if result:
@@ -382,8 +395,13 @@ def _find_matrix_files(path: Path) -> tuple[Path, dict[str, Path]]:
     archives = [] if raw_matrices.is_file(path) else list(filter(raw_matrices.is_file, archives))
     if len(archives) > 1:
         got = ", ".join(map(attrgetter("name"), archives))
-        hint = f"give the full name, such as {archives[0].name}"
-        raise wrong(str(path), "several model files have this name", got, "one file", hint)
+        raise wrong(
+            str(path),
+            "several model files have this name",
+            got=got,
+            expected="one file",
+            hint=f"give the full name, such as {archives[0].name}",
+        )
     archive = dict.fromkeys([_SINGLE_FILE], archives[0]) if archives else {}
     return (path.with_suffix("") if raw_matrices.is_file(path) else path), archive
 
@@ -411,9 +429,12 @@ def _read_files(
                 expected="the path of a model file",
                 hint="write the path of a file in this directory",
             )
-        expected = f"{path.name}.M and {path.name}.K, or {path.name}.npz or .mat"
-        hint = "kc2spice reduce --help lists the kinds of files"
-        raise wrong(str(path), "this model does not exist", expected=expected, hint=hint)
+        raise wrong(
+            str(path),
+            "this model does not exist",
+            expected=f"{path.name}.M and {path.name}.K, or {path.name}.npz or .mat",
+            hint="kc2spice reduce --help lists the kinds of files",
+        )
     if suffix not in READERS:
         hint = 'or name the files in NAME.toml: files = { K = "...", M = "..." }'
         got = "a file whose name does not end with the letter of a matrix"

@@ -94,8 +94,7 @@ def convert_to_admittance(quantity: Quantity, P: np.ndarray, z0: np.ndarray) -> 
             return np.asarray(root @ np.linalg.solve(one + P, one - P) @ root)
         return np.linalg.inv(P) if quantity == "Z" else P
     except np.linalg.LinAlgError:
-        text = "an impedance of zero: an ideal short circuit has no admittance"
-        raise ValueError(text) from None
+        raise ValueError("an impedance of zero: an ideal short circuit has no admittance") from None
 
 
 def make_ambiguity_error(got: str, readings: Sequence[str], hint: str) -> UsageError:
@@ -104,9 +103,11 @@ def make_ambiguity_error(got: str, readings: Sequence[str], hint: str) -> UsageE
     ``readings`` describes the possible meanings.
     """
     listed = " or ".join(f"({k}) {text}" for k, text in enumerate(readings, 1))
-    expected = f"a file with one meaning, not {listed}"
     return UsageError(
-        "this file has more than one possible meaning", got=got, expected=expected, hint=hint
+        "this file has more than one possible meaning",
+        got=got,
+        expected=f"a file with one meaning, not {listed}",
+        hint=hint,
     )
 
 

@@ -74,13 +74,12 @@ def _rename_damping_matrix(rows: LabelledMatrices) -> Mapping[str, Matrix]:
     if settings.damping_matrix == "C":
         where = f"{settings.file_path}: damping_matrix"
         if C is None or not {"M", "K"} <= set(matrices) or "E" in matrices:
-            got = f"matrices {', '.join(sorted(matrices))}"
             raise wrong(
                 where,
                 "the model has no damping matrix of this name",
-                got,
-                "M, C, K and B, without E",
-                "delete damping_matrix",
+                got=f"matrices {', '.join(sorted(matrices))}",
+                expected="M, C, K and B, without E",
+                hint="delete damping_matrix",
             )
         renamed = dict(matrices)
         renamed["E"] = renamed.pop("C")
@@ -90,19 +89,21 @@ def _rename_damping_matrix(rows: LabelledMatrices) -> Mapping[str, Matrix]:
         raise wrong(
             rows.where,
             "it is not stated whether matrix C is the damping matrix or the output matrix",
-            f"a square C of {K.shape[0]} rows beside M and K",  # type: ignore[union-attr]
-            "a damping matrix with the name E, or one row of C for each output",
-            f'write damping_matrix = "C" into {rows.name}.toml, or outputs = "C" if every unknown '
-            "is an output",
+            got=f"a square C of {K.shape[0]} rows beside M and K",  # type: ignore[union-attr]
+            expected="a damping matrix with the name E, or one row of C for each output",
+            hint=(
+                f'write damping_matrix = "C" into {rows.name}.toml, or outputs = "C" if every '
+                "unknown is an output"
+            ),
         )
     if square and C.shape[0] ** 2 > MAX_NARROW_ENTRIES:  # type: ignore[union-attr]
         got = f"{C.shape[0]} outputs"  # type: ignore[union-attr]
         raise wrong(
             rows.where,
             "the model has too many outputs",
-            got,
-            f"at most {MAX_NARROW_ENTRIES} numbers in C",
-            f'write  damping_matrix = "C"  into {rows.name}.toml if C is the damping matrix',
+            got=got,
+            expected=f"at most {MAX_NARROW_ENTRIES} numbers in C",
+            hint=f'write  damping_matrix = "C"  into {rows.name}.toml if C is the damping matrix',
         )
     # C is the output matrix of a model without damping
     if square and "M" in matrices and "E" not in matrices:
@@ -123,14 +124,19 @@ def _complete_matrices(rows: LabelledMatrices) -> Mapping[str, Matrix]:
     if structural:
         matrices["K"] = sparse.csc_array(stiffness.real)  # type: ignore[union-attr]
     if "B" not in matrices and not rows.sidecar.ports:
-        expected = "matrix B with a column for each input, or [[ports]] in the TOML file"
         got = "matrices " + ", ".join(sorted(matrices))
         lacking = "B" if {"M", "E", "A"} & set(matrices) else "B and M"
         hint = f"add the matrix {lacking} to {Path(rows.where).name}"
         if (name := re.fullmatch(r"(.+[._])[MEKABCD](\.\w+)?", Path(rows.where).name)) is not None:
             files = " and ".join(f"{name[1]}{k}{name[2] or ''}" for k in lacking.split(" and "))
             hint = f"add the file{'s' if len(lacking) > 1 else ''} {files}"
-        raise wrong(rows.where, "the model has no inputs", got, expected, hint)
+        raise wrong(
+            rows.where,
+            "the model has no inputs",
+            got=got,
+            expected="matrix B with a column for each input, or [[ports]] in the TOML file",
+            hint=hint,
+        )
     size = max(
         (matrix.shape[0] for matrix in _select_square_matrices(matrices).values()), default=1
     )
@@ -143,23 +149,32 @@ def _complete_matrices(rows: LabelledMatrices) -> Mapping[str, Matrix]:
     symmetric, square = rows.sidecar.symmetric, _select_square_matrices(result)
     halves = [k for k, matrix in square.items() if stores_one_triangle(matrix)]
     if symmetric is None and halves:
-        hint = f"write symmetric = true into {rows.name}.toml, or false for triangular matrices"
-        problem = "the file contains one triangle of a matrix, but its header states 'general'"
-        raise wrong(rows.where, problem, f"matrix {', '.join(halves)}", "the whole matrix", hint)
+        raise wrong(
+            rows.where,
+            "the file contains one triangle of a matrix, but its header states 'general'",
+            got=f"matrix {', '.join(halves)}",
+            expected="the whole matrix",
+            hint=f"write symmetric = true into {rows.name}.toml, or false for triangular matrices",
+        )
     if symmetric:
         for letter in halves:
             square[letter] = complete_triangle(square[letter])
     for letter, matrix in square.items():
         if symmetric and abs(matrix - matrix.T).max() > 1e-9 * abs(matrix).max():
-            expected = f"symmetric matrices, as stated in {rows.sidecar.file_path}"
-            hint = f"write  symmetric = false  into {rows.name}.toml"
             raise wrong(
-                rows.where, f"matrix {letter} is not symmetric", expected=expected, hint=hint
+                rows.where,
+                f"matrix {letter} is not symmetric",
+                expected=f"symmetric matrices, as stated in {rows.sidecar.file_path}",
+                hint=f"write  symmetric = false  into {rows.name}.toml",
             )
         if letter != "E" and not matrix.count_nonzero():
-            problem, expected = f"matrix {letter} is zero", f"entries in {letter}"
             first = "leave M out for a first-order model E x' + K x = B u"
-            raise wrong(rows.where, problem, None, expected, first if letter == "M" else None)
+            raise wrong(
+                rows.where,
+                f"matrix {letter} is zero",
+                expected=f"entries in {letter}",
+                hint=first if letter == "M" else None,
+            )
     return result | square
 
 
@@ -209,13 +224,12 @@ class LabelledMatrices:
                 hint='write  column = 1  instead of nodes, or add  dofs = "rows.csv"',
             )
         if len(dofs) != self.size:
-            problem = "the list of nodes does not match the rows of the matrices"
             raise wrong(
                 where,
-                problem,
-                f"{len(dofs)} rows with node,dof",
-                f"{self.size} rows",
-                "write one row node,dof for each row of the matrices",
+                "the list of nodes does not match the rows of the matrices",
+                got=f"{len(dofs)} rows with node,dof",
+                expected=f"{self.size} rows",
+                hint="write one row node,dof for each row of the matrices",
             )
         return dofs
 
@@ -230,9 +244,12 @@ class LabelledMatrices:
         if place.node_numbers:
             nodes = np.unique(np.array(place.node_numbers, dtype=np.int64))
         elif mesh is None:
-            expected = 'mesh = "FILE" with nodes and node sets in the TOML file'
-            hint = 'add  mesh = "FILE"  to the TOML file'
-            raise wrong(where, "the keys `nodeset` and `at` need a mesh", None, expected, hint)
+            raise wrong(
+                where,
+                "the keys `nodeset` and `at` need a mesh",
+                expected='mesh = "FILE" with nodes and node sets in the TOML file',
+                hint='add  mesh = "FILE"  to the TOML file',
+            )
         elif place.nodeset is not None:
             nodes = read_nodes(mesh).get_node_set(place.nodeset, where)
         else:
@@ -246,16 +263,24 @@ class LabelledMatrices:
             expected = f"one of {len(np.unique(dofs.node))} nodes from {low} to {high}, which the "
             expected += "finite-element program has not constrained"
             nearest = int(dofs.node[np.argmin(np.abs(dofs.node - missing[0]))])
-            hint = f"write {nearest} in place of {missing[0]}, or another free node"
-            raise wrong(where, "the matrices have no such node", got, expected, hint)
+            raise wrong(
+                where,
+                "the matrices have no such node",
+                got=got,
+                expected=expected,
+                hint=f"write {nearest} in place of {missing[0]}, or another free node",
+            )
         rows = [np.flatnonzero(here & (dofs.kind == kind)) for kind in kinds]
         for kind, result in zip(kinds, rows, strict=True):
             if not len(result):
                 kinds_here = np.unique(dofs.kind[here]).tolist()
                 expected = ", ".join(map(DOFS.__getitem__, kinds_here))
-                hint = "use another node; the finite-element program may have fixed these nodes"
                 raise wrong(
-                    where, "these nodes have no such degree of freedom", DOFS[kind], expected, hint
+                    where,
+                    "these nodes have no such degree of freedom",
+                    got=DOFS[kind],
+                    expected=expected,
+                    hint="use another node; the finite-element program may have fixed these nodes",
                 )
         return rows if kinds else [np.flatnonzero(here)]
 
@@ -273,12 +298,11 @@ class LabelledMatrices:
         strange = np.setdiff1d(kind, TRANSLATIONS + ROTATIONS)
         if strange.size or "A" in self.matrices or "B" in self.matrices:
             got = DOFS[int(strange[0])] if strange.size else "matrix A or B"
-            expected = "matrices M and K, with displacements and rotations only"
             raise UsageError(
                 "this value cannot be converted to SI units",
                 where=where,
                 got=got,
-                expected=expected,
+                expected="matrices M and K, with displacements and rotations only",
                 hint="delete length and force, and export the matrices in metres and newtons",
             )
         t = sparse.diags_array(np.where(np.isin(kind, TRANSLATIONS), 1 / length, 1.0))
@@ -307,8 +331,12 @@ class LabelledMatrices:
         where, load = self.sidecar.locate_entry(entry), np.zeros(self.size)
         if entry.kind == ACCELERATION.port:  # for an acceleration along r, the load is -M r
             if "M" not in self.matrices:
-                problem = "a port of kind acceleration needs a mass matrix"
-                raise wrong(where, problem, None, "matrix M", "add the matrix M")
+                raise wrong(
+                    where,
+                    "a port of kind acceleration needs a mass matrix",
+                    expected="matrix M",
+                    hint="add the matrix M",
+                )
             kind = self.get_row_dofs(where).kind
             for k, weight in entry.weights.items():
                 load[kind == k] = weight
@@ -338,18 +366,25 @@ class LabelledMatrices:
         table, table_name = (B.T, "columns of B") if entry.row is None else (C, "rows of C")
         if place > len(table):
             counted = "column" if entry.row is None else "row"
-            problem = f"there is no {counted} {place}"
             hint = f"write  {counted} = {len(table)}" if len(table) else f"delete {counted}"
             raise wrong(
-                where, problem, place, f"1 to {len(table)}, the number of {table_name}", hint
+                where,
+                f"there is no {counted} {place}",
+                got=place,
+                expected=f"1 to {len(table)}, the number of {table_name}",
+                hint=hint,
             )
         load = np.asarray(table[place - 1])
         if entry.kind in ("input", "output"):
             return load
         if place > len(C) or not np.allclose(C[place - 1], load, rtol=1e-9, atol=0):
-            problem = "this port is not conservative: its row of C differs from its column of B"
-            hint = "use a port of kind input and a port of kind output"
-            raise wrong(where, problem, f"column {place}", "C = B'", hint)
+            raise wrong(
+                where,
+                "this port is not conservative: its row of C differs from its column of B",
+                got=f"column {place}",
+                expected="C = B'",
+                hint="use a port of kind input and a port of kind output",
+            )
         return load
 
     def assemble_ports(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[Port, ...]]:
@@ -361,24 +396,24 @@ class LabelledMatrices:
         if not settings.ports:
             return self.matrices["B"], self.matrices["C"], self.matrices["D"], ()
         if self.size * len(settings.ports) > MAX_NARROW_ENTRIES:
-            got = f"{len(settings.ports)} ports of {self.size} rows"
-            expected = f"at most {MAX_NARROW_ENTRIES // self.size} ports of this model"
             raise UsageError(
                 "the model has too many ports",
                 where=settings.file_path,
-                got=got,
-                expected=expected,
+                got=f"{len(settings.ports)} ports of {self.size} rows",
+                expected=f"at most {MAX_NARROW_ENTRIES // self.size} ports of this model",
                 hint="delete ports that no circuit uses",
             )
         loads = np.array([*map(self.make_port_vector, settings.ports)])
         kinds = np.array([entry.kind for entry in settings.ports])
         inputs, outputs = np.flatnonzero(kinds != "output"), np.flatnonzero(kinds != "input")
         if not inputs.size or not outputs.size:
-            expected = "ports of the kinds input and output, or a port of another kind"
             missing_kind = "output" if inputs.size else "input"
-            hint = f'add a port with  kind = "{missing_kind}"'
-            problem = f"the model has no {missing_kind} port"
-            raise wrong(settings.file_path, problem, None, expected, hint)
+            raise wrong(
+                settings.file_path,
+                f"the model has no {missing_kind} port",
+                expected="ports of the kinds input and output, or a port of another kind",
+                hint=f'add a port with  kind = "{missing_kind}"',
+            )
         scales = np.array([entry.scale for entry in settings.ports])  # 1 for conservative ports
         into, out = scales[inputs], 1 / scales[outputs][:, None]
         D = np.zeros((len(outputs), len(inputs)))
@@ -412,28 +447,34 @@ def _assemble_mechanical(rows: LabelledMatrices) -> LinearModel:
     used = sum(abs(matrix).sum(axis=1) for matrix in operators.values())
     empty = np.flatnonzero(np.asarray(used) == 0)
     if empty.size:  # an unknown without entries in any matrix is a gap in the numbering
-        problem = "a row is zero in all matrices"
-        expected = "an entry in each row that is not fixed, in at least one matrix"
-        got = f"row {empty[0] + 1} of the rows that are not fixed; {empty.size} such rows in total"
         hint = None if rows.raw.dofs is None else "fix the degree of freedom in [[fixed]]"
-        raise wrong(rows.where, problem, got, expected, hint)
+        raise wrong(
+            rows.where,
+            "a row is zero in all matrices",
+            got=(
+                f"row {empty[0] + 1} of the rows that are not fixed; {empty.size} such rows "
+                "in total"
+            ),
+            expected="an entry in each row that is not fixed, in at least one matrix",
+            hint=hint,
+        )
     B, C, D, ports = rows.assemble_ports()
     if not B[keep].any() or not C[:, keep].any():
-        expected = "nonzero entries of B and C at degrees of freedom that are not fixed"
-        hint = "apply the ports at free nodes, or delete the [[fixed]] entries there"
         raise wrong(
             rows.where,
             "no input acts on the model, or no output depends on it",
-            None,
-            expected,
-            hint,
+            expected="nonzero entries of B and C at degrees of freedom that are not fixed",
+            hint="apply the ports at free nodes, or delete the [[fixed]] entries there",
         )
     alpha, beta = settings.damping.rayleigh_factors
     damping: dict[str, Any] = {"rayleigh": (alpha, beta)} if alpha or beta else {}
     if damping and "A" in operators:
-        hint = "delete the key `damping`"
-        problem = "Rayleigh damping does not apply to a first-order model"
-        raise wrong(f"{settings.file_path}: damping", problem, None, "no damping", hint)
+        raise wrong(
+            f"{settings.file_path}: damping",
+            "Rayleigh damping does not apply to a first-order model",
+            expected="no damping",
+            hint="delete the key `damping`",
+        )
     if damping and "E" in operators:
         damping = {}
         operators["E"] = sparse.csc_array(
@@ -461,15 +502,20 @@ def _assemble_piezoelectric(rows: LabelledMatrices) -> LinearModel:
     """
     settings = rows.sidecar
     if "A" in rows.matrices or any(e.kind in ("input", "output") for e in settings.ports):
-        problem = "electrodes at nodes need matrices M and K, and no inputs and outputs"
-        expected = "ports of the kinds electrical, mechanical, rotational and acceleration"
-        hint = "give the electrodes as columns of B, or delete the other kinds of ports"
-        raise wrong(settings.file_path, problem, None, expected, hint)
+        raise wrong(
+            settings.file_path,
+            "electrodes at nodes need matrices M and K, and no inputs and outputs",
+            expected="ports of the kinds electrical, mechanical, rotational and acceleration",
+            hint="give the electrodes as columns of B, or delete the other kinds of ports",
+        )
     K, M, E = rows.matrices["K"], rows.matrices["M"], rows.matrices.get("E")
     if E is not None and any(settings.damping.rayleigh_factors):
-        problem, hint = "damping is defined twice", "delete alpha and beta of the key `damping`"
-        expected = "either matrix E or the key `damping`"
-        raise wrong(settings.file_path, problem, None, expected, hint)
+        raise wrong(
+            settings.file_path,
+            "damping is defined twice",
+            expected="either matrix E or the key `damping`",
+            hint="delete alpha and beta of the key `damping`",
+        )
     potential = rows.get_row_dofs(rows.where).kind == VOLT
     K, loss = _split_loss(rows, K, potential)
     occupied = rows.mask_fixed_rows()
@@ -479,23 +525,23 @@ def _assemble_piezoelectric(rows: LabelledMatrices) -> LinearModel:
         (place,) = rows.find_rows(entry, (VOLT,))
         if occupied[place].any():
             where = settings.locate_entry(entry)
-            expected = "nodes that are neither fixed nor nodes of another port"
-            problem = "an electrode shares nodes with another port or with a [[fixed]] entry"
-            hint = "delete the shared nodes from one of the two entries"
-            raise UsageError(problem, where=where, expected=expected, hint=hint)
+            raise UsageError(
+                "an electrode shares nodes with another port or with a [[fixed]] entry",
+                where=where,
+                expected="nodes that are neither fixed nor nodes of another port",
+                hint="delete the shared nodes from one of the two entries",
+            )
         column[place], occupied[place] = 1.0, True
     u, p = np.flatnonzero(~occupied & ~potential), np.flatnonzero(~occupied & potential)
     KT = K @ T
     c = -(T.T @ KT)
     if M[:, potential].count_nonzero() or (np.diag(c) <= 0).any():
-        expected = "K = [[K_uu, K_up], [K_up', -K_pp]] with K_pp positive definite"
-        got = "mass on a potential, or a positive dielectric block"
         raise wrong(
             rows.where,
             "the rows of the potentials have an unexpected form",
-            got,
-            expected,
-            "export the matrices without a change of signs",
+            got="mass on a potential, or a positive dielectric block",
+            expected="K = [[K_uu, K_up], [K_up', -K_pp]] with K_pp positive definite",
+            hint="export the matrices without a change of signs",
         )
     loads = [
         rows.make_port_vector(entry)[u] for entry in settings.ports if entry.kind != ELECTRICAL.port
@@ -541,19 +587,20 @@ def _split_loss(
     if not np.iscomplexobj(K):
         return K, None
     if rows.sidecar.damping.loss_factor:
-        hint = "delete the key loss_factor"
-        got, expected = "a complex K and loss_factor", "either a complex K or loss_factor"
-        raise wrong(rows.where, "structural damping is defined twice", got, expected, hint)
+        raise wrong(
+            rows.where,
+            "structural damping is defined twice",
+            got="a complex K and loss_factor",
+            expected="either a complex K or loss_factor",
+            hint="delete the key loss_factor",
+        )
     real, loss = (sparse.csc_array(part) for part in (K.real, K.imag))
     if abs(loss[potential]).max() > IMAGINARY_ROUNDING * abs(real[potential]).max():
-        expected = "an imaginary part in the rows of displacements alone"
-        hint = "export the permittivity without dielectric losses, that is its real part only"
         raise wrong(
             rows.where,
             "the damping in the rows of the potentials is not zero",
-            None,
-            expected,
-            hint,
+            expected="an imaginary part in the rows of displacements alone",
+            hint="export the permittivity without dielectric losses, that is its real part only",
         )
     loss.eliminate_zeros()
     return real, loss

@@ -258,12 +258,11 @@ def parse_shunt_resistance(shunt: str | float | None) -> float | None:
         return None
     resistance = parse_quantity(shunt, "Ohm", where="--shunt")
     if resistance <= 0:
-        expected = 'a positive resistance, such as "100 Ohm"'
         raise UsageError(
             "this value is not a resistance",
             where="--shunt",
             got=shunt,
-            expected=expected,
+            expected='a positive resistance, such as "100 Ohm"',
             hint="remove the minus sign" if resistance < 0 else "leave out --shunt",
         )
     return resistance
@@ -332,13 +331,12 @@ def _reject_open_circuits(data: MeasuredAdmittance) -> None:
     first, of = int(np.argmax(still)), f"{still.sum()} of {len(still)}"
     got = f"no current at {of} frequencies, first at {data.f[first]:g} Hz"
     got = got if one else f"no current into {of} ports, first into port {first + 1}"
-    hint = "delete these frequencies from the file, or measure with the part connected"
     raise wrong(
         data.where,
         "the measured part is an open circuit",
-        got,
-        "admittances that are not zero",
-        hint,
+        got=got,
+        expected="admittances that are not zero",
+        hint="delete these frequencies from the file, or measure with the part connected",
     )
 
 
@@ -362,8 +360,13 @@ def _reject_active_parts(data: MeasuredAdmittance) -> None:
         hint = "swap the columns of real and imaginary part, which seem to be interchanged"
     got = f"a real part below zero at {bad.sum()} of {len(bad)} frequencies, "
     got += f"first at {data.f[bad][0]:g} Hz"
-    problem = "the measured part delivers power, so it is not passive"
-    raise wrong(data.where, problem, got, "Re Z >= 0, except for noise", hint)
+    raise wrong(
+        data.where,
+        "the measured part delivers power, so it is not passive",
+        got=got,
+        expected="Re Z >= 0, except for noise",
+        hint=hint,
+    )
 
 
 @lru_cache(maxsize=1)

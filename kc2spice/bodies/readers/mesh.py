@@ -69,8 +69,13 @@ class NodeMesh:
             x, y, z = self.at[best]
             expected = f"within {distance[best]:.4g} of node {self.node[best]} at "
             expected += f"[{x:g}, {y:g}, {z:g}]"
-            hint = f"write  at = [{x:.9g}, {y:.9g}, {z:.9g}]"
-            raise wrong(where, "the mesh has no node at this point", list(place), expected, hint)
+            raise wrong(
+                where,
+                "the mesh has no node at this point",
+                got=list(place),
+                expected=expected,
+                hint=f"write  at = [{x:.9g}, {y:.9g}, {z:.9g}]",
+            )
         return int(self.node[best])
 
 

@@ -54,14 +54,18 @@ def make_term(settings: Sidecar, number: int, matrix: Matrix) -> AffineTerm:
         raise wrong(
             where,
             "the expression has too many nested parentheses",
-            entry.factor,
-            "fewer parentheses",
+            got=entry.factor,
+            expected="fewer parentheses",
         ) from None
     known = {name.lower() for name in settings.parameters}
     for node in walk_tree(tree):
         if isinstance(node, Name) and node.text.lower() not in known:
-            expected = f"one of {', '.join(settings.parameters)}"
-            raise wrong(where, "the model has no such parameter", node.text, expected)
+            raise wrong(
+                where,
+                "the model has no such parameter",
+                got=node.text,
+                expected=f"one of {', '.join(settings.parameters)}",
+            )
 
     def evaluate_factor(values: Mapping[str, float]) -> float:
         """Return the value of the term's factor for the given parameter values."""

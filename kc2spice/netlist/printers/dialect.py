@@ -258,8 +258,13 @@ class Dialect(Printer, ABC):
     ) -> UsageError:
         """Return the error for a construct that this dialect cannot express."""
         message, got = f"{self.title} has no equivalent of {what}", got and got[:120]
-        hint = "rewrite this card, or export with --dialect ngspice"
-        return UsageError(message, where=self.where, got=got, expected=expected, hint=hint)
+        return UsageError(
+            message,
+            where=self.where,
+            got=got,
+            expected=expected,
+            hint="rewrite this card, or export with --dialect ngspice",
+        )
 
     def format_element(self, part: Element) -> str:
         """Return the card of an element."""

@@ -188,11 +188,14 @@ class VerilogWriter(ExpressionWriter):
             points = [value for value in numbers if value is not None]
             at, f = points[::2], points[1::2]
             if len(points) < max(4, len(numbers)) or len(at) != len(f) or at != sorted(set(at)):
-                message = (
-                    "a table in a Verilog-A module needs at least two increasing "
-                    "arguments, each with a value"
+                raise UsageError(
+                    (
+                        "a table in a Verilog-A module needs at least two increasing "
+                        "arguments, each with a value"
+                    ),
+                    where=self.where,
+                    got=self.part,
                 )
-                raise UsageError(message, where=self.where, got=self.part)
             self.module.functions.append(_write_table_function(name, at, f))
             return f"{name}({self.write_tree(arguments[0])})"
         if defined := self.scope.functions.get(function):

@@ -475,10 +475,9 @@ stop = "3 kHz"
         yield from super().problems(part, scene)
         keys = part.with_schema(TubeKeys).keys
         if keys.closed and FAR_END in part.pins:
-            message = "a closed tube has no pin at its end b"
             yield part.wrong(
                 "closed",
-                message,
+                "a closed tube has no pin at its end b",
                 f"closed = true and pins.{FAR_END}",
                 f"either closed = true or pins.{FAR_END}",
                 "delete closed",

@@ -183,52 +183,45 @@ class BodyModel(BodyPorts[LinearKeysT]):
         target, key = get_reduction_settings(part, scene), self.model_key(middle, scene)
         specified = part.keys.rom
         if read_loss_tangent(part):
-            problem = "a netlist with parameters cannot contain a dielectric loss"
             raise wrong(
                 f"{part.name}.damping.loss_tangent",
-                problem,
-                read_loss_tangent(part),
-                "0",
-                "delete loss_tangent",
+                "a netlist with parameters cannot contain a dielectric loss",
+                got=read_loss_tangent(part),
+                expected="0",
+                hint="delete loss_tangent",
             )
         if has_complex_constants(part):
-            problem = "a netlist with parameters can only have viscous damping"
             raise wrong(
                 f"{part.name}.damping.model",
-                problem,
-                "ieee176",
-                "rayleigh",
-                'write  model = "rayleigh"',
+                "a netlist with parameters can only have viscous damping",
+                got="ieee176",
+                expected="rayleigh",
+                hint='write  model = "rayleigh"',
             )
         if self.gives_off_heat(part, scene):
-            problem = "a netlist with parameters has no heat pin"
-            hint = f"delete {RANGES_KEY}, or disconnect the heat pin"
             raise wrong(
                 f"{part.name}.{RANGES_KEY}",
-                problem,
-                ", ".join(i.key for i in keys),
-                "no parameters",
-                hint,
+                "a netlist with parameters has no heat pin",
+                got=", ".join(i.key for i in keys),
+                expected="no parameters",
+                hint=f"delete {RANGES_KEY}, or disconnect the heat pin",
             )
         if scene.analysis.type == "noise":
-            problem = "a netlist with parameters has no thermal noise"
-            hint = f"delete {RANGES_KEY} for this analysis"
             raise wrong(
                 f"{part.name}.{RANGES_KEY}",
-                problem,
-                ", ".join(i.key for i in keys),
-                "no parameters",
-                hint,
+                "a netlist with parameters has no thermal noise",
+                got=", ".join(i.key for i in keys),
+                expected="no parameters",
+                hint=f"delete {RANGES_KEY} for this analysis",
             )
         ordered = target.order is not None and "order" in target.model_fields_set
         if ordered and specified is not None and specified.order:
-            problem = "rom.order cannot be combined with rom.parameters"
             raise wrong(
                 f"{part.name}.rom.order",
-                problem,
-                target.order,
-                "rom.tolerance",
-                "delete the key `order` from the table rom",
+                "rom.order cannot be combined with rom.parameters",
+                got=target.order,
+                expected="rom.tolerance",
+                hint="delete the key `order` from the table rom",
             )
         key = {**key, "box": [[item.key, item.low, item.high] for item in keys]}
 
@@ -325,7 +318,6 @@ class BodyModel(BodyPorts[LinearKeysT]):
                 small = support_softly(small, band)
                 modal = compute_resonators(small)
             if modal is None and (tangent or constants):
-                got = "damping that couples modes, or a rigid-body mode"
                 problem, key = (
                     "a loss tangent needs uncoupled modes without a rigid-body mode",
                     "loss_tangent",
@@ -335,9 +327,13 @@ class BodyModel(BodyPorts[LinearKeysT]):
                         "complex constants need uncoupled modes without a rigid-body mode",
                         "model",
                     )
-                expected = "ratio, quality or loss_factor"
-                hint = "support the body, or state a band that begins above 0 Hz in rom.band"
-                raise wrong(f"{part.name}.damping.{key}", problem, got, expected, hint)
+                raise wrong(
+                    f"{part.name}.damping.{key}",
+                    problem,
+                    got="damping that couples modes, or a rigid-body mode",
+                    expected="ratio, quality or loss_factor",
+                    hint="support the body, or state a band that begins above 0 Hz in rom.band",
+                )
             if modal is None:
                 return small
             if model_key["massless"]:
@@ -441,13 +437,11 @@ def make_complex_constants(part: Part, model: LinearModel) -> ComplexConstants:
     damping, facts = find_damping(part), model.facts
     at = damping.find_ratio_frequency(facts.get("resonance_short_hz", facts.get("resonance_hz")))
     if at is None:
-        where = f"{part.name}.damping.at"
         raise wrong(
-            where,
+            f"{part.name}.damping.at",
             "the body has no resonance, so its damping needs a frequency",
-            None,
-            "the frequency at which Q factor and loss tangent apply",
-            'add  at = "1 kHz"  to damping, with a frequency of your band',
+            expected="the frequency at which Q factor and loss tangent apply",
+            hint='add  at = "1 kHz"  to damping, with a frequency of your band',
         )
     return ComplexConstants(2 * damping.zeta, read_loss_tangent(part), at)
 

@@ -216,17 +216,22 @@ def assign_materials(names: Iterable[str], groups: mesh_file.GroupedMesh) -> np.
     for number, name in enumerate(names):
         cells = groups.get_group(name, f"materials.{name}", 0).members
         if (owner[cells] >= 0).any():
-            got = f"elements that are also in the group {names[int(owner[cells].max())]}"
-            expected = "groups without common elements"
-            hint = f"delete materials.{name}, or take the elements out of one group"
-            problem = "some elements have two materials"
-            raise wrong(f"materials.{name}", problem, got, expected, hint)
+            raise wrong(
+                f"materials.{name}",
+                "some elements have two materials",
+                got=f"elements that are also in the group {names[int(owner[cells].max())]}",
+                expected="groups without common elements",
+                hint=f"delete materials.{name}, or take the elements out of one group",
+            )
         owner[cells] = number
     if (owner < 0).any():
         solids = [name for name, group in groups.groups.items() if group.codimension == 0]
         rest = [*filterfalse(names.__contains__, solids)] or solids
-        got = f"{np.sum(owner < 0)} elements without material"
-        hint = f"add a material for one of these groups: {list_candidates('', rest)}"
-        expected = "a material for every element"
-        raise wrong("materials", "some elements have no material", got, expected, hint)
+        raise wrong(
+            "materials",
+            "some elements have no material",
+            got=f"{np.sum(owner < 0)} elements without material",
+            expected="a material for every element",
+            hint=f"add a material for one of these groups: {list_candidates('', rest)}",
+        )
     return owner

@@ -240,10 +240,12 @@ class MeshedBody(SoundingBody[FieldKeysT]):
             loads = self.list_port_loads(part, build, waves)
             port_names = self.used_port_names(part, build.scene)
             if unknown := [*filterfalse(loads.__contains__, port_names)]:
-                got = f"a force on {unknown[0]} without a recorded value"
-                expected = "contacts, springs, dampers, masses and sources"
-                problem = "fields cannot be computed, because some loads of the body are unknown"
-                raise wrong(f"{part.name}.fields", problem, got, expected)
+                raise wrong(
+                    f"{part.name}.fields",
+                    "fields cannot be computed, because some loads of the body are unknown",
+                    got=f"a force on {unknown[0]} without a recorded value",
+                    expected="contacts, springs, dampers, masses and sources",
+                )
             device = self.get_fe_model(part, build.scene)
             if "time" in waves:
                 motion = recover_motion(device, waves["time"], loads)
@@ -273,14 +275,22 @@ def find_field_problems(
         if harmonic:
             expected = "a transient analysis, fields = true in an ac analysis, or fields = false"
         problem = "this value of fields needs a transient analysis"
-        yield wrong(f"{part.name}.fields", problem, f"analysis {kind}", expected, "delete fields")
+        yield wrong(
+            f"{part.name}.fields",
+            problem,
+            got=f"analysis {kind}",
+            expected=expected,
+            hint="delete fields",
+        )
         return
     outside = [t for t in instants if not 0 <= t <= scene.stop_time]
     if outside:
         expected = f"0 to {scene.stop_time:g} s"
         hint = f"write a time from 0 to {scene.stop_time:g} s in its place"
         problem = "a time in fields is outside of the run"
-        yield wrong(f"{part.name}.fields", problem, f"{outside[0]:g} s", expected, hint)
+        yield wrong(
+            f"{part.name}.fields", problem, got=f"{outside[0]:g} s", expected=expected, hint=hint
+        )
 
 
 def check_mesh(part: Part, build: BuiltScene) -> Iterator[Check]:

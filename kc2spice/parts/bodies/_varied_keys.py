@@ -65,9 +65,9 @@ def list_varied_keys(part: Part[LinearKeysT]) -> tuple[VariedKey, ...]:
         raise wrong(
             where,
             "rom.parameters contains too many parameters",
-            f"{len(ranges)}",
-            f"at most {MAX_PARAMETERS}",
-            f"delete {len(ranges) - MAX_PARAMETERS} of its entries",
+            got=f"{len(ranges)}",
+            expected=f"at most {MAX_PARAMETERS}",
+            hint=f"delete {len(ranges) - MAX_PARAMETERS} of its entries",
         )
     result = []
     for key, ends in ranges.items():
@@ -107,18 +107,18 @@ def make_varied_key(
     low, high = min(ends), max(ends)
     signed = low * high > 0 or (from_zero and low == 0)
     if not signed or high - low < MIN_RELATIVE_WIDTH * abs(high) or not low <= value <= high:
-        expected = (
-            "two different numbers of the same sign, whose range contains the value of the part, "
-            f"{value:g}"
-        )
         around = sorted((0.9 * value, 1.1 * value))
         hint = f"write for example  [{around[0]:g}, {around[1]:g}]" if value else None
         raise wrong(
             where or key,
             "this entry is not a valid range of a parameter",
-            f"{low:g} to {high:g}",
-            expected,
-            hint,
+            got=f"{low:g} to {high:g}",
+            expected=(
+                "two different numbers of the same sign, whose range contains the "
+                "value of the part, "
+                f"{value:g}"
+            ),
+            hint=hint,
         )
     return VariedKey(key, unit, value, low, high)
 
@@ -160,10 +160,14 @@ def with_values(part: Part[LinearKeysT], values: Mapping[str, Any]) -> Part[Line
         return replace(part, keys=keys.model_copy(update={"rom": part.keys.rom}))
     except UsageError as error:
         got = error.message if error.got is None else f"{error.message}: {error.got}"
-        problem = "the ranges of the parameters contain values that the part cannot have"
-        expected = "ranges in rom.parameters in which every value is valid for the part"
         hint = error.hint or f"narrow the ranges in {part.name}.{RANGES_KEY}"
-        raise wrong(error.where, problem, got, expected, hint) from None
+        raise wrong(
+            error.where,
+            "the ranges of the parameters contain values that the part cannot have",
+            got=got,
+            expected="ranges in rom.parameters in which every value is valid for the part",
+            hint=hint,
+        ) from None
 
 
 def _split_key(key: str) -> list[str | int]:
@@ -177,24 +181,32 @@ def _make_non_numeric_key_error(part: Part, key: str, where: str) -> UsageError:
     plain = re.sub(r"\[-?\d+\]", "", key)
     expected = "a number below the part, such as layers[1].thickness or damping.ratio"
     if "material" in plain.split("."):
-        hint = 'write the material as a table, such as { like = "PZT-5A" }, and vary its constants'
         return wrong(
             where,
             "the constants of a material that is stated by name cannot be varied",
-            key,
-            expected,
-            hint,
+            got=key,
+            expected=expected,
+            hint=(
+                'write the material as a table, such as { like = "PZT-5A" }, and vary its constants'
+            ),
         )
     if plain in known:
-        hint = f"write a number for {key} into the scene first, or vary another key"
-        return wrong(where, f"this key of {part.name} is not a number", key, expected, hint)
+        return wrong(
+            where,
+            f"this key of {part.name} is not a number",
+            got=key,
+            expected=expected,
+            hint=f"write a number for {key} into the scene first, or vary another key",
+        )
     above = key.rpartition(".")[0] + "." if "." in key else ""
     below = plain.rpartition(".")[0] + "." if "." in plain else ""
     leaves = [above + name.removeprefix(below) for name in known if name.startswith(below)]
     near = did_you_mean(key, leaves) or did_you_mean(plain, known)
     if near and not above:  # a key inside a list entry must contain the index of the entry
         near = re.sub(r"'(layers|front|back)\.", r"'\1[0].", near)
-    return wrong(where, f"{part.name} has no numeric key of this name", key, expected, near)
+    return wrong(
+        where, f"{part.name} has no numeric key of this name", got=key, expected=expected, hint=near
+    )
 
 
 def _read_material(part: Part, table: Mapping[str, Any], key: str) -> BaseModel:

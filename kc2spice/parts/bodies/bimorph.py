@@ -190,7 +190,7 @@ def make_bimorph_blocks(
         raise wrong(
             "wiring",
             "the key `wiring` needs a piezoelectric layer",
-            beam.wiring,
+            got=beam.wiring,
             hint='delete wiring, or write  material = "PZT-5A"  for a layer',
         )
     length, width, top = beam.length, beam.width, heights[-1]

@@ -541,9 +541,11 @@ def _read_polings(
         )
     numbered = [group for group, table in tables.items() if table.numbers is not None]
     if numbered and keys.size is not None:
-        problem = "a CAD file has no element numbers"
-        hint = "write a file with the columns x, y, z, px, py, pz"
-        raise wrong(f"poling.{numbered[0]}", problem, hint=hint)
+        raise wrong(
+            f"poling.{numbered[0]}",
+            "a CAD file has no element numbers",
+            hint="write a file with the columns x, y, z, px, py, pz",
+        )
     numbers = groups.numbers
     if numbered and keys.split_count:
         file_mesh = read_groups(keys, home, 0)
@@ -609,9 +611,11 @@ def _orient_material(plain: Material, keys: BodyKeys, group: str) -> Material:
 def _require_mesh_axis(keys: BodyKeys, about: CylindricalAxes, where: str) -> None:
     """Reject cylindrical axes that differ from the axis of an axisymmetric mesh."""
     if keys.axisymmetric and (any(about.axis[:2]) or any(about.point[:2])):
-        problem = "the axis of an axisymmetric mesh must be z through the origin"
-        hint = "leave out axis and through, or z and origin"
-        raise wrong(where, problem, hint=hint)
+        raise wrong(
+            where,
+            "the axis of an axisymmetric mesh must be z through the origin",
+            hint="leave out axis and through, or z and origin",
+        )
 
 
 def _make_boundary_conditions(
@@ -653,8 +657,13 @@ def _make_rigid_face(port: PortKeys, groups: mesh_file.GroupedMesh, solid: Solid
     """Return a rigid face of the mesh, with a port for each of its free motions."""
     where = f"ports.{port.name}"
     if solid.axisymmetric:
-        problem = "an axisymmetric body cannot have rigid faces"
-        raise wrong(where, problem, "rigid", "mean or base", 'write  kind = "mean"')
+        raise wrong(
+            where,
+            "an axisymmetric body cannot have rigid faces",
+            got="rigid",
+            expected="mean or base",
+            hint='write  kind = "mean"',
+        )
     nodes = _find_facet_nodes(solid, groups.get_group(str(port.group), where, 1).members)
     unit = dict(zip(_MOTION_NAMES, np.eye(6), strict=True))
     moves = map(unit.__getitem__, port.motions)
@@ -672,9 +681,12 @@ def boundary_facets(port: PortKeys, groups: mesh_file.GroupedMesh, solid: Solid)
     facets = groups.get_group(str(port.group), where, 1).members
     inside = int((solid.mesh.f2t[1, facets] >= 0).sum())
     if inside:
-        problem = "a face that radiates sound must be on the surface of the body"
-        got = f"{port.group}, with {inside} of {facets.size} faces between two elements"
-        raise wrong(where, problem, got, "a group of outer faces")
+        raise wrong(
+            where,
+            "a face that radiates sound must be on the surface of the body",
+            got=f"{port.group}, with {inside} of {facets.size} faces between two elements",
+            expected="a group of outer faces",
+        )
     return facets
 
 
@@ -692,10 +704,13 @@ def _find_electrode_nodes(
     sides = solid.mesh.f2t[:, facets]
     if not (active[sides] & (sides >= 0)).any():
         made_of = {solid.materials[k].name for k in solid.owner[sides[sides >= 0]]}
-        problem = "this electrode is on a material that is not piezoelectric"
-        got = f"{name} on {', '.join(sorted(made_of))}"
-        hint = 'give the group of this face a piezoelectric material, such as "PZT-5A"'
-        raise wrong(where, problem, got, "a face of a piezoelectric group", hint)
+        raise wrong(
+            where,
+            "this electrode is on a material that is not piezoelectric",
+            got=f"{name} on {', '.join(sorted(made_of))}",
+            expected="a face of a piezoelectric group",
+            hint='give the group of this face a piezoelectric material, such as "PZT-5A"',
+        )
     return _find_facet_nodes(solid, facets)
 
 

@@ -234,9 +234,13 @@ def _make_blocks(disc: DiscKeys, where: str) -> list[Block]:
         here = f"{where}.layers.{i}"
         one = find_material(layer.material, f"{here}.material")
         if layer.electrodes is not None and not one.is_piezoelectric:
-            problem = "an electrode on a material that is not piezoelectric"
-            hint = "delete the key `electrodes` of this layer"
-            raise wrong(here, problem, one.name, "a piezoelectric material", hint)
+            raise wrong(
+                here,
+                "an electrode on a material that is not piezoelectric",
+                got=one.name,
+                expected="a piezoelectric material",
+                hint="delete the key `electrodes` of this layer",
+            )
         poled = one.rotate_z_axis((0, 0, 1 if layer.poling == "up" else -1))
         quality = layer.quality or one.quality
         poled = replace(poled, name=f"layers[{i}] ({one.name})", quality=quality)
@@ -291,11 +295,15 @@ def _list_electrode_faces(
     layers = [disc.layers[k] for k in ceramic]
     diameters = {layer.electrode_diameter for layer in layers}
     if len(diameters) > 1 and all(layer.electrodes for layer in layers):
-        problem = "two layers state different diameters of the electrode between them"
         got = " and ".join(map("{:g} m".format, sorted(diameters)))
-        hint = "state electrodes in one of the two layers"
         where = f"{where}.layers.{ceramic[-1]}.electrodes"
-        raise wrong(where, problem, got, "one diameter", hint)
+        raise wrong(
+            where,
+            "two layers state different diameters of the electrode between them",
+            got=got,
+            expected="one diameter",
+            hint="state electrodes in one of the two layers",
+        )
     radius = min(diameters) / 2
     ring = disc.layers[below].feedback if below in ceramic else None
     if ring is None:

@@ -197,13 +197,12 @@ def _read_solid(
     for name, stated in keys.materials.items():
         made_of = find_thermal_material(stated, f"materials.{name}")
         if keys.axisymmetric and made_of.conductivity[0] != made_of.conductivity[1]:
-            problem = "a body of revolution needs equal conductivities along x and y"
             raise wrong(
                 f"materials.{name}",
-                problem,
-                " and ".join(f"{value:g}" for value in made_of.conductivity[:2]) + " W/(m K)",
-                "equal conductivities along x and y",
-                "write the same conductivity for x and y",
+                "a body of revolution needs equal conductivities along x and y",
+                got=" and ".join(f"{value:g}" for value in made_of.conductivity[:2]) + " W/(m K)",
+                expected="equal conductivities along x and y",
+                hint="write the same conductivity for x and y",
             )
         materials.append(replace(made_of, name=f"{name} ({made_of.name})"))
     solid = Solid(groups.mesh, (), owner, keys.axisymmetric)
@@ -213,9 +212,13 @@ def _read_solid(
         facets = find_common_faces(solid, first, second)
         if not facets.size:
             got = " and ".join(item.between)
-            hint = "set the key `merge`, which joins the nodes of touching solids"
-            problem = "these groups have no common faces"
-            raise wrong(f"interfaces[{number}].between", problem, got, "solids that touch", hint)
+            raise wrong(
+                f"interfaces[{number}].between",
+                "these groups have no common faces",
+                got=got,
+                expected="solids that touch",
+                hint="set the key `merge`, which joins the nodes of touching solids",
+            )
         interfaces.append((facets, item.resistance))
     if interfaces:
         solid = duplicate_face_nodes(solid, np.concatenate([facets for facets, _ in interfaces]))
@@ -240,8 +243,11 @@ def _stack_layers(keys: HeatBodyKeys) -> tuple[HeatGeometry, list[tuple[np.ndarr
         if layer.resistance is None:
             continue
         if not number:
-            problem = "nothing is below the last layer"
-            raise wrong(f"layers[{len(layers)}].resistance", problem, hint="delete this key")
+            raise wrong(
+                f"layers[{len(layers)}].resistance",
+                "nothing is below the last layer",
+                hint="delete this key",
+            )
         facet = np.flatnonzero(np.isclose(mesh.p[0, mesh.facets[0]], bottoms[number], rtol=1e-12))
         # The matrices contain the area of the layer that owns the first element at the joint.
         area = layers[owner[int(mesh.f2t[0, facet[0]])]].area
@@ -268,8 +274,13 @@ def _stack_layers(keys: HeatBodyKeys) -> tuple[HeatGeometry, list[tuple[np.ndarr
         result = groups[name]
         if codimensions and result.codimension not in codimensions:
             hint = "write top or bottom in place of " + name
-            problem = "this group is not a face on the top or the bottom"
-            raise wrong(where, problem, name, "top or bottom", hint)
+            raise wrong(
+                where,
+                "this group is not a face on the top or the bottom",
+                got=name,
+                expected="top or bottom",
+                hint=hint,
+            )
         return result
 
     heat_solid = HeatSolid(solid, tuple(materials[::-1]), areas=areas[owner])
@@ -547,10 +558,12 @@ dc = "1 W"
             for port in self.used_ports(part, build.scene):
                 flow = waves.data.get(f"{part.name}.heat.{port.name}")
                 if flow is None and build.scene.list_joined_pins(part.name, port.terminals[0]):
-                    got = f"a heat flow into {port.name} without a recorded value"
-                    expected = "one source, thermal_resistor or other part at each pin"
-                    problem = "fields need every heat flow into the body"
-                    raise wrong(f"{part.name}.fields", problem, got, expected)
+                    raise wrong(
+                        f"{part.name}.fields",
+                        "fields need every heat flow into the body",
+                        got=f"a heat flow into {port.name} without a recorded value",
+                        expected="one source, thermal_resistor or other part at each pin",
+                    )
                 if flow is not None:
                     flows[port.name] = flow
             heat = self.get_fe_model(part, build.scene)

@@ -255,13 +255,12 @@ def _make_blocks(body: LangevinKeys, where: str) -> list[Block]:
             rings, f"rings[{i}]", ring, i * rings.thickness, (i + 1) * rings.thickness, (-1) ** i
         )
     if not result[0].material.is_piezoelectric:
-        problem = "the rings are not piezoelectric"
         raise wrong(
             f"{where}.rings.material",
-            problem,
-            result[0].material.name,
-            "a piezoelectric material",
-            'write  material = "PZT-4"  for the rings',
+            "the rings are not piezoelectric",
+            got=result[0].material.name,
+            expected="a piezoelectric material",
+            hint='write  material = "PZT-4"  for the rings',
         )
     height = rings.count * rings.thickness
     thread = height + (bolt.depth or body.front[0].length)

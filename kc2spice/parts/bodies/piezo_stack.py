@@ -286,10 +286,9 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
     ) -> ContactSurface:
         """Return the surface under a contact: the contact rings or the pressure patch."""
         if part.keys.poling == "x":
-            problem = 'a stack with poling = "x" moves sideways and cannot have a contact'
             raise part.wrong(
                 "poling",
-                problem,
+                'a stack with poling = "x" moves sideways and cannot have a contact',
                 "x",
                 "poling = z for a stack with a contact",
                 'write  poling = "z"',

@@ -87,12 +87,17 @@ class Stretch(PatchedPart[StretchKeys]):
         """Yield an error for each invalid key of the part."""
         keys, count = part.keys, len(list_patch_ports(part, scene))
         if count % keys.rows:
-            problem = "the number of patches is not a multiple of the number of rows"
             got = f"{count} patches, {keys.rows} rows"
             divisors = [n for n in range(1, count + 1) if count % n == 0]
             nearest = min(divisors, key=lambda n: abs(n - keys.rows))
             hint = f"write  rows = {nearest}"
-            yield part.wrong("rows", problem, got, "an equal number of patches in each row", hint)
+            yield part.wrong(
+                "rows",
+                "the number of patches is not a multiple of the number of rows",
+                got,
+                "an equal number of patches in each row",
+                hint,
+            )
         if (keys.rows > 1) != (keys.width > 0):
             got = f"rows = {keys.rows}, width = {keys.width:g} m"
             yield part.wrong(

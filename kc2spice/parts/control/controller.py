@@ -198,34 +198,45 @@ wiring = "parallel"
         """Load the Python function of the controller from its file."""
         keys = part.keys
         if keys.file is None:
-            expected = (
-                f"file = \"NAME.py\", or kc.run(scene, functions={{'{part.name}': FUNCTION}})"
-            )
-            hint = f'add  file = "NAME.py"  to [{part.name}], a file beside the scene'
             raise part.wrong(
                 "file",
                 "the controller has neither a file nor a passed function",
-                expected=expected,
-                hint=hint,
+                expected=(
+                    f"file = \"NAME.py\", or kc.run(scene, functions={{'{part.name}': FUNCTION}})"
+                ),
+                hint=f'add  file = "NAME.py"  to [{part.name}], a file beside the scene',
             )
         if not build.trust:
-            hint = "read the file; if you trust every line of it, repeat with --trust"
-            problem = "this scene runs a Python file, which needs --trust"
-            raise part.wrong("file", problem, keys.file, hint=hint)
+            raise part.wrong(
+                "file",
+                "this scene runs a Python file, which needs --trust",
+                keys.file,
+                hint="read the file; if you trust every line of it, repeat with --trust",
+            )
         path = build.scene.get_folder(part) / keys.file
         if not path.is_file():
-            hint = f"write the function {keys.function}(time, inputs) into this file"
-            raise part.wrong("file", "this file does not exist", str(path), hint=hint)
+            raise part.wrong(
+                "file",
+                "this file does not exist",
+                str(path),
+                hint=f"write the function {keys.function}(time, inputs) into this file",
+            )
         try:
             result = runpy.run_path(str(path), run_name=f"kc2spice_{part.name}").get(keys.function)
         except Exception as error:
-            problem = f"{keys.file} ends with an error"
-            hint = f"run  python {path}  and correct the file"
-            raise part.wrong("file", problem, repr(error), hint=hint) from error
+            raise part.wrong(
+                "file",
+                f"{keys.file} ends with an error",
+                repr(error),
+                hint=f"run  python {path}  and correct the file",
+            ) from error
         if not callable(result):
-            problem = f"{keys.file} defines no function of this name"
-            hint = f"write  def {keys.function}(time, inputs):  into {keys.file}"
-            raise part.wrong("function", problem, keys.function, hint=hint)
+            raise part.wrong(
+                "function",
+                f"{keys.file} defines no function of this name",
+                keys.function,
+                hint=f"write  def {keys.function}(time, inputs):  into {keys.file}",
+            )
         return cast(Function, result)
 
     def notes(self, part: Part[ControllerKeys], scene: Scene) -> Iterator[str]:

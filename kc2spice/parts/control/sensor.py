@@ -119,10 +119,9 @@ dc = "1 um"
         """Yield an error if the analysis does not permit noise."""
         kinds = ("transient", "noise")
         if part.keys.noise and scene.analysis.type not in kinds:
-            problem = "the noise of a sensor does not apply to this analysis"
             yield part.wrong(
                 "noise",
-                problem,
+                "the noise of a sensor does not apply to this analysis",
                 scene.analysis.type,
                 f"{' or '.join(kinds)}, or none",
                 "delete noise",

@@ -346,10 +346,12 @@ def make_driver_table(
     if selected == "netlist" and not table.get("file"):
         include = data.get("include")
         if not isinstance(include, (list, tuple)) or not include:
-            expected = 'include = ["FILE"], a file beside the scene'
-            hint = 'add  include = ["FILE"]  at the top of the scene'
-            problem = "this driver needs a netlist"
-            raise part.wrong(f"driver.{kind}", problem, expected=expected, hint=hint)
+            raise part.wrong(
+                f"driver.{kind}",
+                "this driver needs a netlist",
+                expected='include = ["FILE"], a file beside the scene',
+                hint='add  include = ["FILE"]  at the top of the scene',
+            )
         table = {**table, "file": str(include[0])}
     return {**table, "part": selected, "at": (part.name, "driver", kind)}
 

@@ -500,11 +500,15 @@ def _make_waveform(points: np.ndarray, data_name: str) -> Waveform:
     """
     key = "pwl" if data_name == "pwl" else "file"
     if len(points) < 2:
-        expected = "at least two rows of time and value"
         corner = f'["{points[0, 0] + 1e-3:g} s", {points[0, 1]:g}]' if len(points) else ""
         hint = "add at least two rows" if not corner else f"add a second corner, such as  {corner}"
         row_count = f"{len(points)} row{'' if len(points) == 1 else 's'}"
-        raise UsageError(f"{data_name} has {row_count}", where=key, expected=expected, hint=hint)
+        raise UsageError(
+            f"{data_name} has {row_count}",
+            where=key,
+            expected="at least two rows of time and value",
+            hint=hint,
+        )
     late = np.flatnonzero(np.diff(points[:, 0]) <= 0)
     if late.size:
         first = int(late[0])

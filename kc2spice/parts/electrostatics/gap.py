@@ -255,9 +255,12 @@ class Gap(PatchedPart[GapKeys]):
             yield part.wrong("travel", "the stop is behind the fixed electrode", got, expected)
         if keys.shares is not None and len(ports) != len(keys.shares):
             got, expected = f"{len(keys.shares)} shares", f"{len(ports)}, as many as patches"
-            hint = "delete shares, so that all patches have the same area"
             yield part.wrong(
-                "shares", "the numbers of patches and of area shares differ", got, expected, hint
+                "shares",
+                "the numbers of patches and of area shares differ",
+                got,
+                expected,
+                "delete shares, so that all patches have the same area",
             )
 
     def vectors(self, part: Part[GapKeys], build: BuiltScene) -> Mapping[str, PartResult]:
@@ -344,11 +347,13 @@ def list_patch_ports(part: Part, scene: DeclaredScene) -> tuple[str, ...]:
     offered = body.type.ports(body, scene) if isinstance(body.type, LinearBody) else ()
     row = [port.name for port in offered if port.name.startswith(PATCH_PREFIX)]
     if not row:
-        problem, hint = (
+        raise part.wrong(
+            "a",
             f"{name} has no patches",
+            repr(name),
+            "a body with patches, or ports",
             "add  patches = 10  to the body, or list its ports in the key a",
         )
-        raise part.wrong("a", problem, repr(name), "a body with patches, or ports", hint)
     return tuple(f"{name}.{port}" for port in row)
 
 

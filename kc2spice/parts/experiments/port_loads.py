@@ -276,19 +276,28 @@ def find_loaded_body(part: Part[PortLoadsKeys], scene: DeclaredScene) -> Part[Pi
     if part.keys.of is not None:
         body = scene.get_part(part.keys.of, f"{part.name}.of")
         if not isinstance(body.keys, PiezoStackKeys):
-            problem, got = "this part has no rings to load", f"{body.name}, a {body.type.name}"
             stacks = [other.name for other in scene.list_parts("piezo_stack")]
             hint = (
                 f'write  of = "{stacks[0]}"' if stacks else "add [kick]; an empty table is enough"
             )
-            raise part.wrong("of", problem, got, "the name of a part of type piezo_stack", hint)
+            raise part.wrong(
+                "of",
+                "this part has no rings to load",
+                f"{body.name}, a {body.type.name}",
+                "the name of a part of type piezo_stack",
+                hint,
+            )
         return body.with_schema(PiezoStackKeys)
     result = scene.bodies
     if len(result) != 1 or not isinstance(result[0].keys, PiezoStackKeys):
-        problem = f"{part.name} does not state which piezo_stack it loads"
         got = ", ".join(list_names(result)) or "no body"
-        hint = "add [kick]; an empty table is enough"
-        raise part.wrong("of", problem, got, "the name of a part of type piezo_stack", hint)
+        raise part.wrong(
+            "of",
+            f"{part.name} does not state which piezo_stack it loads",
+            got,
+            "the name of a part of type piezo_stack",
+            "add [kick]; an empty table is enough",
+        )
     return result[0].with_schema(PiezoStackKeys)
 
 

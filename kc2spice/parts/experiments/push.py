@@ -95,8 +95,12 @@ class Push(TouchablePart[PushKeys]):
         _find_contact(part, scene)  # raises an error if the contact has no sphere
         if part.keys.depth >= ball.keys.radius:
             expected = f"less than {ball.keys.radius:g} m"
-            problem = "the depth exceeds the radius of the sphere"
-            yield part.wrong("depth", problem, f"{part.keys.depth:g} m", expected)
+            yield part.wrong(
+                "depth",
+                "the depth exceeds the radius of the sphere",
+                f"{part.keys.depth:g} m",
+                expected,
+            )
 
     def cards(self, part: Part[PushKeys], build: BuiltScene) -> tuple[Item, ...]:
         """Return the cards of the part at the top level of the deck."""

@@ -216,10 +216,15 @@ class ContactPair:
         other = scene.get_part(names.pop(), f"{part.name}.{key}")
         ports = tuple(target.partition(".")[2] for target in targets if "." in target)
         if (surface := find_surface(other, scene, ports)) is None:
-            problem = f"{other.type.name} has no surface for a contact"
             fitting = [p.name for p in scene.parts.values() if find_surface(p, scene) is not None]
             hint = f'write  {key} = "{fitting[0]}"' if fitting else "add  [mass]  to the scene"
-            raise part.wrong(key, problem, repr(other.name), "a body, a sphere or a mass", hint)
+            raise part.wrong(
+                key,
+                f"{other.type.name} has no surface for a contact",
+                repr(other.name),
+                "a body, a sphere or a mass",
+                hint,
+            )
         return surface
 
     @cached_property
@@ -314,10 +319,13 @@ class ContactPair:
                 if side.radius is not None
             ]
             if not spherical or len(self.lower_surface.ports) > 1:
-                got = f"{len(self.lower_surface.ports)} ports, {len(spherical)} spheres"
-                expected, hint = "two spheres, or a sphere at one port", 'write  law = "linear"'
-                problem = "the law of Hertz applies only to a sphere at one port"
-                raise self.part.wrong("law", problem, got, expected, hint)
+                raise self.part.wrong(
+                    "law",
+                    "the law of Hertz applies only to a sphere at one port",
+                    f"{len(self.lower_surface.ports)} ports, {len(spherical)} spheres",
+                    "two spheres, or a sphere at one port",
+                    'write  law = "linear"',
+                )
             value, power = 4 / 3 * self._combined_modulus / math.sqrt(sum(spherical)), 1.5
         if (s := self.half_angle_sine) is not None:
             value *= 2 * s ** (1 + power)
@@ -338,10 +346,12 @@ class ContactPair:
         compliance = 0.0
         for side in (self.lower_surface, self.upper_surface):
             if side.modulus is None:
-                expected = 'a pressure such as "110 GPa", or a material for each side'
-                problem = f"the modulus of {side.part} is not known"
-                hint = 'add  modulus = "110 GPa"  with the combined modulus of both materials'
-                raise self.part.wrong("modulus", problem, expected=expected, hint=hint)
+                raise self.part.wrong(
+                    "modulus",
+                    f"the modulus of {side.part} is not known",
+                    expected='a pressure such as "110 GPa", or a material for each side',
+                    hint='add  modulus = "110 GPa"  with the combined modulus of both materials',
+                )
             compliance += 1 / side.modulus
         return 1 / compliance
 

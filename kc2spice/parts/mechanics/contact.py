@@ -383,8 +383,9 @@ def _check_pressure(pair: ContactPair) -> Iterator[UsageError]:
         yield part.wrong("shape", "this body has no pressure port", a.ports[0], expected, hint)
     elif not part.keys.spacing < a.patch / 4:
         got, expected = f"{part.keys.spacing:g} m", f"less than {a.patch / 4:g} m"
-        problem = "the pressure basis functions are wider than their patch"
-        yield part.wrong("spacing", problem, got, expected)
+        yield part.wrong(
+            "spacing", "the pressure basis functions are wider than their patch", got, expected
+        )
     if b.radius is None or b.radius <= a.patch:
         got = "no sphere" if b.radius is None else f"a radius of {b.radius:g} m"
         expected = f"a sphere with a radius above {a.patch:g} m, the radius of the outermost ring"

@@ -264,29 +264,31 @@ def _find_contact(part: Part[ElasticSphereKeys], scene: GovernedScene) -> Part[C
     ]
     if len(result) != 1:
         got = ", ".join(c.name for c in result) or "none"
-        expected = 'one contact with shape = "pressure", and with the name of a body in its key a'
         raise owner.wrong(
             "elastic",
             "an elastic sphere needs exactly one contact",
             got,
-            expected,
+            'one contact with shape = "pressure", and with the name of a body in its key a',
             "delete elastic" if not result else f"delete the contact {result[-1].name}",
         )
     (contact,) = result
     if contact.keys.shape != "pressure":
-        problem = (
-            "an elastic sphere cannot have rings, because the indentation under a ring "
-            "force does not converge"
+        raise contact.wrong(
+            "shape",
+            (
+                "an elastic sphere cannot have rings, because the indentation under a ring "
+                "force does not converge"
+            ),
+            contact.keys.shape,
+            "pressure",
+            f'set {contact.name}.shape = "pressure", or {owner.name}.elastic = false',
         )
-        hint = f'set {contact.name}.shape = "pressure", or {owner.name}.elastic = false'
-        raise contact.wrong("shape", problem, contact.keys.shape, "pressure", hint)
     if damping := contact.keys.damping:
-        expected = f"0, with the damping of the sphere in {owner.name}.elastic.damping"
         raise contact.wrong(
             "damping",
             "damping of the contact does not apply to an elastic sphere",
             damping,
-            expected,
+            f"0, with the damping of the sphere in {owner.name}.elastic.damping",
             f"delete {contact.name}.damping",
         )
     return contact

@@ -149,9 +149,14 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
     def problems(self, part: Part[MassKeys], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield an error for each invalid key of the part."""
         if _has_initial_state(part) and scene.analysis.type != "transient":
-            problem = "position and velocity of a mass need a transient analysis"
             got, expected = f"analysis {scene.analysis.type}", 'type = "transient"'
-            yield part.wrong("", problem, got, expected, "delete position and velocity")
+            yield part.wrong(
+                "",
+                "position and velocity of a mass need a transient analysis",
+                got,
+                expected,
+                "delete position and velocity",
+            )
 
     def settable_quantities(self, part: Part[MassKeys], build: BuiltScene) -> Mapping[str, float]:
         """Return the node voltages that set the initial displacement and velocity."""
@@ -188,13 +193,16 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
                 other = scene.parts[name]
                 moved = other.type.name == part.type.name or other.is_body
                 if moved or scene.records[name].rest.ideal:
-                    problem = (
-                        "this mass is fixed to another part, which determines position and "
-                        "velocity of the mass"
+                    raise part.wrong(
+                        "",
+                        (
+                            "this mass is fixed to another part, which determines position and "
+                            "velocity of the mass"
+                        ),
+                        f"{name}.{pin} on the same net",
+                        "neither position nor velocity",
+                        "delete position and velocity, or connect both parts by a stiff spring",
                     )
-                    hint = "delete position and velocity, or connect both parts by a stiff spring"
-                    got, expected = f"{name}.{pin} on the same net", "neither position nor velocity"
-                    raise part.wrong("", problem, got, expected, hint)
             return state
         if scene.analysis.type == "transient" and scene.initial_states:
             return state

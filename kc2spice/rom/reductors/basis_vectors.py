@@ -45,17 +45,18 @@ def require_vectors(value: Any, where: str, shape: tuple[int, int | None]) -> np
             hint="build the vectors from the matrices of task.model, not of task.fom",
         )  # fmt: skip
     if rows and not V.shape[1]:
-        expected = "at least one column"
         raise UsageError(
-            "the array contains no vectors", where=where, got=_describe_size(V), expected=expected
+            "the array contains no vectors",
+            where=where,
+            got=_describe_size(V),
+            expected="at least one column",
         )
     if not np.isfinite(V).all():
         count = int((~np.isfinite(V)).sum())
-        got = f"{count} entries that are NaN or infinite"
         raise UsageError(
             "the vectors contain numbers that are not finite",
             where=where,
-            got=got,
+            got=f"{count} entries that are NaN or infinite",
             expected="finite numbers",
         )
     dependent = _find_dependent_column(V)
@@ -114,18 +115,29 @@ def _require_real_matrix(value: Any, where: str, rows: int) -> np.ndarray:
     except ValueError:  # NumPy rejects rows of different lengths
         V = np.empty(0, dtype=object)
     if V.dtype.kind == "c":
-        advice = "use real and imaginary parts: np.linalg.qr(np.hstack([V.real, V.imag]))[0]"
-        problem, got = "vectors are complex", f"an array of {V.dtype}"
-        raise UsageError(problem, where=where, got=got, expected=expected, hint=advice)
+        raise UsageError(
+            "vectors are complex",
+            where=where,
+            got=f"an array of {V.dtype}",
+            expected=expected,
+            hint="use real and imaginary parts: np.linalg.qr(np.hstack([V.real, V.imag]))[0]",
+        )
     if V.dtype.kind not in "fiu":
-        got = f"{type(value).__name__} of {getattr(value, 'dtype', 'no numbers')}"
-        raise UsageError("the vectors are not an array of numbers", where=where, got=got,
-                         expected=expected)  # fmt: skip
+        raise UsageError(
+            "the vectors are not an array of numbers",
+            where=where,
+            got=f"{type(value).__name__} of {getattr(value, 'dtype', 'no numbers')}",
+            expected=expected,
+        )
     if V.ndim != 2:
         hint = "write one vector as V[:, None]" if V.ndim == 1 else None
-        got = f"an array of shape {V.shape}"
-        raise UsageError("the vectors are not a matrix", where=where, got=got, expected=expected,
-                         hint=hint)  # fmt: skip
+        raise UsageError(
+            "the vectors are not a matrix",
+            where=where,
+            got=f"an array of shape {V.shape}",
+            expected=expected,
+            hint=hint,
+        )
     return V.astype(float)
 
 

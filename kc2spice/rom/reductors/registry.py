@@ -117,8 +117,9 @@ def require_method_name(name: str, where: str, advice: str) -> None:
     if no registered name is similar.
     """
     if name not in _reductors and name not in list_reductor_names():
-        problem = "this reduction method does not exist"
-        raise unknown(problem, name, _reductors, where, advice=advice)
+        raise unknown(
+            "this reduction method does not exist", name, _reductors, where, advice=advice
+        )
 
 
 def find_reductor(method: str | Reductor) -> Reductor:

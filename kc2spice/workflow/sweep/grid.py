@@ -213,22 +213,20 @@ def parse_range(name: str, text: str, keys: Mapping[str, KeyDescription]) -> Val
 def _parse_word(where: str, key: KeyDescription, text: str) -> Any:
     """Return the value of a string: a number in SI units, a choice, or a TOML value."""
     if key.choices and text not in key.choices:
-        choices = f"one of {list_candidates(text, key.choices)}"
         hint = did_you_mean(text, key.choices) or f"for example {key.choices[0]}"
         raise UsageError(
             "this value is not one of the choices",
             where=where,
             got=repr(text),
-            expected=choices,
+            expected=f"one of {list_candidates(text, key.choices)}",
             hint=hint,
         )
     if key.integer and not re.fullmatch(r"[+-]?\d+", text):
-        expected = "a whole number, or a range of whole numbers"
         raise UsageError(
             "this value is not a whole number",
             where=where,
             got=repr(text),
-            expected=expected,
+            expected="a whole number, or a range of whole numbers",
             hint="write whole numbers, such as 10, or 2:10:5 for 5 values from 2 to 10",
         )
     if key.integer or key.choices or key.unit is None or text[:1] in ("[", "{"):

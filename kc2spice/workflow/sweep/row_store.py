@@ -101,9 +101,11 @@ class RowStore:
         try:
             self._rows.execute("insert or replace into row values (?, ?)", row)
         except sqlite3.Error as error:
-            hint = "free disk space, then repeat the command; the rows written before are kept"
-            message = f"this file cannot be written: {error}"
-            raise UsageError(message, where=str(self.path), hint=hint) from None
+            raise UsageError(
+                f"this file cannot be written: {error}",
+                where=str(self.path),
+                hint="free disk space, then repeat the command; the rows written before are kept",
+            ) from None
         self._store_outcome(point, outcome)
 
     def _store_outcome(self, point: int, outcome: PointResult) -> None:

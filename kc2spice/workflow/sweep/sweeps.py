@@ -142,13 +142,12 @@ def make_sweep(
         parameter, (kind, words) = PARAMETER_KEY.fullmatch(name), split_range(value)
         if kind != "value":
             if name in ranges:
-                hint = f"delete one of the options --set {name}=…"
                 raise UsageError(
                     "this key is swept twice",
                     where="--set",
                     got=name,
                     expected="one --set for each key",
-                    hint=hint,
+                    hint=f"delete one of the options --set {name}=…",
                 )
             ranges[name] = value
             firsts += [] if parameter else [f"{name}={words[0]}"]
@@ -248,9 +247,9 @@ def _find_study(name: str) -> _SweepFile | None:
         return _SweepFile.model_validate(content)
     except ValidationError as error:
         first = error.errors()[0]
-        where = f"{name}, key {'.'.join(map(str, first['loc']))}"
         raise UsageError(
-            f"this key of the study is not valid: {first['msg']}", where=where
+            f"this key of the study is not valid: {first['msg']}",
+            where=f"{name}, key {'.'.join(map(str, first['loc']))}",
         ) from None
 
 
@@ -449,9 +448,10 @@ def _open_row_store(definition: Sweep, out: Path, table_format: str) -> RowStore
             "this path is a file, not a directory", where=str(out), hint="choose another --out"
         )
     if (out / name).exists() and not (out / ROWS_FILE).exists():
-        hint = "choose another --out"
         raise UsageError(
-            "this directory already contains results", where=str(out / name), hint=hint
+            "this directory already contains results",
+            where=str(out / name),
+            hint="choose another --out",
         )
     try:
         out.mkdir(parents=True, exist_ok=True)
