@@ -78,7 +78,7 @@ def list_useless_key_errors(part: Part, scene: DeclaredScene) -> Iterator[UsageE
             yield part.wrong(
                 key,
                 "the key has no effect without a heat pin",
-                f"{value:g}",
-                f"a part whose pin {HEAT} is connected",
-                f'add {HEAT} = "PART.PIN" to the pins of {part.name}, or delete the key',
+                got=f"{value:g}",
+                expected=f"a part whose pin {HEAT} is connected",
+                hint=f'add {HEAT} = "PART.PIN" to the pins of {part.name}, or delete the key',
             )

@@ -278,13 +278,11 @@ def check_periods(scene: Scene) -> Iterator[UsageError]:
 def _check_period_count(where: str, count: int, scene: Scene) -> Iterator[UsageError]:
     """Yield an error if the analysis does not contain a given number of periods."""
     if scene.analysis.type != "transient":
-        got = f"{scene.analysis.type} analysis"
-        expected = "a transient analysis, or the keys from and to in place of periods"
         yield UsageError(
             "the key `periods` needs a transient analysis",
             where=where,
-            got=got,
-            expected=expected,
+            got=f"{scene.analysis.type} analysis",
+            expected="a transient analysis, or the keys from and to in place of periods",
             hint="delete the key `periods`",
         )
         return
@@ -300,14 +298,12 @@ def _check_period_count(where: str, count: int, scene: Scene) -> Iterator[UsageE
             hint='write the window with from and to, such as from = "8 ms"',
         )
     elif count * period > scene.stop_time * (1 + PERIOD_TOLERANCE):
-        got = f"{count} periods of {period:.4g} s"
-        expected = f"at most {scene.stop_time:g} s, the end of the transient"
         fitting = int(scene.stop_time / period)
         yield UsageError(
             "the time window of this probe is longer than the run",
             where=where,
-            got=got,
-            expected=expected,
+            got=f"{count} periods of {period:.4g} s",
+            expected=f"at most {scene.stop_time:g} s, the end of the transient",
             hint=f"write periods = {fitting}" if fitting else "raise the stop of the analysis",
         )
 
@@ -333,23 +329,25 @@ def _check_probe_position(where: str, place: float, scene: Scene) -> Iterator[Us
     unit = _find_scale_unit(scene)
     if part_unit and unit is not None and part_unit != unit:
         examples = {"s": '"2 ms"', "Hz": '"46 Hz"', "": "a plain number"}
-        expected = f"a value in {unit}, such as {examples.get(unit, repr(f'1 {unit}'))}"
-        got = f"a value in {part_unit}"
         article = "an" if selected.type in ("ac", "op") else "a"
-        problem = f"the unit of this value does not match {article} {selected.type} analysis"
         hint = f"write a value in {unit}" if unit else "write the value without a unit"
-        yield UsageError(problem, where=where, got=got, expected=expected, hint=hint)
+        yield UsageError(
+            f"the unit of this value does not match {article} {selected.type} analysis",
+            where=where,
+            got=f"a value in {part_unit}",
+            expected=f"a value in {unit}, such as {examples.get(unit, repr(f'1 {unit}'))}",
+            hint=hint,
+        )
         return
     band = (selected.start, selected.stop or 0.0)
     ends = {"ac": band, "noise": band, "transient": (0.0, scene.stop_time)}
     first, last = ends.get(selected.type, (-inf, inf))
     if not first <= place <= last:
         expected = f"{first:g} … {last:g} {unit or ''}".rstrip()
-        got = f"{place:g}"
         yield UsageError(
             "this value is outside of the range of the analysis",
             where=where,
-            got=got,
+            got=f"{place:g}",
             expected=expected,
             hint=f"write for example  {where.rpartition('.')[2]} = {last:g}",
         )

@@ -441,9 +441,9 @@ def _require_pins_on_distinct_nets(scene: Scene) -> None:
             raise part.wrong(
                 f"pins.{a}",
                 "both pins of this part are connected to the same net",
-                f"{part.name}.{a} and {part.name}.{b} on {'gnd' if net == '0' else net}",
-                "two pins on different nets",
-                f'connect one of the pins to another net: pins = {{ {a} = "part.pin" }}',
+                got=f"{part.name}.{a} and {part.name}.{b} on {'gnd' if net == '0' else net}",
+                expected="two pins on different nets",
+                hint=f'connect one of the pins to another net: pins = {{ {a} = "part.pin" }}',
             )
 
 
@@ -457,10 +457,10 @@ def _reject_source_loops(scene: Scene) -> None:
                 raise part.wrong(
                     "",
                     "this ideal source closes a loop of ideal sources",
-                    f"{part.name}.{plus} and {part.name}.{minus} are already connected by ideal "
-                    f"sources",
-                    "one ideal source between two nets",
-                    "add a resistor or a spring between the sources, or delete one source",
+                    f"{part.name}.{plus} and {part.name}.{minus} are already connected "
+                    "by ideal sources",
+                    expected="one ideal source between two nets",
+                    hint="add a resistor or a spring between the sources, or delete one source",
                 )
             union.join(a, b)
 

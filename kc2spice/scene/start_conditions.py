@@ -191,9 +191,9 @@ def _list_velocity_jump_errors(
             yield part.wrong(
                 rest.jump_key,
                 f"this displacement makes the velocity of {driven[0]} jump",
-                f"{driven[0]} fixed to {part.name}",
-                "a spring or an elastic body between both parts",
-                f'use kind = "force", or join {driven[0]} to {part.name} by a spring',
+                got=f"{driven[0]} fixed to {part.name}",
+                expected="a spring or an elastic body between both parts",
+                hint=f'use kind = "force", or join {driven[0]} to {part.name} by a spring',
             )
 
 

@@ -258,11 +258,13 @@ def require_circuit_tolerance(part: Subcircuit, model: LinearModel, tolerance: f
     total = f"{reduction.error_estimate:.2g}"
     got = f"{total}, of which circuit elements cause {share:.2g} at {frequency:.6g} Hz"
     if share <= PERTURBATION_SPREAD * estimate_rounding_effect(model, frequency):
-        message = (
-            f"{part.name}: error estimate {got}: rounding errors of the original matrices cause "
-            f"an error of the same size"
+        warnings.warn(
+            (
+                f"{part.name}: error estimate {got}: rounding errors of the original "
+                "matrices cause an error of the same size"
+            ),
+            stacklevel=2,
         )
-        warnings.warn(message, stacklevel=2)
         return
     raise GateMissedError(
         "the error of the written circuit exceeds the tolerance",

@@ -67,8 +67,9 @@ def find_operating_point(build: BuiltScene, deck: Deck, laws: SceneLaws) -> Oper
         with TemporaryDirectory() as folder:
             point: Waveforms = run_deck(deck_at_rest, Path(folder))
     except (SimulationError, UsageError) as error:
-        message = f"the operating point of {scene.name} is not known: {error.message}"
-        warnings.warn(message, stacklevel=2)
+        warnings.warn(
+            f"the operating point of {scene.name} is not known: {error.message}", stacklevel=2
+        )
         return OperatingPoint()
     values = {name: float(point[name][-1]) for name in deck_at_rest.units if name in point}
     checks: list[Check] = []

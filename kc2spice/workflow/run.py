@@ -213,8 +213,7 @@ def complete_run(
         if not check.passed:
             limit = f"limit {check.limit:.3g}: {check.advice}"
             value = f"{check.value:.3g} {check.unit}".rstrip()
-            message = f"check {check.name}: {value}, {limit}"
-            warnings.warn(message, stacklevel=2)
+            warnings.warn(f"check {check.name}: {value}, {limit}", stacklevel=2)
     return CompletedRun(result, simulator, clock.wall_s, converged)
 
 

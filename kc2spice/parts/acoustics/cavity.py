@@ -141,12 +141,11 @@ stop = "2 kHz"
         keys = part.keys
         least = SPHERE_SURFACE * keys.volume ** (2 / 3)
         if keys.surface is not None and keys.surface < least * (1 - 1e-6):
-            got, expected = f"{keys.surface:g} m2", f"at least {least:.4g} m2"
             yield part.wrong(
                 "surface",
                 "the surface is smaller than the surface of a sphere of this volume",
-                got,
-                expected,
+                got=f"{keys.surface:g} m2",
+                expected=f"at least {least:.4g} m2",
             )
         limit = LARGEST_WAVELENGTH_RATIO * keys.fluid.sound_speed / keys.longest_dimension
         if scene.analysis.is_small_signal and choose_acoustic_band(scene).high > limit:

@@ -478,17 +478,17 @@ stop = "3 kHz"
             yield part.wrong(
                 "closed",
                 "a closed tube has no pin at its end b",
-                f"closed = true and pins.{FAR_END}",
-                f"either closed = true or pins.{FAR_END}",
-                "delete closed",
+                got=f"closed = true and pins.{FAR_END}",
+                expected=f"either closed = true or pins.{FAR_END}",
+                hint="delete closed",
             )
         if keys.closed and keys.end_b != "none":
             yield part.wrong(
                 "end_b",
                 "a closed end cannot have an end correction",
-                keys.end_b,
-                "none",
-                "delete end_b",
+                got=keys.end_b,
+                expected="none",
+                hint="delete end_b",
             )
         if keys.sections is None and self._count_required_sections(part, scene) > MOST_SECTIONS:
             warnings.warn(

@@ -150,53 +150,67 @@ level_at_1khz = { of = "listener.pressure", take = "spl", at = "1 kHz" }
         known = [item.name for item in scene.list_parts(RADIATION)]
         for k, name in enumerate(part.keys.sources):
             if name not in known:
-                where = f"{part.name}.sources.{k}"
                 yield unknown(
-                    "the scene has no part of type radiation with this name", name, known, where
+                    "the scene has no part of type radiation with this name",
+                    name,
+                    known,
+                    f"{part.name}.sources.{k}",
                 )
             elif name in part.keys.sources[:k]:
-                message = "sources contains this name twice"
                 yield part.wrong(
-                    f"sources.{k}", message, name, "each name once", f"delete the second {name}"
+                    f"sources.{k}",
+                    "sources contains this name twice",
+                    got=name,
+                    expected="each name once",
+                    hint=f"delete the second {name}",
                 )
         sources = self.list_radiating_surfaces(part, scene)
         if not sources:
             yield part.wrong(
                 "sources",
                 "the scene has no radiating surface for the listener",
-                "no part of type radiation",
-                'a part with part = "radiation"',
-                'add for example  [surface] with part = "radiation" and radius = "10 mm"',
+                got="no part of type radiation",
+                expected='a part with part = "radiation"',
+                hint='add for example  [surface] with part = "radiation" and radius = "10 mm"',
             )
             return
         first = sources[0].keys.fluid
         for source in sources[1:]:
             if source.keys.fluid != first:
-                message = "the sources of a listener are in different fluids"
-                hint = f"write the fluid of {sources[0].name} for {source.name}"
-                yield part.wrong("sources", message, source.name, "sources in one fluid", hint)
+                yield part.wrong(
+                    "sources",
+                    "the sources of a listener are in different fluids",
+                    got=source.name,
+                    expected="sources in one fluid",
+                    hint=f"write the fluid of {sources[0].name} for {source.name}",
+                )
         for item in sources:
             if item.pins.get(AMBIENT, GROUND) != GROUND:
-                message = "a listener needs surfaces whose pin ambient is on ground"
-                got = f"{item.name}.{AMBIENT} = {item.pins[AMBIENT]}"
-                hint = f"delete {AMBIENT} of the pins of {item.name}"
-                yield part.wrong("sources", message, got, f"{AMBIENT} on {GROUND}", hint)
+                yield part.wrong(
+                    "sources",
+                    "a listener needs surfaces whose pin ambient is on ground",
+                    got=f"{item.name}.{AMBIENT} = {item.pins[AMBIENT]}",
+                    expected=f"{AMBIENT} on {GROUND}",
+                    hint=f"delete {AMBIENT} of the pins of {item.name}",
+                )
         for item in sources:
             if item.keys.shape == "sphere" and part.keys.distance < item.keys.surface_radius:
-                message = f"the listener is inside of the sphere {item.name}"
                 got, least = f"{part.keys.distance:g} m", item.keys.surface_radius
                 yield part.wrong(
                     "distance",
-                    message,
-                    got,
-                    f"at least {least:g} m",
-                    f"raise distance to {least:g} m",
+                    f"the listener is inside of the sphere {item.name}",
+                    got=got,
+                    expected=f"at least {least:g} m",
+                    hint=f"raise distance to {least:g} m",
                 )
         baffled = [item.name for item in sources if item.keys.shape == "baffled_piston"]
         if part.keys.angle > RIGHT_ANGLE and baffled:
-            message = f"the listener is behind the baffle of {baffled[0]}"
             yield part.wrong(
-                "angle", message, f"{part.keys.angle:g}", "at most 90 degrees", "lower angle to 90"
+                "angle",
+                f"the listener is behind the baffle of {baffled[0]}",
+                got=f"{part.keys.angle:g}",
+                expected="at most 90 degrees",
+                hint="lower angle to 90",
             )
         self._warn_of_limits(part, sources, scene)
 

@@ -274,10 +274,9 @@ def find_field_problems(
         expected = "a transient analysis, or fields = false"
         if harmonic:
             expected = "a transient analysis, fields = true in an ac analysis, or fields = false"
-        problem = "this value of fields needs a transient analysis"
         yield wrong(
             f"{part.name}.fields",
-            problem,
+            "this value of fields needs a transient analysis",
             got=f"analysis {kind}",
             expected=expected,
             hint="delete fields",
@@ -286,10 +285,12 @@ def find_field_problems(
     outside = [t for t in instants if not 0 <= t <= scene.stop_time]
     if outside:
         expected = f"0 to {scene.stop_time:g} s"
-        hint = f"write a time from 0 to {scene.stop_time:g} s in its place"
-        problem = "a time in fields is outside of the run"
         yield wrong(
-            f"{part.name}.fields", problem, got=f"{outside[0]:g} s", expected=expected, hint=hint
+            f"{part.name}.fields",
+            "a time in fields is outside of the run",
+            got=f"{outside[0]:g} s",
+            expected=expected,
+            hint=f"write a time from 0 to {scene.stop_time:g} s in its place",
         )
 
 

@@ -251,23 +251,20 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
         keys, name, drive = part.keys, part.name, part.keys.drive
         transient = scene.analysis.type == "transient"
         if keys.mounting == "free" and scene.list_parts("contact") and transient:
-            problem = "the mounting of the chip is free, but another part rests on the chip"
             yield part.wrong(
                 "mounting",
-                problem,
-                "free",
-                "roller, glued or a stiffness per area",
-                'write  mounting = "glued"',
+                "the mounting of the chip is free, but another part rests on the chip",
+                got="free",
+                expected="roller, glued or a stiffness per area",
+                hint='write  mounting = "glued"',
             )
         if drive and keys.electrical == "driven" and transient and drive.start >= scene.stop_time:
-            expected = f"before the end of the simulation, {scene.stop_time:g} s"
-            problem = "the kick starts after the simulation ends"
             yield part.wrong(
                 "drive.start",
-                problem,
-                f"{drive.start:g} s",
-                expected,
-                f"lower drive.start below {scene.stop_time:g} s",
+                "the kick starts after the simulation ends",
+                got=f"{drive.start:g} s",
+                expected=f"before the end of the simulation, {scene.stop_time:g} s",
+                hint=f"lower drive.start below {scene.stop_time:g} s",
             )
         reason = "multilayer ceramics are sintered from 0.1 mm to 0.1 m"
         wide = "side" if keys.diameter is None else "diameter"
@@ -289,9 +286,9 @@ class PiezoStack(MeshedBody[PiezoStackKeys]):
             raise part.wrong(
                 "poling",
                 'a stack with poling = "x" moves sideways and cannot have a contact',
-                "x",
-                "poling = z for a stack with a contact",
-                'write  poling = "z"',
+                got="x",
+                expected="poling = z for a stack with a contact",
+                hint='write  poling = "z"',
             )
         shape, radii = find_pressure_basis(part, scene), compute_ring_radii(part.keys)
         modulus = self.indentation_modulus(part)
@@ -599,9 +596,9 @@ def _read_ring_number(part: Part[PiezoStackKeys], name: str) -> int:
         raise part.wrong(
             "",
             f"{part.name} has no port of this name",
-            repr(name),
-            f"ring0 to ring{last}",
-            f"write ring{last}, or raise {part.name}.mesh.rings",
+            got=repr(name),
+            expected=f"ring0 to ring{last}",
+            hint=f"write ring{last}, or raise {part.name}.mesh.rings",
         )
     return int(match[1])
 

@@ -87,25 +87,22 @@ class Stretch(PatchedPart[StretchKeys]):
         """Yield an error for each invalid key of the part."""
         keys, count = part.keys, len(list_patch_ports(part, scene))
         if count % keys.rows:
-            got = f"{count} patches, {keys.rows} rows"
             divisors = [n for n in range(1, count + 1) if count % n == 0]
             nearest = min(divisors, key=lambda n: abs(n - keys.rows))
-            hint = f"write  rows = {nearest}"
             yield part.wrong(
                 "rows",
                 "the number of patches is not a multiple of the number of rows",
-                got,
-                "an equal number of patches in each row",
-                hint,
+                got=f"{count} patches, {keys.rows} rows",
+                expected="an equal number of patches in each row",
+                hint=f"write  rows = {nearest}",
             )
         if (keys.rows > 1) != (keys.width > 0):
-            got = f"rows = {keys.rows}, width = {keys.width:g} m"
             yield part.wrong(
                 "width",
                 "rows and width must be used together",
-                got,
-                "both keys for a plate, or neither for a beam",
-                "add  width  with the width of the plate" if keys.rows > 1 else "delete width",
+                got=f"rows = {keys.rows}, width = {keys.width:g} m",
+                expected="both keys for a plate, or neither for a beam",
+                hint="add  width  with the width of the plate" if keys.rows > 1 else "delete width",
             )
 
 

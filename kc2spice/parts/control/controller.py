@@ -115,26 +115,27 @@ wiring = "parallel"
         """Yield an error for each invalid key of the part."""
         keys = part.keys
         if keys.delay >= keys.period:
-            got, expected = f"{keys.delay:g} s", f"less than the period, {keys.period:g} s"
             yield part.wrong(
-                "delay", "the delay is not shorter than the sampling period", got, expected
+                "delay",
+                "the delay is not shorter than the sampling period",
+                got=f"{keys.delay:g} s",
+                expected=f"less than the period, {keys.period:g} s",
             )
         if (kind := scene.analysis.type) != "transient":
             yield part.wrong(
                 "",
                 "a controller in Python needs a transient analysis",
-                kind,
-                'analysis.type = "transient"',
-                'write  type = "transient"  and  stop = "10 ms"  below [analysis]',
+                got=kind,
+                expected='analysis.type = "transient"',
+                hint='write  type = "transient"  and  stop = "10 ms"  below [analysis]',
             )
         if not keys.inputs:
-            expected = 'names of its input pins, such as inputs = ["y"]'
             yield part.wrong(
                 "inputs",
                 "the controller has no inputs",
-                "no input",
-                expected,
-                'add  inputs = ["y"]',
+                got="no input",
+                expected='names of its input pins, such as inputs = ["y"]',
+                hint='add  inputs = ["y"]',
             )
 
     def cards(self, part: Part[ControllerKeys], build: BuiltScene) -> tuple[Item, ...]:
@@ -210,7 +211,7 @@ wiring = "parallel"
             raise part.wrong(
                 "file",
                 "this scene runs a Python file, which needs --trust",
-                keys.file,
+                got=keys.file,
                 hint="read the file; if you trust every line of it, repeat with --trust",
             )
         path = build.scene.get_folder(part) / keys.file
@@ -218,7 +219,7 @@ wiring = "parallel"
             raise part.wrong(
                 "file",
                 "this file does not exist",
-                str(path),
+                got=str(path),
                 hint=f"write the function {keys.function}(time, inputs) into this file",
             )
         try:
@@ -227,14 +228,14 @@ wiring = "parallel"
             raise part.wrong(
                 "file",
                 f"{keys.file} ends with an error",
-                repr(error),
+                got=repr(error),
                 hint=f"run  python {path}  and correct the file",
             ) from error
         if not callable(result):
             raise part.wrong(
                 "function",
                 f"{keys.file} defines no function of this name",
-                keys.function,
+                got=keys.function,
                 hint=f"write  def {keys.function}(time, inputs):  into {keys.file}",
             )
         return cast(Function, result)

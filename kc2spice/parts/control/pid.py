@@ -230,36 +230,39 @@ class Pid(PartType[PidKeys]):
         keys, coils = part.keys, _find_driven_coils(part, scene)
         low, high = coils.keys.y_min, coils.keys.y_max
         if not low < keys.setpoint < high:
-            got, expected = f"height {keys.setpoint:g} m", f"between {low:g} and {high:g} m"
             middle = f"{500 * (low + high):.4g} mm"
-            hint = f'for example  setpoint = "{middle}", or extend {coils.name}.y_min and y_max'
             yield part.wrong(
-                "setpoint", "the setpoint is outside of the force table", got, expected, hint
+                "setpoint",
+                "the setpoint is outside of the force table",
+                got=f"height {keys.setpoint:g} m",
+                expected=f"between {low:g} and {high:g} m",
+                hint=f'for example  setpoint = "{middle}", or extend {coils.name}.y_min and y_max',
             )
         if not max(keys.kp, keys.ki, keys.kd):
             yield part.wrong(
                 "kp",
                 "all gains of the controller are zero",
-                "kp = ki = kd = 0",
-                "at least one gain above zero",
-                'write for example  kp = "100 A/m"',
+                got="kp = ki = kd = 0",
+                expected="at least one gain above zero",
+                hint='write for example  kp = "100 A/m"',
             )
         times, states = zip(*keys.switching_times, strict=True)
         if min(times) < 0 or states != ((1.0, 0.0) * len(states))[: len(states)]:
-            problem = "enable and disable times do not alternate"
-            got = f"{keys.enable_at}, disabled at {keys.disable_at}"
             hint = "delete disable_at" if keys.disable_at else "write  enable_at = 0"
-            expected = "an enable time, then a disable time, and so on, all from 0 on"
-            yield part.wrong("enable_at", problem, got, expected, hint)
-        if scene.analysis.type == "transient" and times[0] >= scene.stop_time:
-            problem = "the controller starts after the simulation ends"
-            expected = f"before the end of the simulation, {scene.stop_time:g} s"
             yield part.wrong(
                 "enable_at",
-                problem,
-                f"{times[0]:g} s",
-                expected,
-                f"lower enable_at below {scene.stop_time:g} s",
+                "enable and disable times do not alternate",
+                got=f"{keys.enable_at}, disabled at {keys.disable_at}",
+                expected="an enable time, then a disable time, and so on, all from 0 on",
+                hint=hint,
+            )
+        if scene.analysis.type == "transient" and times[0] >= scene.stop_time:
+            yield part.wrong(
+                "enable_at",
+                "the controller starts after the simulation ends",
+                got=f"{times[0]:g} s",
+                expected=f"before the end of the simulation, {scene.stop_time:g} s",
+                hint=f"lower enable_at below {scene.stop_time:g} s",
             )
 
     def subcircuits(

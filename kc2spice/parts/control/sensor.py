@@ -122,9 +122,9 @@ dc = "1 um"
             yield part.wrong(
                 "noise",
                 "the noise of a sensor does not apply to this analysis",
-                scene.analysis.type,
-                f"{' or '.join(kinds)}, or none",
-                "delete noise",
+                got=scene.analysis.type,
+                expected=f"{' or '.join(kinds)}, or none",
+                hint="delete noise",
             )
 
     def subcircuits(

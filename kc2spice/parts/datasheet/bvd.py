@@ -195,9 +195,9 @@ stop = "10 kHz"
             yield part.wrong(
                 "c_low_at",
                 "the frequency of the low-frequency capacitance is above the lowest resonance",
-                f"{part.keys.c_low_at:g} Hz, the resonance is at {min(circuit.fs):.5g} Hz",
-                "a frequency below the lowest series resonance",
-                "set c_low_at to the frequency of the capacitance in the data sheet",
+                got=f"{part.keys.c_low_at:g} Hz, the resonance is at {min(circuit.fs):.5g} Hz",
+                expected="a frequency below the lowest series resonance",
+                hint="set c_low_at to the frequency of the capacitance in the data sheet",
             )
 
     def resonator(self, part: Part[BvdKeys]) -> Resonator:
@@ -236,9 +236,9 @@ stop = "10 kHz"
                 "the lists of modes differ in length"
                 if short
                 else "the resonator has too many modes",
-                ", ".join(f"{key} of {count}" for key, count in counts.items()),
-                f"one entry for each of {most} modes" if short else f"at most {MAX_MODES}",
-                "state each value for every mode, or delete the list",
+                got=", ".join(f"{key} of {count}" for key, count in counts.items()),
+                expected=f"one entry for each of {most} modes" if short else f"at most {MAX_MODES}",
+                hint="state each value for every mode, or delete the list",
             )
         return most
 
@@ -250,9 +250,9 @@ stop = "10 kHz"
                 raise part.wrong(
                     f"tolerance.{name}",
                     "this tolerance belongs to a value that is missing",
-                    name,
-                    f"one of {', '.join(values)}",
-                    f"state {name}, or delete its tolerance"
+                    got=name,
+                    expected=f"one of {', '.join(values)}",
+                    hint=f"state {name}, or delete its tolerance"
                     if name in VALUE_UNITS_OF_SHEET
                     else None,
                 )
@@ -293,17 +293,17 @@ def _find_impossible_pairs(part: Part[BvdKeys], start: np.ndarray) -> Iterator[U
             yield part.wrong(
                 "fp",
                 "the parallel resonance is not above the series resonance",
-                f"fs = {fs:g} Hz and fp = {fp:g} Hz",
-                "fp above fs",
-                "exchange both values",
+                got=f"fs = {fs:g} Hz and fp = {fp:g} Hz",
+                expected="fp above fs",
+                hint="exchange both values",
             )
     if keys.c0 and keys.c_low and keys.c0 >= keys.c_low:
         yield part.wrong(
             "c_low",
             "the low-frequency capacitance is not greater than the clamped capacitance",
-            f"c0 = {keys.c0:g} F and c_low = {keys.c_low:g} F",
-            "c_low above c0",
-            "exchange both values, or delete c0",
+            got=f"c0 = {keys.c0:g} F and c_low = {keys.c_low:g} F",
+            expected="c_low above c0",
+            hint="exchange both values, or delete c0",
         )
     if len(keys.zs) == 1:
         zs, reactance = keys.zs[0], 1 / (TWO_PI * start[1] * start[0])
@@ -311,9 +311,9 @@ def _find_impossible_pairs(part: Part[BvdKeys], start: np.ndarray) -> Iterator[U
             yield part.wrong(
                 "zs",
                 "the impedance at the series resonance exceeds the impedance of the capacitance",
-                f"zs = {zs:g} Ohm, the capacitance has {reactance:.4g} Ohm",
-                f"less than {reactance:.4g} Ohm",
-                "check zs, the capacitance and their units",
+                got=f"zs = {zs:g} Ohm, the capacitance has {reactance:.4g} Ohm",
+                expected=f"less than {reactance:.4g} Ohm",
+                hint="check zs, the capacitance and their units",
             )
 
 

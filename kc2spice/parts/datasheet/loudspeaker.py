@@ -94,18 +94,18 @@ def _read_semi_inductance(part: Part[LoudspeakerKeys]) -> SemiInductance | None:
             raise part.wrong(
                 "leb",
                 "the key leb applies only to a voice coil with a semi-inductance",
-                f"{keys.leb:g} H without ke and rss",
-                "leb together with ke or rss",
-                "rename leb to le, or enter ke",
+                got=f"{keys.leb:g} H without ke and rss",
+                expected="leb together with ke or rss",
+                hint="rename leb to le, or enter ke",
             )
         return None
     if keys.ke is None and keys.le is None:
         raise part.wrong(
             "rss",
             "this resistance has no inductance in parallel",
-            f"{keys.rss:g} Ohm without le and ke",
-            "rss together with le or ke",
-            "enter le or ke, or delete rss",
+            got=f"{keys.rss:g} Ohm without le and ke",
+            expected="rss together with le or ke",
+            hint="enter le or ke, or delete rss",
         )
     values = (getattr(keys, name) or 0.0 for name in SemiInductance._fields)
     return SemiInductance(*values)
@@ -120,19 +120,21 @@ def _require_area_and_mass(part: Part[LoudspeakerKeys], driver: SpeakerParameter
         raise part.wrong(
             "sd",
             "a loudspeaker with acoustic pins needs the area of its cone",
-            "no sd",
-            "the key sd, or vas with cms or with fs and mms",
-            'add for example  sd = "132 cm2"',
+            got="no sd",
+            expected="the key sd, or vas with cms or with fs and mms",
+            hint='add for example  sd = "132 cm2"',
         )
     if driver.mmd <= 0:
         load = driver.mms - driver.mmd
         raise part.wrong(
             "mms",
             "the moving mass is smaller than the mass of the air that moves with the cone",
-            f"{1e3 * driver.mms:.4g} g",
-            f"more than the air mass of {1e3 * load:.4g} g, which is 16/3 rho a^3 for a cone of "
-            f"{1e4 * driver.sd:.4g} cm2",
-            "check the units of mms and sd",
+            got=f"{1e3 * driver.mms:.4g} g",
+            expected=(
+                f"more than the air mass of {1e3 * load:.4g} g, which is 16/3 rho a^3 for a cone "
+                f"of {1e4 * driver.sd:.4g} cm2"
+            ),
+            hint="check the units of mms and sd",
         )
 
 
@@ -177,9 +179,9 @@ stop = "1 kHz"
                 raise part.wrong(
                     f"tolerance.{name}",
                     "this tolerance belongs to a value that is missing",
-                    name,
-                    f"one of {list_candidates(name, stated)}",
-                    f"add {name} to the keys of {part.name}, or delete tolerance.{name}",
+                    got=name,
+                    expected=f"one of {list_candidates(name, stated)}",
+                    hint=f"add {name} to the keys of {part.name}, or delete tolerance.{name}",
                 )
         has_area = any(getattr(keys, key) for key in AREA_KEYS)
         names = tuple(name for name in EXAMPLE_WOOFER if name != "sd" or has_area)
@@ -206,9 +208,9 @@ stop = "1 kHz"
             raise part.wrong(
                 "creep",
                 "creep alone has higher losses at fs than the whole suspension",
-                f"{keys.creep:g}, which is {driver.creep_resistance:.4g} N s/m at fs",
-                f"less than the mechanical resistance rms = {driver.rms:.4g} N s/m",
-                "enter a smaller creep, or a smaller qms",
+                got=f"{keys.creep:g}, which is {driver.creep_resistance:.4g} N s/m at fs",
+                expected=f"less than the mechanical resistance rms = {driver.rms:.4g} N s/m",
+                hint="enter a smaller creep, or a smaller qms",
             )
         return driver
 

@@ -103,9 +103,12 @@ def solve_timing(part: Part[RelayKeys]) -> RelayTiming:
         raise part.wrong(
             "pick_up",
             "the voltages are not in the order release < pick_up < voltage",
-            f"release {keys.release:g} V, pick_up {keys.pick_up:g} V, voltage {keys.voltage:g} V",
-            "release below pick_up, and pick_up below the rated voltage",
-            f'exchange release and pick_up: pick_up = "{keys.release:g} V" and '
+            got=(
+                f"release {keys.release:g} V, pick_up {keys.pick_up:g} V, voltage "
+                f"{keys.voltage:g} V"
+            ),
+            expected="release below pick_up, and pick_up below the rated voltage",
+            hint=f'exchange release and pick_up: pick_up = "{keys.release:g} V" and '
             f'release = "{keys.pick_up:g} V"'
             if keys.pick_up <= keys.release < keys.voltage
             else f"raise voltage above pick_up, {keys.pick_up:g} V, or correct pick_up",
@@ -115,9 +118,9 @@ def solve_timing(part: Part[RelayKeys]) -> RelayTiming:
         raise part.wrong(
             "",
             "the relay has neither inductance nor operate_time",
-            "neither inductance nor operate_time",
-            "the operate time in the data sheet, the inductance of the coil, or both",
-            'add  operate_time = "10 ms"',
+            got="neither inductance nor operate_time",
+            expected="the operate time in the data sheet, the inductance of the coil, or both",
+            hint='add  operate_time = "10 ms"',
         )
     if keys.operate_time is None:
         assert keys.inductance is not None
@@ -134,10 +137,12 @@ def solve_timing(part: Part[RelayKeys]) -> RelayTiming:
         raise part.wrong(
             "operate_time",
             "operate_time contradicts inductance",
-            f"operate_time = {keys.operate_time:g} s and inductance = {keys.inductance:g} H",
-            f"an operate time above {electrical:.4g} s, the rise time of the current, or an "
-            f"inductance below {most:.4g} H",
-            "correct or delete one of the two values",
+            got=f"operate_time = {keys.operate_time:g} s and inductance = {keys.inductance:g} H",
+            expected=(
+                f"an operate time above {electrical:.4g} s, the rise time of the current, or an "
+                f"inductance below {most:.4g} H"
+            ),
+            hint="correct or delete one of the two values",
         )
     return RelayTiming(keys.inductance, (keys.operate_time - electrical) / HALF_WAY_TIME)
 
@@ -239,9 +244,9 @@ pins = { a = "relay.com", b = "gnd" }
             yield part.wrong(
                 "insulation_resistance",
                 "an open contact conducts better than a closed one",
-                f"{keys.insulation_resistance:g} Ohm",
-                f"above contact_resistance, {keys.contact_resistance:g} Ohm",
-                "exchange both values",
+                got=f"{keys.insulation_resistance:g} Ohm",
+                expected=f"above contact_resistance, {keys.contact_resistance:g} Ohm",
+                hint="exchange both values",
             )
 
     def make_declaration(self, part: Part[RelayKeys], scene: GovernedScene) -> Declaration:

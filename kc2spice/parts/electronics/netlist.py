@@ -183,7 +183,9 @@ class Netlist(PartType[NetlistKeys]):
                     error = unknown("the subcircuit has no such pin", name, pins)
                 elif (meant := _UNITS_OF_PINS.get(kind)) is not None:
                     error.hint = f'write  {name} = "{meant}"'
-                yield part.wrong(where, error.message, error.got, error.expected, error.hint)
+                yield part.wrong(
+                    where, error.message, got=error.got, expected=error.expected, hint=error.hint
+                )
         scope = None
         for name, node in _list_probed_nodes(part, scene):
             scope = scope or _read_subcircuit(part, scene)
@@ -221,9 +223,9 @@ class Netlist(PartType[NetlistKeys]):
                 yield part.wrong(
                     "ratings",
                     "the subcircuit has no such pin",
-                    name,
-                    list_candidates(name, pins),
-                    did_you_mean(name, pins) or f"write {pins[0]} in place of {name}",
+                    got=name,
+                    expected=list_candidates(name, pins),
+                    hint=did_you_mean(name, pins) or f"write {pins[0]} in place of {name}",
                 )
 
     def has_ac_source(self, part: Part[NetlistKeys], scene: DeclaredScene) -> bool:
@@ -327,9 +329,9 @@ def make_driver_table(
         raise part.wrong(
             "driver",
             "the key `driver` does not contain exactly one driver",
-            ", ".join(drivers),
-            expected,
-            f"delete the tables other than {part.name}.driver.{next(iter(drivers))}"
+            got=", ".join(drivers),
+            expected=expected,
+            hint=f"delete the tables other than {part.name}.driver.{next(iter(drivers))}"
             if drivers
             else f"add the table [{part.name}.driver.{next(iter(known))}]",
         )
@@ -338,9 +340,9 @@ def make_driver_table(
         raise part.wrong(
             "driver",
             "this type of driver does not exist",
-            repr(kind),
-            expected,
-            did_you_mean(kind, known) or f"write {next(iter(known))} in place of {kind}",
+            got=repr(kind),
+            expected=expected,
+            hint=did_you_mean(kind, known) or f"write {next(iter(known))} in place of {kind}",
         )
     selected = known.get(kind, kind)
     if selected == "netlist" and not table.get("file"):
@@ -378,9 +380,9 @@ def _read_pins(part: Part[NetlistKeys], scene: DeclaredScene) -> tuple[str, ...]
         raise part.wrong(
             "subckt",
             "no such subcircuit",
-            repr(part.keys.subckt),
-            list_candidates(part.keys.subckt, known) or f"a .subckt in {part.keys.file}",
-            did_you_mean(part.keys.subckt, known)
+            got=repr(part.keys.subckt),
+            expected=list_candidates(part.keys.subckt, known) or f"a .subckt in {part.keys.file}",
+            hint=did_you_mean(part.keys.subckt, known)
             or (f'write  subckt = "{next(iter(known))}"' if known else None)
             or f"add a .subckt {part.keys.subckt} to {part.keys.file}",
         )
@@ -431,7 +433,7 @@ def _read_subcircuit(part: Part[NetlistKeys], scene: DeclaredScene) -> Scope:
     tree = translate_circuit(read_cards(flat.text, flat.file), part.keys.syntax)
     result = build_scope(tree).find_subcircuit(part.keys.subckt)
     if result is None:
-        raise part.wrong("subckt", "no such subcircuit", part.keys.subckt)
+        raise part.wrong("subckt", "no such subcircuit", got=part.keys.subckt)
     return result
 
 

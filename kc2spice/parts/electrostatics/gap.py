@@ -251,16 +251,19 @@ class Gap(PatchedPart[GapKeys]):
         """Yield an error for each invalid key of the part."""
         keys, ports = part.keys, list_patch_ports(part, scene)
         if not keys.travel < keys.gap:
-            got, expected = f"{keys.travel:g} m", f"less than the gap, {keys.gap:g} m"
-            yield part.wrong("travel", "the stop is behind the fixed electrode", got, expected)
+            yield part.wrong(
+                "travel",
+                "the stop is behind the fixed electrode",
+                got=f"{keys.travel:g} m",
+                expected=f"less than the gap, {keys.gap:g} m",
+            )
         if keys.shares is not None and len(ports) != len(keys.shares):
-            got, expected = f"{len(keys.shares)} shares", f"{len(ports)}, as many as patches"
             yield part.wrong(
                 "shares",
                 "the numbers of patches and of area shares differ",
-                got,
-                expected,
-                "delete shares, so that all patches have the same area",
+                got=f"{len(keys.shares)} shares",
+                expected=f"{len(ports)}, as many as patches",
+                hint="delete shares, so that all patches have the same area",
             )
 
     def vectors(self, part: Part[GapKeys], build: BuiltScene) -> Mapping[str, PartResult]:
@@ -350,9 +353,9 @@ def list_patch_ports(part: Part, scene: DeclaredScene) -> tuple[str, ...]:
         raise part.wrong(
             "a",
             f"{name} has no patches",
-            repr(name),
-            "a body with patches, or ports",
-            "add  patches = 10  to the body, or list its ports in the key a",
+            got=repr(name),
+            expected="a body with patches, or ports",
+            hint="add  patches = 10  to the body, or list its ports in the key a",
         )
     return tuple(f"{name}.{port}" for port in row)
 

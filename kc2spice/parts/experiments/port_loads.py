@@ -96,13 +96,12 @@ class PortLoads(PartType[PortLoadsKeys]):
         """Yield an error if the frequency range is empty."""
         find_loaded_body(part, scene)
         if part.keys.start >= part.keys.stop:
-            got = f"{part.keys.start:g} … {part.keys.stop:g} Hz"
             yield part.wrong(
                 "stop",
                 "the frequency range is empty",
-                got,
-                "start < stop",
-                f'write for example  stop = "{10 * (part.keys.start or 100):g} Hz"',
+                got=f"{part.keys.start:g} … {part.keys.stop:g} Hz",
+                expected="start < stop",
+                hint=f'write for example  stop = "{10 * (part.keys.start or 100):g} Hz"',
             )
 
     def governed_parts(
@@ -283,9 +282,9 @@ def find_loaded_body(part: Part[PortLoadsKeys], scene: DeclaredScene) -> Part[Pi
             raise part.wrong(
                 "of",
                 "this part has no rings to load",
-                f"{body.name}, a {body.type.name}",
-                "the name of a part of type piezo_stack",
-                hint,
+                got=f"{body.name}, a {body.type.name}",
+                expected="the name of a part of type piezo_stack",
+                hint=hint,
             )
         return body.with_schema(PiezoStackKeys)
     result = scene.bodies
@@ -294,9 +293,9 @@ def find_loaded_body(part: Part[PortLoadsKeys], scene: DeclaredScene) -> Part[Pi
         raise part.wrong(
             "of",
             f"{part.name} does not state which piezo_stack it loads",
-            got,
-            "the name of a part of type piezo_stack",
-            "add [kick]; an empty table is enough",
+            got=got,
+            expected="the name of a part of type piezo_stack",
+            hint="add [kick]; an empty table is enough",
         )
     return result[0].with_schema(PiezoStackKeys)
 

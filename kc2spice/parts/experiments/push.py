@@ -94,12 +94,11 @@ class Push(TouchablePart[PushKeys]):
         ball = find_sphere(part, scene)
         _find_contact(part, scene)  # raises an error if the contact has no sphere
         if part.keys.depth >= ball.keys.radius:
-            expected = f"less than {ball.keys.radius:g} m"
             yield part.wrong(
                 "depth",
                 "the depth exceeds the radius of the sphere",
-                f"{part.keys.depth:g} m",
-                expected,
+                got=f"{part.keys.depth:g} m",
+                expected=f"less than {ball.keys.radius:g} m",
             )
 
     def cards(self, part: Part[PushKeys], build: BuiltScene) -> tuple[Item, ...]:

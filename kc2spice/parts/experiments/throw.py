@@ -64,13 +64,12 @@ class Throw(_contact_surfaces.TouchablePart[ThrowKeys]):
         """Yield an error if the sphere does not move towards the contact."""
         find_sphere(part, scene)
         if part.keys.velocity >= 0:
-            got = f"{part.keys.velocity:g} m/s"
             yield part.wrong(
                 "velocity",
                 "the sphere does not move towards the contact",
-                got,
-                "negative (downwards)",
-                f'write  "-{abs(part.keys.velocity or 1):g} m/s"',
+                got=f"{part.keys.velocity:g} m/s",
+                expected="negative (downwards)",
+                hint=f'write  "-{abs(part.keys.velocity or 1):g} m/s"',
             )
 
     def governed_parts(

@@ -310,37 +310,46 @@ class MovingBody(DeclaredPart[MovingT]):
         yield from super().problems(part, scene)
         keys = part.keys
         if keys.y_min >= keys.y_max:
-            got = f"{keys.y_min:g} … {keys.y_max:g} m"
             hint = f"write  y_min = {keys.y_max:g}  and  y_max = {keys.y_min:g}"
             hint = hint if keys.y_min > keys.y_max else "raise y_max above y_min"
-            yield part.wrong("y_min", "the range of heights is empty", got, "y_min < y_max", hint)
+            yield part.wrong(
+                "y_min",
+                "the range of heights is empty",
+                got=f"{keys.y_min:g} … {keys.y_max:g} m",
+                expected="y_min < y_max",
+                hint=hint,
+            )
         if not keys.coils and not keys.magnets:
             yield part.wrong(
                 "coils",
                 "the part has neither coils nor magnets",
-                "{}",
-                "at least one coil or magnet",
-                f"add the table [{part.name}.coils.NAME] with radius, width, height and turns",
+                got="{}",
+                expected="at least one coil or magnet",
+                hint=f"add the table [{part.name}.coils.NAME] with radius, width, height and turns",
             )
         yield from self.shape_problems(part)
         if keys.inner >= keys.radius:
-            expected = f"less than radius, {keys.radius:g} m"
             yield part.wrong(
-                "inner", "the inner radius leaves no material", f"{keys.inner:g} m", expected
+                "inner",
+                "the inner radius leaves no material",
+                got=f"{keys.inner:g} m",
+                expected=f"less than radius, {keys.radius:g} m",
             )
         for name, coil in keys.coils.items():
             if not name.isidentifier():
                 yield part.wrong(
                     f"coils.{name}",
                     "this name of a coil is not valid",
-                    name,
-                    "letters, digits and _",
-                    f"write {make_identifier(name, 'coil')} in place of {name}",
+                    got=name,
+                    expected="letters, digits and _",
+                    hint=f"write {make_identifier(name, 'coil')} in place of {name}",
                 )
             if coil.width >= 2 * coil.radius:
-                got, expected = f"{coil.width:g} m", f"less than twice the radius, {coil.radius:g}"
                 yield part.wrong(
-                    f"coils.{name}.width", "the winding crosses the axis", got, expected
+                    f"coils.{name}.width",
+                    "the winding crosses the axis",
+                    got=f"{coil.width:g} m",
+                    expected=f"less than twice the radius, {coil.radius:g}",
                 )
         obstacles = []
         for name, winding in zip(keys.coils, make_windings(keys), strict=True):
@@ -352,10 +361,16 @@ class MovingBody(DeclaredPart[MovingT]):
             over = w.y + w.height / 2 + _compute_body_height(keys) / 2
             under = w.y - w.height / 2 - _compute_body_height(keys) / 2
             if not (apart or keys.y_min >= over or keys.y_max <= under):
-                got = f"a centre of mass from y_min = {keys.y_min:g} m to y_max = {keys.y_max:g} m"
-                expected = f"y_min of at least {over:g} m, or y_max of at most {under:g} m"
-                hint = f"raise {part.name}.y_min to {over:g} m"
-                yield part.wrong(where, f"the body touches the {obstacle}", got, expected, hint)
+                yield part.wrong(
+                    where,
+                    f"the body touches the {obstacle}",
+                    got=(
+                        f"a centre of mass from y_min = {keys.y_min:g} m to y_max = "
+                        f"{keys.y_max:g} m"
+                    ),
+                    expected=f"y_min of at least {over:g} m, or y_max of at most {under:g} m",
+                    hint=f"raise {part.name}.y_min to {over:g} m",
+                )
 
     def outline(self, part: Part[MovingT], scene: Scene) -> Iterator[Shape]:
         """Yield the side view of coils, magnets and the moving body."""
@@ -515,18 +530,17 @@ class MovingConductor(MovingBody[MovingConductorKeys]):
             yield part.wrong(
                 "thickness",
                 "the thickness of the disc is missing",
-                "none",
-                "a length above zero",
-                'add  thickness = "1 mm"',
+                got="none",
+                expected="a length above zero",
+                hint='add  thickness = "1 mm"',
             )
         if keys.shape == "sphere" and (keys.inner or keys.thickness):
-            got = f"inner {keys.inner:g} m, thickness {keys.thickness}"
             yield part.wrong(
                 "shape",
                 "inner and thickness do not apply to a sphere",
-                got,
-                "a sphere without these keys",
-                'write  shape = "disc"  or delete inner and thickness',
+                got=f"inner {keys.inner:g} m, thickness {keys.thickness}",
+                expected="a sphere without these keys",
+                hint='write  shape = "disc"  or delete inner and thickness',
             )
 
     def find_resolved_frequency(self, part: Part[MovingConductorKeys], scene: Scene) -> float:

@@ -276,13 +276,12 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
         keys, name, ball = part.keys, part.name, find_sphere(part, scene)
         radius = ball.keys.radius
         if keys.y_min >= keys.y_max:
-            got = f"{keys.y_min:g} … {keys.y_max:g} m"
             yield part.wrong(
                 "y_min",
                 "the range of positions is empty",
-                got,
-                "y_min < y_max",
-                "exchange y_min and y_max",
+                got=f"{keys.y_min:g} … {keys.y_max:g} m",
+                expected="y_min < y_max",
+                hint="exchange y_min and y_max",
             )
         bodies: dict[str, RingKeys] = {item: getattr(keys, item) for item in ("ring", *COIL_NAMES)}
         for body_name, body in bodies.items():
@@ -300,27 +299,31 @@ class RingMagnetCoils(TouchablePart[RingMagnetCoilsKeys]):
             )  # fmt: skip
             for problem, key, right, limit_text, limit in rules:
                 if not right:
-                    got = f"{getattr(body, key):g} m"
                     yield part.wrong(
-                        f"{body_name}.{key}", problem, got, f"{limit_text}, {limit:g} m"
+                        f"{body_name}.{key}",
+                        problem,
+                        got=f"{getattr(body, key):g} m",
+                        expected=f"{limit_text}, {limit:g} m",
                     )
         for (body_name, body), (other_name, other) in combinations(bodies.items(), 2):
             radial = body.inner < other.outer and other.inner < body.outer
             if radial and 2 * abs(body.y - other.y) < body.height + other.height:
-                hint = f"move {other_name}.y by at least {_compute_overlap(body, other):g} m"
-                yield part.wrong(other_name, f"this body overlaps {name}.{body_name}", hint=hint)
+                yield part.wrong(
+                    other_name,
+                    f"this body overlaps {name}.{body_name}",
+                    hint=f"move {other_name}.y by at least {_compute_overlap(body, other):g} m",
+                )
         resting = scene.analysis.type == "transient" and bool(scene.list_parts("contact"))
         if resting and not keys.y_min < radius < keys.y_max:
-            got, expected = (
-                f"rest height {radius:g} m",
-                f"between {keys.y_min:g} and {keys.y_max:g} m",
-            )
-            hint = (
-                f"extend the table by {part.name}.y_min and {part.name}.y_max, so that its range "
-                "contains the rest height"
-            )
             yield ball.wrong(
-                "radius", "the radius is outside of the force table", got, expected, hint
+                "radius",
+                "the radius is outside of the force table",
+                got=f"rest height {radius:g} m",
+                expected=f"between {keys.y_min:g} and {keys.y_max:g} m",
+                hint=(
+                    f"extend the table by {part.name}.y_min and {part.name}.y_max, so that "
+                    "its range contains the rest height"
+                ),
             )
         copper = keys.turns * np.pi / 4 * keys.wire_diameter**2
         for coil in COIL_NAMES:

@@ -194,9 +194,11 @@ class ContactPair:
                     f"{part.name} needs the key {key}, because several parts fit"
                     if offers
                     else f"the scene has no {kind[0]} that {part.name} can touch",
-                    f"no key {key}; possible parts: {candidates}" if offers else f"no {kind[0]}",
-                    f'{key} = "PART" or "PART.PORT"',
-                    f'write  {key} = "{offers[0].part}"'
+                    got=f"no key {key}; possible parts: {candidates}"
+                    if offers
+                    else f"no {kind[0]}",
+                    expected=f'{key} = "PART" or "PART.PORT"',
+                    hint=f'write  {key} = "{offers[0].part}"'
                     if offers
                     else f"add [{kind[1]}]; an empty table is enough",
                 )
@@ -209,9 +211,9 @@ class ContactPair:
             raise part.wrong(
                 key,
                 "the contact needs one body on each side",
-                ", ".join(sorted(names)),
-                "ports of one part",
-                f"keep only ports of {min(names)}, and add another contact for the other part",
+                got=", ".join(sorted(names)),
+                expected="ports of one part",
+                hint=f"keep only ports of {min(names)}, and add another contact for the other part",
             )
         other = scene.get_part(names.pop(), f"{part.name}.{key}")
         ports = tuple(target.partition(".")[2] for target in targets if "." in target)
@@ -221,9 +223,9 @@ class ContactPair:
             raise part.wrong(
                 key,
                 f"{other.type.name} has no surface for a contact",
-                repr(other.name),
-                "a body, a sphere or a mass",
-                hint,
+                got=repr(other.name),
+                expected="a body, a sphere or a mass",
+                hint=hint,
             )
         return surface
 
@@ -322,9 +324,9 @@ class ContactPair:
                 raise self.part.wrong(
                     "law",
                     "the law of Hertz applies only to a sphere at one port",
-                    f"{len(self.lower_surface.ports)} ports, {len(spherical)} spheres",
-                    "two spheres, or a sphere at one port",
-                    'write  law = "linear"',
+                    got=f"{len(self.lower_surface.ports)} ports, {len(spherical)} spheres",
+                    expected="two spheres, or a sphere at one port",
+                    hint='write  law = "linear"',
                 )
             value, power = 4 / 3 * self._combined_modulus / math.sqrt(sum(spherical)), 1.5
         if (s := self.half_angle_sine) is not None:

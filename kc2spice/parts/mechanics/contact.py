@@ -171,11 +171,13 @@ class Contact(DeclaredPart[ContactKeys]):
         pair = make_pair(part, scene)
         a, b = pair.lower_surface, pair.upper_surface
         if a.part == b.part != GROUND and set(a.force_pins) & set(b.force_pins):
-            got, expected = f"{a.part} on both sides", "two parts, or two ports of a body"
             others = [name for name in scene.parts if name not in (a.part, part.name)]
-            hint = f'write the name of another part, such as  b = "{(*others, "gnd")[0]}"'
             yield part.wrong(
-                "b", "both sides of the contact are the same part", got, expected, hint
+                "b",
+                "both sides of the contact are the same part",
+                got=f"{a.part} on both sides",
+                expected="two parts, or two ports of a body",
+                hint=f'write the name of another part, such as  b = "{(*others, "gnd")[0]}"',
             )
         if b.radius is not None and max(a.distance) >= b.radius:
             yield UsageError(
@@ -379,21 +381,35 @@ def _check_pressure(pair: ContactPair) -> Iterator[UsageError]:
     part, a, b = pair.part, pair.lower_surface, pair.upper_surface
     hint = 'delete this key, or write  shape = "rings"'
     if a.compliance is None:
-        expected = "a part of type piezo_stack, in the key a without the name of a port"
-        yield part.wrong("shape", "this body has no pressure port", a.ports[0], expected, hint)
-    elif not part.keys.spacing < a.patch / 4:
-        got, expected = f"{part.keys.spacing:g} m", f"less than {a.patch / 4:g} m"
         yield part.wrong(
-            "spacing", "the pressure basis functions are wider than their patch", got, expected
+            "shape",
+            "this body has no pressure port",
+            got=a.ports[0],
+            expected="a part of type piezo_stack, in the key a without the name of a port",
+            hint=hint,
+        )
+    elif not part.keys.spacing < a.patch / 4:
+        yield part.wrong(
+            "spacing",
+            "the pressure basis functions are wider than their patch",
+            got=f"{part.keys.spacing:g} m",
+            expected=f"less than {a.patch / 4:g} m",
         )
     if b.radius is None or b.radius <= a.patch:
         got = "no sphere" if b.radius is None else f"a radius of {b.radius:g} m"
-        expected = f"a sphere with a radius above {a.patch:g} m, the radius of the outermost ring"
-        yield part.wrong("shape", "a contact by pressure needs a sphere", got, expected, hint)
+        yield part.wrong(
+            "shape",
+            "a contact by pressure needs a sphere",
+            got=got,
+            expected=(
+                f"a sphere with a radius above {a.patch:g} m, the radius of the outermost ring"
+            ),
+            hint=hint,
+        )
     for key, default in (("law", "linear"), ("groove", None)):
         if (got := getattr(part.keys, key)) != default:
             yield part.wrong(
-                key, f'the key {key} cannot be combined with shape = "pressure"', got, hint=hint
+                key, f'the key {key} cannot be combined with shape = "pressure"', got=got, hint=hint
             )
 
 

@@ -94,31 +94,28 @@ elastic = true
         owner = scene.parts[part.keys.of].with_schema(SphereKeys)
         stuff = make_sphere_material(owner)
         if stuff.is_piezoelectric:
-            expected = "a material that is not piezoelectric"
             yield owner.wrong(
                 "material",
                 "an elastic sphere cannot be piezoelectric",
-                stuff.name,
-                expected,
-                'write  material = "steel"',
+                got=stuff.name,
+                expected="a material that is not piezoelectric",
+                hint='write  material = "steel"',
             )
         if part.keys.damping.per_material:
-            key, expected = "elastic.damping.per_material", "ratio, quality or loss_factor"
             yield owner.wrong(
-                key,
+                "elastic.damping.per_material",
                 "damping per material does not apply to an elastic sphere",
-                True,
-                expected,
-                "delete per_material",
+                got=True,
+                expected="ratio, quality or loss_factor",
+                hint="delete per_material",
             )
         if part.keys.damping.model != "rayleigh":
-            got, expected = part.keys.damping.model, "rayleigh"
             yield owner.wrong(
                 "elastic.damping.model",
                 "an elastic sphere has viscous damping only",
-                got,
-                expected,
-                "delete model from damping",
+                got=part.keys.damping.model,
+                expected="rayleigh",
+                hint="delete model from damping",
             )
 
     def contact_surface(
@@ -267,9 +264,11 @@ def _find_contact(part: Part[ElasticSphereKeys], scene: GovernedScene) -> Part[C
         raise owner.wrong(
             "elastic",
             "an elastic sphere needs exactly one contact",
-            got,
-            'one contact with shape = "pressure", and with the name of a body in its key a',
-            "delete elastic" if not result else f"delete the contact {result[-1].name}",
+            got=got,
+            expected=(
+                'one contact with shape = "pressure", and with the name of a body in its key a'
+            ),
+            hint="delete elastic" if not result else f"delete the contact {result[-1].name}",
         )
     (contact,) = result
     if contact.keys.shape != "pressure":
@@ -279,17 +278,17 @@ def _find_contact(part: Part[ElasticSphereKeys], scene: GovernedScene) -> Part[C
                 "an elastic sphere cannot have rings, because the indentation under a ring "
                 "force does not converge"
             ),
-            contact.keys.shape,
-            "pressure",
-            f'set {contact.name}.shape = "pressure", or {owner.name}.elastic = false',
+            got=contact.keys.shape,
+            expected="pressure",
+            hint=f'set {contact.name}.shape = "pressure", or {owner.name}.elastic = false',
         )
     if damping := contact.keys.damping:
         raise contact.wrong(
             "damping",
             "damping of the contact does not apply to an elastic sphere",
-            damping,
-            f"0, with the damping of the sphere in {owner.name}.elastic.damping",
-            f"delete {contact.name}.damping",
+            got=damping,
+            expected=f"0, with the damping of the sphere in {owner.name}.elastic.damping",
+            hint=f"delete {contact.name}.damping",
         )
     return contact
 

@@ -149,13 +149,12 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
     def problems(self, part: Part[MassKeys], scene: GovernedScene) -> Iterator[UsageError]:
         """Yield an error for each invalid key of the part."""
         if _has_initial_state(part) and scene.analysis.type != "transient":
-            got, expected = f"analysis {scene.analysis.type}", 'type = "transient"'
             yield part.wrong(
                 "",
                 "position and velocity of a mass need a transient analysis",
-                got,
-                expected,
-                "delete position and velocity",
+                got=f"analysis {scene.analysis.type}",
+                expected='type = "transient"',
+                hint="delete position and velocity",
             )
 
     def settable_quantities(self, part: Part[MassKeys], build: BuiltScene) -> Mapping[str, float]:
@@ -199,9 +198,11 @@ class PointMass(TouchablePart[MassKeys], DeclaredPart[MassKeys]):
                             "this mass is fixed to another part, which determines position and "
                             "velocity of the mass"
                         ),
-                        f"{name}.{pin} on the same net",
-                        "neither position nor velocity",
-                        "delete position and velocity, or connect both parts by a stiff spring",
+                        got=f"{name}.{pin} on the same net",
+                        expected="neither position nor velocity",
+                        hint=(
+                            "delete position and velocity, or connect both parts by a stiff spring"
+                        ),
                     )
             return state
         if scene.analysis.type == "transient" and scene.initial_states:
