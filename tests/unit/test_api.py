@@ -247,6 +247,26 @@ def test_a_driver_that_replaces_a_source_is_not_compared_with_its_keys(tmp_path)
     }
 
 
+def test_a_small_deck_without_its_source_gets_the_card_that_measures_the_current(tmp_path):
+    """A scene with two results is not called another scene, and the advised card works."""
+    scene = {
+        "drive": {"part": "source", "dc": "1 V", "pins": {"out": "load.a"}},
+        "load": {"part": "resistor", "resistance": "1 kOhm"},
+        "probes": {"voltage": {"of": "load.v", "take": "final"}},
+        "analysis": {"type": "op"},
+    }
+    deck = kc.deck(scene)
+    own_driver = deck.files[deck.main_file_name].replace("drive_out 0", "mine 0")
+    own_driver = own_driver.replace("Vdrive mine 0 DC 1", "Vmine mine 0 DC 0.5")
+    path = tmp_path / deck.main_file_name
+    path.write_text(own_driver)
+    with pytest.raises(kc.errors.UsageError, match="nodes or devices that this deck does") as found:
+        kc.run(scene, deck=path)
+    card = found.value.hint.rpartition(":  ")[2].replace("NODE", "mine")
+    path.write_text(own_driver.replace("Vmine", f"{card}\nVmine", 1))
+    assert kc.run(scene, deck=path).metrics["voltage"] == pytest.approx(0.5)
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
