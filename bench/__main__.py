@@ -28,7 +28,7 @@ from kc2spice.core.errors import Kc2spiceError, UsageError
 from kc2spice.core.files import stage_directory
 from kc2spice.core.progress import StageTimer
 from kc2spice.core.waveforms import write_record
-from kc2spice.report.figures import write_pngs
+from kc2spice.report.matplotlib_figures import write_pngs
 from kc2spice.sim.ngspice import find_ngspice
 from kc2spice.workflow.sweep.workers import count_available_cores
 

@@ -9,7 +9,7 @@ from kc2spice.netlist.deck import Deck
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.modal_models import Resonators
 from kc2spice.sim.ngspice import run_deck
-from kc2spice.synthesis.realize import subcircuit
+from kc2spice.synthesis.model_to_subcircuit import subcircuit
 
 PORTS = 7
 # Name of the ratio, modes, frequencies, target. 30 is the order of the scenes' reduced chip, 348

@@ -9,7 +9,7 @@ from bench.setup import keys_of
 from kc2spice.core.magnets import compute_test_forces
 from kc2spice.fem.magnet_field import (
     assemble_field_equations,
-    compute_catch_table,
+    compute_magnetostatic_table,
     get_ring_direction,
     list_sphere_heights,
 )
@@ -25,7 +25,7 @@ def em(setup):
     cases = np.array([(lower, upper) for lower in currents for upper in currents])
 
     def table(heights):
-        return compute_catch_table(catch.model_copy(update={"positions": heights}), radius)
+        return compute_magnetostatic_table(catch.model_copy(update={"positions": heights}), radius)
 
     dense = table(17 if setup.quick else FINE_HEIGHTS)
     exact, largest = (
@@ -65,8 +65,9 @@ def em(setup):
 def brute_force(catch, radius, currents):
     """Force (m, n) [N] of the m pairs ``currents`` (m, 2) at n heights, case by case.
 
-    The paper's code and the baseline of :func:`compute_catch_table`: on the same meshes, each case
-    assembles, factorises and solves for the sum of its sources and takes that one field's force.
+    The paper's code and the baseline of :func:`compute_magnetostatic_table`: on the same meshes,
+    each case assembles, factorises and solves for the sum of its sources and takes that one field's
+    force.
     """
     y = list_sphere_heights(catch)
     amplitudes = [np.array([get_ring_direction(catch), 1.0, i1, i2]) for i1, i2 in currents]

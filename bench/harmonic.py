@@ -9,9 +9,9 @@ from bench.points import Outcome, Plane, Point, fastest, quick_timed, scaled, sp
 from bench.setup import keys_of
 from kc2spice.bodies.stack import make_stack
 from kc2spice.rom.error_estimate import compute_relative_error
+from kc2spice.rom.full_model_surrogate import make_surrogate
 from kc2spice.rom.reduce import reduce_model
 from kc2spice.rom.response import Response
-from kc2spice.rom.surrogate import make_surrogate
 
 ORDERS = (30, 21, 24, 35, 42)
 TOLERANCES = (1e-6, 1e-2, 1e-3, 1e-4, 1e-5, 1e-8)

@@ -50,8 +50,9 @@ def _machine_line(record):
         f"Versions: Python {m['python']}, numpy {m['numpy']}, scipy {m['scipy']}, "
         f"ngspice {m['ngspice']}, C compiler {m['compiler']}, kc2spice {m['kc2spice']}.\n\n"
         f"Each time is a CPU time: the median of {record['repeats']} runs, or of fewer runs if a "
-        "run takes long. An asterisk marks a setting if no other setting in the table, except for "
-        "the lower bound, is both faster and more accurate."
+        "run takes long. An asterisk marks a setting that is more accurate than every faster "
+        "setting in its table. Rows with `lower bound` have no asterisk, and do not count as "
+        "faster settings."
     )
     if took:
         line += f" The whole benchmark took {took / 60:.1f} min."

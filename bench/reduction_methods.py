@@ -21,11 +21,11 @@ from bench.fullmodel import chip
 from kc2spice.bodies.stack import make_stack
 from kc2spice.core.errors import Kc2spiceError
 from kc2spice.core.figure import Curve, Figure, Panel
-from kc2spice.report.figures import write_pngs
+from kc2spice.report.matplotlib_figures import write_pngs
+from kc2spice.rom.full_model_surrogate import make_surrogate
 from kc2spice.rom.linear_model import LinearModel, Norm
 from kc2spice.rom.reduce import reduce_model
 from kc2spice.rom.state_space import convert_to_state_space
-from kc2spice.rom.surrogate import make_surrogate
 from kc2spice.scene.load import load_scene
 
 NORMS = ("pointwise", "peak")

@@ -6,7 +6,7 @@ from pathlib import Path
 from kc2spice.core.errors import UsageError
 from kc2spice.core.progress import StageTimer
 from kc2spice.scene.load import load_scene
-from kc2spice.workflow.models import build_models
+from kc2spice.workflow.part_models import build_models
 
 # A chip of a tenth of the unknowns and a field table of a quarter of the heights.
 COARSE = ("kick.mesh.sectors=2", "kick.mesh.outer_rings=2", "kick.layers=33")

@@ -41,11 +41,12 @@ class Transient:
         reference = "The reference solution is an integration of the reduced model"
         notes.append(f"{reference} with a relative tolerance of 1e-9")
         notes.append(
-            "Methods without inertia at the contact are compared with a solution of the massless "
-            "model by the reference integrator of kc2spice"
+            "Methods that neglect the inertia at the contact are compared with a solution of the "
+            "reference integrator of kc2spice that also neglects this inertia"
         )
         notes.append(
-            "The time of ngspice is the CPU time of the whole process, including start-up and files"
+            "The time of ngspice is the CPU time of the whole process, including start-up and the "
+            "reading and writing of files"
         )
         notes.append(
             "The table does not contain pyMOR, because the time steppers of pyMOR cannot simulate "

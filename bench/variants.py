@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from bench.setup import changed
 from kc2spice.netlist.card_parser import read_cards
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.spelling import format_number
+from kc2spice.netlist.number_and_name_spelling import format_number
 from kc2spice.workflow.decks import make_deck
 
 RELTOL = (1e-3, 1e-4, 1e-5, 1e-2, 1e-6, 1e-7)

@@ -9,10 +9,10 @@ import numpy as np
 from bench.dense import ran, rotation, sources, synthetic
 from bench.points import Outcome, Plane, Point, speed_up
 from kc2spice.netlist.card_parser import read_cards
-from kc2spice.netlist.library import Subcircuit
+from kc2spice.netlist.subcircuit_library import Subcircuit
 from kc2spice.rom.linear_model import Certificate, LinearModel, Port
 from kc2spice.rom.multiport import _convert_to_charges, _realise_state_space
-from kc2spice.synthesis.realize import subcircuit
+from kc2spice.synthesis.model_to_subcircuit import subcircuit
 
 OHM, TOP = 50.0, 1e9  # of the scattering parameters, Hz
 STEP, STOP = 5e-11, 1e-7  # s of the transient

@@ -15,10 +15,10 @@ A page shows an output between two comments, below the block of commands that pr
     <!-- /output -->
 
 Blocks marked ``sh`` and ``python`` run in the order of the page, in one empty directory that
-contains links to the repository's files. A block below ``<!-- not run -->`` is left out. What
-follows ``output`` says what is shown: ``markdown`` inserts the output as it is, such as a table;
-``only REGEX`` keeps the lines that match. A line ``<!-- generated -->`` is followed by date and
-commit.
+contains links to the repository's files. A block below ``<!-- not run -->`` is not run.
+``<!-- output markdown -->`` inserts the output as Markdown, such as a table.
+``<!-- output=REGEX -->`` inserts only the lines that match REGEX, which contains no blanks. The
+line after ``<!-- generated -->`` states date and commit.
 
 ``--check`` compares words literally, and numbers to 0.5 % or to one unit of their last digit. It
 skips what the machine decides: table columns and lines that mention wall time, CPU or memory.
@@ -43,7 +43,7 @@ LONGEST = 3600  # seconds of one block
 TOLERANCE = 5e-3  # of a number; simulators and libraries of other versions differ less
 _BLOCK = re.compile(
     r"(?P<skip><!-- not run -->\n)?```(?P<kind>sh|python)\n(?P<code>.*?)```"
-    r"|<!-- output ?(?P<how>.*?)-->\n(?P<shown>.*?)<!-- /output -->"
+    r"|<!-- output(?P<how>[ =].*?)-->\n(?P<shown>.*?)<!-- /output -->"
     r"|<!-- generated -->\n(?P<stamp>[^\n]*)",
     re.DOTALL,
 )
@@ -94,7 +94,7 @@ def renewed(page: Path) -> tuple[str, list[Difference]]:
                     raise SystemExit(f"{page}: an output without a command above it")
                 command, printed = last
                 output = _formatted(printed, match["how"].strip())
-                piece = f"<!-- output {match['how']}-->\n{output}<!-- /output -->"
+                piece = f"<!-- output{match['how']}-->\n{output}<!-- /output -->"
                 pairs = different_lines(match["shown"], output)
                 differences += [Difference(page.name, command, a, b) for a, b in pairs]
             elif match["stamp"] is not None:
@@ -124,8 +124,8 @@ def _run(match: re.Match[str], work: Path, page: Path) -> str:
 def _formatted(printed: str, how: str) -> str:
     """Lines of an output that a page shows."""
     lines = [line.rstrip() for line in printed.strip("\n").splitlines()]
-    if how.startswith("only "):
-        wanted = re.compile(how.removeprefix("only ").strip())
+    if how.startswith("="):
+        wanted = re.compile(how.removeprefix("="))
         lines = [line for line in lines if wanted.search(line)]
     text = "\n".join(lines) + "\n"
     return f"\n{text}\n" if how == "markdown" else f"```text\n{text}```\n"

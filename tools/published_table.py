@@ -25,11 +25,11 @@ from docs_numbers import date_and_commit
 from kc2spice.bodies.impedance import analyse_impedance
 from kc2spice.core.figure import Curve, Figure, Panel, get_axis_label_and_factor
 from kc2spice.core.progress import StageTimer
-from kc2spice.report.figures import write_pngs
+from kc2spice.report.matplotlib_figures import write_pngs
 from kc2spice.rom.linear_model import LinearModel
 from kc2spice.scene.load import load_scene
-from kc2spice.scene.model import Scene
-from kc2spice.workflow.models import build_models
+from kc2spice.scene.scene_classes import Scene
+from kc2spice.workflow.part_models import build_models
 from kc2spice.workflow.run import run_scene
 from kc2spice.workflow.verify.scene_verification import verify_scenes
 
@@ -88,7 +88,8 @@ The words in italics are columns of the tables, or marks in the tables:
 - *reduced*: value of the reduced model, which becomes the subcircuit.
 - *ngspice*: value of the netlist in ngspice.
 - *difference*: relative difference between the ngspice value and the published value. In rows
-  without an ngspice value, the difference is that of the full model.
+  without an ngspice value, the column *difference* contains the relative difference between the
+  value of the full model and the published value.
 - *within*: "yes" if the difference is at most the tolerance of the published value.
 - A dash marks a value that does not apply.
 - *measured*: the published value was measured on one device. Published values without this mark
@@ -128,10 +129,10 @@ ASSUMPTIONS = (
 KICKS = """\
 The next table shows results of the scene `kick_slew` for different rise times (edges) of the drive
 voltage. With an edge of about 20 µs, the computed speed of the sphere is close to the measured
-speed of 0.243 m/s. The scene `kick_and_catch` has a sphere of 2 mm diameter and an edge of 0.1 µs.
-In the scene `kick_and_catch`, a launch velocity of 1.02 m/s requires a driver current of 35 A. A
-driver with a smaller current charges the capacitance of the chip more slowly, and the launch
-velocity is lower."""
+speed of 0.243 m/s. In the scene `kick_and_catch`, the sphere has a diameter of 2 mm, and each edge
+of the drive voltage lasts 0.1 µs. In the scene `kick_and_catch`, a launch velocity of 1.02 m/s
+requires a driver current of 35 A. A driver with a smaller current charges the capacitance of the
+chip more slowly, and the launch velocity is lower."""
 SOURCES = """\
 The column *numbers from* states the file or text from which the published numbers were copied. The
 files `vmNNN.dat` (verification manual of Ansys) are in `src/ansys/mapdl/core/examples/verif` of

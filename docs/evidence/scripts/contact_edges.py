@@ -9,7 +9,7 @@ from tables import power, print_table
 
 import kc2spice as kc
 from kc2spice.netlist.deck import Deck
-from kc2spice.netlist.library import Header
+from kc2spice.netlist.subcircuit_library import Header
 from kc2spice.parts.mechanics.sphere import SphereKeys, declare_sphere
 from kc2spice.physics.contact import ContactForce, declare_contact
 from kc2spice.physics.part import make_declared_subcircuit
