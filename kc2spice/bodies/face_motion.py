@@ -1,39 +1,40 @@
 """Differences between the motion of a radiating face and of a piston.
 
-The differences change the radiated sound. An acoustic port represents a face only by its volume
-velocity. A face in an infinite baffle has the surface S and the normal velocity v. At the wave
-number k, the pressure of the face in the far field is
+A face does not move exactly like a piston, and the difference in motion changes the radiated sound.
+An acoustic port represents a face only by its volume velocity. A face in an infinite baffle has the
+surface S and the normal velocity v. At the wave number k, the pressure of the face in the far field
+is
 
     p = j omega rho / (2 pi r) exp(-j k r) F,     F(direction) = int v exp(j k x . direction) dS.
 
-On the axis, F is the volume velocity for any distribution of v. In other directions, F depends on
-the distribution of v. Therefore, the radiated power ``int |F|^2 dOmega`` also depends on the
-distribution of v. A piston of radius a has ``F = 2 J1(x) / x int v dS`` with ``x = k a
-sin(angle)``.
+On the axis, F is the volume velocity for any distribution of v. In directions off the axis, the
+integral F depends on the distribution of the normal velocity v over the face. Therefore, the
+radiated power ``int |F|^2 dOmega`` also depends on the distribution of v. A piston of radius a has
+``F = 2 J1(x) / x int v dS`` with ``x = k a sin(angle)``.
 
 Without a baffle, the sound of the back of a thin plate cancels the sound of the front. The plate
-then radiates as a dipole. At small k a, the field of the plate on the axis, relative to the field
-in a baffle, is ``k / 2 int v g dS / int v dS``. The function g is the difference in velocity
-potential across a rigid plate that moves at a velocity of 1. For an ellipse with the half-axes a
-and b,
+then radiates as a dipole. At small k a, removal of the baffle multiplies the on-axis pressure
+magnitude of the plate by ``(k / 2) int v g dS / int v dS``, with the normal velocity v and the
+potential difference g. The function g is the difference in velocity potential across a rigid plate
+that moves at a velocity of 1. For an ellipse with the half-axes a and b,
 
-    g = 2 b / E(1 - b^2 / a^2) (1 - x^2 / a^2 - y^2 / b^2)^1/2
+    g = 2 b sqrt(1 - x^2 / a^2 - y^2 / b^2) / E(m),     m = 1 - b^2 / a^2,
 
-with the complete elliptic integral E of the second kind, which is pi / 2 for a disc (H. Lamb,
-Hydrodynamics, 6th ed., sections 102 and 108). For a long strip, g is ``2 (b^2 - y^2)^1/2``. A
-rectangle with the sides 2 a and 2 b has approximately the g of a strip divided by E. Its mean g is
-then 4 % to 10 % too large.
+with the complete elliptic integral E(m) of the second kind, which is pi / 2 for a disc (H. Lamb,
+Hydrodynamics, 6th ed., sections 102 and 108). For a long strip, g is ``2 sqrt(b^2 - y^2)``. For a
+rectangular plate with the sides 2 a and 2 b, the potential difference g is approximately ``2
+sqrt(b^2 - y^2) / E(m)``. The mean g of this approximation is 4 % to 10 % too large for a
+rectangular plate.
 
 The back of a thick body can move otherwise than its front. The whole surface of a body, with the
 outward normal velocity v_s, displaces the volume velocity ``Q_s = int v_s dS``. At low frequencies,
 the field without a baffle is the sum of the fields of a monopole and a dipole, whose phases differ
-by 90 degrees. Relative to the field of the volume velocity ``Q = int v dS`` in a baffle, their sum
-is
-
-    |Q_s + j k (int z v_s dS + (1 - Q_s / (2 Q)) int v g dS)| / (2 |Q|)
-
-with the coordinate z along the axis of the face. A rigid body has ``Q_s = 0``. A body whose face
-alone moves has ``Q_s = Q``, and loses 6 dB.
+by 90 degrees. The strength of the monopole is the volume velocity Q_s. The strength D of the dipole
+is the sum of ``int z v_s dS`` and ``(1 - Q_s / (2 Q)) int v g dS``, where z is the coordinate along
+the axis of the face. Let ``Q = int v dS`` be the volume velocity of the face. At the wave number k,
+removal of the baffle multiplies the magnitude of the pressure by ``|Q_s + j k D| / (2 |Q|)``. A
+rigid body has ``Q_s = 0``. If only the face moves, ``Q_s = Q``, and removal of the baffle lowers
+the pressure at low frequencies by 6 dB.
 
 In a closed volume, the mean of v over the face compresses the fluid. The difference of v from its
 mean is a sum of the volume's cross modes psi_n with the amplitudes v_n. The cross modes do not
@@ -58,15 +59,19 @@ from scipy.special import ellipe, j0, j1
 from kc2spice.bodies.undamped_models import FiniteElementModel
 
 FACE_QUADRATURE = 5  # highest polynomial degree that is integrated exactly over a face
-# Radius of a cylinder times its lowest cross wave number; the key True is for axisymmetric motions.
-# This product of radius and wave number is the first positive zero of J1', or of J1 if
-# axisymmetric.
+# Radius of a cylinder times the lowest wave number of its cross modes.
+# For axisymmetric motions, the key is True, and the value is the first positive zero of the Bessel
+# function J1.
+# For all other motions, the key is False, and the value is the first positive zero of the
+# derivative J1'.
 CROSS_MODES = {False: 1.841183781340659, True: 3.831705970207512}
 # Numbers of directions at which the far field in a half-space is sampled.
-# At k a = 20, 30 polar angles would be sufficient.
+# 30 polar angles are sufficient if the wave number times the radius of the face is 20.
 POLAR_ANGLES, AZIMUTHS = 48, 32
-# Smallest area of a rectangle, relative to the rectangle around its integration points.
-# For an ellipse, this ratio is pi / 4 = 0.79. Between both values, a face counts as an ellipse.
+# A face counts as a rectangle if it fills more than this share of its smallest bounding rectangle.
+# A face that fills at most MIN_RECTANGLE_SHARE of its bounding rectangle counts as an ellipse.
+# An exact ellipse fills pi / 4 = 0.79 of its bounding rectangle.
+# The bounding rectangle contains the integration points of the face.
 MIN_RECTANGLE_SHARE = 0.9
 BOX_ANGLES = 90  # number of angles in a quarter turn among which the smallest rectangle is searched
 
@@ -179,10 +184,10 @@ class FaceMotion:
         return np.asarray(self.areas @ np.abs(uneven) ** 2 / (decay * np.tanh(decay * depth)))
 
     def compute_potential_differences(self) -> np.ndarray:
-        """Return the difference g [m] in velocity potential across a rigid plate.
+        """Return the velocity-potential difference [m] across a plate at unit velocity.
 
-        The plate has the shape of the face, and moves at a velocity of 1. The docstring of this
-        module contains the formulas. The returned array has the shape (points,).
+        The rigid plate has the shape of the face, and moves at a velocity of 1. The docstring of
+        this module contains the formulas. The returned array has the shape (points,).
         """
         if self.axisymmetric:
             square = self.area / np.pi - self.places[0] ** 2
@@ -197,7 +202,8 @@ class FaceMotion:
         a, b = x.max(axis=1)
         share = self.area / (4 * a * b)
         rectangular = share > MIN_RECTANGLE_SHARE
-        # The integration points do not reach the edge, so both half-axes follow from the area.
+        # The integration points do not reach the face's edge. Therefore, a and b are scaled so that
+        # a rectangle or ellipse with these half-axes has the face's area.
         factor = np.sqrt(share if rectangular else 4 * share / np.pi)
         a, b = factor * a, factor * b
         square = 1 - (x[1] / b) ** 2 - (0.0 if rectangular else (x[0] / a) ** 2)
@@ -206,7 +212,7 @@ class FaceMotion:
     def compute_unbaffled_ratios(
         self, wave_number: float, surface: FaceMotion | None = None
     ) -> np.ndarray:
-        """Return the far field without a baffle relative to that with one, per motion.
+        """Compute the ratio of the far fields without and with a baffle, for each motion.
 
         The returned ratio is for the sound pressure on the axis of the face, for small k a. The
         docstring of this module contains the formula. ``surface`` is the whole surface of the body
@@ -227,8 +233,8 @@ class FaceMotion:
 def sample_face_motion(device: FiniteElementModel, facets: np.ndarray, z: np.ndarray) -> FaceMotion:
     """Return the normal displacement of a face in several motions of a body.
 
-    ``facets`` are the numbers of the face's facets. ``z`` of shape (n, motions) contains the
-    unknowns of the model for each motion.
+    ``facets`` contains the mesh indices of the facets that form the face. ``z`` of shape (n,
+    motions) contains the unknowns of the model for each motion.
     """
     solid = device.solid
     basis = solid.make_facet_basis(facets, FACE_QUADRATURE)

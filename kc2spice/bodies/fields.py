@@ -38,19 +38,19 @@ BASIS_SIZE = 40  # number of vectors of the Krylov basis
 # Largest frequency of rigid-body modes, relative to the highest frequency of all modes.
 # The exact frequency of a rigid-body mode is zero, but rounding errors change the frequency.
 ZERO_FREQUENCY_RATIO = 1e-6
-# Smallest phase [rad] of an elastic mode over the whole run.
-# A mode with a smaller phase counts as a rigid-body mode.
+# A mode counts as elastic only if its phase advances by at least this angle [rad] during the run.
+# A mode with a smaller phase advance counts as a rigid-body mode.
 MIN_PHASE = 1e-4
 # Smallest number of instants at which extremes are searched.
-# More instants are searched while the product of points and instants is at most MAX_WORK.
+# In a mesh of n Gauss points, the number of instants is MAX_WORK / n, but at least MIN_INSTANTS.
 # Half of the instants are equally spaced in time; the other half are the samples of largest energy.
 MIN_INSTANTS = 200
 MAX_WORK = 2_000_000
 CHUNK_SIZE = 20  # number of instants at which fields are evaluated at once
-# Number of frequencies of an ac analysis at which extremes are searched: the largest resonances.
+# Largest number of resonance peaks of an ac analysis at which extremes are searched.
 MAX_PEAKS = 6
 # Number of instants of each period at which extremes are searched.
-# An amplitude between two instants is too small by at most 1 - cos(pi / 64) = 0.12 %.
+# The largest of 64 samples of a sine is at most 1 - cos(pi / 64) = 0.12 % below its amplitude.
 INSTANTS_PER_PERIOD = 64
 # meshio cell type of each element
 _VTK_CELLS = {
@@ -94,7 +94,7 @@ class NodalMotion:
 def recover_motion(
     device: FiniteElementModel, time: np.ndarray, inputs: Mapping[str, np.ndarray]
 ) -> NodalMotion:
-    """Compute the motion of a body that the waveforms at its ports cause.
+    """Compute the motion of a body from the waveforms at its ports.
 
     ``inputs`` maps names of ports to waveforms in SI units at the times ``time`` [s]. Ports that
     are not in ``inputs`` have no input. The body starts in equilibrium with the first values of the
@@ -152,7 +152,9 @@ def recover_vibration(
 def _collect_inputs(
     device: FiniteElementModel, count: int, inputs: Mapping[str, np.ndarray]
 ) -> np.ndarray:
-    """Return the inputs of all ports, an array of shape (count, ports).
+    """Collect the inputs of all ports in an array of shape (times, ports).
+
+    Each row belongs to one of ``count`` times or frequencies.
 
     Raises
     ------
@@ -195,8 +197,8 @@ def _compute_modes(
 
     Return the mass-normalised modes of shape (n, q), their frequencies [rad/s] of shape (q,), and
     their damping [1/s] of shape (q,). The damping is the diagonal of the modal damping matrix.
-    Coupling of modes by damping is neglected. A rigid-body mode gets a frequency whose phase over
-    the duration ``span`` [s] is negligible.
+    Coupling of modes by damping is neglected. A rigid-body mode gets a frequency so low that its
+    phase advance during ``span`` [s] is negligible.
     """
     model, V = device.model, _make_krylov_basis(device)
     K, E, M = model.pencil.project(V).coefficients
@@ -361,8 +363,8 @@ FIELD_QUANTITIES = {
 class Extreme(EqualByContent):
     """Largest value of a stress or electric field in one material during a run.
 
-    The largest ``value`` occurs at the number ``sample`` of a motion at the point ``place`` [m].
-    ``at`` is the time [s] of the sample or, in an ac analysis, its frequency [Hz]. ``curve``
+    The largest ``value`` occurs in the sample with the index ``sample``, at the point ``place``
+    [m]. ``at`` is the time [s] of the sample or, in an ac analysis, its frequency [Hz]. ``curve``
     contains the largest value in the material at each time or frequency of ``scale``. ``limit`` is
     the material's limit of the quantity, None if unknown.
     """
@@ -384,8 +386,8 @@ def find_extremes(motion: NodalMotion, selected: np.ndarray | None = None) -> li
 
     The largest principal stress is searched in every material. In piezoelectric materials, the
     largest electric field and the largest field against the poling direction are also searched.
-    ``selected`` contains the numbers of the searched samples. By default, samples are selected by
-    their energy.
+    ``selected`` contains the indices of the samples at which extremes are searched. By default,
+    samples are selected by their energy.
 
     The extremes are searched at the Gauss points. At re-entrant corners and at edges of clamps, the
     stress of linear elasticity grows without bound as the mesh is refined.
@@ -458,10 +460,10 @@ def _choose_instants(motion: NodalMotion, count: int) -> np.ndarray:
 
 
 def _compute_energies(motion: NodalMotion) -> tuple[np.ndarray, np.ndarray]:
-    """Return an energy measure and the sum of the squared voltages for each sample.
+    """Compute the normalised energy and the sum of squared voltages of each sample.
 
-    The first array is the sum of the elastic energy and of the sum of the squared voltages, each
-    relative to its largest value.
+    The normalised energy adds two terms, each divided by its largest value among the samples: the
+    elastic energy, and the sum of the squared voltages.
     """
     K = motion.device.model.pencil.project(motion.basis).coefficients[0]
     energy = np.einsum("ti,ij,tj->t", motion.states.conj(), K, motion.states).real

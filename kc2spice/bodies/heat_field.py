@@ -85,8 +85,8 @@ def recover_temperatures(
     """Compute the nodal temperature rises due to the heat flows into a body's ports.
 
     ``flows`` maps names of ports to waveforms of heat flows [W] at the times ``time`` [s]. A body
-    with a thermal path to the ambient temperature starts in equilibrium with the first heat flows.
-    Any other body starts at the temperature rise zero.
+    with a thermal path to the ambient temperature starts in the steady state under the heat flows
+    at ``time[0]``. Any other body starts at the temperature rise zero.
 
     Raises
     ------
@@ -124,9 +124,10 @@ def _integrate_modes(
 ) -> np.ndarray:
     """Integrate the first-order differential equation of each thermal mode over time.
 
-    The equation of a mode is ``times (x' + rates x) = loads``. Return the states x, an array with
-    one row for each sample and one column for each mode. The loads are linear between samples. In a
-    mode without heat capacity, the state is equal to the load.
+    Mode k satisfies the equation ``times[k] (dx_k/dt + rates[k] x_k) = loads[:, k]`` for the state
+    x_k. Return the states x, an array with one row for each sample and one column for each mode.
+    The loads are linear between samples. In a mode without heat capacity, the state is equal to the
+    load.
     """
     result = np.where(moving, 0.0, loads)
     settles = moving & (rates > 0)

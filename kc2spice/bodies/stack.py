@@ -2,10 +2,11 @@
 
 One quarter of the stack is meshed, because all four quarters move in the same way. The nodes are on
 concentric circles, so that a force on a ring is exactly a sum of nodal forces. A *level* is a layer
-of elements of the mesh. A level contains one ceramic layer, or up to ``layers_per_element`` ceramic
-layers as one medium. The electrodes determine the electric field in each ceramic layer. Therefore,
-m parallel layers at the same voltage are equivalent to one layer with m times the thickness, the
-coupling ``m e`` and the permittivity ``m^2 eps``.
+of elements of the mesh. A level represents one ceramic layer, or several ceramic layers as a
+homogeneous medium. A level represents at most ``layers_per_element`` ceramic layers. The electrodes
+determine the electric field in each ceramic layer. Therefore, m parallel layers at the same voltage
+are equivalent to one layer with m times the thickness, the coupling ``m e`` and the permittivity
+``m^2 eps``.
 
 Electrode planes with even numbers are the grounded cathode, and planes with odd numbers are the
 anode. The poling of the layers alternates: the poling is along -z above a cathode, so that a
@@ -37,7 +38,8 @@ from kc2spice.fem.solid import Solid
 from kc2spice.linalg.factor import require_memory
 from kc2spice.rom.linear_model import Port
 
-LEVEL_GROWTH = 0.25  # largest ratio of a level's thickness to its depth below the top
+# Largest thickness of a layer of elements, divided by the layer's depth below the top of the stack.
+LEVEL_GROWTH = 0.25
 # Memory [bytes] of the sparse factors of a solid with n unknowns, divided by n^(4/3).
 # The sparse factors of a solid with 152 000 unknowns took 5.8 GB.
 SPARSE_BYTES = 700.0
@@ -169,8 +171,8 @@ def choose_level_spans(kick: StackKeys) -> np.ndarray:
     """Choose the number of ceramic layers in each element level of a stack.
 
     The levels are in the order from the bottom to the top. The number of ceramic layers in a level
-    is at most ``layers_per_element``. Levels of several layers are not thicker than
-    :data:`LEVEL_GROWTH` times their depth below the top.
+    is at most ``layers_per_element``. A level that contains several layers is at most
+    :data:`LEVEL_GROWTH` times as thick as its depth below the top of the stack.
     """
     spans: list[int] = []
     while (left := kick.layers - sum(spans)) > 0:
@@ -210,7 +212,8 @@ def _place_nodes(kick: StackKeys, steps: int) -> np.ndarray:
     left = min(half) - mesh.rings * mesh.ring_spacing
     growth, count, ratio = 1.0, mesh.outer_rings, left / mesh.ring_spacing
     # The growth factor g solves: spacing (1 + g + ... + g^(count-1)) = remaining length.
-    # With the growth factor g, the first outer ring has the spacing of the contact rings.
+    # Each outer ring after the first is g times as wide as the next ring inwards.
+    # The first outer ring is as wide as a contact ring.
     if ratio > count > 1:
         from scipy.optimize import brentq  # brentq is imported here, because most meshes are cached
 
@@ -262,7 +265,7 @@ def make_layer_materials(
 def _mask_fixed_displacements(kick: StackKeys, solid: Solid) -> np.ndarray:
     """Return a mask of displacements that are zero due to symmetry or the mounting.
 
-    Entry ``3 node + axis`` of the mask is for the displacement of a node along an axis.
+    Entry ``3 * node + axis`` of the mask is for the displacement of a node along an axis.
     """
     fixed = np.zeros(solid.node_positions.T.shape, dtype=bool)
     near = _POSITION_TOLERANCE * solid.node_positions.max()
@@ -277,13 +280,16 @@ def _mask_fixed_displacements(kick: StackKeys, solid: Solid) -> np.ndarray:
 def _find_electrodes(
     spans: np.ndarray, faces: np.ndarray, solid: Solid
 ) -> tuple[dict[str, np.ndarray], Profile | None]:
-    """Find the nodes of both electrodes, and potentials of nodes between electrodes.
+    """Find electrode nodes, and interpolate potentials of nodes between electrodes.
 
     ``spans`` contains the number of ceramic layers in each level; the number is 0 in a cap.
     ``faces`` [m] contains the heights of the lower and upper faces of the levels. A level of
-    several layers contains electrodes between its nodes. Return the nodes of ``anode`` and
-    ``cathode``. Also return the nodes inside levels of several layers, with their potentials as
-    fractions of the anode's voltage, or None if there are no such nodes.
+    several ceramic layers also contains inner electrodes, which the mesh does not represent. Return
+    the nodes of ``anode`` and ``cathode``. The second value contains the nodes inside every level
+    of several ceramic layers, without the nodes on the faces of the level. The second value also
+    contains the potential of each node between the faces, as a fraction of the anode's voltage. The
+    second value is None if no level that contains several ceramic layers has mesh nodes between its
+    lower and upper faces.
     """
     active, z = np.flatnonzero(spans), solid.node_positions[2]
     planes = faces[np.r_[active, active[-1] + 1]]
@@ -299,11 +305,11 @@ def _find_electrodes(
 
 
 def _make_ring_forces(kick: StackKeys, solid: Solid) -> list[PortLoad]:
-    """Make a force port on each contact ring, with the nodal forces of a unit force.
+    """Make a force port on each ring of nodes, with the nodal forces of a unit force.
 
-    At nodes on a symmetry plane, half of the force acts on the mirror image of the quarter. The
-    weights of the nodes of a ring add up to one. Therefore, the output of a ring's port is the mean
-    displacement of the ring (eq. 8 of Schütz et al. 2021).
+    Only a quarter of the stack is meshed, so half of the force at a node on a symmetry plane
+    belongs to the mirrored part. The weights of the nodes of a ring add up to one. Therefore, the
+    output of a ring's port is the mean displacement of the ring (eq. 8 of Schütz et al. 2021).
     """
     shapes, (x, y, z), axis = [], solid.node_positions, np.eye(3)["xyz".index(kick.poling)]
     near = _POSITION_TOLERANCE * solid.node_positions.max()

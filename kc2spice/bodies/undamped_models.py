@@ -32,11 +32,11 @@ class FiniteElementModel:
     """Linear model of a solid, and the matrices that map its unknowns to nodal values.
 
     The unknowns z and the voltages V determine the values at the nodes. The displacements are ``u =
-    displacement @ z``, an array of shape (d nodes,). The potentials are ``phi = potential @ p +
-    drive @ V``, an array of shape (nodes,). The free potentials p solve ``K_pp p = K_up' z + lift
-    V``. ``shift`` [rad^2/s^2] is the factor that makes ``K + shift M`` regular. ``mass`` [kg] is
-    the mass of the whole body, including fixed nodes. ``faces`` maps the names of acoustic ports to
-    facets.
+    displacement @ z``, an array of shape (d * nodes,) with d components per node. The potentials
+    are ``phi = potential @ p + drive @ V``, an array of shape (nodes,). The free potentials p solve
+    ``K_pp p = K_up' z + lift V``. ``shift`` [rad^2/s^2] is the factor that makes ``K + shift M``
+    regular. ``mass`` [kg] is the mass of the whole body, including fixed nodes. ``faces`` maps the
+    names of acoustic ports to facets.
     """
 
     model: LinearModel
@@ -55,12 +55,14 @@ class FiniteElementModel:
         """Compute the displacements and the potentials at the nodes from the unknowns.
 
         The unknowns ``z`` have the shape (n, k), and the ``voltages`` the shape (e, k). Return
-        displacements of shape (d nodes, k) and potentials of shape (nodes, k). Column j of both
-        returned arrays belongs to column j of ``z`` and of ``voltages``.
+        displacements of shape (d * nodes, k), with d components per node, and potentials of shape
+        (nodes, k). Column j of both returned arrays belongs to column j of ``z`` and of
+        ``voltages``.
         """
         phi, K = self.drive @ voltages, self.model.K
         if self.potential.shape[1]:
-            # the block ``pp`` of K is -K_pp: p = K_pp^-1 (K_up' z + lift V)
+            # The free potentials are p = K_pp^-1 (K_up' z + lift V).
+            # The stored block ``K.pp`` is -K_pp, so the product with its inverse is subtracted.
             phi = phi - self.potential @ K.inner_factor.solve(K.pu @ z + self.lift @ voltages)
         return self.displacement @ z, phi
 
@@ -154,7 +156,8 @@ def _solve_static(
     """
     load = model.B[:, ports]
     shifted = rest = solve(load) if ports else load
-    # the loads are in equilibrium, so the iteration converges to the response without the shift
+    # Loads on an unsupported body are in equilibrium, so the iteration converges to the static
+    # displacements for the unshifted stiffness K.
     for _ in range(MAX_REFINEMENTS if shift else 0):
         rest = solve(load + shift * (model.M @ rest)) if ports else load
     return shifted, rest
@@ -163,7 +166,7 @@ def _solve_static(
 def _find_resonance(
     model: LinearModel, solve: Operator, ports: list[int], shift: float
 ) -> tuple[float | None, np.ndarray, np.ndarray]:
-    """Find the lowest resonance that the ports excite, its modes and rigid-body modes.
+    """Find the lowest resonance excited by ports; also return excited and rigid modes.
 
     Return the frequency [Hz] of the resonance, the modes that the ports excite, and the rigid-body
     modes. The modes are the columns of arrays with n rows. If the ports excite none of the lowest

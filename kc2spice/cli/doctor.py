@@ -41,8 +41,8 @@ R1 out 0 1
 .op
 .end
 """
-# Test deck of the ngspice features that netlists of kc2spice use: parameters in braces, ``pwl`` and
-# ``max`` in a behavioural source, and the saved current of this source.
+# Test deck of the ngspice features that netlists of kc2spice use.
+# The deck tests parameters in braces, ``pwl`` and ``max`` in a source, and a saved source current.
 _FEATURE_DECK = """* feature probe
 .param eps=2
 V1 in 0 PULSE(0 1 0 1e-6 1e-6 1)

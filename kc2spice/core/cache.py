@@ -106,7 +106,7 @@ def load_or_build(
 def _lock_entry(path: Path) -> Iterator[None]:
     """Lock a cache entry, so that no other process builds the same entry meanwhile.
 
-    Without file locks, other processes are not prevented.
+    On systems without file locks, other processes can build the same cache entry at the same time.
     """
     lock = path.with_name(f".{path.stem}.lock.part")  # old files with the suffix .part are deleted
     with ExitStack() as stack:

@@ -72,12 +72,13 @@ class Domain:
     output is called ``output_wave``. ``compliance`` is the unit of the ratio of static output to
     input. The value across a pin is relative to the pin ``reference``; in a domain without a
     reference pin, ports are pairs of pins. ``rate`` is a second quantity across pins, the time
-    derivative of ``across``. ``frame`` is the domain whose across quantity is the
-    acceleration of the frame of reference in which ``across`` is measured.
+    derivative of ``across``. If ``across`` is relative to an accelerated frame of reference,
+    ``frame`` is the name of the domain of the frame's acceleration.
 
     In a domain with a ``path_to_reference``, a net without a path to the reference has no operating
     point. ``path_to_reference`` describes possible paths in words, and ``path_part`` is a part type
-    that forms a path. ``floating_error`` is the error text for a net without a path.
+    that forms a path. ``floating_error`` is the error text for a net without a path to the
+    reference.
 
     Examples
     --------
@@ -133,12 +134,17 @@ class Domain:
         return self.across.pin_unit, self.flow_unit
 
     def find_value_unit(self, letter: str) -> str:
-        """Return the unit of a V, I, R, C or L value; empty if the domain is electrical.
+        """Return the unit that replaces V, A, ohm, F or H in element values of the domain.
+
+        The unit is empty if the domain has the electrical units.
 
         Examples
         --------
         >>> [DOMAINS["thermal"].find_value_unit(letter) for letter in "VIRC"]
         ['K', 'W', 'K/W', 'W s/K']
+
+        For an electrical resistance, the result is empty, because SPICE values have the unit ohm.
+
         >>> DOMAINS["electrical"].find_value_unit("R")
         ''
         """
@@ -172,7 +178,7 @@ class Domain:
 
     @property
     def can_be_metered(self) -> bool:
-        """Whether the across and the through quantity at a pin determine its power."""
+        """Whether the power at a pin can be metered from its across and through quantity."""
         return self.is_conservative and self.power != "velocity of the frame * through"
 
     @property
@@ -313,8 +319,8 @@ REFERENCES = frozenset({"ref", *(domain.reference for domain in TABLE if domain.
 def _list_quantities() -> dict[str, tuple[Domain, Side]]:
     """Return the domain and the side (across or through) of each named quantity.
 
-    The force is a quantity of two domains; the returned mapping contains only the domain
-    translation.
+    Force is a quantity of the domains translation and acceleration; the returned mapping assigns
+    ``force`` to translation.
     """
     result: dict[str, tuple[Domain, Side]] = {}
     for domain in CONSERVATIVE:
@@ -363,7 +369,7 @@ def find_domain(unit: str, flow: str) -> Domain | None:
 
 
 def find_across_quantity(unit: str) -> Quantity | None:
-    """Return the across quantity whose pin unit is ``unit``; None if there is none.
+    """Return the across quantity with the pin unit ``unit``, or None if none has it.
 
     Examples
     --------

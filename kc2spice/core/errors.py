@@ -7,7 +7,8 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any, NoReturn
 
-MAX_COMPARED_LENGTH = 200  # characters of the longest word that is compared with other words
+# largest length, in characters, of a word that is compared with other words
+MAX_COMPARED_LENGTH = 200
 MAX_CANDIDATES = 5  # largest number of candidates that an error lists
 # smallest number of letters and digits of a word that is searched for inside other names
 MIN_FRAGMENT_LENGTH = 4
@@ -121,8 +122,9 @@ def wrong(
     return UsageError(problem, where=where, got=got, expected=expected, hint=hint)
 
 
-# Words with which a limit in an ``expected`` text begins, and verb and preposition of the hint.
-# For "at most 5 m", for example, the hint is "lower KEY to 5 m".
+# Each key contains the first words of a limit, such as "at most" in the limit "at most 5 m".
+# Each value contains the verb and the preposition of the hint, such as "lower" and "to".
+# For the limit "at most 5 m", for example, the hint is "lower KEY to 5 m".
 _LIMIT_ACTIONS = {
     "at most": ("lower", "to"),
     "at least": ("raise", "to"),
@@ -232,7 +234,7 @@ def did_you_mean(word: str, choices: Iterable[str]) -> str | None:
     lower = {leaf.lower(): leaf for leaf in leaves}
     last = word.rpartition(".")[2].lower()
     similar = [lower[leaf] for leaf in difflib.get_close_matches(last, lower, n=1, cutoff=0.7)]
-    if not similar:  # spelling of a part number, as 7BB-20-6 for buzzer_7bb_20_6
+    if not similar:  # the user may type the part number 7BB-20-6 instead of buzzer_7bb_20_6
         normalised = normalise_word(word)
         similar = [
             leaf

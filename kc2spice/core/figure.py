@@ -107,10 +107,10 @@ class Shape:
 
 
 def select_window(t: np.ndarray, first: float, last: float) -> np.ndarray:
-    """Mask the times from ``first`` to ``last``, and one more time on each side.
+    """Return a mask that selects the times from ``first`` to ``last``.
 
-    The mask also contains one more time on each side. The boolean mask has the same shape (n,) as
-    the times ``t``.
+    The mask also selects the nearest time before ``first``, and the nearest time at or after
+    ``last``. The boolean mask has the same shape (n,) as the times ``t``.
     """
     import numpy as np  # numpy is imported here, because few users of this module need numpy
 

@@ -19,7 +19,8 @@ from dataclasses import dataclass, field
 
 Progress = Callable[[str, float | None, str], None]
 
-ERROR_BUDGET = "error budget"  # stage name in the log messages about errors of refined settings
+# Name of the stage that refines numerical settings until the error budget is met.
+ERROR_BUDGET = "error budget"
 LOGGER = logging.getLogger("kc2spice")
 LOGGER.addHandler(logging.NullHandler())
 STAGES = ("mesh", "assemble", "reduce", "magnetics", "export", "simulate", "report")
@@ -62,7 +63,7 @@ def follow_stage(progress: Progress, name: str, text: str) -> Iterator[Callable[
 
 
 def report_remaining_time(seconds: float, step: str) -> None:
-    """Report the remaining time [s] and the name of the step to the current stage."""
+    """Report to the current stage the remaining time [s] and the name of the step."""
     report = _report.get()
     if report is not None:
         report(seconds, step)
@@ -107,7 +108,7 @@ class ConvergenceTimer:
         self._start = time.perf_counter()
 
     def end_step(self, error: float) -> None:
-        """Record the error of a completed step, and report the remaining time."""
+        """Record the numerical error of a completed step, and report the remaining time."""
         self._errors.append(error)
         count, remaining = len(self._errors), self.remaining_steps()
         per_step = (time.perf_counter() - self._start) / count
@@ -127,7 +128,8 @@ class ConvergenceTimer:
         if len(errors) > 1 and errors[-1] < errors[0]:
             rate = math.log(errors[0] / errors[-1]) / (len(errors) - 1)
             steps = math.ceil(max(math.log(errors[-1] / self._target) / rate, 0.0))
-            # the first step whose error does not exceed the target counts as a confirmation
+            # The first step that meets the target is counted in ``steps`` and again in
+            # ``_confirmations``, so 1 is subtracted.
             return max(steps + self._confirmations - (1 if steps else met), 0)
         return max(self._usual - len(self._errors), 1)
 

@@ -1,6 +1,7 @@
 """Formatting of numbers with SI prefixes or in percent.
 
-Rounding errors are printed as 0.
+A ratio, or a value with a limit, is printed as 0 if it is so small that it is only a rounding
+error.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ _POWERS_OF_LENGTH = {"m2": _AREAS, "m3": _VOLUMES}
 # used.
 MIN_SHARE_OF_UNIT = 0.1
 LARGEST_MASS = 1e3  # kg; masses from this value on are printed in kg, without another prefix
-_RATIO_WORDS = "of ", "relative"  # beginnings of the units of ratios, such as "of the peak"
+# A value is a ratio if its unit begins with "of " or "relative", such as "of the peak".
+_RATIO_WORDS = "of ", "relative"
 ROUNDING_NOISE = 1e-12  # numbers below this fraction of their scale are rounding errors
 
 
@@ -75,7 +77,11 @@ def _format_power_of_length(value: float, unit: str, digits: int) -> str:
 
 
 def _accepts_prefix(unit: str) -> bool:
-    """Return whether a unit accepts SI prefixes; the unit ``of the peak`` does not."""
+    """Return whether a unit accepts SI prefixes; a phrase used as a unit does not.
+
+    A phrase contains spaces, for example ``of the peak``. A unit that contains spaces and the word
+    ``per`` is not a phrase, and accepts prefixes.
+    """
     return bool(unit) and (" " not in unit or " per " in unit)
 
 

@@ -9,10 +9,11 @@ import numpy as np
 from kc2spice.core.waveforms import Waveform
 
 ENERGY_SHARE = 0.999  # share of a signal's energy below the computed frequency
-SIGNAL_SAMPLES = (
-    2**16
-)  # number of samples of a signal, or 5 samples per pulse in a train of 13 000 pulses
-FIRST_CORNERS = 400  # corners at the start of a long pulse train that are also evaluated separately
+# Number of samples of a signal. A train of 13 000 pulses has 5 samples per pulse.
+SIGNAL_SAMPLES = 2**16
+# For a long pulse train, the frequency is computed from the complete waveform, and again from its
+# first FIRST_CORNERS corners alone.
+FIRST_CORNERS = 400
 # Number of time constants for which the filter output is sampled after the end of the signal.
 DECAY_TIME_CONSTANTS = 20.0
 MIN_SIGNAL_SAMPLES = 20  # smallest number of samples between the start and the end of the signal
@@ -25,8 +26,9 @@ def find_energy_frequency(
 
     The energy is the integral of the squared difference ``x(t) - x(0)``, so a constant signal has
     no energy. Between the points, the signal x is linear. If the last value of a signal differs
-    from the first value, the mirror image of the signal in time is appended. The extended signal
-    ends without a jump.
+    from the first value, the mirror image of the signal in time is appended. A signal that is
+    followed by its own mirror image ends at its first value, so no jump remains between end and
+    start.
 
     Parameters
     ----------
@@ -59,9 +61,9 @@ def find_waveform_frequency(wave: Waveform, stop: float, constant: float = 0.0) 
     """Return the frequency [Hz] below which a waveform has nearly all of its energy.
 
     For a sine, the result is the frequency of the sine. The waveform is evaluated until ``stop``
-    [s]. Only one period of an endless pulse train is evaluated. For a long pulse train, the
-    frequency is computed twice: from the complete waveform, and from its first
-    :data:`FIRST_CORNERS` corners. The higher frequency is returned.
+    [s]. Only one period of an endless pulse train is evaluated. For a long pulse train, one
+    frequency is computed from the complete waveform, and another from its first
+    :data:`FIRST_CORNERS` corners. The function returns the higher of these two frequencies.
     """
     if not wave.is_piecewise_linear:
         return wave.frequency

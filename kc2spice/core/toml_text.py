@@ -43,9 +43,9 @@ def display_text(value: Any) -> str:
 
 
 def quote_value(value: Any) -> str:
-    """Format a value for an error message: TOML tables and lists, otherwise ``repr``.
+    """Format a value as text for an error message.
 
-    Tables and lists are written as in a scene file, and all other values as by ``repr``.
+    Tables and lists are written in TOML syntax, and all other values as ``repr`` formats them.
     """
     if isinstance(value, Mapping):
         return (

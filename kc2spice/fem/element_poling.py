@@ -35,10 +35,10 @@ class PolingTable(EqualByContent):
     where : scene key that contains the name of the poling file.
     rows : line number in the poling file for each row of this table.
     directions : poling vectors, an array of shape (rows, 3).
-    numbers : element numbers in the mesh file, an array of shape (rows,); None if the rows contain
-        coordinates.
-    points : coordinates in the unit of the mesh, an array of shape (rows, 2 or 3); None if the rows
-        contain element numbers.
+    numbers : element numbers in the mesh file, an array of shape (rows,). ``numbers`` is None if
+        the rows contain coordinates.
+    points : coordinates in the unit of the mesh, an array of shape (rows, 2 or 3). ``points`` is
+        None if the rows contain element numbers.
     """
 
     where: str
@@ -159,7 +159,7 @@ def compute_centres(mesh: Mesh) -> np.ndarray:
 
 
 def find_coarse_elements(coarse: Mesh, fine: Mesh) -> np.ndarray:
-    """Find the element of a coarse mesh around the centre of each fine element."""
+    """Find the coarse element that contains the centre of each fine element."""
     kinds = ((MeshHex, MeshHex1), (MeshTet, MeshTet1), (MeshQuad, MeshQuad1))
     kind = next((first for base, first in kinds if isinstance(coarse, base)), MeshTri1)
     straight = kind(coarse.doflocs[:, : coarse.nvertices].copy(), coarse.t)

@@ -9,14 +9,16 @@ values give the energy product of the errors of two solutions 1 and 2:
 
     A(1, 2) = int dS1' C dS2 - dS1' e' dE2 - dE1' e dS2 - dE1' eps dE2
 
-A fit includes only elements of one piece of the mesh. All materials of a piece have the same name,
-so the strain within a piece is continuous. In a stack with alternating poling, the coupling of each
-layer is s times the coupling of the first layer, where s is 1 or -1. The electric field times s is
-continuous. In a mesh of linear elements, a piece extends over all layers, because the electric
-field of a linear element is constant across a layer. In a mesh of quadratic elements, each layer is
-a piece. Strain and field are discontinuous at an electrode if the mean strain changes from layer to
-layer. Sources: O. C. Zienkiewicz and J. Z. Zhu, Int. J. Numer. Meth. Eng. 33 (1992) 1331; N.-E.
-Wiberg and F. Abdulwahab, Int. J. Numer. Meth. Eng. 36 (1993) 2703.
+A fit includes only elements of one piece of the mesh. A piece consists of connected elements whose
+materials have the same name, so the strain within a piece is continuous. In a stack with
+alternating poling, the coupling of each layer is s times the coupling of the first layer, where s
+is 1 or -1. Multiplied by the sign s of each layer's coupling, the electric field is continuous
+across the layers. In a mesh of linear elements, one fit includes elements of several layers. A fit
+to linear elements of only one layer would be constant across this layer, like the electric field of
+the elements. In a mesh of quadratic elements, one fit includes elements of only one layer. Strain
+and field are discontinuous at an electrode if the mean strain changes from layer to layer. Sources:
+O. C. Zienkiewicz and J. Z. Zhu, Int. J. Numer. Meth. Eng. 33 (1992) 1331; N.-E. Wiberg and F.
+Abdulwahab, Int. J. Numer. Meth. Eng. 36 (1993) 2703.
 """
 
 from __future__ import annotations
@@ -34,8 +36,8 @@ from kc2spice.fem.solid import Solid, list_strain_operators, list_tensors
 
 CHUNK_SIZE = 1000  # elements or corners processed together, which limits the memory
 # Penalty on the squares of coefficients of degree 1, relative to the mean diagonal entry of the
-# normal equations. The penalty on coefficients of degree p is p^2 times as large. The penalty makes
-# the fit of a polynomial unique if there are too few points.
+# normal equations. The penalty on coefficients of degree p is p^2 times as large.
+# The penalty on coefficients makes the fit of a polynomial to too few points unique.
 RIDGE_PENALTY = 1e-6
 # Penalty on the choice of a neighbouring patch instead of the patch around a corner.
 # The penalty is added to the squared distance between the corner and the patch's mean point.
@@ -45,11 +47,11 @@ NEIGHBOUR_PENALTY = 0.5
 
 @dataclass(frozen=True, eq=False)
 class EnergyProducts:
-    """Energy products between k solutions, and between the errors of the solutions.
+    """Energy inner products between k solutions, and between the solutions' errors.
 
-    The energy products are matrices [J] of shape (k, k). ``solution`` contains the energy products
-    of the solutions, and ``error`` the energy products of the errors. ``spread`` is the sum of the
-    absolute values of all element contributions to ``error``.
+    The energy inner products are matrices [J] of shape (k, k). ``solution`` contains the energy
+    inner products of the solutions, and ``error`` the energy inner products of the errors.
+    ``spread`` is the sum of the absolute values of all element contributions to ``error``.
     """
 
     solution: np.ndarray
@@ -58,10 +60,11 @@ class EnergyProducts:
 
 
 def compute_energy_products(solid: Solid, u: np.ndarray, phi: np.ndarray) -> EnergyProducts:
-    """Compute the energy products of k solutions and of their errors.
+    """Compute the energy inner products of k solutions, and of the solutions' errors.
 
-    Each of the k solutions consists of displacements, a column of ``u`` (d nodes, k) [m], and
-    potentials, a column of ``phi`` (nodes, k) [V].
+    Each of the k solutions consists of displacements, a column of ``u``, and potentials, a column
+    of ``phi``. The displacements [m] have the shape (d * nodes, k), with d components per node. The
+    potentials [V] have the shape (nodes, k).
     """
     patches = _PatchPolynomials.fit_patches(solid, u, phi)
     k = u.shape[1]
@@ -112,8 +115,8 @@ def _evaluate_fields(
 def _compute_coupling_factors(solid: Solid) -> np.ndarray:
     """Return the coupling factor of each material, an array of shape (materials,).
 
-    The coupling factor is the piezoelectric coupling of a material, relative to the coupling of the
-    first material with the same name.
+    The coupling factor is the piezoelectric coupling of a material, divided by the coupling of the
+    first material in ``solid.materials`` that has the same name.
     """
     first = {material.name: material.e for material in reversed(solid.materials)}
     pairs = [(material.e, first[material.name]) for material in solid.materials]
@@ -176,9 +179,9 @@ class _PatchPolynomials:
 
     A patch consists of the elements around a corner of the mesh. The position of this corner is the
     ``middle`` of the patch; ``middle`` [m] has the shape (patches, d). ``coefficients`` (patches,
-    terms, 9 k) are the coefficients of the polynomials in the coordinates ``(x - middle) / size``.
-    ``number`` (elements, corners) contains the number of the patch around each corner of each
-    element.
+    terms, 9 * k) are the coefficients of the polynomials in the coordinates ``(x - middle) /
+    size``. ``number`` (elements, corners) contains the number of the patch around each corner of
+    each element.
     """
 
     number: np.ndarray
@@ -189,7 +192,7 @@ class _PatchPolynomials:
 
     @staticmethod
     def fit_patches(solid: Solid, u: np.ndarray, phi: np.ndarray) -> _PatchPolynomials:
-        """Fit polynomials to the strain and electric field in all patches."""
+        """Fit polynomials to the strain and electric field in all patches of elements."""
         degree = solid.order
         places, samples = _sample_fields(solid, u, phi, solid.order)
         number, middle = _number_patches(solid)
@@ -225,7 +228,7 @@ def _sample_fields(
 
     The first returned array contains the positions [m] of the integration points and has the shape
     (elements, points, d). The second array contains the values of strain and field and has the
-    shape (elements, points, 9 k).
+    shape (elements, points, 9 * k).
     """
     places, values = [], []
     for cells in _split_range(solid.mesh.nelements):
@@ -277,8 +280,8 @@ def _assemble_normal_equations(
     """Return the patch sizes and the normal equations of the least-squares fits.
 
     The sizes have the shape (patches, d). With the monomials p at each point, the normal equations
-    have the matrices ``sum p p'`` (patches, terms, terms). The right-hand sides are ``sum p
-    values`` (patches, terms, 9 k).
+    have the matrices ``sum(p * p')``, of shape (patches, terms, terms). The right-hand sides are
+    ``sum(p * values)``, of shape (patches, terms, 9 * k).
     """
     sizes, sums, rights = [], [], []
     for chosen in _split_range(len(middle)):
@@ -299,7 +302,7 @@ def _assemble_normal_equations(
 def _widen_patches(
     members: sparse.csr_array, number: np.ndarray, middle: np.ndarray, places: np.ndarray
 ) -> sparse.csr_array:
-    """Enlarge patches whose sample points do not surround the patch's corner well.
+    """Widen element patches whose sample points surround the patch centre unevenly.
 
     The added elements are the elements of the best neighbouring patch.
     """
@@ -318,11 +321,11 @@ def _widen_patches(
 def _choose_patches(
     number: np.ndarray, members: sparse.csr_array, middle: np.ndarray, places: np.ndarray
 ) -> np.ndarray:
-    """Return the number of the best patch among each patch and its neighbours.
+    """Choose the best patch of elements for each patch: itself or a neighbour.
 
     The returned array has the shape (patches,). The best patch is the patch whose points surround
-    its corner most evenly. At the surface of the body, all points of a patch are on one side of the
-    corner.
+    its corner most evenly. If a mesh corner is on the surface of the body, all points of its patch
+    are on one side of the corner.
     """
     count, d = places.shape[1], places.shape[2]
     total = np.diff(members.indptr) * count

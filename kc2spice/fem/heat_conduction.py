@@ -32,7 +32,8 @@ MAX_CANDIDATES = 50  # number of elements near a point that may contain the poin
 # a point outside of an element counts as inside up to this distance in local coordinates
 INSIDE_TOLERANCE = 1e-6
 NEWTON_STEPS = 20  # largest number of Newton steps; points inside an element need fewer
-FACE_TOLERANCE = 1e-9  # largest value on a face of a shape function that is zero on the face
+# A shape function counts as zero on a face if its largest value on the face is at most this limit.
+FACE_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +41,8 @@ class HeatSolid:
     """Mesh of a heat-conducting body, with the thermal material of each element.
 
     Element ``k`` has the material ``materials[geometry.owner[k]]``. ``areas`` (elements,) [m^2]
-    contains the cross-sectional areas of line elements. For other elements, ``areas`` is None.
+    contains the cross-sectional areas of line elements. ``areas`` is None if the elements are not
+    lines.
     """
 
     geometry: Solid

@@ -81,7 +81,7 @@ class CellBlock:
 
     @property
     def vertices(self) -> np.ndarray:
-        """Node numbers (elements, corners) of the corners."""
+        """Node numbers of the elements' vertices, an array of shape (elements, corners)."""
         return self.nodes[:, : self.corners]
 
     @property
@@ -166,11 +166,11 @@ def _rotate_to_lowest_node(faces: np.ndarray) -> np.ndarray:
 def divide_cells(blocks: Sequence[CellBlock]) -> tuple[np.ndarray, np.ndarray]:
     """Divide elements into triangles or tetrahedra.
 
-    Return two arrays for the k triangles or tetrahedra. The first array has the shape (k, d + 1)
-    and contains the node numbers of each triangle or tetrahedron. The second array has the shape
-    (k,) and contains the number of the divided element for each triangle or tetrahedron. Each
-    tetrahedron of a divided element consists of the node with the lowest number and a triangle on a
-    face without this node.
+    Return two arrays with k rows or entries, one for each of the k resulting triangles or
+    tetrahedra. The first array has the shape (k, d + 1) and contains the node numbers of each
+    triangle or tetrahedron. The second array has the shape (k,) and contains the number of the
+    divided element for each triangle or tetrahedron. Each tetrahedron of a divided element consists
+    of the node with the lowest number and a triangle on a face without this node.
     """
     pieces, parents, start = [], [], 0
     for block in blocks:
@@ -308,14 +308,17 @@ def _make_product_mesh(
 
 
 def _compute_unit_positions(block: CellBlock) -> np.ndarray:
-    """Return the positions (l, d) of a block's nodes on the unit square or cube."""
+    """Compute the positions of a block's nodes on the unit square or unit cube.
+
+    The returned array has the shape (nodes per element, dimensions).
+    """
     return (block.local + 1) / 2
 
 
 def _match_positions(places: np.ndarray, others: np.ndarray) -> np.ndarray:
     """Match each position to the nearest of several candidates; return the indices.
 
-    ``places`` contains the candidates, and ``others`` contains the positions.
+    Each position in ``others`` is matched to the nearest candidate position in ``places``.
     """
     distance = np.linalg.norm(places[None] - others[:, None], axis=-1)
     return np.asarray(distance.argmin(axis=1))

@@ -17,7 +17,7 @@ import scipy
 
 from kc2spice.core.errors import SimulationError
 
-SLICE_COUNT = 4  # number of slices with about 21 bits each
+SLICE_COUNT = 4  # number of parts of about 21 bits into which each matrix entry is split
 MAX_REFINEMENTS = 5
 # relative correction below which the next correction of a solution is a rounding error
 CONVERGED_CORRECTION = 1e-8

@@ -22,7 +22,7 @@ import scipy
 from kc2spice.core.errors import MissingToolError
 from kc2spice.core.optional_libraries import OPTIONAL_LIBRARIES
 
-# Codes of PARDISO for symmetric matrices. The key states whether the matrix is complex.
+# Codes of PARDISO for symmetric matrices, keyed by whether the matrix is complex.
 # PARDISO reads only the upper triangle of a symmetric matrix.
 SYMMETRIC_TYPES = {False: -2, True: 6}
 UNSYMMETRIC_TYPES = {False: 11, True: 13}
@@ -32,8 +32,8 @@ SOLVE = 33
 RELEASE = -1
 # largest relative difference from the transpose for which a matrix counts as symmetric
 SYMMETRY_TOLERANCE = 1e-12
-# Exponent k of the pivot limit. The key states whether the matrix is symmetric.
 # PARDISO replaces pivots that are smaller than 10^-k times the norm of the matrix.
+# The exponent k is 8 for symmetric matrices, and 13 for unsymmetric matrices.
 PIVOT_DIGITS = {True: 8, False: 13}
 # indices in the parameter array ``iparm``, counted from 0
 OWN_VALUES = 0
@@ -50,7 +50,7 @@ NESTED_DISSECTION = 2  # value of ``iparm[ORDER]``: nested dissection by METIS
 class Pardiso:
     """PARDISO factorisation of a real or complex sparse matrix.
 
-    The matrix may be symmetric.
+    The matrix may be symmetric or unsymmetric.
 
     Parameters
     ----------
@@ -60,7 +60,8 @@ class Pardiso:
     Attributes
     ----------
     negative_eigenvalues : int or None
-        Number of negative eigenvalues; None for complex, unsymmetric and nearly singular matrices.
+        Number of negative eigenvalues, or None if the matrix is complex, unsymmetric or nearly
+        singular.
 
     Raises
     ------
@@ -69,7 +70,8 @@ class Pardiso:
     """
 
     def __init__(self, matrix: Any) -> None:
-        _load_library()  # raises an error before memory is allocated
+        # without the package ``mkl``, this call raises MissingToolError before memory is allocated
+        _load_library()
         difference = abs(matrix - matrix.T).max()
         symmetric = bool(difference <= SYMMETRY_TOLERANCE * abs(matrix).max())
         complex_numbers = bool(np.iscomplexobj(matrix))

@@ -30,7 +30,7 @@ from scipy.linalg.lapack import dpotrf
 # size. The shares were chosen by timing. Zeros cost operations, and many small supernodes cost
 # Python time.
 ZERO_SHARES = ((48, 1.0), (160, 0.4), (500, 0.12), (np.inf, 0.05))
-STRIP_WIDTH = 64  # columns of a Schur complement that are added at once
+STRIP_WIDTH = 64  # largest number of Schur-complement columns that are added in one step
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,9 +52,10 @@ class Supernode:
 class ColumnPanel:
     """Columns of the factor L for a supernode with k pivots and m coupled rows.
 
-    ``pivot_order`` (k,) is the order of the pivots. In D, the first ``positive`` pivots have the
-    entry 1, and the other pivots -1. ``triangle`` (k, k) contains the pivot rows of these columns,
-    and ``below`` (m, k) the coupled rows.
+    ``pivot_order`` (k,) is the order of the pivots. ``positive`` is the number of pivots whose
+    entry in the diagonal matrix D is 1; these pivots come first. All other pivots have the entry -1
+    in D. ``triangle`` (k, k) contains the pivot rows of these columns, and ``below`` (m, k) the
+    coupled rows.
     """
 
     pivot_order: np.ndarray
@@ -247,7 +248,7 @@ def _find_neighbours(
 def _build_elimination_tree(above: Sequence[Sequence[int]]) -> list[int]:
     """Return the parent of each group in the elimination tree, or -1 for a root.
 
-    Source: algorithm 4.2 of J. W. H. Liu.
+    The function implements algorithm 4.2 of Liu (SIAM Review 34 (1992) 82).
     """
     parent, ancestor = [-1] * len(above), [-1] * len(above)
     for i, earlier in enumerate(above):

@@ -166,7 +166,7 @@ def build_tree(cards: Iterable[Statement]) -> Circuit:
 def _read_items(
     cards: Iterator[Statement], head: Statement | None
 ) -> tuple[tuple[Item, ...], tuple[str, ...]]:
-    """Return the items of a subcircuit or file, and the comments above its end.
+    """Return the items of a subcircuit or file, and the comments after the last item.
 
     ``head`` is the ``.subckt`` card that begins the subcircuit. Without ``head``, the function
     reads to the end of the file.

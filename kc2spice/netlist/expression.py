@@ -35,7 +35,7 @@ for _rank, _operators in enumerate(_OPERATOR_LEVELS):
     _PRECEDENCE |= dict.fromkeys(_operators, _rank)
 # Powers of ten of the scale factors that may follow a number, such as 6 for ``meg``.
 PREFIXES = {"meg": 6, "t": 12, "g": 9, "k": 3, "m": -3, "u": -6, "n": -9, "p": -12, "f": -15, "": 0}
-MIL = 25.4e-6  # m, the only scale factor that is not a power of ten
+MIL = 25.4e-6  # scale factor ``mil`` [m], the only scale factor that is not a power of ten
 
 
 @dataclass(frozen=True)
@@ -412,7 +412,7 @@ class Trace:
     parameter: str = ""
 
     def qualify_with_instance(self, instance: str) -> Trace:
-        """Return the same vector inside an instance of the circuit."""
+        """Return the saved vector with its names prefixed by a subcircuit instance."""
         if self.quantity == "v":
             return replace(self, names=tuple(f"{instance}.{name}" for name in self.names))
         return replace(self, path=(instance, *self.path))
@@ -455,7 +455,7 @@ def _parse_device(text: str, parameter: str) -> Trace:
 
 
 def split_terms(expression: str) -> list[tuple[float, str]]:
-    """Return the signs and the vectors of the terms of a sum.
+    """Split a sum into terms; return the sign and the ngspice vector of each term.
 
     The result for ``v(a)-v(b)`` is ``[(1, "v(a)"), (-1, "v(b)")]``.
     """

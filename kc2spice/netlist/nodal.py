@@ -93,7 +93,7 @@ class NodalCircuit:
 
     @cached_property
     def element_values(self) -> list[tuple[Element, Tree | float]]:
-        """Elements with the expressions of their values; the value of a source is 0."""
+        """Pairs of an element and its value or expression; voltage sources have value 0."""
         items = select_items(self.circuit.items, Element)
         return list(zip(items, map(_parse_value, items), strict=True))
 
@@ -180,8 +180,8 @@ def _stamp_entries(item: Element, size: float) -> Iterable[tuple[int, str, str, 
     An entry consists of the number of the matrix (0: G, 1: C), the number of the equation, the
     number of the unknown, and the value.
 
-    In the equation of a node, the sum of the currents out of the node is zero. In the equation of
-    an element current, the constitutive equation of the element is satisfied.
+    The equation of a node states that the currents out of the node sum to zero. The equation of an
+    element's current is the constitutive equation of the element.
     """
     a, b = item.lower_case_nodes[:2]
     if item.kind in "rc":

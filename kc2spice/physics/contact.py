@@ -24,10 +24,11 @@ from kc2spice.physics.symbolic_algebra import (
 )
 
 CONTACT_RATING = "not known; compare the force with the strength of both surfaces (Hertz)"
-# Note on the mesh error of a pressure law, which is the error of the fitted compliances.
+# SPACING_NOTE is printed in place of an error estimate for the mesh of a pressure law.
+# The mesh error of a pressure law is the error of the fitted compliances.
 SPACING_NOTE = "error not estimated; a run with half the key spacing shows it"
-# Reason for FRICTION_NOTE: in a test with compiled modules, a block slid 35 mm instead of 0.2 mm.
-# In the test with compiled modules, the simulator printed no error message.
+# Reason for FRICTION_NOTE: in a test, a block in compiled Verilog-A slid 35 mm instead of 0.2 mm.
+# The simulator printed no error message about the wrong sliding distance of the block.
 FRICTION_NOTE = "compiled modules lose the digits that friction below its creep speed needs"
 SIGN_NOTE = "um, m/s and N count upwards; 1 A into a pin pushes the part up with 1 N"
 
@@ -36,20 +37,20 @@ SIGN_NOTE = "um, m/s and N count upwards; 1 A into a pin pushes the part up with
 class ContactForce:
     """Law of the normal force and of the friction force in a contact.
 
-    For an overlap x above zero, the normal force is ``F = f(x) max(0, 1 + damping x')`` (Hunt and
-    Crossley 1975) with ``f(x) = stiffness x^power (curve_0 + curve_1 s + ...)`` and ``s = sqrt(x /
-    depth)``.
+    For an overlap x above zero, the normal force is ``F = f(x) * max(0, 1 + damping * x')`` (Hunt
+    and Crossley 1975) with ``f(x) = stiffness * x^power * (curve_0 + curve_1 * s + ...)`` and ``s =
+    sqrt(x / depth)``.
 
     ``stiffness`` has the unit N/m^power, and ``power`` is 1 or 1.5. ``curve`` contains the
     coefficients ``curve_0`` = 1, ``curve_1``, …. A law with several coefficients is a pressure law,
     which is valid for overlaps up to ``depth`` [m] under a sphere of ``radius`` [m]. ``pace`` [s]
-    is the response time of the surfaces to the force: the law contains ``x + pace x'`` in place of
-    x. The force is never attractive: it is zero if the surfaces separate faster than ``1 /
+    is the response time of the surfaces to the force: the law contains ``x + pace * x'`` in place
+    of x. The force is never attractive: it is zero if the surfaces separate faster than ``1 /
     damping`` [m/s].
 
     ``friction`` is Coulomb's friction coefficient: at the sliding speed v, the friction force is
-    ``F friction clip(v / creep)``. Below the speed ``creep`` [m/s], the friction is viscous, so
-    that the surfaces do not stick.
+    ``friction * F * clip(v / creep, -1, 1)``. Below the speed ``creep`` [m/s], the friction is
+    viscous, so that the surfaces do not stick.
     """
 
     stiffness: float
@@ -64,7 +65,7 @@ class ContactForce:
 
     @property
     def law_constants(self) -> dict[str, float]:
-        """Stiffness and series coefficients in the law's expressions, keyed by name."""
+        """Constants of the contact law: stiffness and power-series coefficients, by name."""
         result = {f"c{k}": c / self.depth ** (k / 2) for k, c in enumerate(self.curve) if k}
         return {"eps": self.stiffness} | result
 
@@ -93,7 +94,8 @@ def _make_contact_laws(power: float, count: int, damped: bool) -> tuple[Tree, Tr
     """Return expressions of stored energy, elastic force, and force with damping.
 
     The stored energy is the integral of the elastic force. The variables are the overlap ``x`` and
-    its rate ``x_rate``. ``count`` is the number of coefficients of the curve.
+    its rate ``x_rate``. ``count`` is the number of coefficients ``curve_0``, ``curve_1``, … of the
+    contact law (:class:`ContactForce`).
     """
     terms = []
     # With the arguments in the order (0, x), the derivative of max(0, x) is 1 at x = 0.
@@ -135,13 +137,15 @@ def declare_contact(
     ``rigid`` contains two flags, which state whether the first side and the second side are rigid.
     A rigid first side has the pins ``va`` (velocity) and ``a``, and a rigid second side has the
     pins ``v`` and ``bottom``. An elastic first side has its ports as pins, and an elastic second
-    side has the pin ``b``. ``carried`` is a pin that carries the lower side. The displacement of
-    this pin is added to the displacement of the lower side. A contact with friction has the pins
+    side has the pin ``b``. ``carried`` is the name of an additional pin, for example of the pin
+    whose displacement is the indentation of an elastic sphere. The displacement of the pin
+    ``carried`` is added to the displacement of the lower side. A contact with friction has the pins
     ``slide`` and ``rail``, whose relative velocity is the sliding speed. ``groove`` is the opening
     angle of a groove in degrees.
 
-    A pressure law is fitted for one radius of the sphere. For a sphere of another radius, the
-    overlap is multiplied by ``share`` before the pressure is computed.
+    A pressure law is fitted for one radius of the sphere. For a sphere whose radius differs from
+    the fitted radius, the overlap is multiplied by ``share``, the radius divided by the fitted
+    radius.
     """
     high, low = ("a",) if rigid[0] else ports, "bottom" if rigid[1] else "b"
     constants = {name: repr(value) for name, value in law.law_constants.items() if name != "eps"}

@@ -34,8 +34,8 @@ _PREFIXABLE_UNITS = {
 def render_figure(figure: Figure) -> str:
     """Return a figure as the HTML element ``<figure>``.
 
-    The element contains the caption, and the panels as JSON. Panels without curves and maps are
-    omitted. Return an empty string if no panel remains.
+    The element contains the caption, and the panels as JSON. Panels that contain neither curves nor
+    a map are omitted. Return an empty string if no panel remains.
     """
     stacked = figure.columns == 1
     panels = list(chain.from_iterable(map(_split_panel, figure.panels)))
@@ -78,7 +78,8 @@ def _split_panel(panel: Panel) -> Iterator[Panel]:
 def _sort_curves(panel: Panel) -> Panel:
     """Return a panel with curves whose x increases.
 
-    A panel with equal scales of both axes contains outlines and is returned unchanged.
+    A panel with equal scales of both axes is returned unchanged, because the points of outlines
+    must keep their order.
     """
     if panel.equal:
         return panel

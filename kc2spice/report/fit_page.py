@@ -18,7 +18,7 @@ from kc2spice.report.html import PageSection, write_page
 
 @dataclass(frozen=True, eq=False)
 class PlottedCurve:
-    """Curve in a figure of a fit: measured, initial and fitted admittances.
+    """Plotted curve of a fit: one admittance, as measured, before and after the fit.
 
     ``before`` contains the admittances before the fit, ``after`` the fitted admittances.
 
@@ -73,7 +73,7 @@ def format_fit(record: Mapping[str, Any]) -> list[PageSection]:
 
 
 def _make_curve_row(curve: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the table row of a measured curve: file, keys, use and errors.
+    """Return the table row of a curve: file, keys, fitted or predicted, and errors.
 
     The use of a curve is ``fitted`` or ``predicted``.
     """
@@ -85,7 +85,7 @@ def _make_curve_row(curve: Mapping[str, Any]) -> tuple[str, ...]:
 def _make_value_row(key: str, item: Mapping[str, Any]) -> tuple[str, ...]:
     """Return the table row of a fitted key: value, standard error, range and bound.
 
-    The column for the bound states whether the value is at an end of the range.
+    If the fitted value has reached an end of its range, the column "bound" contains "met".
     """
     limits = f"{item['low']:g} to {item['high']:g}"
     bound = "met" if item["at_bound"] else ""

@@ -1,8 +1,8 @@
 """Figure of the results that the probes of a scene read.
 
-The inputs are the probes, and the waveforms of a run with units. The output is one figure with a
-panel for each unit. A sound pressure versus frequency is drawn as a sound pressure level. A sound
-pressure versus time is drawn as a waveform.
+The inputs are the probes of a scene, and the waveforms of a run with the unit of each waveform. The
+output is one figure with a panel for each unit. A sound pressure versus frequency is drawn as a
+sound pressure level. A sound pressure versus time is drawn as a waveform.
 """
 
 from __future__ import annotations

@@ -142,9 +142,9 @@ def plot_comparison(
 ) -> Iterator[Figure]:
     """Plot the waveforms of all solutions, and differences from the first solution.
 
-    The first figure has a panel for each unit, with the largest waveform of the unit. The second
-    figure shows the differences of the same waveforms between the first solution and each other
-    solution.
+    Each panel of the first figure belongs to one unit, and shows the waveform with the largest
+    magnitude in this unit. The second figure shows the differences of the same waveforms between
+    the first solution and each other solution.
     """
     (first, exact), *others = solutions.items()
     scale = next(iter(exact))
@@ -208,7 +208,7 @@ def _is_driving_point(response: str) -> bool:
 def _find_largest_wave_names(
     names: Iterable[str], waves: Waveforms, units: Mapping[str, str]
 ) -> list[str]:
-    """Return the names of the largest waveforms, one for each of a few units.
+    """Find the largest waveform's name for each unit, of up to ``MAX_PANELS`` units.
 
     At most ``MAX_PANELS`` units are selected. The order is the order in which the units first occur
     in ``names``.

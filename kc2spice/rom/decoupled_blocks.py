@@ -4,8 +4,8 @@ A real pole becomes one block, and a complex pair of poles becomes one 2 x 2 blo
 defective or nearly equal poles remain together in one larger block. The solution of a Sylvester
 equation decouples a cluster of poles in the real Schur form. A cluster is decoupled only if the
 norm of the solution is below a limit (Bavely and Stewart, SIAM J. Numer. Anal. 16 (1979) 359). The
-size of a netlist is proportional to the square of the block size. Therefore, larger limits are
-tried as long as the response remains accurate.
+size of a netlist is proportional to the square of the block size. To obtain smaller blocks, larger
+limits of the norm are tried as long as the response of the model remains accurate.
 """
 
 from __future__ import annotations
@@ -24,12 +24,15 @@ from kc2spice.rom.pencil import find_largest_entry, make_explicit_pencil
 
 # Largest norm of the solution of a Sylvester equation; a norm of 1000 loses three digits.
 CONDITION_LIMIT = 1e3
-# larger limits of the norm, which are accepted if the response remains accurate
+# Limits of the Sylvester solution's norm that are tried if CONDITION_LIMIT gives large blocks.
+# One of LARGER_LIMITS replaces CONDITION_LIMIT only if the response of the blocks stays accurate.
 LARGER_LIMITS = 1e5, 1e7, 1e9
-MAX_BLOCK_STATES = 4  # a larger limit is tried only if a block has more states than this number
-# permitted relative change of the response by a larger limit
+# The next larger of LARGER_LIMITS is tried only if a block has more than MAX_BLOCK_STATES states.
+MAX_BLOCK_STATES = 4
+# permitted relative change of the response if one of LARGER_LIMITS replaces CONDITION_LIMIT
 MAX_RESPONSE_CHANGE = 1e-9
-# permitted relative change of the response by a larger limit / error estimate
+# Largest accepted ratio: relative change of the response by the transformation to blocks, divided
+# by the error estimate of the reduced model.
 MAX_ERROR_SHARE = 1e-2
 COMPARED_FREQUENCIES = 40  # number of frequencies at which the response is compared
 EQUALITY_TOLERANCE = 1e-13  # smaller relative numbers count as zero

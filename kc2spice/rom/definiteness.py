@@ -11,27 +11,34 @@ from kc2spice.rom.rounding import ZERO_ENTRY_FACTOR
 
 
 def has_definite_form(pencil: Pencil, *, undamped_too: bool = False) -> bool:
-    """Return whether a model is symmetric, collocated and proportionally damped.
+    """Return whether a model has the structure that definite models have.
 
-    The definite form is defined only for second-order models. If ``undamped_too`` is true, undamped
-    models also have the form.
+    A model with this structure, the definite form, is symmetric, collocated, proportionally damped
+    and of second order. If ``undamped_too`` is true, undamped models also have the definite form.
+    The function does not check whether the matrices are positive definite.
     """
     proportional = pencil.rayleigh is not None or (undamped_too and pencil.is_undamped)
     return pencil.degree == 2 and proportional and pencil.is_symmetric and pencil.is_collocated
 
 
 def allows_cholesky(pencil: Pencil) -> bool:
-    """Return whether one factorisation without pivoting is enough if K is definite.
+    """Return whether a model's form allows Cholesky factorisation of its stiffness.
 
-    One factorisation is enough for models of definite form whose stiffness matrix K is positive
-    definite. The function does not check whether K is positive definite.
+    The model must have definite form (:func:`has_definite_form`). If the stiffness matrix K is a
+    Schur complement, the result is true only if the model has at least ``QUASI_DEFINITE_UNKNOWNS``
+    unknowns. With fewer unknowns, factors with pivoting are faster. The function does not check
+    whether K is positive definite.
     """
     K, form = pencil.coefficients[0], has_definite_form(pencil, undamped_too=True)
     return form and not (isinstance(K, SchurComplement) and not K.is_large)
 
 
 def is_definite(pencil: Pencil, *, undamped_too: bool = False) -> bool:
-    """Return whether a model has definite form and a positive definite matrix K."""
+    """Return whether a symmetric model has a positive definite stiffness matrix K.
+
+    The result is also False if the model does not have definite form: if it is not symmetric, not
+    collocated or not proportionally damped (:func:`has_definite_form`).
+    """
     if not has_definite_form(pencil, undamped_too=undamped_too):
         return False
     load = np.random.default_rng(0).standard_normal((pencil.size, 1))
@@ -54,8 +61,8 @@ def _is_free_to_move(K: Matrix, y: np.ndarray, load: np.ndarray) -> bool:
     soft = bool(np.sum(y * load) < rounding)
     if not soft or isinstance(K, SchurComplement):
         return soft
-    # The energy is computed from the entries of K, because only these entries define soft supports.
-    # The factor of K may have larger rounding errors than the entries of K.
+    # The energy y'Ky is computed from the entries of K, not from the factorisation of K.
+    # Rounding errors of the factorisation may exceed the stiffness of a soft support.
     y = y / np.linalg.norm(y)
     energy, noise = float(np.sum(y * (K @ y))), float(estimate_energy_rounding(K, y)[0, 0])
     return energy <= ENERGY_FACTOR * noise

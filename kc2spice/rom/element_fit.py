@@ -30,12 +30,14 @@ DEVIATION_FLOOR = 1e-6  # smaller relative deviations hardly change the informat
 TRIAL_EVALUATIONS = 40  # largest number of evaluations of the residuals for a candidate sum
 # A fit has converged if the parameters and the sum of squares change by less than this ratio.
 CONVERGENCE_TOLERANCE = 1e-12
-# largest logarithm of a parameter: above the values of real parts, within the range of floats
+# Largest logarithm of a parameter: larger than for real components, but in the range of floats.
 MAX_LOG_PARAMETER = 150.0
 DC_WEIGHT = 1e4  # weight of a prescribed dc conductance, relative to the weight of all samples
 # a part blocks direct current if (susceptance / conductance) at low frequencies exceeds this ratio
 CAPACITIVE_RATIO = np.tan(np.deg2rad(45))
-LOWEST_SAMPLES = 5  # number of lowest sample frequencies for the mean phase
+# The mean phase of this number of samples, at the lowest frequencies, determines whether a part
+# conducts direct current.
+LOWEST_SAMPLES = 5
 Logs = tuple[float, ...]
 Response = tuple[np.ndarray, list[np.ndarray]]  # Y (n,), and dY / dlog p (n,) for every parameter
 
@@ -113,7 +115,11 @@ class FitElement:
     logs: Logs
 
     def response(self, s: np.ndarray) -> Response:
-        """Return the admittance, or impedance of a lead, and its parameter derivatives."""
+        """Return the response of the element, and its derivatives by the parameters.
+
+        The response is the admittance of a parallel element, or the impedance of a series element
+        (lead).
+        """
         logs = np.clip(self.logs, -MAX_LOG_PARAMETER, MAX_LOG_PARAMETER)
         return ELEMENT_FORMS[self.form](logs, s)
 
@@ -133,7 +139,7 @@ class FitElement:
 
     @property
     def conductance(self) -> float:
-        """Conductance at zero frequency [S]; zero for a lead."""
+        """Conductance [S] of a parallel element at zero frequency; 0 for series elements."""
         return self.amplitude if self.form in CONDUCTING_FORMS else 0.0
 
     def make_branch(self) -> CircuitBranch:
@@ -187,10 +193,10 @@ class AdmittanceSamples:
 
     @cached_property
     def tolerance(self) -> np.ndarray:
-        """Relative deviation (n,) of the fit below which no element is added.
+        """Tolerance of relative deviations; smaller deviations add no element to a fit.
 
-        The tolerance combines :data:`INSTRUMENT_DEVIATION` and the effect of frequencies that are
-        rounded in the file.
+        The tolerance (n,) combines :data:`INSTRUMENT_DEVIATION` and the effect of frequencies that
+        are rounded in the file.
         """
         by_frequency = np.abs(np.gradient(self.Y, self.f) / self.Y)
         return np.asarray(
@@ -276,7 +282,7 @@ class AdmittanceSamples:
         return np.concatenate([x.real, x.imag, [self._dc_weight * dc / self.conductance]])
 
     def fit_amplitudes(self, elements: Elements) -> tuple[Elements, float]:
-        """Fit the amplitudes of the parallel elements for given leads.
+        """Fit the amplitudes of parallel elements; the series leads keep their values.
 
         The amplitudes are not negative, and elements with an amplitude of zero are omitted. The
         second result is the residual norm of the linear least-squares problem for the amplitudes.
@@ -354,8 +360,8 @@ def estimate_frequency_rounding(f: np.ndarray) -> float:
     """Estimate the rms rounding error [Hz] of the listed frequencies ``f`` (n,).
 
     The estimate is the rms difference between ``f`` and frequencies with equal linear or
-    logarithmic steps. If rounding of the last decimal digit cannot cause the rms difference, the
-    estimate is 0.
+    logarithmic steps. If the steps are unequal by more than rounding of the last decimal digit can
+    cause, the estimate is 0.
 
     Examples
     --------

@@ -10,8 +10,8 @@ positive real part, proves that the model is unstable.
 * For other models, the Cayley transform ``(A + c E) (A - c E)^-1`` of the linear pencil is used.
   Growing poles become eigenvalues outside of the unit circle. Computing the largest eigenvalues of
   the Cayley transform requires one real factorisation (Y. Saad, Numerical Methods for Large
-  Eigenvalue Problems, 2011, 8.1). Two values of c are tried: the angular frequency at the end of
-  the band, and the median rate of the diagonals of the matrices.
+  Eigenvalue Problems, 2011, 8.1). Two values of c are tried: the angular frequency at the upper end
+  of the band, and the median of the rates ``(k_ii / m_ii)^(1/degree)`` of all unknowns.
 
 The test does not find a pole whose real part is below about a hundredth of the pole's magnitude.
 """
@@ -105,10 +105,10 @@ def _has_negative_stiffness(pencil: Pencil) -> bool:
 
 
 def _find_highest_energy(P: Matrix) -> np.ndarray | None:
-    """Find the vector x with the largest energy ``x'Px`` for a symmetric matrix P.
+    """Find the vector x of unit weighted norm that maximises the energy ``x'Px``.
 
-    The length of x is ``sum_i w_i x_i^2 = 1``, where the weights w_i are the row sums of ``|P|``.
-    Return None if the Lanczos method does not converge.
+    P is a symmetric matrix. The weighted norm of x is one if ``sum_i w_i x_i^2 = 1``. The weights
+    w_i are the row sums of ``|P|``. Return None if the Lanczos method does not converge.
     """
     size = np.asarray(abs(P).sum(axis=1)).ravel()
     if not size.any():
@@ -127,7 +127,7 @@ def _find_highest_energy(P: Matrix) -> np.ndarray | None:
 def _compute_median_rate(pencil: Pencil) -> float:
     """Return the median rate ``(k_ii / m_ii)^(1/degree)`` [1/s] of all unknowns.
 
-    Unknowns without inertia or stiffness are ignored.
+    Unknowns are ignored if their inertia, their stiffness or both are zero.
     """
     rest, inertia = (abs(P.diagonal()) for P in (pencil.coefficients[0], pencil.coefficients[-1]))
     moving = (rest > 0) & (inertia > 0)

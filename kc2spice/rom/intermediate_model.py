@@ -36,7 +36,8 @@ class IntermediateModel:
     complete : bool
         Whether this model is the full-order model in other coordinates.
     hidden : float
-        Frequency [Hz] below which rounding errors hide the resonance of a support.
+        Frequency [Hz] below which the stiffness matrix cannot represent the resonance of a body on
+        a support, because of rounding errors.
     basis : (n, k) array, optional
         Column k expresses the unknown k of this model in the unknowns of the full-order model.
     points : tuple of floats

@@ -10,8 +10,9 @@ mass. Without relaxations, a dashpot ``v = h / w_j`` is exact at the resonance `
 of a dashpot increases with frequency. Therefore, the response near the resonance has an error of
 ``eta / 4``, relative to the peak, with the loss factor ``eta = h / k``. With one relaxation of rate
 ``w_j``, the loss is constant near the resonance. By causality, the stiffness of a relaxation
-increases with frequency. A slightly larger mass compensates for the increase of the stiffness. The
-value and the slope of the dynamic stiffness are exact at the resonance for the coefficients
+increases with frequency. A slightly larger mass, ``m > 1``, compensates near the resonance for the
+stiffness that the relaxation adds. The value and the slope of the dynamic stiffness are exact at
+the resonance for the coefficients
 
     c_1 = 2 eta k,    c_0 = (1 - eta / 2) k,    m = 1 + eta / 2,
 
@@ -29,7 +30,8 @@ import numpy as np
 import scipy
 
 WEIGHT_UPDATES = 10  # number of updates of Lawson's weights
-MIN_WEIGHT_FACTOR = 0.02  # smallest squared factor of a weight in an update
+# Each update multiplies a weight by sqrt(error / largest error + MIN_WEIGHT_FACTOR).
+MIN_WEIGHT_FACTOR = 0.02
 MIN_AMPLITUDE = 1e-12  # smallest amplitude of a relaxation, relative to the stiffness ``c_0``
 
 

@@ -1,10 +1,9 @@
 """Parallel branches of resistors, inductors and capacitors: a passive one-port.
 
 Every branch is a series circuit of one, two or three of the elements R, L and C. All branches and
-the capacitance ``C0`` are in parallel. With the charges ``q_k`` of the branches, the voltage u and
-the charge y of the port, the equations are::
-
-    L_k q_k'' + R_k q_k' + q_k / C_k = u        y = sum_k q_k + C0 u
+the capacitance ``C0`` are in parallel. The charge of branch k is ``q_k``. The voltage u and the
+charge y of the port follow from ``L_k q_k'' + R_k q_k' + q_k / C_k = u`` and
+``y = sum_k q_k + C0 u``.
 
 The network is a linear model with diagonal matrices and a column B of ones. Every linear model of
 this form is recognised as a network. The current of all branches may flow through leads with a
@@ -77,8 +76,8 @@ class ParallelBranches:
     def to_linear_model(self, certificate: Certificate | None = None) -> LinearModel:
         """Convert the network to a linear model.
 
-        The inverse conversion by :func:`recognise_parallel_branches` is exact if the network has no
-        lead.
+        The inverse conversion by :func:`recognise_parallel_branches` is exact if ``lead``, the
+        impedance in series with all branches, is zero.
         """
         branches, capacitance = self.branches, self.capacitance
         if self.lead != IDEAL_LEAD and capacitance > 0:

@@ -13,22 +13,24 @@ from kc2spice.rom.reduced_basis import ReducedBasis, ReductionTask
 from kc2spice.rom.reductors.base import Reductor
 from kc2spice.rom.stability import DEFINITE_EVIDENCE, StabilityProof
 
-# For models with more states, other projections are not tried only to complete the certificate.
-# The certificate states the numbers of states with and without definite matrices.
+# Up to this number of states of a congruence, a general projection is also computed for comparison.
+# The certificate then states how many states the congruence and the general projection need.
 # Found by trials; a larger value increases the computing time.
 MAX_COMPARED_STATES = 200
-# Another projection replaces a congruence if it needs at most this share of the states.
+# A general projection replaces a congruence if the number of states of the projection, divided by
+# the number of states of the congruence, is at most this ratio.
 # For example, a general projection with 10 states replaces a congruence with 11 states.
 # Only a congruence of definite matrices gives resonators, whose form proves stability.
 SAVING_RATIO = 0.91
 
 
 def find_least_order(basis: ReducedBasis, tolerance: float, states: float = np.inf) -> int | None:
-    """Return the smallest order within tolerance with fewer than ``states`` states.
+    """Find the least order whose model meets the limits of error and state count.
 
-    ``states`` counts first-order states. The result is None if no order is acceptable. All orders
-    are tried in ascending order, because the error may increase with the order, and because models
-    of low order need little computing time.
+    The error is at most ``tolerance``. The reduced model has fewer than ``states`` first-order
+    states. The result is None if no order is acceptable. All orders are tried in ascending order,
+    because the error may increase with the order, and because models of low order need little
+    computing time.
     """
     most = int(min(basis.size, (states - 1) // basis.pencil.degree))
     orders = range(max(basis.fixed, 1), most + 1)
@@ -74,9 +76,11 @@ def select_fewest_states(
     """Find the basis and the order that meet the tolerance with the fewest states.
 
     Congruences are preferred, because a congruence of definite matrices gives a model of passive
-    resonators. Other projections are used only if all ports are signals and the projection needs
-    about a tenth fewer states. If ``keep_form`` is true, other projections are never used. If
-    ``shorten`` is true, the reductor of the congruence then searches for a shorter basis.
+    resonators. An oblique projection is used only if all ports are signals, and if the projection
+    needs fewer states than a congruence. In place of a congruence of definite matrices, an oblique
+    projection must need at least about 9 % fewer states. If ``keep_form`` is true, only congruences
+    are used. If ``shorten`` is true, the reductor that computed the congruence then searches for a
+    basis of fewer vectors.
 
     Raises
     ------
@@ -90,7 +94,7 @@ def select_fewest_states(
     other = None
     if signals and not (form and form.passive):
         other = _select_fewest_states(task, others, tolerance, task.states + 1)
-    if other and not form:  # a congruence has no advantage if there is no form to preserve
+    if other and not form:  # without a proof of stability, a congruence has no advantage
         return _replace_origin(other, f"{other[0].origin}; ")
     most = int(other[1] / share) if other else np.inf
     reductor, basis, order = _select_smallest_order(
@@ -113,7 +117,7 @@ def select_fewest_states(
 
 
 def _prove_stability(task: ReductionTask) -> StabilityProof | None:
-    """Return the proof of stability that a congruence preserves, if there is one.
+    """Prove that a model and its congruent projections are stable, or return None.
 
     The proof is for the intermediate model. The result is None for a first-order model that is not
     symmetric, because a congruence does not preserve the stability of such a model.
@@ -171,7 +175,10 @@ def _select_smallest_order(
 
 
 def _replace_origin(result: tuple[ReducedBasis, int], text: str) -> tuple[ReducedBasis, int]:
-    """Return basis and order, with ``text`` as the stated origin of the basis."""
+    """Set the description of a basis's origin to ``text``.
+
+    ``result`` contains the basis and the order of its reduced model; the order is unchanged.
+    """
     basis, order = result
     return replace(basis, origin=text), order
 

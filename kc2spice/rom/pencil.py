@@ -44,7 +44,7 @@ class SharedValue(Generic[T]):
 
     @property
     def value_or_none(self) -> T | None:
-        """Shared value, or None if the value is not yet computed."""
+        """Value that several models share, or None if the value is not yet computed."""
         return self._values[0] if self._values else None
 
     def get(self, compute: Callable[[], T]) -> T:
@@ -54,7 +54,7 @@ class SharedValue(Generic[T]):
         return self._values[0]
 
     def share_with(self, other: SharedValue[T]) -> None:
-        """Share the value of ``other``, so that both objects compute the value only once."""
+        """Share the cached value with another object, so that only one computes it."""
         self._values = other._values
 
 
@@ -85,7 +85,7 @@ class SchurComplement:
 
     @property
     def is_symmetric(self) -> bool:
-        """Whether the matrix of all four blocks is symmetric.
+        """Whether the four blocks of a Schur complement form a symmetric matrix.
 
         The diagonal blocks must be symmetric, and ``up`` must be the transpose of ``pu``.
 
@@ -117,8 +117,8 @@ class SchurComplement:
         """Return whether a factorisation of all blocks proves positive definiteness.
 
         The matrix of all blocks has as many negative eigenvalues as ``pp`` and the Schur complement
-        have together (Haynsworth 1968). A positive definite Schur complement has no negative
-        eigenvalue.
+        have together (Haynsworth 1968). The Schur complement is positive definite if all negative
+        eigenvalues of the matrix belong to ``pp``.
         """
         count = self.pp.shape[0]
         return factor is not None and factor.negative == count == self.inner_factor.negative
@@ -144,7 +144,10 @@ class SchurComplement:
     def make_damping_matrix(
         self, alpha: float, beta: float, M: scipy.sparse.csc_array
     ) -> SchurComplement:
-        """Return the damping matrix ``alpha M + beta S`` for this Schur complement S."""
+        """Return the Rayleigh damping matrix ``alpha M + beta S`` of a stiffness S.
+
+        The stiffness S is this Schur complement.
+        """
         return self._replace_blocks(alpha * M + beta * self.uu, beta * self.up, self.pu)
 
     def _replace_blocks(self, uu: Matrix, up: Matrix, pu: Matrix) -> SchurComplement:
@@ -220,8 +223,8 @@ def apply_congruence(P: Matrix, V: np.ndarray, known: bool = False) -> np.ndarra
     """Compute the congruence ``V'PV`` of a matrix P with the basis V.
 
     If P is symmetric or skew-symmetric within rounding errors, the result is exactly symmetric or
-    skew-symmetric. If ``known`` is true, P must be symmetric. The symmetry is then not tested,
-    because the test takes longer than the product.
+    skew-symmetric. If ``known`` is true, the caller guarantees that P is symmetric. The symmetry is
+    then not tested, because the test takes longer than the product.
     """
     if known or isinstance(P, SchurComplement):
         R = V.T @ (P @ V)
@@ -377,7 +380,7 @@ class Pencil:
         )
 
     def factorise_shifted_stiffness(self, square: float) -> Factor:
-        """Return a real factorisation of the matrix ``K - square M``.
+        """Return a real factorisation of ``K - square * M`` for a scalar ``square``.
 
         Raises
         ------
@@ -427,7 +430,7 @@ class Pencil:
         return self.factors.value_or_none is not None
 
     def share_factors(self, other: Pencil) -> None:
-        """Share the factorisation of K with the pencil ``other``, which has the same K."""
+        """Let the pencil ``other``, which has the same K, use this pencil's factors of K."""
         other.factors.share_with(self.factors)
 
     def project(self, V: np.ndarray) -> Pencil:
@@ -473,7 +476,7 @@ class Pencil:
         return self._select_unknowns(slice(self.free, None), 0)
 
     def _select_unknowns(self, q: slice, free: int) -> Pencil:
-        """Return the pencil of selected unknowns, which include ``free`` rigid-body modes."""
+        """Return the pencil of unknowns ``q``; the first ``free`` are rigid-body modes."""
         parts = tuple(P[q, q] for P in self.coefficients)
         return Pencil(parts, self.B[q], self.C[:, q], self.D, free=free)
 
@@ -502,7 +505,10 @@ class Pencil:
         return self.rescale_unknowns(self.choose_units(omega))
 
     def choose_units(self, omega: float) -> np.ndarray:
-        """Return units (n,) of the unknowns for similar energies at ``omega`` [rad/s]."""
+        """Choose units (n,) in which all unknowns have similar energies at ``omega``.
+
+        One unit of each unknown has about the same energy at the frequency ``omega`` [rad/s].
+        """
         size = np.zeros(self.size)
         for k, P in enumerate(self.coefficients):
             rows = compute_absolute_entries(P).max(axis=1)

@@ -3,7 +3,7 @@
 The input of a reduction is a function that returns the full-order model for given values of the
 parameters. The result is a :class:`ModelOverRanges`. The module
 :mod:`kc2spice.rom.resonators_over_ranges` reduces mechanical and piezoelectric models. The module
-:mod:`kc2spice.rom.heat_range_reduction` reduces thermal models.
+:mod:`kc2spice.rom.heat_model_reduction_over_ranges` reduces thermal models.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class ModelOverRanges(ABC):
     @property
     @abstractmethod
     def parameter_axes(self) -> dict[str, ParameterAxis]:
-        """Axis with the range of each parameter, keyed by the name of the parameter."""
+        """Axes of the parameters, each with its range, keyed by the name of the parameter."""
 
     @abstractmethod
     def evaluate(self, values: Values) -> LinearModel:
@@ -69,7 +69,7 @@ class ModelOverRanges(ABC):
 
 
 def record_model_values(full: Full) -> tuple[Full, list[tuple[Values, Mapping[str, float]]]]:
-    """Wrap ``full`` so that it records facts such as the mass of each model.
+    """Wrap ``full`` to record the parameter values and properties of all its models.
 
     The first result is the wrapped function. The second result is the list of records. A record
     contains the parameter values and the ``facts`` (such as masses and error estimates) of the
@@ -78,7 +78,7 @@ def record_model_values(full: Full) -> tuple[Full, list[tuple[Values, Mapping[st
     facts: list[tuple[Values, Mapping[str, float]]] = []
 
     def build_full_model(values: Values) -> LinearModel:
-        """Build the full model, and record its facts and the parameter values."""
+        """Build the full model, and record its properties and the parameter values."""
         model = full(values)
         facts.append((dict(values), model.facts))
         return model

@@ -22,8 +22,7 @@ SOFT_SUPPORT = "soft_support_hz"
 # largest squared frequency of a rigid-body mode, divided by the squared frequency of the next mode
 ZERO_FREQUENCY_RATIO = 1e-6
 MAX_COUPLING = 1e-8  # largest relative coupling of modes by damping that counts as a rounding error
-# largest gain of a rigid-body mode at a port that counts as zero, relative to the port's largest
-# gain
+# A rigid-body mode's gain at a port counts as zero up to this fraction of the port's largest gain.
 RIGID_ROUNDING = 1e-6
 
 
@@ -31,7 +30,8 @@ def support_softly(rom: LinearModel, band: tuple[float, float]) -> LinearModel:
     """Return a model in modal coordinates with a soft support of its rigid-body modes.
 
     The model is returned unchanged if it is unsymmetric, of first order, or has no rigid-body
-    modes. The same applies if damping couples elastic modes, or if the band begins at 0 Hz.
+    modes. The model is also returned unchanged if damping couples elastic modes, or if the band
+    begins at 0 Hz.
 
     Parameters
     ----------

@@ -160,12 +160,12 @@ def _is_positive_by_lanczos(matrix: Matrix, empty: np.ndarray, spread: float) ->
 
     Rows in the mask ``empty`` are ignored. Let x be the smallest Ritz value after k steps from a
     random vector of n numbers. ``spread`` is an upper bound of the eigenvalues. The probability
-    that x exceeds the smallest eigenvalue by more than ``e spread`` is below
+    that x exceeds the smallest eigenvalue by more than ``e * spread`` is below
     ``1.648 sqrt(n) exp(-sqrt(e) (2 k - 1))``. For ``e = x / spread``, this expression is a bound of
-    the probability that an eigenvalue is negative. For a mass matrix with a unit diagonal, x is
-    about 0.1. The proof for such a mass matrix needs about 80 matrix-vector products, which take a
-    tenth of the time of a factorisation. The result is False if x is so small that more than
-    :data:`MAX_LANCZOS_STEPS` steps would be necessary.
+    the probability that an eigenvalue is negative. For a mass matrix with a unit diagonal, the
+    smallest Ritz value x is about 0.1. The proof for such a mass matrix needs about 80
+    matrix-vector products, which take a tenth of the time of a factorisation. The result is False
+    if x is so small that more than :data:`MAX_LANCZOS_STEPS` steps would be necessary.
 
     Source: J. Kuczynski, H. Wozniakowski, SIAM J. Matrix Anal. Appl. 13 (1992) 1094.
     """
@@ -197,9 +197,10 @@ def _is_positive_by_lanczos(matrix: Matrix, empty: np.ndarray, spread: float) ->
 def _is_sparse_semidefinite(matrix: Matrix, order: np.ndarray | None = None) -> bool:
     """Return whether a sparse matrix is positive semidefinite within rounding errors.
 
-    The diagonal of the matrix is first scaled to one. The matrix is semidefinite if Lanczos steps
-    show that all eigenvalues are positive. If Lanczos steps do not show this, a small multiple of
-    eps is added to the diagonal. If the sum has a Cholesky factor, the matrix is semidefinite.
+    The diagonal of the matrix is first scaled to one. If the Lanczos method proves that all
+    eigenvalues of a large matrix are positive, the result is True. If the Lanczos method gives no
+    proof, a small multiple of the machine precision is added to the diagonal of the matrix. If the
+    matrix with the larger diagonal has a Cholesky factor, the original matrix is semidefinite.
     """
     if not find_largest_entry(matrix):
         return True

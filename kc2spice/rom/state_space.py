@@ -15,7 +15,7 @@ from kc2spice.rom.pencil import (
 from kc2spice.rom.stability import is_semidefinite
 
 ABCD = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-# largest eigenvalue or singular value of a matrix that counts as zero, relative to the largest one
+# An eigenvalue or singular value counts as zero up to this fraction of the largest one.
 MASSLESS = 1e-13
 # largest relative asymmetry, or coupling of modes by damping, that counts as a rounding error
 COUPLING = 1e-10
@@ -215,7 +215,8 @@ def to_schur_form(pencil: Pencil, top: float) -> Pencil:
 def restore_time_unit(pencil: Pencil, top: float) -> Pencil:
     """Convert a first-order model from scaled time to SI units.
 
-    The scaled time is the time of :func:`to_schur_form`.
+    The scaled time is the time [s] multiplied by the angular frequency of ``top`` [Hz], as in
+    :func:`to_schur_form`.
     """
     omega = 2 * np.pi * top
     rest, one = pencil.coefficients

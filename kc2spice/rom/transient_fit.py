@@ -9,13 +9,13 @@ The fit has four steps:
 1. The R_k for a logarithmic grid of time constants t_k are fitted by non-negative least squares
    (C. L. Lawson, R. J. Hanson, Solving Least Squares Problems, 1974, chapter 23). No other network
    with time constants on the grid describes the samples better. Most R_k are zero.
-2. The noise of the samples is estimated from the differences of successive residuals of the fitted
-sum, which contain no slow deviations. 3. Neighbouring time constants on the grid are merged into
-one. The logarithms of all R_k and t_k
+2. The noise of the samples is estimated from the differences between successive residuals. Slow
+   deviations between samples and fitted sum cancel in differences of successive residuals.
+3. Neighbouring time constants on the grid are merged into one. The logarithms of all R_k and t_k
    are refined by bounded least squares.
 4. Two neighbouring time constants are merged, and all R_k and t_k are refined again. The merged
-pair is the pair whose mean describes the samples best. The merging is repeated until one
-   time constant remains. The result is the sum with the smallest Bayesian information criterion,
+   pair is the pair whose mean describes the samples best. The merging is repeated until one time
+   constant remains. The result is the sum with the smallest Bayesian information criterion,
    ``sum (residual / noise)^2 + parameters log(samples)`` (G. Schwarz, Ann. Statist. 6 (1978) 461).
 """
 
@@ -45,12 +45,14 @@ EXACT = {"ftol": 1e-14, "xtol": 1e-11, "gtol": 1e-14}
 GROUPS_PER_DECADE = 50
 # smallest noise relative to the largest temperature rise, for samples with nine digits
 ROUNDING = 1e-9
-EMPTY = 1e-9  # largest resistance that counts as zero, relative to the largest resistance
-# largest magnitude of the logarithm of (resistance / total resistance) in a refinement
+EMPTY = 1e-9  # a resistance counts as zero up to this fraction of the largest resistance
+# The fit keeps every resistance between exp(-SPREAD) and exp(SPREAD) times the total resistance.
 SPREAD = 50.0
-INSIDE = 1e-9  # smallest distance of start values from the limits of the logarithms
+# Smallest distance of the start values of a refinement from their bounds.
+# Start values and bounds are logarithms of thermal resistances and time constants.
+INSIDE = 1e-9
 NNLS_STEPS = 30  # largest number of iterations of the non-negative least squares per time constant
-# ratio of time constant to last time above which a response has not settled
+# A response has not settled if (time constant / time of the last sample) exceeds UNSETTLED.
 UNSETTLED = 1 / 3
 
 
@@ -70,7 +72,7 @@ class StepSamples(EqualByContent):
 
     @cached_property
     def _sample_groups(self) -> tuple[np.ndarray, np.ndarray]:
-        """Index of the first sample of each group, and scale factor of each group."""
+        """Groups of time samples: start index and scale factor of each group."""
         after = self.time > 0
         number = np.full(len(self.time), -1)
         logs = np.log10(self.time[after] / self.time[after].min())
@@ -82,8 +84,9 @@ class StepSamples(EqualByContent):
         """Average the rows of a table over groups of samples, with weights.
 
         The table (n, columns) has one row for each sample. The result has the shape (groups,
-        columns). The means are scaled: the sum of their squares equals the weighted sum of the
-        squares of all rows, minus the scatter within the groups.
+        columns). Each mean is multiplied by the root of the sum of the squared weights in its
+        group. With this scaling, a fit to the means gives the same parameters as a fit to all rows
+        if the fitted function is constant within each group.
         """
         first, scale = self._sample_groups
         return np.asarray(
@@ -112,7 +115,9 @@ class TransientFit(EqualByContent):
 
 
 def fit_transient(samples: StepSamples) -> TransientFit:
-    """Fit a Foster network to samples by the Bayesian information criterion.
+    """Fit a Foster network to samples of a step response.
+
+    The Bayesian information criterion determines the number of time constants.
 
     Examples
     --------
@@ -158,7 +163,7 @@ def _compute_information_criterion(fit: TransientFit) -> float:
 
 
 def _fit_resistances(samples: StepSamples, constants: np.ndarray) -> tuple[np.ndarray, float]:
-    """Fit non-negative resistances for given time constants, and the start value."""
+    """Fit the start value and non-negative resistances, for given time constants."""
     columns = compute_step_basis(samples.time, constants)
     if samples.offset:
         one = np.ones((len(samples.time), 1))

@@ -40,8 +40,8 @@ def list_gallery() -> dict[str, Traversable]:
 class SceneFile:
     """Text of a scene file, overrides of its keys, and methods that locate keys.
 
-    ``override_folders`` contains the folder in which the file of an overridden key is, keyed by the
-    path of the key.
+    If an override sets a key to a file name, ``override_folders`` contains the folder of the file,
+    keyed by the path of the key.
     """
 
     label: str
@@ -57,7 +57,7 @@ class SceneFile:
 
     @property
     def base_folder(self) -> Path:
-        """Folder for file names in overrides; the working directory for built-in scenes."""
+        """Base folder of file names in overrides; for built-in scenes, the current folder."""
         return Path.cwd() if self.folder == _find_gallery() else self.folder
 
     def overrides_key(self, key: str) -> bool:
@@ -80,9 +80,10 @@ class SceneFile:
                 self.override_folders[key] = folder
 
     def find_override_folder(self, table: tuple[str, ...]) -> Path | None:
-        """Return the folder for file names in the overrides of a part's table, or None.
+        """Return the folder to which file names in overrides of a part are relative.
 
-        ``table`` is the path of the part's table.
+        ``table`` is the path of the part's table. The result is None if file names are relative to
+        the folder of the scene.
         """
         for path, folder in self.override_folders.items():
             if path[: len(table)] == table or path == (INCLUDE,):
@@ -90,7 +91,7 @@ class SceneFile:
         return None
 
     def find_override(self, key: str) -> str | None:
-        """Return the origin of the override that sets a key or a part of it, or None."""
+        """Return the origin of the override that changes a key, or None without override."""
         names = tuple(key.split("."))
         for path, override in self.overrides.items():
             if path[: len(names)] == names or names[: len(path)] == path:
@@ -167,7 +168,7 @@ def _make_missing_file_error(name: str, path: Path, scenes: Collection[str]) -> 
             f"a TOML file, or a built-in scene: {list_candidates(name, scenes, 'kc2spice scenes')}"
         )
         near = did_you_mean(name, scenes) or did_you_mean(name, read_catalogue())
-        # the operating system rejects the name, such as a very long name
+        # The operating system may reject a file name, for example because it is too long.
         with contextlib.suppress(OSError, ValueError):
             if Path(f"{path.stem}.toml").is_file():
                 near = f"did you mean '{path.stem}.toml'?"

@@ -19,10 +19,11 @@ class Engine:
     """Engine that runs the decks of a scene in ngspice, as a process or as a library.
 
     ``directory`` contains the files of a run. If Python functions set the ``sampled`` sources,
-    ngspice runs as a library. ``refinements`` are further small-signal analyses. If ``from_rest``
-    is true, each refinement is a separate run. In a single run, ngspice would begin each search for
-    an operating point at the previous solution, and might find another operating point. ``timeout``
-    is the largest wall-clock time [s] of a run.
+    ngspice runs as a library. ``refinements`` are additional small-signal analyses with closely
+    spaced frequencies near resonances and at probes. If ``from_rest`` is true, each refinement is a
+    separate run. In a single run, ngspice would begin each search for an operating point at the
+    previous solution, and might find another operating point. ``timeout`` is the largest wall-clock
+    time [s] of a run.
     """
 
     directory: Path
@@ -33,7 +34,7 @@ class Engine:
     from_rest: bool = False
 
     def run(self, deck: Deck) -> Waveforms:
-        """Run a deck and its refined analyses, and return the waveforms in SI units.
+        """Run a deck and its additional analyses; return the merged waveforms in SI units.
 
         :func:`kc2spice.sim.ngspice.run_deck` and :func:`kc2spice.sim.libngspice.run_in_libngspice`
         list the possible errors.

@@ -218,8 +218,8 @@ def find_alteration_error(deck: Deck, where: str, text: str) -> FailedRunError |
     """Return the error for a run in which ngspice changed or ignored cards.
 
     ``text`` is the log. Return None if the deck is trusted, or if ngspice ignored only model
-    parameters that LTspice merely displays. If the function returns None, a warning is printed for
-    each message.
+    parameters that LTspice merely displays. If the function returns None, it prints a warning for
+    each card that ngspice changed or ignored.
     """
     altered = list_changed_cards(text)
     fatal = [] if deck.trusted else [row for row in altered if not _DISPLAYED_PARAMETER.search(row)]
@@ -241,8 +241,9 @@ def find_alteration_error(deck: Deck, where: str, text: str) -> FailedRunError |
     return error
 
 
-# Largest relative difference of scale values that count as equal.
-# ngspice adds steps to compute scale values: the rounding error is 1e-16 per step, 1e-13 in total.
+# Times, frequencies or swept values with at most this relative difference count as equal.
+# ngspice adds up steps of the independent variable: the rounding error is 1e-16 per step, and
+# 1e-13 in total.
 SAME_POINT_TOLERANCE = 1e-11
 _BINARY_MARK = b"Binary:\n"
 _PLOT_MARK = b"Title:"
@@ -268,15 +269,15 @@ class _Plot(NamedTuple):
     def finite_point_mask(self) -> np.ndarray:
         """Mask of the points that contain only finite numbers, of shape (points,).
 
-        The imaginary part of the first column, the scale, is ignored, because ngspice does not
-        initialise it for frequencies.
+        The imaginary part of the first column, the independent variable, is ignored, because
+        ngspice does not initialise it for frequencies.
         """
         return np.isfinite(self.table[:, 0].real) & np.isfinite(self.table[:, 1:]).all(axis=1)
 
     def get_first_points(self, points: int) -> dict[str, np.ndarray]:
         """Return the first points of all vectors, keyed by vector name.
 
-        ``points`` is the number of points. The scale is real.
+        ``points`` is the number of points. The independent variable is real.
         """
         rows = self.table[:points]
         columns = map(np.array, (rows[:, 0].real, *rows[:, 1:].T))
@@ -286,9 +287,10 @@ class _Plot(NamedTuple):
 def read_raw(path: Path) -> dict[str, np.ndarray]:
     """Return the vectors of a raw file, keyed by name in lower case.
 
-    The first vector is the scale, such as the time, and is real. Several analyses of one kind write
-    plots with the same vectors. Plots with the same vectors are joined: their points are sorted by
-    the scale, and each scale value occurs only once. Plots with other vectors are omitted.
+    The first vector is the independent variable, such as the time, and is real. If several analyses
+    of one kind write plots with the same vectors, the plots are joined. The points of joined plots
+    are sorted by the independent variable, and each of its values occurs only once. Plots whose
+    vectors differ from the vectors of the first plot are omitted.
 
     Raises
     ------
@@ -309,9 +311,10 @@ def read_raw(path: Path) -> dict[str, np.ndarray]:
 
 
 def join_analyses(analyses: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """Return the joined vectors of several analyses, sorted by the scale.
+    """Return joined vectors of several analyses, sorted by the independent variable.
 
-    The scale is the first vector of each analysis. Each scale value occurs only once.
+    The first vector of each analysis is its independent variable: time, frequency or swept value.
+    Each value of the independent variable occurs only once.
     """
     result = {}
     for name in analyses[0]:
@@ -345,7 +348,8 @@ def _read_plots(path: Path) -> Iterator[_Plot]:
 def read_partial_vectors(path: Path) -> dict[str, np.ndarray] | None:
     """Return the vectors of an aborted run, up to the first point that is not finite.
 
-    Incomplete points are omitted. Return None if fewer than two points remain.
+    Incomplete points are omitted. Return None if the file begins with fewer than two complete
+    points of finite numbers.
     """
     try:
         plot = _read_plot(path)
@@ -356,16 +360,16 @@ def read_partial_vectors(path: Path) -> dict[str, np.ndarray] | None:
 
 
 def read_last_scale_value(path: Path) -> float | None:
-    """Return the scale value of the last complete point in a raw file.
+    """Return the last complete time, frequency or swept value in a raw file.
 
-    The scale is the time, for example. Return None if the file contains no complete point.
+    Return None if the file contains no complete point.
     """
     plot = _read_plot(path) if path.is_file() else None
     return float(plot.table[-1, 0].real) if plot and len(plot.table) else None
 
 
 def _read_plot(path: Path, begin: int = 0) -> _Plot | None:
-    """Return the plot at the byte ``begin``; None if its header is incomplete.
+    """Read the ngspice plot at byte ``begin``; None if its header is incomplete.
 
     Raises
     ------

@@ -98,8 +98,8 @@ def read_curves(
 
     Raises
     ------
-    UsageError : the file is missing or damaged, an entry has unknown keys, or all curves are only
-        predicted.
+    UsageError : the file is missing or damaged, an entry has unknown keys, or every entry contains
+        ``predict = true``.
     """
     if isinstance(data, (str, Path)):
         where, folder = str(data), Path(data).parent

@@ -1,4 +1,4 @@
-"""Descents of a body fit: least squares with corrected reduced models."""
+"""Least-squares fits of body keys, with reduced models and their correction."""
 
 from __future__ import annotations
 
@@ -19,16 +19,19 @@ from kc2spice.workflow.body_fit import DIFFERENCE_STEP, BodyFit, ParameterAxes
 from kc2spice.workflow.fit_keys import compute_log_widths, is_at_bound
 from kc2spice.workflow.misfit import compute_error_scale
 
-# Number of random samples of the ranges, and number of descents.
-# The first descent begins at the values of the scene.
+# Number of random samples of the parameter ranges, and number of least-squares runs of a fit.
+# The first least-squares run begins at the values of the scene.
 RANDOM_SAMPLES = 64
 DESCENT_COUNT = 4
-# Ratio of the widths of successive, narrower ranges, and smallest logarithmic width of a range.
+# Ratio of the widths of a key's parameter ranges in two successive fits, and smallest logarithmic
+# width of a parameter range.
 RANGE_RATIO = 0.25
 MIN_LOG_WIDTH = 0.01
 POLYNOMIAL_DEGREE = 3  # degree of the polynomials over a narrow parameter range
-RANGE_COUNT = 8  # largest number of successive, narrower ranges
-MESH_CORRECTIONS = 4  # largest number of corrections by the full model in each range
+# largest number of times that the fit is repeated with new, usually narrower ranges of the keys
+RANGE_COUNT = 8
+# largest number of steps that correct a fit with the full model in one parameter range
+MESH_CORRECTIONS = 4
 # Corrections end when a correction changes all values by less than CONVERGED_CHANGE standard
 # errors.
 CONVERGED_CHANGE = 0.1
@@ -36,10 +39,10 @@ CONVERGED_CHANGE = 0.1
 
 @dataclass(frozen=True, eq=False)
 class DescentResult:
-    """Result of a descent: key values, parameter ranges and least-squares solution.
+    """Result of a least-squares run: key values, parameter ranges and solution.
 
-    ``exact`` is the admittance [S] of the full model at the values; empty before the correction by
-    the full model.
+    ``exact`` is the admittance [S] of the full model at the fitted ``values``. The array ``exact``
+    is empty until the full model has corrected the fit.
     """
 
     values: dict[str, float]
@@ -55,7 +58,7 @@ class DescentResult:
 
 @dataclass(frozen=True, eq=False)
 class Descent:
-    """Descent of a least-squares fit, with a reduced model in parameter ranges.
+    """Least-squares fit of scene keys, with a reduced model valid in their ranges.
 
     The variables are the logarithms of the values. ``degree`` is the degree of the polynomials in
     the parameters; by default the reduction chooses the degree.
@@ -83,7 +86,7 @@ class Descent:
         return dict(zip(self.parameter_axes, values.tolist(), strict=True))
 
     def compute_fit_residuals(self, x: np.ndarray) -> np.ndarray:
-        """Return the residuals of the reduced model for logarithms of key values."""
+        """Compute the fit residuals at ``x``, the logarithms of the values of fitted keys."""
         return self.compute_log_ratio(
             self.body.compute_reduced_admittance(self.reduced_model, self.compute_key_values(x))
         )
@@ -99,7 +102,7 @@ class Descent:
     def jacobian(self, x: np.ndarray) -> np.ndarray:
         """Return the derivatives of the residuals with respect to logarithms of the keys.
 
-        The result is an array of shape (2 n, keys). The derivatives are central differences, or
+        The result is an array of shape (2 * n, keys). The derivatives are central differences, or
         one-sided differences at a bound.
         """
         low, high = self.bounds
@@ -120,7 +123,7 @@ class Descent:
         )
 
     def solve(self, values: Mapping[str, float]) -> DescentResult:
-        """Fit the keys by least squares, beginning at the values of the argument."""
+        """Fit the keys by least squares, starting at the argument ``values``."""
         solved = least_squares(
             self.compute_fit_residuals, self.compute_start_logarithms(values),
             jac=self.jacobian, bounds=self.bounds, x_scale="jac",
@@ -130,9 +133,9 @@ class Descent:
 
 
 def run_descents(descent: Descent) -> list[DescentResult]:
-    """Run descents from several start values; return all results, best result first.
+    """Run least-squares fits from several start values; return all, best fit first.
 
-    Each descent covers the full ranges.
+    In every least-squares fit, each key may take all values of its full range.
     """
     low, high = descent.bounds
     samples = qmc.scale(qmc.Sobol(len(low), seed=1).random(RANDOM_SAMPLES), low, high)
@@ -143,7 +146,7 @@ def run_descents(descent: Descent) -> list[DescentResult]:
 
 
 def _correct_end(descent: Descent, end: DescentResult) -> DescentResult | None:
-    """Correct the result of a descent with the full model; None without convergence.
+    """Correct the end point of a fit by the full model; None without convergence.
 
     Each correction step uses the derivatives of the reduced model. The steps end when a step
     changes every combination of keys by less than :data:`CONVERGED_CHANGE` of its standard error.
@@ -184,7 +187,8 @@ def refine_descent_result(descent: Descent, end: DescentResult) -> DescentResult
         result = _correct_end(descent, end)
         if result is not None:
             return result
-        # The new scene ``like`` at the latest values has a mesh without displaced nodes.
+        # The scene ``like`` defines the mesh of the fit. ``like`` is loaded again with the latest
+        # key values, so that no nodes of the mesh are displaced.
         body = replace(body, like=load_scene(body.scene, body.name_scene_keys(end.values)))
         parameter_axes = {}
         for item, half in zip(body.keys, widths.tolist(), strict=True):
@@ -215,7 +219,7 @@ def _narrow_range(item: VariedKey, value: float, half: float) -> ParameterAxis:
 
 
 def _is_at_inner_end(item: VariedKey, axis: ParameterAxis, value: float) -> bool:
-    """Return whether a value is at an end of a narrow range inside the full range."""
+    """Return whether a value is at an end of its narrow range, inside its full range."""
     x = axis.compute_coordinate(value)
     end = axis.high if x > 0 else axis.low
     return abs(x) > 1 - 1e-3 and not np.isclose([item.low, item.high], end).any()

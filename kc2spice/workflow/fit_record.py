@@ -15,8 +15,9 @@ from kc2spice.parts.bodies._varied_keys import VariedKey
 from kc2spice.workflow.fit_keys import compute_log_widths, find_resonances, is_at_bound
 from kc2spice.workflow.misfit import compute_error_scale, compute_rms_misfit, estimate_covariance
 
-# Number of standard errors that must fit into the widest range of a key.
-# If fewer standard errors fit into the range, the combination of keys is undetermined.
+# A combination of keys is undetermined if its standard error exceeds a limit.
+# The limit of a standard error is the width of the widest parameter range / ERRORS_PER_RANGE.
+# Standard errors and widths of parameter ranges are differences of logarithms.
 ERRORS_PER_RANGE = 4
 
 
@@ -31,9 +32,9 @@ def describe_values(
         Varied keys with their ranges.
     values : mapping of str to float
         Fitted value of each key.
-    J : (2 n, keys) array
+    J : (2 * n, keys) array
         Derivatives of the residuals with respect to logarithms of the values.
-    residuals : (2 n,) array
+    residuals : (2 * n,) array
         Residuals at the end of the fit in units of the noise.
 
     Raises
@@ -76,7 +77,7 @@ def describe_values(
 def describe_error(size: np.ndarray) -> dict[str, float]:
     """Return the rms value and the largest value of relative impedance errors.
 
-    ``size`` contains the relative errors of ``|Z|``.
+    ``size`` contains the relative errors of the impedance magnitude ``|Z|``.
     """
     return {"rms": float(np.sqrt(np.mean(size**2))), "largest": float(size.max())}
 

@@ -5,12 +5,12 @@ and their Jacobian J. With n values, k keys and the misfit ``m = sqrt(r'r / (n -
 
 - If the residuals are only noise, m is near 1. The covariance is ``max(1, m)^2 (J'J)^-1``.
 - If the model does not describe the data, the residuals at neighbouring frequencies are correlated.
-  The residuals are largest where the keys have the largest effect. The covariance formula for pure
-  noise does not apply to a wrong model. If m exceeds :data:`MODEL_ERROR_MISFIT`, the covariance of
-  the block jackknife is added. For each of :data:`BAND_COUNT` contiguous bands b, the values x_b
-  are fitted again without this band. For g bands, the jackknife covariance is
-  ``(g - 1) / g sum (x_b - mean x)(x_b - mean x)'`` (H. R. Kuensch, Annals of Statistics 17 (1989)
-  1217).
+  Residuals of a wrong model are largest at frequencies where the fitted keys have the largest
+  effect. Therefore, the covariance formula for pure noise does not apply to a wrong model. If m
+  exceeds :data:`MODEL_ERROR_MISFIT`, the covariance of the block jackknife is added. For each of
+  :data:`BAND_COUNT` contiguous bands b, the values x_b are fitted again without this band. For g
+  bands, the jackknife covariance is ``(g - 1) / g * sum((x_b - mean x) * (x_b - mean x)')``
+  (H. R. Kuensch, Annals of Statistics 17 (1989) 1217).
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ import numpy as np
 MODEL_ERROR_MISFIT = 1.5
 BAND_COUNT = 8
 WARNING_MISFIT = 3.0  # smallest misfit at which a fit prints a warning
-# Largest ratio of the remaining sums of squared residuals at which two causes are equally likely.
+# Two causes of a misfit count as equally likely if the sums of squared residuals that remain with
+# each cause differ by at most this factor.
 EQUAL_LIKELIHOOD_RATIO = 1.1
 # A cause is likely if the fit of its amount reduces the sum of squared residuals by more than this
 # fraction.
@@ -43,7 +44,7 @@ def compute_rms_misfit(residuals: np.ndarray, keys: int) -> float:
 
     Examples
     --------
-    >>> compute_rms_misfit(np.array([3.0, -3.0, 3.0, -3.0]), 2)
+    >>> compute_rms_misfit(np.array([3.0, -3.0, 3.0, -3.0]), keys=2)
     4.242640687119285
     """
     return float(np.sqrt(residuals @ residuals / max(len(residuals) - keys, 1)))
@@ -52,12 +53,15 @@ def compute_rms_misfit(residuals: np.ndarray, keys: int) -> float:
 def compute_error_scale(residuals: np.ndarray, keys: int) -> float:
     """Return the factor for the standard errors: the rms residual, but at least 1.
 
-    The rms residual is in units of the noise. The arguments are defined in
-    :func:`compute_rms_misfit`.
+    Residuals are divided by the standard deviation of the noise, so noise alone gives an rms
+    residual of about 1. The arguments are defined in :func:`compute_rms_misfit`.
 
     Examples
     --------
-    >>> compute_error_scale(np.array([0.5, -0.5, 0.5, -0.5]), 2)
+    Four residuals of size 0.5 and two keys give an rms residual of 0.71. A value of 0.71 is below
+    the lower limit 1 of the factor, so the factor is 1.
+
+    >>> compute_error_scale(np.array([0.5, -0.5, 0.5, -0.5]), keys=2)
     1.0
     """
     return max(1.0, compute_rms_misfit(residuals, keys))
@@ -71,12 +75,13 @@ def estimate_covariance(J: np.ndarray, residuals: np.ndarray, widest: np.ndarray
 
     Parameters
     ----------
-    J : (2 n, k) array
+    J : (2 * n, k) array
         Derivatives of the residuals with respect to the values.
-    residuals : (2 n,) array
+    residuals : (2 * n,) array
         Residuals at the end of the fit, real parts of n frequencies before imaginary parts.
     widest : (k,) array
-        Widths of the ranges of the values. The widths limit the standard errors of the jackknife.
+        Widths of the ranges of the values. A jackknife standard error of a value is limited to the
+        width of the range of this value.
     """
     _, s, Vt = np.linalg.svd(J, full_matrices=False)
     more = compute_rms_misfit(residuals, J.shape[1])
@@ -109,18 +114,20 @@ def find_likely_cause(
 ) -> str | None:
     """Return the cause that best explains the residuals of a fit.
 
-    Of several equally likely causes, the cause that is most frequent in practice is returned. The
-    amount of each cause is fitted together with the values.
+    Of several equally likely causes, the cause that is most frequent in practice is returned. For
+    each cause, a linear fit determines the amount of the cause together with changes of the fitted
+    values.
 
     Parameters
     ----------
-    J : (2 n, k) array
+    J : (2 * n, k) array
         Derivatives of the residuals with respect to the values.
-    residuals : (2 n,) array
+    residuals : (2 * n,) array
         Residuals at the end of the fit.
     causes : mapping
-        For each cause, the change of the logarithm of the admittance for the amount 1 of the cause,
-        an array of n frequencies. The most frequent cause is first. Amounts are positive.
+        For each cause, the change of the logarithm of the admittance at n frequencies, if the cause
+        has the amount 1. Causes that are common in practice are listed before rare causes. Amounts
+        are positive.
 
     Returns
     -------
@@ -138,7 +145,7 @@ def find_likely_cause(
 
 
 def _compute_residual_with_cause(J: np.ndarray, residuals: np.ndarray, cause: np.ndarray) -> float:
-    """Return the sum of squared residuals if a fit also includes a cause of misfit."""
+    """Return the sum of squared residuals of a fit that includes a cause of misfit."""
     column = np.concatenate([cause.real, cause.imag])
     Q, _ = np.linalg.qr(J)
     column = column - Q @ (Q.T @ column)

@@ -24,8 +24,9 @@ import numpy as np
 Quantity = Literal["S", "Z", "Y"]
 PREFIXES = {"f": 1e-15, "p": 1e-12, "n": 1e-9, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "m": 1e-3, "": 1.0,
             "k": 1e3, "M": 1e6, "G": 1e9, "T": 1e12}  # fmt: skip
-# Prefixes above one, which are accepted in the wrong letter case for frequencies.
-# For other quantities, k and the prefixes below one are accepted in the wrong letter case.
+# Prefixes greater than 1; in units of frequency, their letter case is ignored.
+# In units of quantities other than frequency, the letter case is ignored for k and for prefixes
+# smaller than 1.
 CASE_FREE_PREFIXES = "kMGT"
 # Spellings of units and the SI value of each unit, keyed by measured quantity.
 # The letter case of a unit matters only for spellings with a capital letter in this table.
@@ -73,8 +74,9 @@ UNITS_WITHOUT_PREFIX = (
 # kinds of phase columns; in a passive part, these phases are within one turn
 PASSIVE_PHASES = ("phase", "phase_z", "phase_y", "gain_phase")
 MAX_PHASE = 2.02 * np.pi  # rad, largest phase: one turn plus 1 % for noise
-# Limits [rad] of the largest magnitude and of the range of angles in a column without a unit.
-# The unit is rad if all angles are at most 0.51 pi and their range exceeds 0.5, otherwise degrees.
+# Limits by which the reader chooses radians or degrees for a column of angles without a unit.
+# The unit is rad if the values are between -0.51 pi and 0.51 pi and span more than 0.5. Otherwise,
+# the unit is degrees.
 RADIAN_LIMITS = 0.51 * np.pi, 0.5
 
 
@@ -82,10 +84,10 @@ RADIAN_LIMITS = 0.51 * np.pi, 0.5
 class ColumnKind:
     """Kind of a table column: its quantity, its units, and the pattern of its title.
 
-    ``measures`` contains the keys in :data:`UNITS` of the units that the column may have; the first
-    key is the default. ``names`` is a regular expression for the title in lower case, without sign,
-    unit, blanks and words that instruments add. If ``needs_unit`` is true, a title without a unit
-    does not identify the quantity.
+    ``measures`` lists the keys of :data:`UNITS` that are permitted for the column; the first key is
+    the default. ``names`` is a regular expression for the title in lower case, without sign, unit,
+    blanks and words that instruments add. If ``needs_unit`` is true, a title without a unit does
+    not identify the quantity.
     """
 
     quantity: str
@@ -104,7 +106,8 @@ def _make_affix_pattern(of: str, word: str) -> str:
     """Return a regular expression of a quantity letter beside a word, in either order.
 
     The letter is a quantity and the word is a part of the quantity, as in ``magz`` and ``zmag``.
-    ``of`` is the letter and ``word`` is the regular expression of the word.
+    The argument ``of`` is the letter of the quantity, such as ``z``. The argument ``word`` is a
+    regular expression of the word beside this letter.
     """
     return rf"{of}{word}|{word}{of}|{word}\|{of}\|"
 
@@ -198,7 +201,7 @@ QUANTITY_LABELS = {
 COMPLEX_NAMES: dict[Quantity, str] = {
     "Z": "z", "Y": "y", "S": "s|s11|sparameters|scattering|γ|gamma"
 }  # fmt: skip
-# Patterns of primes after Z or Y, and the part of the complex number that they denote.
+# Patterns of the prime marks ' and '' after Z or Y, and the part of a complex number they denote.
 # The program ZPlot writes Z'(a) and Z''(b).
 PRIMES = ((r"(''|\")\s*(\(b\))?", "imag"), (r"'\s*(\(a\))?", "real"))
 # words that instruments add to a title, and that do not affect its meaning
@@ -215,7 +218,7 @@ SUFFIX_TITLES = {
 }
 # possible meanings of three columns without titles in a file whose extension has no assumed titles
 UNTITLED_MEANINGS = ("frequency, R and X in Ohm", "frequency, |Z| in Ohm and phase in degrees")
-# Pattern of the titles of columns that contain a trace.
+# Pattern of column titles that name a trace of an instrument instead of a quantity.
 # A line such as ``FORMAT: |Z|`` above the table states the quantity of the trace.
 TRACE_COLUMN = re.compile(r"((data )?trace( [a-z0-9])?|formatted data)( (real|imag))?", re.I)
 TRACE_FORMAT = re.compile(r"\W*format\s*:\s*(.*\S)", re.I)

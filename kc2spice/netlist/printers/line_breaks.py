@@ -8,8 +8,9 @@ from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from itertools import chain
 
-MAX_WIDTH = 100  # number of characters of the longest line
-MIN_WIDTH = 50  # lines shorter than this number of characters are a last choice
+MAX_WIDTH = 100  # largest permitted number of characters in a line
+# A line break after fewer characters is chosen only if no other permitted break exists.
+MIN_WIDTH = 50
 _EXPRESSION_START = re.compile(r"(?i)^[beg]\S*\s.*?=|=\{|^\+ ")
 _SUM_BREAK = re.compile(r"(?<=[\w)}\]])(?<![\d.][eE])[-+]")
 _PRODUCT_BREAK = re.compile(r"(?<=[\w)}\]])[*/]|(?<=,)(?=\S)")
@@ -84,7 +85,10 @@ def _choose_end(breaks: Sequence[Sequence[int]], begin: int, width: int) -> int:
 
 
 def _find_last_between(places: Sequence[int], low: int, high: int) -> int:
-    """Return the largest position between two limits; 0 if there is none."""
+    """Return the last line-break position between two limits, or 0 if there is none.
+
+    ``places`` are the possible positions, in increasing order.
+    """
     count = bisect_right(places, high)
     return places[count - 1] if count and places[count - 1] >= low else 0
 

@@ -3,17 +3,17 @@
 A relaxation ``w / (p + q)`` with the weight w and the corner p is a function of the normalised
 frequency ``q = j omega a^2 / nu``. In a circuit, each relaxation is a branch with two positive
 elements. The length a is the radius of a circular duct, or the ratio of volume to surface area of a
-cavity. The following functions are sums of relaxations with positive weights:
+cavity. The symbol nu denotes the kinematic viscosity in ``flow``, and the thermal diffusivity in
+``heat`` and ``layer``. The function ``flow(q) = F(q) / q`` represents the viscous losses of a duct.
+The function ``heat(q) = 1 - F(q)`` represents the thermal losses of a duct. The function ``layer(q)
+= tanh(z) / z`` represents the thermal losses of a cavity. The functions use ``z = sqrt(q)`` and
+``F(q) = 1 - 2 I1(z) / (z I0(z))``, with the modified Bessel functions I0 and I1. Each of the
+functions ``flow``, ``heat`` and ``layer`` is a sum of relaxations with positive weights.
 
-    flow(q)   = F(q) / q,  F(q) = 1 - 2 I1(z) / (z I0(z)),  z = sqrt(q)   (viscous, duct)
-    heat(q)   = 1 - F(q)                                                   (thermal, duct)
-    layer(q)  = tanh(z) / z                                                (thermal, cavity)
-
-nu is the kinematic viscosity, or in the thermal functions the thermal diffusivity (C. Zwikker and
-C. W. Kosten, Sound Absorbing Materials, 1949, chapter 2; I. B. Crandall, Theory of Vibrating
-Systems and Sound, 1926, appendix A). The corners p are chosen first; non-negative least squares
-then fits the weights over a frequency band. Because no weight is negative, every network is
-positive real.
+Sources: C. Zwikker and C. W. Kosten, Sound Absorbing Materials, 1949, chapter 2; I. B. Crandall,
+Theory of Vibrating Systems and Sound, 1926, appendix A. The corners p are chosen first;
+non-negative least squares then fits the weights over a frequency band. Because no weight is
+negative, every network is positive real.
 """
 
 from __future__ import annotations
@@ -26,15 +26,17 @@ from typing import Literal
 import numpy as np
 
 BoundaryLayer = Literal["flow", "heat", "layer"]
-# Lowest corner of each boundary-layer function; 2.4048 is the first zero of J0.
+# Lowest corner p of the relaxations ``w / (p + q)`` in each boundary-layer function.
+# For ``flow`` and ``heat``, the lowest corner is the square of 2.4048, the first zero of the Bessel
+# function J0.
 LOWEST_CORNERS = {
     "flow": 2.404825557695773**2,
     "heat": 2.404825557695773**2,
     "layer": math.pi**2 / 4,
 }
-# Values and negative slopes of the boundary-layer functions at q = 0.
-# For ``flow``, the value is the sum of 4 / j^4, and the negative slope the sum of 4 / j^6, over the
-# zeros j of J0.
+# Values of the boundary-layer functions at q = 0, and slopes with reversed sign.
+# For ``flow``, the value is the sum of 4 / j^4 over the zeros j of J0. The slope with reversed
+# sign is the sum of 4 / j^6.
 STATIC_VALUES = {"flow": 1 / 8, "heat": 1.0, "layer": 1.0}
 STATIC_SLOPES = {"flow": 1 / 48, "heat": 1 / 8, "layer": 1 / 3}
 LAYER_START = 1e6  # |z| above which the Bessel functions I1(z) and I0(z) differ by less than 1e-6
@@ -49,9 +51,10 @@ STATIC_WEIGHT = 0.1  # weight of the value and the slope at q = 0 in the fit
 class RelaxationSum:
     """Sum of relaxation terms that approximates a boundary-layer function.
 
-    Each term is ``w / (p + q)`` at the normalised complex frequency q. ``terms`` contains pairs of
-    corner p and weight w. ``value_error`` and ``loss_error`` are the largest relative errors of the
-    function and of its dissipation in the band.
+    Each term is ``w / (p + q)`` at the normalised complex frequency q. ``terms`` contains a pair
+    for each term: the normalised corner frequency p and the weight w. ``value_error`` and
+    ``loss_error`` are the largest relative errors of the function and of its dissipation in the
+    band.
     """
 
     terms: tuple[tuple[float, float], ...]
@@ -140,7 +143,7 @@ def fit_boundary_layer(
 def _choose_corners(layer: BoundaryLayer, low: float, high: float, per_decade: int) -> np.ndarray:
     """Choose the normalised corner frequencies of the relaxation terms.
 
-    The corners are dense in the band and sparse below it.
+    The corner frequencies are closely spaced in the band and widely spaced below the band.
     """
     first, top = LOWEST_CORNERS[layer], RATIO_ABOVE_BAND * high
     dense = max(first, low / RATIO_BELOW_BAND)
@@ -155,8 +158,9 @@ def _compute_dissipation(layer: BoundaryLayer, q: np.ndarray, value: np.ndarray)
 
     The dissipative part is a linear function of the weights.
 
-    The dissipative part is the real part of the admittance. The admittance is ``flow`` for the
-    volume velocity in a duct, and ``q heat`` or ``q layer`` for heat conduction.
+    The dissipative part is the real part of an admittance. For viscous losses of a duct, the
+    admittance is the boundary-layer function ``flow(q)``. For thermal losses, the admittance of a
+    duct is ``q * heat(q)``, and the admittance of a cavity is ``q * layer(q)``.
     """
     return np.asarray(value.real if layer == "flow" else (q * value).real)
 

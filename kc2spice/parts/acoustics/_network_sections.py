@@ -1,4 +1,4 @@
-"""Networks that approximate radiation impedances, relative to the piston size.
+"""Networks of normalised elements that approximate a piston's radiation impedance.
 
 The piston has the radius a and the area S. Resistances are relative to rho c / S, and angular
 frequencies are relative to c / a. A section without a bandwidth is a resistance parallel to an

@@ -28,11 +28,11 @@ SPHERE = RadiationNetwork((NetworkSection(1.0, 1.0),), math.inf, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class Radiator:
-    """Shape of a radiator: its radiation network, area and solid angle of sound.
+    """Radiator: radiation network, area, and solid angle into which it radiates.
 
     ``network`` approximates the radiation impedance. ``area`` is the surface area divided by the
-    squared radius. ``solid_angle`` is 2 pi if a baffle confines the sound to a half-space.
-    Otherwise, ``solid_angle`` is 4 pi.
+    squared radius. ``solid_angle`` is 2 pi if a baffle confines the sound to a half-space. Without
+    a baffle, ``solid_angle`` is 4 pi.
     """
 
     words: str
@@ -52,7 +52,7 @@ class Radiator:
         )
 
     def largest_frequency(self, radius: float, sound_speed: float) -> float:
-        """Return the largest frequency [Hz] at which the network's errors are valid."""
+        """Return the frequency [Hz] up to which the network's stated errors apply."""
         return self.network.largest_ka * sound_speed / (2 * math.pi * radius)
 
 

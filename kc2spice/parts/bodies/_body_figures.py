@@ -22,8 +22,9 @@ IMPEDANCE_FREQUENCIES = 600
 # Largest number of drawn mesh lines on a surface.
 # If a mesh has more mesh lines, only the edges at which the surface bends are drawn.
 MAX_MESH_LINES = 4000
-# Smallest bend of a drawn edge: second eigenvalue of ``sum n n'``, relative to the largest
-# eigenvalue.
+# Smallest bend between two faces for which the mesh edge between the faces is drawn.
+# The limit is used only for meshes with more than MAX_MESH_LINES lines.
+# The bend is the second largest eigenvalue of ``sum n n'``, divided by the largest eigenvalue.
 # The vectors n in ``sum n n'`` are the normals of the faces at the edge.
 MIN_BEND = 0.05
 DISPLACEMENT_SHARE = 0.1  # largest drawn displacement, relative to the size of the body

@@ -5,8 +5,8 @@ The drive voltage V and the pressures p on the faces cause the displaced volumes
     y = H_V V + H_p p,     p = -s Z y,     sound pressure = -s g y,     s = j omega
 
 H_V and H_p are responses of the full model, projected on a Krylov basis that contains its lowest
-modes. Z are the acoustic impedances and g the sound pressures, both per volume velocity, that
-:class:`~kc2spice.parts.acoustics._acoustic_load.AcousticLoad` computes.
+modes. The class :class:`~kc2spice.parts.acoustics._acoustic_load.AcousticLoad` computes the
+acoustic impedances Z, and the sound pressures g per unit of volume velocity.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ MODE_RATIOS = np.concatenate([1 - MODE_DISTANCES, [1.0], 1 + MODE_DISTANCES])
 # Each refinement divides the frequency interval around a peak by (REFINED_POINTS - 1) / 2 = 5.
 REFINEMENTS, REFINED_POINTS = 3, 11
 # Only peaks within this margin [dB] of the largest peak are refined.
-# For a Q factor of 200, a peak between two points of the first search appears lower by this margin.
+# Between two points of the first search, a peak with a Q factor of 200 appears up to 12 dB lower.
 PEAK_MARGIN = 12.0
 # largest expected ratio of the frequencies of one resonance on two different supports
 HALF_OCTAVE = 2**0.5
@@ -65,8 +65,8 @@ class LoadedFace:
     """Face of a body, with the full model of the body and its acoustic load.
 
     ``joined`` contains the names of all connected acoustic ports of the body, in the order of the
-    load. At most ``count`` modes with natural frequencies below ``end`` [Hz] are compared with a
-    piston.
+    load. For at most ``count`` modes with natural frequencies below ``end`` [Hz], the motion of the
+    face is compared with the motion of a piston.
     """
 
     device: FiniteElementModel
@@ -78,10 +78,10 @@ class LoadedFace:
     count: int = MAX_MODES
 
     def compute_mode_motions(self) -> tuple[np.ndarray, FaceMotion, FaceMotion]:
-        """Return the lowest natural frequencies [Hz], and motions of face and surface.
+        """Compute the lowest modes: frequency [Hz], face motion and whole-surface motion.
 
         The first motion is the motion of the face, and the second the motion of the whole surface
-        of the body. These modes are compared with a piston.
+        of the body.
         """
         hertz, z = compute_lowest_modes(self.device, self.count, self.end)
         facets = self.device.faces[self.port], self.device.solid.mesh.boundary_facets()
@@ -90,7 +90,7 @@ class LoadedFace:
 
     @property
     def is_audible(self) -> bool:
-        """Whether electrodes can drive the body and its sound can be computed."""
+        """Whether electrodes can drive the body and the model can compute its sound."""
         driven = any(port.electrical for port in self.device.model.ports)
         return driven and self.load.complete and bool(self.load.sources)
 

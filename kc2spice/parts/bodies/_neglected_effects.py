@@ -1,8 +1,8 @@
 """Effects that all finite-element bodies neglect, with estimates of their size.
 
-The formulas for the sizes use an :class:`Envelope` with outer size, mass and layers of a body. An
-envelope is derived from the keys of a body before a mesh exists. An effect that the model of a body
-includes, such as a layer of glue, is not listed.
+The sizes of the neglected effects are computed from an :class:`Envelope`, which contains the outer
+dimensions, mass and layers of a body. An envelope is derived from the keys of a body before a mesh
+exists. An effect that the model of a body includes, such as a layer of glue, is not listed.
 """
 
 from __future__ import annotations
@@ -70,7 +70,10 @@ def compute_disc_air_mass(radius: float) -> float:
 
 
 def make_disc_envelope(blocks: Sequence[Block], baffled: bool, glued: bool) -> Envelope:
-    """Return the envelope of a body of revolution, whose rim may be in a baffle."""
+    """Return the envelope of a disc-like body: its outer size, mass and air load.
+
+    If ``baffled`` is true, the rim of the body of revolution is in a baffle.
+    """
     boxes = np.array([block.box for block in blocks])
     radius = float(boxes[:, 0, 1].max())
     low, high = float(boxes[:, 1, 0].min()), float(boxes[:, 1, 1].max())
@@ -85,7 +88,7 @@ def make_disc_envelope(blocks: Sequence[Block], baffled: bool, glued: bool) -> E
 
 
 def make_beam_envelope(blocks: Sequence[Block]) -> Envelope:
-    """Return the envelope of a beam with the width w and the length l.
+    """Return the envelope of a beam: its outer size, mass, layers and moving air mass.
 
     The beam moves an air mass of ``pi/4 rho w^2 l``. Source: J. N. Newman, Marine Hydrodynamics
     (1977), section 4.16, for the flow across a plate strip.
@@ -102,12 +105,13 @@ def make_beam_envelope(blocks: Sequence[Block]) -> Envelope:
 
 
 def estimate_box_envelope(sides: Sequence[float]) -> Envelope:
-    """Return the envelope of a box with the side lengths [m] ``sides``.
+    """Estimate the envelope of a box: its surface area and the mass of moved air.
 
-    Two values in ``sides`` are the radius and the height of a cylinder.
+    ``sides`` contains the side lengths [m] of the box. Two values in ``sides`` are the radius and
+    the height of a cylinder.
 
-    The mass of the air that the box moves is at most ``8/3 rho a^3``. A disc with the radius a has
-    the area of the largest face.
+    The mass of the air that the box moves is at most ``8/3 rho a^3``. The length a is the radius of
+    a disc that has the area of the box's largest face.
     """
     if len(sides) == 2:
         radius, height = sides

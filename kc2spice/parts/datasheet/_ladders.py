@@ -129,16 +129,16 @@ def fit_ladder(
 
 @cache
 def make_semi_inductance_ladder() -> RelaxationLadder:
-    """Return the relaxation ladder of a coil's eddy currents, ``1/sqrt(s)``.
+    """Fit a relaxation ladder to ``1/sqrt(s)``, the admittance of a semi-inductance.
 
-    The function ``1/sqrt(s)`` is the admittance of a semi-inductance of 1 H s^(-1/2).
+    The semi-inductance is 1 H s^(-1/2). It represents the eddy currents of a coil.
     """
     return fit_ladder(lambda s: s**-0.5, SEMI_INDUCTANCE_BAND, SEMI_INDUCTANCE_BRANCHES, ends=True)
 
 
 @cache
 def fit_creep_ladder() -> RelaxationLadder:
-    """Return the relaxation ladder of a suspension's creep, ``ln(1 + 1/s)``.
+    """Fit a relaxation ladder to ``ln(1 + 1/s)``, the creep term of a suspension.
 
     The function ``ln(1 + 1/s)`` is the relative increase of a compliance by creep. Here ``s`` is
     the complex frequency, divided by the creep frequency.

@@ -11,8 +11,9 @@ from kc2spice.scene.parttype import register_part_type
 class CombDriveKeys(_mechanical_stop.StopKeys):
     """Keys of an electrostatic comb drive.
 
-    The capacitance of the comb drive is ``C = 2 fingers eps0 thickness (overlap + x) / gap``. The
-    force ``fingers eps0 thickness v^2 / gap`` does not depend on the displacement x.
+    The capacitance of the comb drive is ``C = 2 * fingers * eps0 * thickness * (overlap + x) /
+    gap``. The force ``fingers * eps0 * thickness * v^2 / gap`` does not depend on the displacement
+    x.
     """
 
     fingers: Ratio = Field(

@@ -13,9 +13,9 @@ from kc2spice.scene.parttype import register_part_type
 class ParallelPlateKeys(_mechanical_stop.StopKeys):
     """Keys of two parallel plates with the coenergy ``C v^2 / 2``.
 
-    The capacitance is ``C = permittivity eps0 area / (gap - x)``. A voltage therefore increases the
-    displacement x. If a spring of stiffness ``k`` supports the plate, the pull-in voltage is
-    ``sqrt(8 k gap^3 / (27 eps area))`` with ``eps = permittivity eps0``.
+    The capacitance is ``C = permittivity * eps0 * area / (gap - x)``. A voltage therefore increases
+    the displacement x. If a spring of stiffness ``k`` supports the plate, the pull-in voltage is
+    ``sqrt(8 * k * gap^3 / (27 * eps * area))`` with ``eps = permittivity * eps0``.
     """
 
     area: Annotated[float, si("m2")] = Field(gt=0, description="Area of each of the two plates")

@@ -18,11 +18,11 @@ from kc2spice.scene.parttype import register_part_type
 class ReluctanceKeys(ConductorKeys, _mechanical_stop.StopKeys):
     """Keys of a magnetic circuit that attracts an iron armature.
 
-    The flux is ``(turns i + magnet) / (core + gaps (gap - x) / (MU_0 area))`` with the current i
-    and the displacement x. The flux causes the force ``gaps flux^2 / (2 MU_0 area)`` in the
-    direction of the displacement x. A permanent magnet of length l and area A has the magnetomotive
-    force ``magnet = remanence l / (MU_0 mu_r)``. The key ``core`` must include the reluctance ``l /
-    (MU_0 mu_r A)`` of the magnet.
+    The flux is ``(turns * i + magnet) / (core + gaps * (gap - x) / (MU_0 * area))`` with the
+    current i and the displacement x. With ``gaps`` air gaps, the flux causes the force ``gaps *
+    flux^2 / (2 * MU_0 * area)`` in the direction of the displacement x. A permanent magnet of
+    length l and area A has the magnetomotive force ``magnet = remanence * l / (MU_0 * mu_r)``. The
+    key ``core`` must include the reluctance ``l / (MU_0 * mu_r * A)`` of the magnet.
     """
 
     area: Annotated[float, si("m2")] = Field(

@@ -8,9 +8,10 @@ indents the stop by d at the rate v = dd/dt. The force of the stop is::
 
 Without ``damping``, a mass that is faster than ``slow`` feels ``1 + loss`` times the stiffness
 ``stop`` while d increases, and ``1 - loss`` times this stiffness while d decreases. After an
-impact, a mass that was faster than ``slow`` has the fraction ``restitution^2`` of its energy.
-Slower masses come to rest (O. R. Walton, R. L. Braun, J. Rheol. 30 (1986) 949). The damping term is
-proportional to the stiffness (H. Hunt, F. R. E. Crossley, J. Appl. Mech. 42 (1975) 440).
+impact, a mass that was faster than ``slow`` has the fraction ``restitution^2`` of its energy. After
+an impact, a mass that was slower than ``slow`` comes to rest. Source: O. R. Walton, R. L. Braun, J.
+Rheol. 30 (1986) 949. The damping term is proportional to the stiffness (H. Hunt, F. R. E. Crossley,
+J. Appl. Mech. 42 (1975) 440).
 """
 
 from typing import Annotated

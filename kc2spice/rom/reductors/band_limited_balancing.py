@@ -24,9 +24,10 @@ class BandLimitedBalancing(Reductor):
     """Balanced truncation with Gramians that are sums over samples in the band.
 
     The Gramians are sums of ``x x*`` and ``y y*`` over the frequencies of the error estimate, with
-    the states ``x = (j w - A)^-1 B`` and ``y = (j w - A)^-* C'``. Each term is weighted, so that
-    errors are relative to the peak of the response, or to the response at the same frequency. The
-    norm of the task determines which of the two is used.
+    the states ``x = (j w - A)^-1 B`` and ``y = (j w - A)^-* C'``. The terms of the sums for the
+    Gramians are weighted according to the chosen error norm, *peak* or *pointwise*. In the norm
+    *peak*, the weights make errors relative to the peak of the response. In the norm *pointwise*,
+    the weights make errors relative to the response at the same frequency.
 
     Examples
     --------

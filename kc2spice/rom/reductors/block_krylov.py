@@ -69,7 +69,8 @@ class BlockKrylov(Reductor):
 
     def basis(self, task: ReductionTask) -> ReducedBasis:
         """Return the basis of Krylov vectors, with the projected full-order model."""
-        if not task.intermediate.proof:  # for a prescribed order, the Krylov basis is already known
+        # if the order is prescribed, the intermediate model already contains the Krylov basis
+        if not task.intermediate.proof:
             V = task.intermediate.basis
             return ReducedBasis(task, task.intermediate.pencil, vectors=V, coordinates="full order")
         V = compute_krylov_vectors(task.pencil, VECTORS_PER_STATE * task.intermediate.pencil.size)

@@ -62,7 +62,10 @@ class CongruentBalancing(Reductor):
         return task.get_shared_value(self.name, lambda: self._balance(task))
 
     def _balance(self, task: ReductionTask) -> ReducedBasis | None:
-        """Return a basis of static responses and Gramian eigenvectors, or None."""
+        """Return a balanced basis, or None if E is singular or a mode hardly decays.
+
+        The basis consists of static responses and of eigenvectors of a Gramian.
+        """
         core = task.pencil_without_rigid_modes
         try:
             rates, X = scipy.linalg.eigh(*core.coefficients)
@@ -80,7 +83,8 @@ class CongruentBalancing(Reductor):
         others = np.eye(len(rates)) - static @ static.T
         hankel, U = np.linalg.eigh(others @ gramian @ others)
         count = int((hankel > HANKEL_ROUNDING * hankel[-1]).sum())
-        # at most this number of eigenvectors is independent of the static responses
+        # A model of ``len(rates)`` unknowns has at most ``len(rates)`` independent basis vectors.
+        # The sum of the numbers of static responses and eigenvectors is at most ``len(rates)``.
         count = min(count, len(rates) - static.shape[1])
         directions = np.hstack([static, U[:, ::-1][:, :count]])
         return task.project(X @ directions, fixed=static.shape[1])

@@ -26,16 +26,17 @@ from kc2spice.rom.response import GRID_FREQUENCIES, Response, sample_band
 from kc2spice.rom.rigid_body import estimate_hidden_frequency
 from kc2spice.rom.rounding import add_rounding_floor, estimate_removed_stiffness, find_zero_entries
 
-# Largest number of blocks at the expansion point zero and at a shift, found by trials.
-# Blocks at the expansion point zero are cheaper, as long as the response converges. A Cholesky
-# factor at zero takes a fraction of the time and memory of the factor at a shift.
+# Numbers of Krylov blocks, found by trials, after which slow convergence leads to a new expansion
+# point: BLOCKS_AT_ZERO at the expansion point zero, BLOCKS_AT_SHIFT at every other expansion point.
+# Blocks at the expansion point zero are cheaper, as long as the response converges. The Cholesky
+# factor of K takes only a fraction of the time and memory of a factor of the shifted K - w^2 M.
 BLOCKS_AT_ZERO = 60
 BLOCKS_AT_SHIFT = 3
 # Usual number of blocks for solids with several modes in the band.
 # The first estimate of the remaining time assumes USUAL_BLOCKS blocks.
 USUAL_BLOCKS = 14
-# Smallest ratio of the change of the response by the previous block to the change by the last
-# block. Below this ratio, the next block is computed at a new expansion point.
+# Smallest ratio (response change due to the previous block) / (response change due to the last).
+# Below this ratio of response changes, the next block is computed at a new expansion point.
 MIN_REDUCTION = 3.0
 # smallest distance of two expansion points, relative to the upper band limit
 MIN_POINT_DISTANCE = 1e-3
@@ -87,7 +88,8 @@ def reduce_definite_model(
             basis = V @ coordinates
         response = Response(small)
         response.zero = find_zero_entries(pencil, basis, response, band)
-        # frequencies beside resonances include notches, at which the response converges last
+        # The sampled frequencies beside resonances include the notches of the response.
+        # At a notch, the relative error of the Krylov projection is the last to become small.
         frequency = sample_band(response, band, GRID_FREQUENCIES, not small.free, (0.0, 1.0, 4.0))
         s = 2j * np.pi * frequency
         H = response.transfer(s)

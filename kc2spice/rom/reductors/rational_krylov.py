@@ -24,7 +24,7 @@ MAX_POINTS = 180  # largest number of factorisations
 # number of successive points whose errors must meet the target; a single error may be small by
 # chance
 CONFIRMATIONS = 2
-MANY_POINTS = 20  # number of factorisations of a large model that causes a warning
+MANY_POINTS = 20  # a warning is printed if a large model needs more factorisations than this number
 LARGE_UNKNOWNS = 10_000  # smallest number of unknowns of a large model, found by trials
 USUAL_POINTS = 10  # number of factorisations assumed for the first estimate of the remaining time
 # error at which the basis is complete, relative to the tolerance; found by trials
@@ -43,8 +43,8 @@ class RationalKrylov(Reductor):
     Parameters
     ----------
     points : sequence of floats, optional
-        Expansion points in Hz that replace the greedily chosen points. The basis vectors have the
-        order of the given points.
+        Expansion points in Hz that replace the greedily chosen points. The basis vectors are sorted
+        like the given points.
 
     Raises
     ------
@@ -120,9 +120,10 @@ def reduce_by_rational_krylov(
 ) -> IntermediateModel:
     """Return a reduced model with an error within ``target`` over ``band`` [Hz].
 
-    If rounding errors prevent an error of ``target``, the error is within ``limit``. At each of the
-    last expansion points, the error is computed before the solution is added to the basis. ``most``
-    is the largest number of factorisations.
+    If rounding errors make an error of ``target`` unreachable, the function accepts a larger error
+    up to ``limit``. At each expansion point after the first, the error is computed before the
+    solution at this point is added to the basis. The errors at the last one or two expansion points
+    determine the error of the result. ``most`` is the largest number of factorisations.
 
     Raises
     ------
@@ -146,8 +147,9 @@ def reduce_by_rational_krylov(
                 f"{target:.0e}; {advice}",
                 stacklevel=2,
             )
-        # Errors before an extension of the basis no longer apply. A point close to an earlier point
-        # does not extend the basis, and its error is only one sample.
+        # Errors that were computed before an extension of the basis no longer apply.
+        # A frequency close to an earlier expansion point does not extend the basis.
+        # The error at one frequency may be small by chance, so the last two errors are used.
         recent = [*recent[-1:], error] if grown or idle else [error]
         idle = 0 if grown else idle + 1
         if CONFIRMATIONS in (confirmations, idle):

@@ -123,7 +123,7 @@ def require_method_name(name: str, where: str, advice: str) -> None:
 
 
 def find_reductor(method: str | Reductor) -> Reductor:
-    """Return the reductor with the name ``method``, or ``method`` itself.
+    """Return the reductor named ``method``; if ``method`` is a reductor, return it.
 
     Raises
     ------

@@ -21,17 +21,19 @@ GRID_POINTS = 101
 # settings of the snapshots above the band, found by trials
 TAIL_REACH = 8.0  # highest frequency of the snapshots, relative to the end of the band
 TAIL_POINTS = 150
-# Weights above the band decrease with this power of the frequency, like the spectrum of contact
-# forces. Contact forces are smooth functions of time.
+# The weight of a snapshot above the band is proportional to frequency^-TAIL_DECAY.
+# The spectrum of a contact force, a smooth function of time, decreases in a similar way.
 TAIL_DECAY = 4
-# Smallest and largest weight of the tail at the end of the band.
-# With these weights, simulated launches of a chip with 20 to 31 states had errors of at most 3e-4.
-# With a largest weight of 1e-2, the errors of the launches were larger.
+# Smallest and largest weight of the snapshots just above the band.
+# With TAIL_WEIGHTS, reduced models with 20 to 31 states simulated launches of a chip with errors of
+# at most 3e-4.
+# A largest weight of 1e-2 instead of 5e-2 increased the errors in simulated launches of a chip.
 TAIL_WEIGHTS = 4e-3, 5e-2
-# ratio of the tail's weight to the square root of the tolerance; squared errors are minimised
+# Ratio of the weight just above the band to the square root of the tolerance.
+# The square root is used because the fit minimises squared errors.
 TAIL_PER_ROOT = 120.0
-# smallest divisor of the error of a response entry, relative to the peak of the entry, keyed by
-# norm
+# Errors of a response entry are divided by at least this fraction of the entry's peak.
+# The fractions MIN_REFERENCE_SHARE are keyed by norm.
 MIN_REFERENCE_SHARE = {"pointwise": 1e-6, "peak": 1.0}
 
 
@@ -93,14 +95,14 @@ def choose_snapshots(
 def weight_states(
     response: Response, s: np.ndarray, weight: np.ndarray, complete: np.ndarray, norm: Norm
 ) -> np.ndarray:
-    """Return the states of a response at ``s``, weighted for small relative errors.
+    """Weight the states of a response, so that weak responses also become accurate.
 
     If the model is symmetric and collocated, the square of a state is an energy. In such a model,
     the state vector for the input at a port is divided by the square root of the port's response.
     In all other models, each state vector is divided by its norm. In the norm *peak*, the largest
     divisor in the band replaces all divisors. ``complete`` is the response of the model with
-    rigid-body modes. The result has the shape (n, 2 frequencies inputs), with the real parts before
-    the imaginary parts.
+    rigid-body modes. The result has the shape (n, 2 * frequencies * inputs), with the real parts
+    before the imaginary parts.
     """
     x = response.states(s)
     pencil = response.pencil
@@ -118,11 +120,10 @@ def weight_states(
 def _compute_state_norms(
     x: np.ndarray, H: np.ndarray, complete: np.ndarray, norm: Norm
 ) -> np.ndarray:
-    """Return the norms (frequencies, inputs) that scale the state vectors ``x``.
+    """Compute the norms that scale the states ``x``, an array (frequencies, inputs).
 
     H is the response without rigid-body modes, and ``complete`` is the response with rigid-body
-    modes. The norms are increased in proportion to the increase of the response by rigid-body
-    modes.
+    modes. The norms are multiplied by the factor by which rigid-body modes increase the response.
     """
     size = np.linalg.norm(x, axis=1)
     if norm == "peak":

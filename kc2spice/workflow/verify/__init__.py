@@ -1,1 +1,1 @@
-"""Comparison of full models, equations with reduced models, and ngspice."""
+"""Comparison of three solutions: full models, reduced models, and ngspice."""
